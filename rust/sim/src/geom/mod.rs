@@ -1,0 +1,21 @@
+//! Two-dimensional geometry of the ground plane.
+//!
+//! Frames: x east, y north, metres, radians counter-clockwise from +x. Everything here is pure and
+//! bit-reproducible on every machine: transcendental functions come from [`math`], never from the
+//! platform's C library.
+
+pub mod math;
+mod obb;
+mod polygon;
+mod pose;
+
+pub use obb::OrientedBox;
+pub use polygon::Polygon;
+pub use pose::Pose2;
+
+/// Precision of the running simulation. Loaders work in f64 and recentre before they round.
+pub type Real = f32;
+/// A position in a frame, metres.
+pub type Point2 = nalgebra::Point2<Real>;
+/// A displacement or a velocity, metres or metres per second.
+pub type Vector2 = nalgebra::Vector2<Real>;

@@ -1,0 +1,8 @@
+//! Pure simulation of driving scenes: no files, no clock, no torch, no Python.
+
+pub mod error;
+pub mod geom;
+pub mod scene;
+pub mod state;
+
+pub use error::{Result, SimError};

@@ -1,0 +1,85 @@
+//! The map round a scene, in the scene frame.
+
+use crate::geom::{Point2, Polygon, Real};
+use serde::{Deserialize, Serialize};
+
+/// What a lane is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LaneKind {
+    /// A marked lane.
+    Lane,
+    /// A path through an intersection, from one lane to another.
+    Connector,
+}
+
+/// One lane or lane connector.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Lane {
+    /// Token of the data set.
+    pub id: String,
+    /// Lane or connector.
+    pub kind: LaneKind,
+    /// Centre line in driving direction, at least two points, about one metre apart.
+    pub centreline: Vec<Point2>,
+    /// Surface; empty exterior where the data has none.
+    pub polygon: Polygon,
+    /// Indices (into [`Map::lanes`]) of the lanes that follow. Lanes outside the crop are left out.
+    pub successors: Vec<u32>,
+    /// Indices of the lanes that lead here.
+    pub predecessors: Vec<u32>,
+    /// Posted limit in metres per second, where the data has one (nuScenes has none).
+    pub speed_limit_mps: Option<Real>,
+}
+
+/// Layers of the map, cropped round the scene. Any layer can be empty: what needs lanes must say so or fall back.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Map {
+    /// Where vehicles may drive. Polygons may overlap; a point is drivable if any of them holds it.
+    pub drivable_area: Vec<Polygon>,
+    /// Lanes and lane connectors.
+    pub lanes: Vec<Lane>,
+    /// Lines between directions of traffic.
+    pub road_dividers: Vec<Vec<Point2>>,
+    /// Lines between lanes of one direction.
+    pub lane_dividers: Vec<Vec<Point2>>,
+    /// Pedestrian crossings.
+    pub ped_crossings: Vec<Polygon>,
+    /// Walkways.
+    pub walkways: Vec<Polygon>,
+    /// Stop lines (areas, as nuScenes draws them).
+    pub stop_lines: Vec<Polygon>,
+    /// Car parks.
+    pub carpark_areas: Vec<Polygon>,
+}
+
+impl Map {
+    /// Name of the first layer that holds a number that is not finite, a line of fewer than two points or a lane
+    /// index out of range.
+    pub fn first_fault(&self) -> Option<&'static str> {
+        let finite = |points: &[Point2]| points.iter().all(|p| p.x.is_finite() && p.y.is_finite());
+        let polygon = |p: &Polygon| finite(&p.exterior) && p.holes.iter().all(|h| finite(h));
+        let line = |l: &Vec<Point2>| l.len() >= 2 && finite(l);
+        let linked = |ids: &[u32]| ids.iter().all(|i| (*i as usize) < self.lanes.len());
+        let lane = |l: &Lane| {
+            line(&l.centreline) && polygon(&l.polygon) && linked(&l.successors) && linked(&l.predecessors)
+        };
+        [
+            ("drivable_area", self.drivable_area.iter().all(polygon)),
+            ("lanes", self.lanes.iter().all(lane)),
+            ("road_dividers", self.road_dividers.iter().all(line)),
+            ("lane_dividers", self.lane_dividers.iter().all(line)),
+            ("ped_crossings", self.ped_crossings.iter().all(polygon)),
+            ("walkways", self.walkways.iter().all(polygon)),
+            ("stop_lines", self.stop_lines.iter().all(polygon)),
+            ("carpark_areas", self.carpark_areas.iter().all(polygon)),
+        ]
+        .into_iter()
+        .find_map(|(name, ok)| (!ok).then_some(name))
+    }
+
+    /// Whether the map has lanes at all.
+    pub fn has_lanes(&self) -> bool {
+        !self.lanes.is_empty()
+    }
+}

@@ -1,0 +1,192 @@
+//! A scene: logged tracks of all agents on a map, in the scene's own frame. Immutable, shared by `Arc`.
+//!
+//! What flows in: a loader's arrays (nuScenes, ScenarioNet, a recorded rollout). What flows out: the log that
+//! worlds start from, replay and compare with. Nothing here knows a data set.
+
+mod map;
+
+pub use map::{Lane, LaneKind, Map};
+
+use crate::error::{Result, SimError};
+use crate::geom::{Point2, Real, Vector2};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Id of the ego agent in every scene.
+pub const EGO_ID: &str = "ego";
+
+/// Kind of an agent, coarse enough to be the same for every data set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[repr(u8)]
+pub enum AgentKind {
+    /// Cars, trucks, buses, trailers, construction and emergency vehicles.
+    Vehicle = 0,
+    /// People on foot, in wheelchairs, with strollers or personal mobility devices.
+    Pedestrian = 1,
+    /// Bicycles.
+    Cyclist = 2,
+    /// Motorcycles.
+    Motorcycle = 3,
+    /// Barriers, cones, debris, racks: obstacles that never move by themselves.
+    Static = 4,
+}
+
+impl AgentKind {
+    /// All kinds, in the order of their numbers.
+    pub const ALL: [Self; 5] =
+        [Self::Vehicle, Self::Pedestrian, Self::Cyclist, Self::Motorcycle, Self::Static];
+
+    /// The name used in Python and in files.
+    pub fn name(self) -> &'static str {
+        ["vehicle", "pedestrian", "cyclist", "motorcycle", "static"][self as usize]
+    }
+}
+
+/// What is constant about an agent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Agent {
+    /// Instance token of the data set; [`EGO_ID`] for the ego. Unique in the scene.
+    pub id: String,
+    /// Coarse kind.
+    pub kind: AgentKind,
+    /// The data set's own category name.
+    pub category: String,
+    /// Length along the heading, metres, > 0.
+    pub length_m: Real,
+    /// Width, metres, > 0.
+    pub width_m: Real,
+    /// Height, metres, >= 0 (0: unknown).
+    pub height_m: Real,
+}
+
+/// Logged states of A agents over T steps, row-major [A, T]: the entry of agent a at step t is `a * T + t`.
+///
+/// Entries where `valid` is false are zero and mean nothing.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Tracks {
+    /// Centre of the box in the scene frame, metres.
+    pub position: Vec<Point2>,
+    /// Heading, radians, unwrapped along each track: neighbouring valid steps differ by less than π.
+    pub heading_rad: Vec<Real>,
+    /// Velocity in the scene frame, metres per second.
+    pub velocity: Vec<Vector2>,
+    /// Whether the agent is present.
+    pub valid: Vec<bool>,
+}
+
+/// One scene. Agent 0 is the ego where the data has one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// Name, such as `scene-0061`.
+    pub name: String,
+    /// The data set's token of the scene.
+    pub token: String,
+    /// Map location, such as `boston-seaport`.
+    pub location: String,
+    /// Where the scene comes from: data set and version, or file.
+    pub source: String,
+    /// Global x, y of the scene frame's origin, metres: global = origin + scene frame.
+    pub origin: [f64; 2],
+    /// Time between steps, seconds.
+    pub dt_s: Real,
+    /// Number of logged steps T.
+    pub num_steps: usize,
+    /// Agents, A of them.
+    pub agents: Vec<Agent>,
+    /// Logged states [A, T].
+    pub tracks: Tracks,
+    /// Map round the scene, in the scene frame.
+    pub map: Arc<Map>,
+}
+
+impl Scene {
+    /// Checks every rule and returns the scene; the only way a scene gets into a world.
+    ///
+    /// # Errors
+    /// [`SimError::Scene`] names the first field that is not finite, not positive, of the wrong length or twice there.
+    pub fn validated(self) -> Result<Self> {
+        let fail = |field: String, got: String, expected: &'static str| {
+            Err(SimError::Scene { scene: self.name.clone(), field, got, expected })
+        };
+        let (num_agents, num_steps) = (self.agents.len(), self.num_steps);
+        if num_agents == 0 {
+            return fail("agents".into(), "empty".into(), "at least one agent");
+        }
+        if num_steps == 0 {
+            return fail("num_steps".into(), "0".into(), "at least one step");
+        }
+        if !(self.dt_s.is_finite() && self.dt_s > 0.0) {
+            return fail("dt_s".into(), self.dt_s.to_string(), "a positive number of seconds");
+        }
+        if !self.origin.iter().all(|v| v.is_finite()) {
+            return fail("origin".into(), format!("{:?}", self.origin), "finite numbers");
+        }
+        let entries = num_agents * num_steps;
+        for (name, len) in [
+            ("tracks.position", self.tracks.position.len()),
+            ("tracks.heading_rad", self.tracks.heading_rad.len()),
+            ("tracks.velocity", self.tracks.velocity.len()),
+            ("tracks.valid", self.tracks.valid.len()),
+        ] {
+            if len != entries {
+                return fail(name.into(), format!("{len} entries"), "agents x steps entries");
+            }
+        }
+        let mut ids: Vec<&str> = self.agents.iter().map(|a| a.id.as_str()).collect();
+        ids.sort_unstable();
+        if let Some(pair) = ids.windows(2).find(|w| w[0] == w[1]) {
+            return fail(
+                "agents[].id".into(),
+                format!("{:?} twice", pair[0]),
+                "ids that are unique in the scene",
+            );
+        }
+        for (i, a) in self.agents.iter().enumerate() {
+            if !(a.length_m.is_finite() && a.length_m > 0.0 && a.width_m.is_finite() && a.width_m > 0.0) {
+                let got = format!("{} x {} m", a.length_m, a.width_m);
+                return fail(format!("agents[{i}] {:?} size", a.id), got, "a positive length and width");
+            }
+        }
+        for (i, ok) in self.tracks.valid.iter().enumerate() {
+            let (p, h, v) = (self.tracks.position[i], self.tracks.heading_rad[i], self.tracks.velocity[i]);
+            if *ok
+                && !(p.coords.iter().chain(v.iter()).all(|x| x.is_finite() && x.abs() < 1e6) && h.is_finite())
+            {
+                let field = format!("track of {:?} at step {}", self.agents[i / num_steps].id, i % num_steps);
+                let got = format!("position {p}, heading {h}, velocity ({}, {})", v.x, v.y);
+                return fail(field, got, "finite numbers within 1000 km");
+            }
+        }
+        if let Some(field) = self.map.first_fault() {
+            return fail(
+                format!("map.{field}"),
+                "not finite or dangling".into(),
+                "finite points and lane indices in range",
+            );
+        }
+        Ok(self)
+    }
+
+    /// Number of agents A.
+    pub fn num_agents(&self) -> usize {
+        self.agents.len()
+    }
+
+    /// Index of an entry of [`Tracks`].
+    #[inline]
+    pub fn at(&self, agent_idx: usize, step_idx: usize) -> usize {
+        agent_idx * self.num_steps + step_idx
+    }
+
+    /// Whether an agent is logged at a step; false past the end.
+    #[inline]
+    pub fn is_valid(&self, agent_idx: usize, step_idx: usize) -> bool {
+        step_idx < self.num_steps && self.tracks.valid[self.at(agent_idx, step_idx)]
+    }
+
+    /// Index of the agent with an id.
+    pub fn agent_index(&self, id: &str) -> Option<usize> {
+        self.agents.iter().position(|a| a.id == id)
+    }
+}

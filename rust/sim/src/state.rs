@@ -1,0 +1,130 @@
+//! States of the agents of one running world, structure of arrays, and their bodies.
+
+use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
+use serde::{Deserialize, Serialize};
+
+/// Size of an agent, constant over an episode.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Body {
+    /// Half the length, metres.
+    pub half_length_m: Real,
+    /// Half the width, metres.
+    pub half_width_m: Real,
+    /// Radius of the circle round the box, metres.
+    pub radius_m: Real,
+}
+
+impl Body {
+    /// Body from full length and width, metres.
+    pub fn new(length_m: Real, width_m: Real) -> Self {
+        let (half_length_m, half_width_m) = (0.5 * length_m, 0.5 * width_m);
+        Self { half_length_m, half_width_m, radius_m: math::hypot(half_length_m, half_width_m) }
+    }
+}
+
+/// States of A agents at one step. All arrays have length A. Entries of agents that are not `active` are stale.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct AgentStates {
+    /// Centre x in the scene frame, metres.
+    pub x: Vec<Real>,
+    /// Centre y, metres.
+    pub y: Vec<Real>,
+    /// Heading, radians, not wrapped.
+    pub heading_rad: Vec<Real>,
+    /// Cosine of the heading.
+    pub cos: Vec<Real>,
+    /// Sine of the heading.
+    pub sin: Vec<Real>,
+    /// Speed along the heading, metres per second; negative when reversing.
+    pub speed_mps: Vec<Real>,
+    /// Velocity x in the scene frame, metres per second.
+    pub velocity_x_mps: Vec<Real>,
+    /// Velocity y, metres per second.
+    pub velocity_y_mps: Vec<Real>,
+    /// Change of speed over the last step, metres per second squared.
+    pub acceleration_mps2: Vec<Real>,
+    /// Change of heading over the last step, radians per second.
+    pub yaw_rate_radps: Vec<Real>,
+    /// Whether the agent is in the world.
+    pub active: Vec<bool>,
+}
+
+impl AgentStates {
+    /// States of `num_agents` agents, none of them active.
+    pub fn new(num_agents: usize) -> Self {
+        let zeros = || vec![0.0; num_agents];
+        Self {
+            x: zeros(),
+            y: zeros(),
+            heading_rad: zeros(),
+            cos: vec![1.0; num_agents],
+            sin: zeros(),
+            speed_mps: zeros(),
+            velocity_x_mps: zeros(),
+            velocity_y_mps: zeros(),
+            acceleration_mps2: zeros(),
+            yaw_rate_radps: zeros(),
+            active: vec![false; num_agents],
+        }
+    }
+
+    /// Number of agents A.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Whether there is no agent.
+    pub fn is_empty(&self) -> bool {
+        self.x.is_empty()
+    }
+
+    /// Centre of an agent.
+    #[inline]
+    pub fn position(&self, agent_idx: usize) -> Point2 {
+        Point2::new(self.x[agent_idx], self.y[agent_idx])
+    }
+
+    /// Velocity of an agent in the scene frame.
+    #[inline]
+    pub fn velocity(&self, agent_idx: usize) -> Vector2 {
+        Vector2::new(self.velocity_x_mps[agent_idx], self.velocity_y_mps[agent_idx])
+    }
+
+    /// Pose of an agent, without computing a sine.
+    #[inline]
+    pub fn pose(&self, agent_idx: usize) -> Pose2 {
+        Pose2 {
+            position: self.position(agent_idx),
+            heading_rad: self.heading_rad[agent_idx],
+            cos: self.cos[agent_idx],
+            sin: self.sin[agent_idx],
+        }
+    }
+
+    /// Box of an agent.
+    #[inline]
+    pub fn oriented_box(&self, agent_idx: usize, body: &Body) -> OrientedBox {
+        OrientedBox {
+            centre: self.position(agent_idx),
+            cos: self.cos[agent_idx],
+            sin: self.sin[agent_idx],
+            half_length_m: body.half_length_m,
+            half_width_m: body.half_width_m,
+        }
+    }
+
+    /// Puts an agent at a pose with a velocity of the scene frame; acceleration and yaw rate become zero.
+    pub fn place(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2) {
+        self.x[agent_idx] = pose.position.x;
+        self.y[agent_idx] = pose.position.y;
+        self.heading_rad[agent_idx] = pose.heading_rad;
+        self.cos[agent_idx] = pose.cos;
+        self.sin[agent_idx] = pose.sin;
+        self.velocity_x_mps[agent_idx] = velocity.x;
+        self.velocity_y_mps[agent_idx] = velocity.y;
+        self.speed_mps[agent_idx] = velocity.x * pose.cos + velocity.y * pose.sin;
+        self.acceleration_mps2[agent_idx] = 0.0;
+        self.yaw_rate_radps[agent_idx] = 0.0;
+    }
+}
