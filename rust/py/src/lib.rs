@@ -1,4 +1,7 @@
-//! The Python module `ccdiff_env._native`.
+//! The Python module `ccdiff_env._native`: a translation, no arithmetic.
+
+mod errors;
+
 use pyo3::prelude::*;
 
 #[pymodule]

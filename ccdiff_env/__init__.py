@@ -1,0 +1,20 @@
+"""Multi-agent driving environment on nuScenes scenes with causal-diffusion traffic."""
+
+from __future__ import annotations
+
+# torch comes first: it loads libtorch into the process, and the extension's libraries then resolve to
+# those by name. No rpath or LD_LIBRARY_PATH is needed.
+import torch as _torch
+
+_TORCH = "2.11.0"
+if _torch.__version__.split("+")[0] != _TORCH:
+    raise ImportError(
+        f"ccdiff_env is built for torch {_TORCH}, found {_torch.__version__}: "
+        f"pip install torch=={_TORCH}"
+    )
+
+from ccdiff_env import _native as _native  # noqa: E402
+from ccdiff_env import errors  # noqa: E402
+
+__version__ = "0.1.0"
+__all__ = ["__version__", "errors"]

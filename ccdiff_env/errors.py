@@ -1,0 +1,63 @@
+"""Exceptions of the package, raised from Python and from Rust.
+
+Every exception is a :class:`CcdiffError`, so one ``except`` clause catches what the package refuses; each is
+also the built-in kind that fits, so that generic handlers work.
+"""
+
+from __future__ import annotations
+
+
+class CcdiffError(Exception):
+    """Anything that the package refuses."""
+
+
+class ConfigError(CcdiffError, ValueError):
+    """An option is out of its range, unknown, or contradicts another one."""
+
+
+class ShapeError(CcdiffError, ValueError):
+    """An array has the wrong shape, dtype or layout."""
+
+
+class ActionError(CcdiffError, ValueError):
+    """An action is not finite or not one of the action space."""
+
+
+class DatasetError(CcdiffError, ValueError):
+    """A data set or scene file is missing a part, is damaged or contradicts itself."""
+
+
+class SceneError(CcdiffError, ValueError):
+    """A scene's arrays break a rule (length, finiteness, duplicate ids, sizes)."""
+
+
+class UnknownNameError(CcdiffError, KeyError):
+    """A scene, agent, split or layer of that name does not exist."""
+
+    def __str__(self) -> str:
+        """Return the message itself; ``KeyError`` would quote it."""
+        return str(self.args[0]) if self.args else ""
+
+
+class ResetNeededError(CcdiffError, RuntimeError):
+    """An environment was stepped before ``reset``, or after its end."""
+
+
+class SnapshotError(CcdiffError, ValueError):
+    """A snapshot or replay certificate is damaged or belongs to something else."""
+
+
+class CheckpointError(CcdiffError, ValueError):
+    """A weight file is damaged, or its shapes or header do not fit."""
+
+
+class PolicyError(CcdiffError, RuntimeError):
+    """A background policy failed."""
+
+
+class ForkError(CcdiffError, RuntimeError):
+    """A native object was used in a forked child process; use the spawn start method."""
+
+
+class MissingFeatureError(CcdiffError, ImportError):
+    """An optional dependency is not installed; the message names the install command."""

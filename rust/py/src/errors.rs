@@ -1,0 +1,35 @@
+//! From Rust errors to the exception tree of `ccdiff_env.errors`.
+
+use ccdiff_sim::SimError;
+use pyo3::prelude::*;
+
+/// The classes, as Python defines them.
+pub(crate) mod py {
+    #![allow(missing_docs, reason = "documented in ccdiff_env/errors.py")]
+    pyo3::import_exception!(ccdiff_env.errors, ActionError);
+    pyo3::import_exception!(ccdiff_env.errors, ConfigError);
+    pyo3::import_exception!(ccdiff_env.errors, DatasetError);
+    pyo3::import_exception!(ccdiff_env.errors, ForkError);
+    pyo3::import_exception!(ccdiff_env.errors, PolicyError);
+    pyo3::import_exception!(ccdiff_env.errors, ResetNeededError);
+    pyo3::import_exception!(ccdiff_env.errors, SceneError);
+    pyo3::import_exception!(ccdiff_env.errors, ShapeError);
+    pyo3::import_exception!(ccdiff_env.errors, SnapshotError);
+    pyo3::import_exception!(ccdiff_env.errors, UnknownNameError);
+}
+
+/// The Python exception for a simulator error.
+pub(crate) fn from_sim(error: SimError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        SimError::Scene { .. } => py::SceneError::new_err(message),
+        SimError::Config { .. } => py::ConfigError::new_err(message),
+        SimError::Length { .. } => py::ShapeError::new_err(message),
+        SimError::Action { .. } => py::ActionError::new_err(message),
+        SimError::ResetNeeded { .. } => py::ResetNeededError::new_err(message),
+        SimError::Unknown { .. } => py::UnknownNameError::new_err(message),
+        SimError::Snapshot(_) => py::SnapshotError::new_err(message),
+        SimError::Policy { .. } => py::PolicyError::new_err(message),
+        _ => py::ConfigError::new_err(message),
+    }
+}
