@@ -1,5 +1,6 @@
 //! Pure simulation of driving scenes: no files, no clock, no torch, no Python.
 
+pub mod causal;
 pub mod error;
 pub mod geom;
 pub mod scene;

@@ -1,0 +1,144 @@
+//! The decision causal graph G: who may influence whose decision.
+
+use crate::error::{Result, SimError};
+use crate::geom::Real;
+
+/// When two agents are joined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GraphThresholds {
+    /// Joined only if the time to contact is at most this, seconds.
+    pub ttc_s: Real,
+    /// Joined only if the distance of the centres is at most this, metres.
+    pub distance_m: Real,
+}
+
+impl Default for GraphThresholds {
+    /// 3.0 s and 50 m, the paper's table of hyper-parameters.
+    fn default() -> Self {
+        Self { ttc_s: 3.0, distance_m: 50.0 }
+    }
+}
+
+/// A directed graph over M agents with all self loops; entry (i, j) says that j may influence i.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CausalGraph {
+    num_agents: usize,
+    joined: Vec<bool>,
+}
+
+impl CausalGraph {
+    /// Joins pairs whose time to contact and distance both lie within the thresholds, and every agent with itself.
+    ///
+    /// # Shapes
+    /// `ttc_s`, `distance_m`: [M, M].
+    ///
+    /// # Errors
+    /// [`SimError::Length`] for a matrix that is not M * M, [`SimError::Config`] for a threshold that is negative
+    /// or not a number.
+    ///
+    /// # Reference
+    /// Paper, section on the causal scene encoder; thresholds in physical units (method.md 9, row 6).
+    pub fn from_measures(
+        num_agents: usize,
+        ttc_s: &[Real],
+        distance_m: &[Real],
+        thresholds: GraphThresholds,
+    ) -> Result<Self> {
+        let pairs = num_agents * num_agents;
+        for (what, got) in [("TTC matrix", ttc_s.len()), ("distance matrix", distance_m.len())] {
+            if got != pairs {
+                return Err(SimError::Length { what, got, expected: pairs });
+            }
+        }
+        for (field, value) in [("graph.ttc_s", thresholds.ttc_s), ("graph.distance_m", thresholds.distance_m)]
+        {
+            if value.is_nan() || value < 0.0 {
+                return Err(SimError::Config {
+                    field,
+                    got: value.to_string(),
+                    expected: "at least 0".into(),
+                });
+            }
+        }
+        let mut joined: Vec<bool> = ttc_s
+            .iter()
+            .zip(distance_m)
+            .map(|(&t, &d)| t <= thresholds.ttc_s && d <= thresholds.distance_m)
+            .collect();
+        for i in 0..num_agents {
+            joined[i * num_agents + i] = true;
+        }
+        Ok(Self { num_agents, joined })
+    }
+
+    /// The graph that joins every agent with itself alone: the counterfactual of the unconditional branch.
+    pub fn identity(num_agents: usize) -> Self {
+        let joined = (0..num_agents * num_agents).map(|k| k / num_agents == k % num_agents).collect();
+        Self { num_agents, joined }
+    }
+
+    /// Number of agents M.
+    pub fn num_agents(&self) -> usize {
+        self.num_agents
+    }
+
+    /// All entries [M, M], row-major.
+    pub fn as_slice(&self) -> &[bool] {
+        &self.joined
+    }
+
+    /// Whether j may influence i; false for indices out of range.
+    pub fn contains(&self, i: usize, j: usize) -> bool {
+        j < self.num_agents && self.joined.get(i * self.num_agents + j).copied().unwrap_or(false)
+    }
+
+    /// The graph that joins a pair in both directions if this one joins it in either.
+    #[must_use]
+    pub fn symmetrised(&self) -> Self {
+        let m = self.num_agents;
+        let joined = (0..m * m).map(|k| self.joined[k] || self.joined[(k % m) * m + k / m]).collect();
+        Self { num_agents: m, joined }
+    }
+
+    /// Share of ordered pairs of different agents that are not joined, in [0, 1]; 1 for fewer than two agents.
+    pub fn sparsity(&self) -> Real {
+        let pairs = self.num_agents * self.num_agents.saturating_sub(1);
+        if pairs == 0 {
+            return 1.0;
+        }
+        let edges = self.joined.iter().filter(|&&e| e).count() - self.num_agents;
+        1.0 - edges as Real / pairs as Real
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_thresholds_must_hold_and_self_loops_always_do() {
+        let ttc_s = [20.0, 3.0, 2.0, 3.1, 20.0, 1.0, 2.0, 1.0, 20.0];
+        let distance_m = [0.0, 50.0, 51.0, 10.0, 0.0, 50.0, 51.0, 50.0, 0.0];
+        let graph = CausalGraph::from_measures(3, &ttc_s, &distance_m, GraphThresholds::default()).unwrap();
+        assert_eq!(graph.as_slice(), [true, true, false, false, true, true, false, true, true]);
+        assert!((graph.sparsity() - 0.5).abs() < 1e-6);
+        let both = graph.symmetrised();
+        assert!(both.contains(1, 0) && !both.contains(0, 2) && !both.contains(0, 3));
+        assert!((both.sparsity() - 1.0 / 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn identity_joins_nobody_else() {
+        let graph = CausalGraph::identity(4);
+        assert_eq!(graph.sparsity(), 1.0);
+        assert!(graph.contains(2, 2) && !graph.contains(2, 1));
+    }
+
+    #[test]
+    fn wrong_shapes_and_thresholds_are_refused() {
+        let ok = [0.0; 4];
+        assert!(CausalGraph::from_measures(2, &ok[..3], &ok, GraphThresholds::default()).is_err());
+        let bad = GraphThresholds { ttc_s: -1.0, ..GraphThresholds::default() };
+        assert!(CausalGraph::from_measures(2, &ok, &ok, bad).is_err());
+    }
+}

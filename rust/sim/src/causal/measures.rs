@@ -1,0 +1,494 @@
+//! Pairwise measures of agents: time to contact (TTC) and distance, as matrices [M, M].
+//!
+//! Two times to contact: [`Ttc::Oriented`] sweeps oriented boxes at constant velocity and is right for every
+//! heading and side; [`Ttc::Released`] repeats the arithmetic of the authors' release (method.md 2.4), quirks
+//! included, for parity with its rankings. Entries of absent agents hold "no contact" (20 s) or an infinite distance.
+
+use crate::error::{Result, SimError};
+use crate::geom::{Point2, Real, Vector2, math};
+
+/// Times to contact are capped here, seconds (method.md 2.4).
+pub const TTC_CAP_S: Real = 20.0;
+/// Distances beyond this are 0 in the normalised form, metres (method.md 2.4).
+pub const DISTANCE_CAP_M: Real = 20.0;
+
+/// Which time to contact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Ttc {
+    /// First contact of the oriented boxes, each moving on at its velocity. Symmetric.
+    #[default]
+    Oriented,
+    /// The released recipe: axis-aligned extents and unsigned offsets in the frame of the row's agent.
+    /// Directional, and right only for pairs in front of and to the left of the row's agent.
+    Released,
+}
+
+/// Agents at one step: arrays of length M in one frame.
+#[derive(Debug, Clone, Copy)]
+pub struct AgentFrame<'a> {
+    x_m: &'a [Real],
+    y_m: &'a [Real],
+    heading_rad: &'a [Real],
+    speed_mps: &'a [Real],
+    length_m: &'a [Real],
+    width_m: &'a [Real],
+    valid: &'a [bool],
+}
+
+fn check(what: &'static str, got: usize, expected: usize) -> Result<()> {
+    if got == expected { Ok(()) } else { Err(SimError::Length { what, got, expected }) }
+}
+
+impl<'a> AgentFrame<'a> {
+    /// A view of M agents; speeds are along the heading, negative when reversing.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where an array's length differs from `x_m`'s.
+    pub fn new(
+        x_m: &'a [Real],
+        y_m: &'a [Real],
+        heading_rad: &'a [Real],
+        speed_mps: &'a [Real],
+        length_m: &'a [Real],
+        width_m: &'a [Real],
+        valid: &'a [bool],
+    ) -> Result<Self> {
+        let num_agents = x_m.len();
+        check("y of the agents", y_m.len(), num_agents)?;
+        check("heading of the agents", heading_rad.len(), num_agents)?;
+        check("speed of the agents", speed_mps.len(), num_agents)?;
+        check("length of the agents", length_m.len(), num_agents)?;
+        check("width of the agents", width_m.len(), num_agents)?;
+        check("validity of the agents", valid.len(), num_agents)?;
+        Ok(Self { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid })
+    }
+
+    /// Number of agents M.
+    pub fn num_agents(&self) -> usize {
+        self.x_m.len()
+    }
+
+    /// Whether an agent is there.
+    pub fn is_valid(&self, agent_idx: usize) -> bool {
+        self.valid.get(agent_idx).copied().unwrap_or(false)
+    }
+
+    fn moving_box(&self, i: usize) -> MovingBox {
+        let (sin, cos) = math::sin_cos(self.heading_rad[i]);
+        MovingBox {
+            centre: Point2::new(self.x_m[i], self.y_m[i]),
+            axis: Vector2::new(cos, sin),
+            half_length_m: 0.5 * self.length_m[i],
+            half_width_m: 0.5 * self.width_m[i],
+            velocity: Vector2::new(cos, sin) * self.speed_mps[i],
+        }
+    }
+
+    /// Writes the times to contact of all pairs, seconds in [0, 20], into `out` [M, M].
+    ///
+    /// `frame_heading_rad` [M] turns the released recipe's axes: the heading of each row's agent at the step the
+    /// features belong to, which for a history is its last step, not the step of this frame.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where `frame_heading_rad` or `out` do not fit M.
+    pub fn ttc_s(&self, ttc: Ttc, frame_heading_rad: &[Real], out: &mut [Real]) -> Result<()> {
+        let num_agents = self.num_agents();
+        check("frame headings", frame_heading_rad.len(), num_agents)?;
+        check("TTC matrix", out.len(), num_agents * num_agents)?;
+        match ttc {
+            Ttc::Oriented => self.ttc_oriented_s(out),
+            Ttc::Released => self.ttc_released_s(frame_heading_rad, out),
+        }
+        Ok(())
+    }
+
+    fn ttc_oriented_s(&self, out: &mut [Real]) {
+        let num_agents = self.num_agents();
+        out.fill(TTC_CAP_S);
+        let boxes: Vec<MovingBox> = (0..num_agents).map(|i| self.moving_box(i)).collect();
+        for i in (0..num_agents).filter(|&i| self.valid[i]) {
+            out[i * num_agents + i] = 0.0;
+            for j in (i + 1..num_agents).filter(|&j| self.valid[j]) {
+                let t_s = boxes[i].time_to_contact_s(&boxes[j]).min(TTC_CAP_S);
+                out[i * num_agents + j] = t_s;
+                out[j * num_agents + i] = t_s;
+            }
+        }
+    }
+
+    fn ttc_released_s(&self, frame_heading_rad: &[Real], out: &mut [Real]) {
+        let num_agents = self.num_agents();
+        out.fill(TTC_CAP_S);
+        for i in (0..num_agents).filter(|&i| self.valid[i]) {
+            let (frame_sin, frame_cos) = math::sin_cos(frame_heading_rad[i]);
+            let local_velocity = |a: usize| {
+                let (sin, cos) = math::sin_cos(self.heading_rad[a] - frame_heading_rad[i]);
+                let speed_mps = self.speed_mps[a].abs();
+                (speed_mps * cos, speed_mps * sin)
+            };
+            let (own_vx, own_vy) = local_velocity(i);
+            for j in (0..num_agents).filter(|&j| self.valid[j]) {
+                let (dx, dy) = (self.x_m[j] - self.x_m[i], self.y_m[j] - self.y_m[i]);
+                let (vx, vy) = local_velocity(j);
+                let gap_x =
+                    (frame_cos * dx + frame_sin * dy).abs() - 0.5 * (self.length_m[i] + self.length_m[j]);
+                let gap_y =
+                    (frame_cos * dy - frame_sin * dx).abs() - 0.5 * (self.width_m[i] + self.width_m[j]);
+                let t_s = axis_time_s(gap_x, own_vx - vx).max(axis_time_s(gap_y, own_vy - vy));
+                out[i * num_agents + j] = t_s.clamp(0.0, TTC_CAP_S);
+            }
+        }
+    }
+
+    /// Writes the distances of the centres, metres, into `out` [M, M]; infinite where an agent is absent.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where `out` does not hold M * M entries.
+    pub fn distance_m(&self, out: &mut [Real]) -> Result<()> {
+        self.fill_pairs(out, |i, j| math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]))
+    }
+
+    /// Writes the distances less half the mean of length and width of either agent, metres, into `out` [M, M];
+    /// infinite where an agent is absent. Negative where the agents overlap. (The `rel_d_lw` of method.md 2.4
+    /// before it is normalised.)
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where `out` does not hold M * M entries.
+    pub fn clearance_m(&self, out: &mut [Real]) -> Result<()> {
+        let reach_m = |i: usize| 0.25 * (self.length_m[i] + self.width_m[i]);
+        self.fill_pairs(out, |i, j| {
+            math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]) - reach_m(i) - reach_m(j)
+        })
+    }
+
+    fn fill_pairs(&self, out: &mut [Real], measure: impl Fn(usize, usize) -> Real) -> Result<()> {
+        let num_agents = self.num_agents();
+        check("pair matrix", out.len(), num_agents * num_agents)?;
+        for i in 0..num_agents {
+            for j in 0..num_agents {
+                let both = self.valid[i] && self.valid[j];
+                out[i * num_agents + j] = if both { measure(i, j) } else { Real::INFINITY };
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Time to contact along one axis as the release computes it: 20 s when the gap opens, 0 inside the gap.
+fn axis_time_s(gap_m: Real, closing_mps: Real) -> Real {
+    if gap_m <= 0.0 {
+        return 0.0;
+    }
+    let t_s = gap_m / closing_mps;
+    if t_s >= 0.0 { t_s } else { TTC_CAP_S }
+}
+
+/// 1 for contact now, 0 for contact in 20 s or later.
+pub fn normalised_ttc(ttc_s: Real) -> Real {
+    (TTC_CAP_S - ttc_s.clamp(0.0, TTC_CAP_S)) / TTC_CAP_S
+}
+
+/// 1 at distance 0, 0 at 20 m or beyond.
+pub fn normalised_distance(distance_m: Real) -> Real {
+    (DISTANCE_CAP_M - distance_m.clamp(0.0, DISTANCE_CAP_M)) / DISTANCE_CAP_M
+}
+
+/// Agents over T steps, oldest first: arrays [T, M], sizes [M].
+#[derive(Debug, Clone, Copy)]
+pub struct AgentHistory<'a> {
+    num_agents: usize,
+    x_m: &'a [Real],
+    y_m: &'a [Real],
+    heading_rad: &'a [Real],
+    speed_mps: &'a [Real],
+    length_m: &'a [Real],
+    width_m: &'a [Real],
+    valid: &'a [bool],
+}
+
+impl<'a> AgentHistory<'a> {
+    /// A view of T * M states and M sizes.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where the arrays do not agree on T and M.
+    pub fn new(
+        x_m: &'a [Real],
+        y_m: &'a [Real],
+        heading_rad: &'a [Real],
+        speed_mps: &'a [Real],
+        length_m: &'a [Real],
+        width_m: &'a [Real],
+        valid: &'a [bool],
+    ) -> Result<Self> {
+        let (num_agents, total) = (length_m.len(), x_m.len());
+        check("width of the agents", width_m.len(), num_agents)?;
+        check("x of the history", if num_agents == 0 { total } else { total % num_agents }, 0)?;
+        check("y of the history", y_m.len(), total)?;
+        check("heading of the history", heading_rad.len(), total)?;
+        check("speed of the history", speed_mps.len(), total)?;
+        check("validity of the history", valid.len(), total)?;
+        Ok(Self { num_agents, x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid })
+    }
+
+    /// Number of agents M.
+    pub fn num_agents(&self) -> usize {
+        self.num_agents
+    }
+
+    /// Number of steps T.
+    pub fn num_steps(&self) -> usize {
+        self.x_m.len().checked_div(self.num_agents).unwrap_or(0)
+    }
+
+    /// The frames, oldest first.
+    pub fn frames(&self) -> impl Iterator<Item = AgentFrame<'a>> + '_ {
+        let num_agents = self.num_agents;
+        (0..self.num_steps()).map(move |t| {
+            let row = t * num_agents..(t + 1) * num_agents;
+            AgentFrame {
+                x_m: &self.x_m[row.clone()],
+                y_m: &self.y_m[row.clone()],
+                heading_rad: &self.heading_rad[row.clone()],
+                speed_mps: &self.speed_mps[row.clone()],
+                length_m: self.length_m,
+                width_m: self.width_m,
+                valid: &self.valid[row],
+            }
+        })
+    }
+
+    /// Times to contact [T, M, M], seconds. The released recipe sees every step in the axes of the last one.
+    pub fn ttc_s(&self, ttc: Ttc) -> Vec<Real> {
+        let pairs = self.num_agents * self.num_agents;
+        let mut out = vec![TTC_CAP_S; self.num_steps() * pairs];
+        if pairs > 0 {
+            let last_heading_rad = &self.heading_rad[self.heading_rad.len() - self.num_agents..];
+            for (frame, matrix) in self.frames().zip(out.chunks_exact_mut(pairs)) {
+                match ttc {
+                    Ttc::Oriented => frame.ttc_oriented_s(matrix),
+                    Ttc::Released => frame.ttc_released_s(last_heading_rad, matrix),
+                }
+            }
+        }
+        out
+    }
+
+    /// Distances of the centres [T, M, M], metres.
+    ///
+    /// # Errors
+    /// None for a view that [`AgentHistory::new`] accepted.
+    pub fn distance_m(&self) -> Result<Vec<Real>> {
+        let pairs = self.num_agents * self.num_agents;
+        let mut out = vec![Real::INFINITY; self.num_steps() * pairs];
+        if pairs > 0 {
+            for (frame, matrix) in self.frames().zip(out.chunks_exact_mut(pairs)) {
+                frame.distance_m(matrix)?;
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// An oriented box on its way.
+struct MovingBox {
+    centre: Point2,
+    axis: Vector2,
+    half_length_m: Real,
+    half_width_m: Real,
+    velocity: Vector2,
+}
+
+impl MovingBox {
+    /// Half the extent of the box along a unit vector, metres.
+    fn reach_m(&self, along: Vector2) -> Real {
+        let normal = Vector2::new(-self.axis.y, self.axis.x);
+        self.half_length_m * self.axis.dot(&along).abs() + self.half_width_m * normal.dot(&along).abs()
+    }
+
+    /// First time, seconds from now, at which two boxes touch that keep heading and velocity; infinite for never.
+    ///
+    /// Along each of the four face normals the projections overlap during one interval of time; the boxes touch
+    /// from the latest beginning, provided that no interval has ended by then (separating axes, swept).
+    fn time_to_contact_s(&self, other: &Self) -> Real {
+        let offset = other.centre - self.centre;
+        let velocity = other.velocity - self.velocity;
+        let (mut enter_s, mut leave_s) = (0.0, Real::INFINITY);
+        for axis in [self.axis, other.axis] {
+            for along in [axis, Vector2::new(-axis.y, axis.x)] {
+                let reach_m = self.reach_m(along) + other.reach_m(along);
+                let (gap_m, speed_mps) = (offset.dot(&along), velocity.dot(&along));
+                if speed_mps.abs() < 1e-6 {
+                    if gap_m.abs() > reach_m {
+                        return Real::INFINITY;
+                    }
+                    continue;
+                }
+                let (a, b) = ((-reach_m - gap_m) / speed_mps, (reach_m - gap_m) / speed_mps);
+                enter_s = Real::max(enter_s, a.min(b));
+                leave_s = Real::min(leave_s, a.max(b));
+            }
+        }
+        if enter_s <= leave_s && leave_s >= 0.0 { enter_s } else { Real::INFINITY }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::f32::consts::{FRAC_PI_2, PI};
+
+    fn pair(ttc: Ttc, other: (f32, f32, f32), speeds: [f32; 2]) -> [f32; 2] {
+        let (x, y, heading) = ([0.0, other.0], [0.0, other.1], [0.0, other.2]);
+        let frame = AgentFrame::new(&x, &y, &heading, &speeds, &[4.5; 2], &[2.0; 2], &[true; 2]).unwrap();
+        let mut out = [0.0; 4];
+        frame.ttc_s(ttc, &heading, &mut out).unwrap();
+        assert_eq!((out[0], out[3]), (0.0, 0.0));
+        [out[1], out[2]]
+    }
+
+    #[test]
+    fn released_ttc_gives_the_test_vectors() {
+        let cases = [
+            ((30.0, 0.0, PI), [10.0, 5.0], 1.7),
+            ((20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
+            ((-20.0, 0.0, 0.0), [5.0, 10.0], 20.0),
+            ((-20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
+            ((20.0, 3.5, 0.0), [10.0, 5.0], 20.0),
+            ((20.0, 20.0, -FRAC_PI_2), [10.0, 10.0], 1.8),
+        ];
+        for (pose, speeds, expected) in cases {
+            let got = pair(Ttc::Released, pose, speeds)[0];
+            assert!((got - expected).abs() < 1e-5, "{pose:?} {speeds:?}: {got}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn oriented_ttc_is_right_where_the_released_one_is_not() {
+        let cases = [
+            ((30.0, 0.0, PI), [10.0, 5.0], 1.7),
+            ((20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
+            ((-20.0, 0.0, 0.0), [5.0, 10.0], 3.1),
+            ((-20.0, 0.0, 0.0), [10.0, 5.0], 20.0),
+            ((20.0, 3.5, 0.0), [10.0, 5.0], 20.0),
+            // gap on either axis: 20 - 4.5 / 2 - 2 / 2 = 16.75 m
+            ((20.0, 20.0, -FRAC_PI_2), [10.0, 10.0], 1.675),
+        ];
+        for (pose, speeds, expected) in cases {
+            let [ij, ji] = pair(Ttc::Oriented, pose, speeds);
+            assert!((ij - expected).abs() < 1e-4, "{pose:?} {speeds:?}: {ij}, expected {expected}");
+            assert_eq!(ij, ji);
+        }
+    }
+
+    #[test]
+    fn absent_agents_have_no_contact_and_no_distance() {
+        let frame = AgentFrame::new(
+            &[0.0, 1.0],
+            &[0.0; 2],
+            &[0.0; 2],
+            &[0.0; 2],
+            &[4.5; 2],
+            &[2.0; 2],
+            &[true, false],
+        )
+        .unwrap();
+        let mut out = [0.0; 4];
+        for ttc in [Ttc::Oriented, Ttc::Released] {
+            frame.ttc_s(ttc, &[0.0; 2], &mut out).unwrap();
+            assert_eq!(out, [0.0, 20.0, 20.0, 20.0]);
+        }
+        frame.distance_m(&mut out).unwrap();
+        assert_eq!(out.map(f32::is_infinite), [false, true, true, true]);
+    }
+
+    #[test]
+    fn relative_distances_follow_the_recipe() {
+        let frame = AgentFrame::new(
+            &[0.0, 6.0],
+            &[0.0, 8.0],
+            &[0.3; 2],
+            &[0.0; 2],
+            &[4.0, 6.0],
+            &[2.0; 2],
+            &[true; 2],
+        )
+        .unwrap();
+        let mut out = [0.0; 4];
+        frame.distance_m(&mut out).unwrap();
+        assert!((normalised_distance(out[1]) - 0.5).abs() < 1e-6);
+        frame.clearance_m(&mut out).unwrap();
+        assert!((out[1] - (10.0 - 1.5 - 2.0)).abs() < 1e-5);
+        assert_eq!(normalised_distance(out[0]), 1.0);
+        assert_eq!((normalised_ttc(20.0), normalised_ttc(0.0), normalised_ttc(3.0)), (0.0, 1.0, 0.85));
+    }
+
+    #[test]
+    fn arrays_of_unequal_length_are_refused() {
+        let error = AgentFrame::new(&[0.0], &[], &[0.0], &[0.0], &[1.0], &[1.0], &[true]).unwrap_err();
+        assert!(matches!(error, SimError::Length { got: 0, expected: 1, .. }));
+        assert!(
+            AgentHistory::new(&[0.0; 3], &[0.0; 3], &[0.0; 3], &[0.0; 3], &[1.0; 2], &[1.0; 2], &[true; 3])
+                .is_err()
+        );
+    }
+
+    fn corners(b: &MovingBox, t: f32) -> [Point2; 4] {
+        let normal = Vector2::new(-b.axis.y, b.axis.x);
+        [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)].map(|(s, w)| {
+            b.centre + b.velocity * t + b.axis * (s * b.half_length_m) + normal * (w * b.half_width_m)
+        })
+    }
+
+    /// Gap of two boxes at time t: largest separation over the face normals, from the corners.
+    fn separation(a: &MovingBox, b: &MovingBox, t: f32) -> f32 {
+        let mut gap = f32::NEG_INFINITY;
+        for axis in [a.axis, b.axis] {
+            for along in [axis, Vector2::new(-axis.y, axis.x)] {
+                let span = |m: &MovingBox| {
+                    let dots = corners(m, t).map(|c| c.coords.dot(&along));
+                    (
+                        dots.iter().copied().fold(f32::MAX, f32::min),
+                        dots.iter().copied().fold(f32::MIN, f32::max),
+                    )
+                };
+                let ((a0, a1), (b0, b1)) = (span(a), span(b));
+                gap = gap.max(b0 - a1).max(a0 - b1);
+            }
+        }
+        gap
+    }
+
+    proptest! {
+        #[test]
+        fn oriented_ttc_agrees_with_stepping_the_boxes(
+            x in -40f32..40., y in -40f32..40., h in -3.2f32..3.2, g in -3.2f32..3.2, v in 0f32..15., w in -5f32..15.,
+        ) {
+            let (xs, ys, hs, vs) = ([0.0, x], [0.0, y], [g, h], [v, w]);
+            let frame = AgentFrame::new(&xs, &ys, &hs, &vs, &[4.5, 6.0], &[2.0, 2.5], &[true; 2]).unwrap();
+            let (a, b) = (frame.moving_box(0), frame.moving_box(1));
+            let t = a.time_to_contact_s(&b);
+            let first = (0..=4000).map(|k| k as f32 * 0.005).find(|&s| separation(&a, &b, s) <= 0.0);
+            match first {
+                Some(s) => prop_assert!(t <= s + 1e-3 && s - t <= 0.006, "{t} vs {s}"),
+                // a graze may lie between two steps
+                None => prop_assert!(t > 19.99 || separation(&a, &b, t).abs() < 1e-3),
+            }
+        }
+
+        #[test]
+        fn oriented_ttc_does_not_change_with_the_frame(
+            x in -40f32..40., y in -40f32..40., h in -3.2f32..3.2, turn in -3.2f32..3.2, v in 0f32..15., w in 0f32..15.,
+        ) {
+            let (s, c) = turn.sin_cos();
+            let one = pair(Ttc::Oriented, (x, y, h), [v, w])[0];
+            let (xs, ys) = ([5.0, 5.0 + c * x - s * y], [-7.0, -7.0 + s * x + c * y]);
+            let (hs, vs) = ([turn, h + turn], [v, w]);
+            let frame = AgentFrame::new(&xs, &ys, &hs, &vs, &[4.5; 2], &[2.0; 2], &[true; 2]).unwrap();
+            let mut out = [0.0; 4];
+            frame.ttc_s(Ttc::Oriented, &hs, &mut out).unwrap();
+            // a graze may be a contact in one frame and a miss in the other
+            prop_assert!((out[1] - one).abs() < 1e-2 || one == TTC_CAP_S || out[1] == TTC_CAP_S);
+        }
+    }
+}

@@ -1,0 +1,352 @@
+//! The heaviest cliques of a weighted graph, without listing all cliques.
+//!
+//! A branch-and-bound search over cliques in the order in which networkx's `enumerate_all_cliques` lists those of
+//! one size. Ties are settled as a stable sort of that listing by falling weight settles them: heavier first,
+//! then fewer members, then earlier in the listing.
+
+use std::cmp::Ordering;
+
+/// Fixed-point steps per unit of weight. Sums of weights are integers, hence independent of their order, and
+/// equal weights are equal.
+const STEPS_PER_UNIT: f64 = (1u64 << 39) as f64;
+
+/// A clique and its weight.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Clique {
+    /// Positions in the graph's node order, ascending.
+    members: Vec<u32>,
+    weight: u64,
+}
+
+impl Clique {
+    /// Order of preference: `Less` comes first.
+    fn rank(&self, other: &Self) -> Ordering {
+        other
+            .weight
+            .cmp(&self.weight)
+            .then(self.members.len().cmp(&other.members.len()))
+            .then_with(|| self.members.cmp(&other.members))
+    }
+}
+
+/// What a search found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HeaviestCliques {
+    /// Agent indices of the cliques, heaviest first; within a clique in the graph's node order.
+    pub cliques: Vec<Vec<usize>>,
+    /// Whether the search was completed. If not, these are the heaviest cliques seen.
+    pub exact: bool,
+}
+
+/// An undirected graph whose joined pairs have positive weights.
+#[derive(Debug, Clone)]
+pub struct WeightedGraph {
+    /// Agent index of every node, in node order.
+    agents: Vec<usize>,
+    /// Weights [N, N] in even fixed-point steps, symmetric; 0 where nodes are not joined and on the diagonal.
+    weights: Vec<u64>,
+}
+
+impl WeightedGraph {
+    /// Joins agents i and j where `measure(i, j)` or `measure(j, i)` exceeds the threshold, with their sum as weight.
+    ///
+    /// Nodes stand in the order in which pairs (i, j), i <= j, first mention them; an agent that no pair mentions,
+    /// not even (i, i), is no node. Values that are not numbers, of absent agents, count as 0.
+    ///
+    /// `measure` gives values in [0, 1] and `threshold` is at least 0.
+    pub fn from_measure(num_agents: usize, threshold: f64, measure: impl Fn(usize, usize) -> f64) -> Self {
+        let value = |i: usize, j: usize| {
+            let v = measure(i, j);
+            if v.is_nan() { 0.0 } else { v }
+        };
+        let mut position: Vec<Option<usize>> = vec![None; num_agents];
+        let mut agents = Vec::new();
+        let mut edges = Vec::new();
+        for i in 0..num_agents {
+            for j in i..num_agents {
+                let (there, back) = (value(i, j), value(j, i));
+                if there > threshold || back > threshold {
+                    let mut node_of = |agent: usize| {
+                        *position[agent].get_or_insert_with(|| {
+                            agents.push(agent);
+                            agents.len() - 1
+                        })
+                    };
+                    let (a, b) = (node_of(i), node_of(j));
+                    if a != b {
+                        edges.push((a, b, there + back));
+                    }
+                }
+            }
+        }
+        let num_nodes = agents.len();
+        let mut weights = vec![0; num_nodes * num_nodes];
+        for (a, b, weight) in edges {
+            // even, so that halves are whole; never 0, so that the pair stays joined
+            let steps = (2 * (weight * STEPS_PER_UNIT).round() as u64).max(2);
+            weights[a * num_nodes + b] = steps;
+            weights[b * num_nodes + a] = steps;
+        }
+        Self { agents, weights }
+    }
+
+    /// Number of nodes N.
+    pub fn num_nodes(&self) -> usize {
+        self.agents.len()
+    }
+
+    fn weight(&self, a: u32, b: u32) -> u64 {
+        self.weights[a as usize * self.agents.len() + b as usize]
+    }
+
+    /// Sum of the weights from a node to others.
+    fn weight_to(&self, node: u32, others: &[u32]) -> u64 {
+        others.iter().map(|&other| self.weight(node, other)).sum()
+    }
+
+    /// The `count` heaviest cliques of at least `min_size` nodes, fewer where there are not as many.
+    ///
+    /// The search visits at most `node_limit` cliques; its result is the same on every machine. Sizes below 1
+    /// count as 1.
+    pub fn heaviest_cliques(&self, min_size: usize, count: usize, node_limit: usize) -> HeaviestCliques {
+        let mut search = Search {
+            graph: self,
+            min_size: min_size.max(1),
+            count,
+            nodes_left: node_limit,
+            best: Vec::with_capacity(count + 1),
+            members: Vec::new(),
+            exact: true,
+        };
+        if count > 0 {
+            search.seed();
+            let nodes: Vec<Candidate> =
+                (0..self.num_nodes() as u32).map(|node| Candidate { node, gain: 0 }).collect();
+            search.expand(0, &nodes);
+        }
+        let agents = |c: &Clique| c.members.iter().map(|&p| self.agents[p as usize]).collect();
+        HeaviestCliques { cliques: search.best.iter().map(agents).collect(), exact: search.exact }
+    }
+}
+
+/// A node that may join the current clique, with the sum of its weights to the members.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    node: u32,
+    gain: u64,
+}
+
+struct Search<'a> {
+    graph: &'a WeightedGraph,
+    min_size: usize,
+    count: usize,
+    nodes_left: usize,
+    /// The best cliques so far, best first, at most `count`.
+    best: Vec<Clique>,
+    members: Vec<u32>,
+    exact: bool,
+}
+
+impl Search<'_> {
+    fn offer(&mut self, clique: Clique) {
+        if clique.members.len() < self.min_size {
+            return;
+        }
+        if let Err(at) = self.best.binary_search_by(|kept| kept.rank(&clique))
+            && at < self.count
+        {
+            self.best.insert(at, clique);
+            self.best.truncate(self.count);
+        }
+    }
+
+    /// Grows a clique from every node, taking the node of largest gain, and offers it with its sub-cliques that
+    /// lack one or two members: good cliques to beat from the start.
+    fn seed(&mut self) {
+        let graph = self.graph;
+        for start in 0..graph.num_nodes() as u32 {
+            let mut members = vec![start];
+            let mut candidates: Vec<Candidate> = (0..graph.num_nodes() as u32)
+                .map(|node| Candidate { node, gain: graph.weight(start, node) })
+                .filter(|c| c.gain > 0)
+                .collect();
+            while let Some(next) =
+                candidates.iter().copied().reduce(|a, b| if b.gain > a.gain { b } else { a })
+            {
+                members.push(next.node);
+                candidates.retain(|c| graph.weight(c.node, next.node) > 0);
+                candidates.iter_mut().for_each(|c| c.gain += graph.weight(c.node, next.node));
+            }
+            members.sort_unstable();
+            let weight = (1..members.len()).map(|k| graph.weight_to(members[k], &members[..k])).sum();
+            self.offer_with_parts(Clique { members, weight }, 2);
+        }
+    }
+
+    /// Offers a clique and its sub-cliques that lack up to `deletions` members.
+    fn offer_with_parts(&mut self, clique: Clique, deletions: usize) {
+        // sub-cliques weigh less
+        let hopeless =
+            self.best.len() == self.count && self.best.last().is_some_and(|w| clique.weight < w.weight);
+        if hopeless || self.best.contains(&clique) {
+            return;
+        }
+        self.offer(clique.clone());
+        if deletions > 0 {
+            for k in 0..clique.members.len() {
+                let mut members = clique.members.clone();
+                let gone = members.remove(k);
+                let weight = clique.weight - self.graph.weight_to(gone, &members);
+                self.offer_with_parts(Clique { members, weight }, deletions - 1);
+            }
+        }
+    }
+
+    /// Visits all cliques that extend the members by candidates; `weight` is that of the members.
+    fn expand(&mut self, weight: u64, candidates: &[Candidate]) {
+        for (k, &chosen) in candidates.iter().enumerate() {
+            if self.nodes_left == 0 {
+                self.exact = false;
+                return;
+            }
+            self.nodes_left -= 1;
+            self.members.push(chosen.node);
+            let weight = weight + chosen.gain;
+            self.offer(Clique { members: self.members.clone(), weight });
+            let rest: Vec<Candidate> = candidates[k + 1..]
+                .iter()
+                .filter_map(|c| match self.graph.weight(chosen.node, c.node) {
+                    0 => None,
+                    w => Some(Candidate { node: c.node, gain: c.gain + w }),
+                })
+                .collect();
+            if !rest.is_empty() && self.may_improve(weight, &rest) {
+                self.expand(weight, &rest);
+            }
+            self.members.pop();
+        }
+    }
+
+    /// Whether a clique of the members and some candidates could displace the worst one kept.
+    ///
+    /// Candidates are split into classes without joined pairs; a clique takes at most one node of each. A node adds
+    /// its gain and its weights to the nodes taken with it, half of each counted here and half at the other end,
+    /// so that a class adds at most the largest such sum among its nodes.
+    fn may_improve(&self, weight: u64, candidates: &[Candidate]) -> bool {
+        if self.members.len() + candidates.len() < self.min_size {
+            return false;
+        }
+        if self.best.len() < self.count {
+            return true;
+        }
+        let Some(worst) = self.best.last() else { return true };
+        let mut bounds = self.class_bounds(candidates);
+        let bound = weight + bounds.iter().sum::<u64>();
+        if bound != worst.weight {
+            return bound > worst.weight;
+        }
+        // A tie at best: only with fewer members, or as many and earlier in the order.
+        let spare = worst.members.len().saturating_sub(1 + self.members.len());
+        bounds.sort_unstable_by(|a, b| b.cmp(a));
+        if weight + bounds.iter().take(spare).sum::<u64>() >= worst.weight {
+            return true;
+        }
+        let shared = self.members.len().min(worst.members.len());
+        self.members[..shared] <= worst.members[..shared]
+    }
+
+    fn class_bounds(&self, candidates: &[Candidate]) -> Vec<u64> {
+        let graph = self.graph;
+        let mut classes: Vec<Vec<Candidate>> = Vec::new();
+        for &c in candidates {
+            let free = |class: &&mut Vec<Candidate>| class.iter().all(|o| graph.weight(o.node, c.node) == 0);
+            match classes.iter_mut().find(free) {
+                Some(class) => class.push(c),
+                None => classes.push(vec![c]),
+            }
+        }
+        let reach = |c: &Candidate| {
+            let best_of = |class: &Vec<Candidate>| {
+                class.iter().map(|o| graph.weight(c.node, o.node)).max().unwrap_or(0)
+            };
+            // its own class adds nothing: no pair of it is joined
+            c.gain + classes.iter().map(best_of).sum::<u64>() / 2
+        };
+        classes.iter().map(|class| class.iter().map(reach).max().unwrap_or(0)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// All cliques in networkx's order, sorted as Python's stable sort would.
+    fn brute_force(graph: &WeightedGraph, min_size: usize, count: usize) -> Vec<Vec<usize>> {
+        let n = graph.num_nodes();
+        let mut all: Vec<Clique> = (1u32..1 << n)
+            .map(|bits| (0..n as u32).filter(|k| bits >> k & 1 == 1).collect::<Vec<_>>())
+            .filter(|m| m.len() >= min_size)
+            .filter_map(|members| {
+                let mut weight = 0;
+                for (k, &a) in members.iter().enumerate() {
+                    for &b in &members[..k] {
+                        if graph.weight(a, b) == 0 {
+                            return None;
+                        }
+                        weight += graph.weight(a, b);
+                    }
+                }
+                Some(Clique { members, weight })
+            })
+            .collect();
+        all.sort_by(|a, b| a.members.len().cmp(&b.members.len()).then(a.members.cmp(&b.members)));
+        all.sort_by_key(|c| std::cmp::Reverse(c.weight));
+        all.truncate(count);
+        all.iter().map(|c| c.members.iter().map(|&p| graph.agents[p as usize]).collect()).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(400))]
+        #[test]
+        fn finds_what_listing_all_cliques_finds(
+            n in 1usize..10, levels in 1u32..9, min_size in 1usize..5, count in 1usize..6,
+            raw in proptest::collection::vec(0u32..12, 81), threshold in prop_oneof![Just(0.0), Just(0.4)],
+        ) {
+            // few levels: many ties
+            let measure = |i: usize, j: usize| f64::from(raw[i * 9 + j].saturating_sub(3).min(levels)) / 9.0;
+            let graph = WeightedGraph::from_measure(n, threshold, measure);
+            let found = graph.heaviest_cliques(min_size, count, 1_000_000);
+            prop_assert!(found.exact);
+            prop_assert_eq!(found.cliques, brute_force(&graph, min_size, count));
+        }
+    }
+
+    #[test]
+    fn complete_graph_gives_itself_and_its_heaviest_parts() {
+        let graph = WeightedGraph::from_measure(60, 0.0, |i, j| ((i + 1) * (j + 1)) as f64 / 3600.0);
+        let found = graph.heaviest_cliques(2, 3, 100_000);
+        assert!(found.exact);
+        let all: Vec<usize> = (0..60).collect();
+        assert_eq!(found.cliques[0], all);
+        assert_eq!(found.cliques[1], all[1..]);
+        assert_eq!(found.cliques[2], [&all[..1], &all[2..]].concat());
+    }
+
+    #[test]
+    fn a_graph_with_three_to_the_twenty_cliques_of_equal_weight_is_settled_by_order() {
+        let graph = WeightedGraph::from_measure(60, 0.0, |i, j| if i / 3 == j / 3 { 0.0 } else { 1.0 });
+        let found = graph.heaviest_cliques(2, 3, 100_000);
+        assert!(found.exact);
+        let first = |last: usize| (0..19).map(|k| 3 * k).chain([last]).collect::<Vec<_>>();
+        assert_eq!(found.cliques, [first(57), first(58), first(59)]);
+    }
+
+    #[test]
+    fn a_search_that_is_cut_short_says_so() {
+        let graph = WeightedGraph::from_measure(30, 0.0, |i, j| if (i + j) % 5 == 0 { 0.0 } else { 0.5 });
+        let found = graph.heaviest_cliques(2, 3, 3);
+        assert!(!found.exact);
+        assert_eq!(found.cliques.len(), 3);
+    }
+}
