@@ -1,1 +1,32 @@
-//! render
+//! Top-down pictures of a scene or a running world, drawn on the processor.
+//!
+//! What flows in: a [`Picture`] — map layers, agents as boxes, trails, a route, planned samples, causal arrows — and
+//! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes. The same input gives the same bytes.
+//!
+//! ```text
+//! Map ──► MapLayers ──┐
+//!  (once per scene)   ├─► Picture ──► render(picture, camera) ──► Image
+//! agents, lines ──────┘
+//! ```
+//!
+//! Every colour stands in [`palette`]; nothing else in the crate names one.
+
+mod agents;
+mod camera;
+mod canvas;
+mod error;
+mod image;
+mod layers;
+mod lines;
+mod log;
+pub mod palette;
+mod picture;
+mod text;
+
+pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
+pub use error::{RenderError, Result};
+pub use image::Image;
+pub use layers::MapLayers;
+pub use log::{driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose};
+pub use palette::{Driver, Rgb};
+pub use picture::{AgentBox, Arrow, Line, Picture, render};

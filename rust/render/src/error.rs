@@ -1,0 +1,48 @@
+//! What can go wrong when a picture is asked for.
+
+/// Everything the renderer refuses, with the facts a caller needs to mend it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RenderError {
+    /// The picture has no pixels or too many.
+    #[error("picture size is {width} x {height} pixels, expected 1 to {max} on each side")]
+    Size {
+        /// Width asked for, pixels.
+        width: u32,
+        /// Height asked for, pixels.
+        height: u32,
+        /// Largest side allowed, pixels.
+        max: u32,
+    },
+    /// A number of the camera is not usable.
+    #[error("camera: {field} is {got}, expected {expected}")]
+    Camera {
+        /// The field.
+        field: &'static str,
+        /// The value found.
+        got: String,
+        /// The rule it breaks.
+        expected: &'static str,
+    },
+    /// Something to be drawn holds a number that is not finite, or a size that is not positive.
+    #[error("{what} {index} is {got}, expected {expected}")]
+    Item {
+        /// Kind of thing.
+        what: &'static str,
+        /// Its place in the list.
+        index: usize,
+        /// The value found.
+        got: String,
+        /// The rule it breaks.
+        expected: &'static str,
+    },
+    /// A layer of the map holds a number that is not finite or a line of fewer than two points.
+    #[error("map layer {layer} holds points that are not finite, or a line of fewer than two points")]
+    Map {
+        /// The layer.
+        layer: &'static str,
+    },
+}
+
+/// Result with [`RenderError`].
+pub type Result<T> = std::result::Result<T, RenderError>;

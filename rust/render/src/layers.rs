@@ -1,0 +1,269 @@
+//! The static part of a picture: layers of the map, prepared once per scene and drawn per picture.
+
+use crate::camera::Bounds;
+use crate::canvas::{Canvas, Outline};
+use crate::error::{RenderError, Result};
+use crate::palette::{self, Rgb};
+use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2, math};
+use ccdiff_sim::scene::Map;
+
+/// Length of a dash and of the gap after it on lane dividers, metres.
+const LANE_DASH_M: (Real, Real) = (3.0, 4.5);
+/// Length of a dash and of the gap after it on road dividers, metres.
+const ROAD_DASH_M: (Real, Real) = (4.0, 2.0);
+/// Width of a stripe of a crossing and of the gap after it, metres.
+const STRIPE_M: (Real, Real) = (0.6, 0.6);
+/// Most dashes or stripes of one line or crossing; a longer line is drawn solid.
+const MAX_PIECES: Real = 2000.0;
+/// Points of a line that are looked at together when the picture is cut to the view.
+const CHUNK_POINTS: usize = 32;
+
+/// Rings of one polygon: the outer one, then holes.
+#[derive(Debug, Clone)]
+struct Area {
+    rings: Vec<Vec<Point2>>,
+    bounds: Bounds,
+}
+
+/// A piece of a line.
+#[derive(Debug, Clone)]
+struct Piece {
+    points: Vec<Point2>,
+    bounds: Bounds,
+}
+
+/// The layers of a map, cut into pieces that can be left out where the camera does not see them: dashes and
+/// stripes are laid out once. Build it once per scene and use it for every picture.
+#[derive(Debug, Clone, Default)]
+pub struct MapLayers {
+    drivable_area: Vec<Area>,
+    walkways: Vec<Area>,
+    carpark_areas: Vec<Area>,
+    ped_crossings: Vec<Area>,
+    stripes: Vec<Area>,
+    stop_lines: Vec<Area>,
+    centre_lines: Vec<Piece>,
+    lane_dividers: Vec<Piece>,
+    road_dividers: Vec<Piece>,
+}
+
+impl MapLayers {
+    /// Prepares a map.
+    ///
+    /// # Errors
+    /// [`RenderError::Map`] where [`Map::first_fault`] finds one.
+    pub fn new(map: &Map) -> Result<Self> {
+        if let Some(layer) = map.first_fault() {
+            return Err(RenderError::Map { layer });
+        }
+        let areas = |polygons: &[Polygon]| polygons.iter().map(Area::new).collect::<Vec<_>>();
+        let dashed = |lines: &[Vec<Point2>], dash| lines.iter().flat_map(|l| dashes(l, dash)).collect();
+        Ok(Self {
+            drivable_area: areas(&map.drivable_area),
+            walkways: areas(&map.walkways),
+            carpark_areas: areas(&map.carpark_areas),
+            ped_crossings: areas(&map.ped_crossings),
+            stripes: map.ped_crossings.iter().flat_map(stripes).collect(),
+            stop_lines: areas(&map.stop_lines),
+            centre_lines: map.lanes.iter().flat_map(|l| chunks(&l.centreline)).collect(),
+            lane_dividers: dashed(&map.lane_dividers, LANE_DASH_M),
+            road_dividers: dashed(&map.road_dividers, ROAD_DASH_M),
+        })
+    }
+
+    /// Draws what the camera sees.
+    pub(crate) fn draw(&self, canvas: &mut Canvas) {
+        let areas = |canvas: &mut Canvas, list: &[Area], rgb: Rgb, alpha: f32| {
+            let view = canvas.view;
+            for area in list.iter().filter(|a| view.sees(&a.bounds, 1.0)) {
+                let outline = area.outline(canvas);
+                canvas.fill(outline, rgb, alpha);
+            }
+        };
+        areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
+        // All edges first, all surfaces on top: only the edge of the union stays.
+        let kerb_px = canvas.px(0.5, 1.2);
+        let mut visible = Vec::new();
+        for area in self.drivable_area.iter().filter(|a| canvas.view.sees(&a.bounds, 1.0)) {
+            visible.extend(area.outline(canvas).path());
+        }
+        for path in &visible {
+            canvas.stroke_path(path, palette::KERB, 1.0, kerb_px, false);
+        }
+        for path in &visible {
+            canvas.fill_path(path, palette::DRIVABLE, 1.0);
+        }
+        areas(canvas, &self.carpark_areas, palette::CARPARK, 1.0);
+        areas(canvas, &self.ped_crossings, palette::CROSSING, 1.0);
+        areas(canvas, &self.stripes, palette::STRIPE, 1.0);
+        areas(canvas, &self.stop_lines, palette::STOP, 0.22);
+        let width = canvas.px(0.08, 0.6).min(1.2);
+        pieces(canvas, &self.centre_lines, palette::CENTRE_LINE, width);
+        let width = canvas.px(0.16, 0.9);
+        pieces(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width);
+        let width = canvas.px(0.2, 1.1);
+        pieces(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width);
+    }
+}
+
+impl Area {
+    fn new(polygon: &Polygon) -> Self {
+        let rings: Vec<_> = std::iter::once(&polygon.exterior).chain(&polygon.holes).cloned().collect();
+        Self { rings, bounds: Bounds::of(&polygon.exterior) }
+    }
+
+    fn outline(&self, canvas: &Canvas) -> Outline {
+        let mut outline = Outline::new();
+        for ring in &self.rings {
+            outline.ring(canvas.view, ring);
+        }
+        outline
+    }
+}
+
+impl Piece {
+    fn new(points: Vec<Point2>) -> Self {
+        let bounds = Bounds::of(&points);
+        Self { points, bounds }
+    }
+}
+
+/// Strokes the pieces in sight as one path.
+fn pieces(canvas: &mut Canvas, list: &[Piece], rgb: Rgb, width_px: f32) {
+    let mut outline = Outline::new();
+    for piece in list.iter().filter(|p| canvas.view.sees(&p.bounds, 1.0)) {
+        outline.polyline(canvas.view, &piece.points);
+    }
+    canvas.stroke(outline, rgb, 1.0, width_px, false);
+}
+
+/// Cuts a line into pieces of a few points that share their ends.
+fn chunks(line: &[Point2]) -> Vec<Piece> {
+    let starts = (0..line.len().saturating_sub(1)).step_by(CHUNK_POINTS);
+    starts.map(|i| Piece::new(line[i..line.len().min(i + CHUNK_POINTS + 1)].to_vec())).collect()
+}
+
+/// Lays dashes along a line.
+fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Piece> {
+    let length_m: Real = line.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    if length_m / (dash_m + gap_m) > MAX_PIECES {
+        return chunks(line);
+    }
+    let mut out = Vec::new();
+    let (mut on, mut left_m) = (true, dash_m);
+    let mut dash: Vec<Point2> = line.first().copied().into_iter().collect();
+    for w in line.windows(2) {
+        let segment_m = (w[1] - w[0]).norm();
+        let mut done_m = 0.0;
+        while segment_m - done_m > left_m {
+            done_m += left_m;
+            let at = w[0] + (w[1] - w[0]) * (done_m / segment_m);
+            if on {
+                dash.push(at);
+                out.push(Piece::new(std::mem::take(&mut dash)));
+            } else {
+                dash.push(at);
+            }
+            on = !on;
+            left_m = if on { dash_m } else { gap_m };
+        }
+        left_m -= segment_m - done_m;
+        if on {
+            dash.push(w[1]);
+        }
+    }
+    if dash.len() >= 2 {
+        out.push(Piece::new(dash));
+    }
+    out
+}
+
+/// Lays stripes over a crossing, at right angles to its longer extent (the way people walk).
+fn stripes(crossing: &Polygon) -> Vec<Area> {
+    let ring = &crossing.exterior;
+    let along = longer_extent(ring);
+    let spread = |axis: Vector2| {
+        let dots = ring.iter().map(|p| p.coords.dot(&axis));
+        dots.fold((Real::INFINITY, Real::NEG_INFINITY), |(lo, hi), d| (lo.min(d), hi.max(d)))
+    };
+    let (low, high) = spread(along);
+    let period = STRIPE_M.0 + STRIPE_M.1;
+    let count = ((high - low) / period).floor();
+    if !(1.0..=MAX_PIECES).contains(&count) {
+        return Vec::new();
+    }
+    // Centred, so that both ends of the crossing look the same.
+    let start = low + 0.5 * (high - low - count * period + STRIPE_M.1);
+    (0..count as usize)
+        .filter_map(|i| {
+            let from = start + i as Real * period;
+            let cut = clip(&clip(ring, along, from), -along, -(from + STRIPE_M.0));
+            (cut.len() >= 3).then(|| Area { bounds: Bounds::of(&cut), rings: vec![cut] })
+        })
+        .collect()
+}
+
+/// Unit vector of the first principal axis of a ring's edges: each edge weighs as long as it is.
+fn longer_extent(ring: &[Point2]) -> Vector2 {
+    // Doubled angles: a direction and its opposite are one axis.
+    let (mut c, mut s) = (0.0, 0.0);
+    for (i, p) in ring.iter().enumerate() {
+        let e = ring[(i + 1) % ring.len()] - p;
+        let len = e.norm().max(1e-6);
+        c += (e.x * e.x - e.y * e.y) / len;
+        s += 2.0 * e.x * e.y / len;
+    }
+    let (sin, cos) = math::sin_cos(0.5 * math::atan2(s, c));
+    Vector2::new(cos, sin)
+}
+
+/// The part of a ring where `axis · p >= from` (Sutherland and Hodgman, one plane).
+fn clip(ring: &[Point2], axis: Vector2, from: Real) -> Vec<Point2> {
+    let mut out = Vec::with_capacity(ring.len() + 4);
+    for (i, p) in ring.iter().enumerate() {
+        let q = ring[(i + 1) % ring.len()];
+        let (dp, dq) = (p.coords.dot(&axis) - from, q.coords.dot(&axis) - from);
+        if dp >= 0.0 {
+            out.push(*p);
+        }
+        if (dp < 0.0) != (dq < 0.0) {
+            out.push(p + (q - p) * (dp / (dp - dq)));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(xy: &[(Real, Real)]) -> Vec<Point2> {
+        xy.iter().map(|(x, y)| Point2::new(*x, *y)).collect()
+    }
+
+    #[test]
+    fn dashes_cover_the_line_in_the_ratio_asked_for_and_follow_its_bends() {
+        let line = points(&[(0.0, 0.0), (10.0, 0.0), (10.0, 20.0)]);
+        let laid = dashes(&line, (2.0, 3.0));
+        assert_eq!(laid.len(), 6);
+        let total: Real =
+            laid.iter().map(|d| d.points.windows(2).map(|w| (w[1] - w[0]).norm()).sum::<Real>()).sum();
+        assert!((total - 12.0).abs() < 1e-3);
+        assert_eq!(laid[2].points, points(&[(10.0, 0.0), (10.0, 2.0)]));
+    }
+
+    #[test]
+    fn stripes_stand_across_the_way_people_walk() {
+        let crossing =
+            Polygon { exterior: points(&[(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (0.0, 3.0)]), holes: vec![] };
+        let laid = stripes(&crossing);
+        assert_eq!(laid.len(), 10);
+        for s in &laid {
+            let (xs, ys): (Vec<_>, Vec<_>) = s.rings[0].iter().map(|p| (p.x, p.y)).unzip();
+            let width = |v: &[Real]| {
+                v.iter().copied().fold(Real::MIN, Real::max) - v.iter().copied().fold(Real::MAX, Real::min)
+            };
+            assert!((width(&xs) - 0.6).abs() < 1e-3 && (width(&ys) - 3.0).abs() < 1e-3);
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! What a picture shows, and the order in which it is painted.
+
+use crate::camera::Camera;
+use crate::canvas::Canvas;
+use crate::error::{RenderError, Result};
+use crate::image::Image;
+use crate::layers::MapLayers;
+use crate::palette::{self, Driver};
+use crate::{agents, lines, text};
+use ccdiff_sim::geom::{Point2, Pose2, Real};
+use ccdiff_sim::scene::AgentKind;
+
+/// One agent of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgentBox {
+    /// Centre and heading in the scene frame.
+    pub pose: Pose2,
+    /// Length along the heading, metres, > 0.
+    pub length_m: Real,
+    /// Width, metres, > 0.
+    pub width_m: Real,
+    /// Kind: sets the shape.
+    pub kind: AgentKind,
+    /// Who moves it: sets the colour.
+    pub driver: Driver,
+    /// Whether it is in a collision: outlined in red.
+    pub collided: bool,
+}
+
+/// A line that belongs to an agent: where it was, or where it may go.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line<'a> {
+    /// Points in the scene frame, metres, in order of time.
+    pub points: &'a [Point2],
+    /// Who moves the agent: sets the colour.
+    pub driver: Driver,
+}
+
+/// An edge of the causal graph: `from` influences `to`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrow {
+    /// Centre of the agent that acts.
+    pub from: Point2,
+    /// Centre of the agent that is acted on.
+    pub to: Point2,
+    /// Strength; held to 0..1 when drawn.
+    pub weight: Real,
+}
+
+/// Everything a picture shows. All coordinates are of the scene frame, metres. Empty lists show nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Picture<'a> {
+    /// The map; `None` leaves bare ground.
+    pub map: Option<&'a MapLayers>,
+    /// The ego's route: a broad translucent band.
+    pub route: &'a [Point2],
+    /// Where agents were, oldest point first: lines that fade with age.
+    pub trails: &'a [Line<'a>],
+    /// Planned or sampled futures: thin lines.
+    pub samples: &'a [Line<'a>],
+    /// Agents.
+    pub boxes: &'a [AgentBox],
+    /// Edges of the causal graph.
+    pub arrows: &'a [Arrow],
+    /// Points of collisions.
+    pub collisions: &'a [Point2],
+    /// Line of text in the upper left corner: figures, letters, `. : - + = / _`. Empty: none.
+    pub caption: &'a str,
+    /// Whether a bar of a round number of metres stands in the lower left corner.
+    pub scale_bar: bool,
+}
+
+impl Picture<'_> {
+    /// Refuses numbers that are not finite.
+    fn check(&self) -> Result<()> {
+        const FINITE: &str = "finite numbers within 1000 km";
+        let good = |p: &Point2| p.x.abs() < 1e6 && p.y.abs() < 1e6;
+        let line = |what, index, points: &[Point2]| match points.iter().find(|p| !good(p)) {
+            Some(p) => Err(RenderError::Item { what, index, got: p.to_string(), expected: FINITE }),
+            None => Ok(()),
+        };
+        line("route", 0, self.route)?;
+        line("collision mark", 0, self.collisions)?;
+        for (what, list) in [("trail", self.trails), ("sample", self.samples)] {
+            list.iter().enumerate().try_for_each(|(i, l)| line(what, i, l.points))?;
+        }
+        for (index, a) in self.arrows.iter().enumerate() {
+            line("arrow", index, &[a.from, a.to])?;
+            if !a.weight.is_finite() {
+                let got = a.weight.to_string();
+                return Err(RenderError::Item { what: "weight of arrow", index, got, expected: "finite" });
+            }
+        }
+        for (index, b) in self.boxes.iter().enumerate() {
+            line("position of agent", index, &[b.pose.position])?;
+            let item = |what, got, expected| Err(RenderError::Item { what, index, got, expected });
+            if ![b.pose.heading_rad, b.pose.cos, b.pose.sin].iter().all(|v| v.is_finite()) {
+                return item("heading of agent", b.pose.heading_rad.to_string(), "a finite angle");
+            }
+            if ![b.length_m, b.width_m].iter().all(|s| *s > 0.0 && *s < 1e4) {
+                let got = format!("{} x {} m", b.length_m, b.width_m);
+                return item("size of agent", got, "a positive length and width below 10 km");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Paints a picture.
+///
+/// Order from below: map, route, trails, samples, agents (obstacles lowest, the ego highest), arrows, collision
+/// marks, text.
+///
+/// # Errors
+/// [`RenderError::Size`] and [`RenderError::Camera`] for a camera that cannot be used, [`RenderError::Item`] for
+/// the first thing with a number that is not finite or a size that is not positive.
+pub fn render(picture: &Picture<'_>, camera: &Camera) -> Result<Image> {
+    let view = camera.view()?;
+    picture.check()?;
+    let (width, height) = (camera.width, camera.height);
+    let canvas = Canvas::new(width, height, view, palette::GROUND);
+    let mut canvas = canvas.ok_or(RenderError::Size { width, height, max: crate::MAX_SIDE_PX })?;
+    if let Some(map) = picture.map {
+        map.draw(&mut canvas);
+    }
+    lines::route(&mut canvas, picture.route);
+    for trail in picture.trails {
+        lines::trail(&mut canvas, trail);
+    }
+    for sample in picture.samples {
+        lines::sample(&mut canvas, sample);
+    }
+    agents::draw(&mut canvas, picture.boxes);
+    for arrow in picture.arrows {
+        lines::arrow(&mut canvas, arrow);
+    }
+    for mark in picture.collisions {
+        lines::collision(&mut canvas, *mark);
+    }
+    let size_px = (width as f32, height as f32);
+    if picture.scale_bar {
+        text::scale_bar(&mut canvas, size_px);
+    }
+    if !picture.caption.is_empty() {
+        text::caption(&mut canvas, picture.caption, size_px);
+    }
+    Ok(canvas.finish())
+}

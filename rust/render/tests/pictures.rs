@@ -1,0 +1,251 @@
+//! What stands where in a picture, and what is refused.
+
+mod common;
+
+use ccdiff_render::{
+    AgentBox, Arrow, Camera, Driver, Image, Line, MapLayers, Picture, RenderError, Rgb, palette, render,
+};
+use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
+use ccdiff_sim::scene::{AgentKind, Map};
+use common::{car, crossroads, points, rectangle};
+use proptest::prelude::*;
+
+/// Colour of a point of the scene frame; the camera's own arithmetic, written again with f64 rotations. A colour that
+/// nothing has for a point outside the picture.
+fn colour_at(image: &Image, camera: &Camera, x: f64, y: f64) -> Rgb {
+    let turn = std::f64::consts::FRAC_PI_2 - f64::from(camera.up_rad);
+    let (dx, dy) = (x - f64::from(camera.centre.x), y - f64::from(camera.centre.y));
+    let (right, up) = (dx * turn.cos() - dy * turn.sin(), dx * turn.sin() + dy * turn.cos());
+    let scale = f64::from(camera.metres_per_pixel);
+    let column = (f64::from(camera.width) / 2.0 + right / scale).floor();
+    let row = (f64::from(camera.height) / 2.0 - up / scale).floor();
+    image.pixel(column as u32, row as u32).unwrap_or(Rgb(1, 2, 3))
+}
+
+fn north_up(span_m: Real) -> Camera {
+    Camera::over(Point2::new(0.0, 0.0), span_m, 400, 300)
+}
+
+#[test]
+fn the_ego_is_in_the_middle_and_the_road_and_the_ground_are_where_the_map_says() {
+    let map = MapLayers::new(&crossroads()).unwrap();
+    let boxes = [car(0.0, 0.0, 0.0, Driver::Ego)];
+    let picture = Picture { map: Some(&map), boxes: &boxes, ..Picture::default() };
+    for camera in [north_up(80.0), north_up(80.0).heading_up(0.7), north_up(40.0).heading_up(-2.5)] {
+        let image = render(&picture, &camera).unwrap();
+        assert_eq!(image.rgb.len(), 400 * 300 * 3);
+        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), Driver::Ego.colour());
+        assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::DRIVABLE);
+        assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::GROUND);
+        assert_eq!(colour_at(&image, &camera, -10.0, 9.0), palette::WALKWAY);
+    }
+}
+
+#[test]
+fn a_hole_in_the_drivable_area_shows_the_ground_unless_another_polygon_covers_it() {
+    let ring = |half: Real| points(&[(-half, -half), (half, -half), (half, half), (-half, half)]);
+    let holed = Polygon { exterior: ring(20.0), holes: vec![ring(10.0)] };
+    let cover = rectangle((-10.0, 0.0), (-10.0, 10.0));
+    let camera = north_up(60.0);
+    for (areas, left) in
+        [(vec![holed.clone()], palette::GROUND), (vec![holed.clone(), cover.clone()], palette::DRIVABLE)]
+    {
+        let map = MapLayers::new(&Map { drivable_area: areas, ..Map::default() }).unwrap();
+        let image = render(&Picture { map: Some(&map), ..Picture::default() }, &camera).unwrap();
+        assert_eq!(colour_at(&image, &camera, -5.0, 0.0), left);
+        assert_eq!(colour_at(&image, &camera, 5.0, 0.0), palette::GROUND);
+        assert_eq!(colour_at(&image, &camera, 15.0, 0.0), palette::DRIVABLE);
+    }
+}
+
+#[test]
+fn heading_up_turns_the_scene_so_that_what_lies_ahead_is_above() {
+    let boxes = [
+        car(0.0, 0.0, 0.0, Driver::Ego),
+        car(15.0, 0.0, 0.0, Driver::Idm),
+        car(0.0, 15.0, 0.0, Driver::Ccdiff),
+    ];
+    let picture = Picture { boxes: &boxes, ..Picture::default() };
+    // The ego heads east: the car ahead of it (east) is above, the one to its left (north) is left.
+    let image = render(&picture, &north_up(80.0).heading_up(0.0)).unwrap();
+    assert_eq!(image.pixel(200, 150 - 75), Some(Driver::Idm.colour()));
+    assert_eq!(image.pixel(200 - 75, 150), Some(Driver::Ccdiff.colour()));
+    let image = render(&picture, &north_up(80.0)).unwrap();
+    assert_eq!(image.pixel(200 + 75, 150), Some(Driver::Idm.colour()));
+    assert_eq!(image.pixel(200, 150 - 75), Some(Driver::Ccdiff.colour()));
+}
+
+#[test]
+fn a_box_is_as_long_and_wide_as_the_agent_and_lies_along_its_heading() {
+    let boxes = [AgentBox { length_m: 10.0, width_m: 4.0, ..car(0.0, 0.0, 0.6, Driver::Ccdiff) }];
+    let camera = north_up(40.0);
+    let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap();
+    let (s, c) = 0.6f64.sin_cos();
+    let along = |f: f64, l: f64| colour_at(&image, &camera, f * c - l * s, f * s + l * c);
+    for (f, l) in [(-4.6, 0.0), (0.0, 1.6), (0.0, -1.6), (-4.0, 1.4)] {
+        assert_eq!(along(f, l), Driver::Ccdiff.colour(), "inside at {f}, {l}");
+    }
+    for (f, l) in [(5.4, 0.0), (-5.4, 0.0), (0.0, 2.4), (0.0, -2.4)] {
+        assert_eq!(along(f, l), palette::GROUND, "outside at {f}, {l}");
+    }
+}
+
+#[test]
+fn a_collided_agent_has_a_red_outline_and_keeps_its_colour() {
+    let boxes = [AgentBox { collided: true, ..car(0.0, 0.0, 0.0, Driver::Idm) }];
+    let camera = north_up(20.0);
+    let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap();
+    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), Driver::Idm.colour());
+    assert_eq!(colour_at(&image, &camera, 0.0, 1.1), palette::COLLISION);
+}
+
+#[test]
+fn the_ego_is_drawn_over_what_stands_in_the_same_place_whatever_the_order() {
+    let (ego, other) = (car(0.0, 0.0, 0.0, Driver::Ego), car(0.0, 0.0, 0.0, Driver::Ccdiff));
+    for boxes in [[ego, other], [other, ego]] {
+        let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &north_up(40.0)).unwrap();
+        assert_eq!(image.pixel(200, 150), Some(Driver::Ego.colour()));
+    }
+}
+
+#[test]
+fn a_trail_grows_stronger_towards_the_present() {
+    let trail: Vec<Point2> = (0..=20).map(|i| Point2::new(i as Real - 20.0, 0.0)).collect();
+    let trails = [Line { points: &trail, driver: Driver::Ccdiff }];
+    let camera = Camera::over(Point2::new(-10.0, 0.0), 40.0, 400, 300);
+    let image = render(&Picture { trails: &trails, ..Picture::default() }, &camera).unwrap();
+    let red = |x: f64| colour_at(&image, &camera, x, 0.0).0;
+    assert!(red(-19.0) > red(-10.5) && red(-10.5) > red(-0.5));
+    assert_ne!(colour_at(&image, &camera, -19.0, 0.0), palette::GROUND);
+}
+
+#[test]
+fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
+    let legend = palette::legend();
+    for (i, (name, a)) in legend.iter().enumerate() {
+        for (other, b) in &legend[..i] {
+            assert_ne!(a, b, "{name} and {other}");
+        }
+    }
+    assert!(Driver::ALL.iter().enumerate().all(|(i, d)| Driver::from_number(i as u8) == Some(*d)));
+    assert_eq!(Driver::from_number(Driver::ALL.len() as u8), None);
+}
+
+#[test]
+fn a_camera_that_cannot_be_used_is_refused_and_says_why() {
+    let ask = |camera: Camera| render(&Picture::default(), &camera).unwrap_err();
+    let good = north_up(50.0);
+    assert!(matches!(ask(Camera { width: 0, ..good }), RenderError::Size { width: 0, .. }));
+    assert!(matches!(ask(Camera { height: 9000, ..good }), RenderError::Size { height: 9000, .. }));
+    let named = |camera: Camera, name: &str| {
+        assert!(matches!(ask(camera), RenderError::Camera { field, .. } if field == name), "{name}");
+    };
+    named(Camera { centre: Point2::new(Real::NAN, 0.0), ..good }, "centre");
+    named(Camera { centre: Point2::new(0.0, Real::INFINITY), ..good }, "centre");
+    named(good.heading_up(Real::NAN), "up_rad");
+    for scale in [0.0, -1.0, Real::NAN, Real::INFINITY] {
+        named(Camera { metres_per_pixel: scale, ..good }, "metres_per_pixel");
+    }
+}
+
+#[test]
+fn things_that_are_not_finite_or_have_no_size_are_refused_by_kind_and_index() {
+    let good = car(0.0, 0.0, 0.0, Driver::Idm);
+    let nan = Real::NAN;
+    for (bad, kind) in [
+        (car(nan, 0.0, 0.0, Driver::Idm), "position of agent"),
+        (car(0.0, 0.0, nan, Driver::Idm), "heading of agent"),
+        (AgentBox { width_m: 0.0, ..good }, "size of agent"),
+        (AgentBox { length_m: nan, ..good }, "size of agent"),
+    ] {
+        let boxes = [good, bad];
+        let error = render(&Picture { boxes: &boxes, ..Picture::default() }, &north_up(50.0)).unwrap_err();
+        assert!(matches!(error, RenderError::Item { what, index: 1, .. } if what == kind), "{error}");
+    }
+    let route = points(&[(0.0, 0.0), (nan, 1.0)]);
+    let error = render(&Picture { route: &route, ..Picture::default() }, &north_up(50.0)).unwrap_err();
+    assert!(matches!(error, RenderError::Item { what: "route", .. }));
+    let map = Map { walkways: vec![rectangle((0.0, nan), (0.0, 1.0))], ..Map::default() };
+    assert_eq!(MapLayers::new(&map).unwrap_err(), RenderError::Map { layer: "walkways" });
+}
+
+/// Coordinates near and far, and now and then one that is no number.
+fn coordinate() -> impl Strategy<Value = Real> {
+    prop_oneof![8 => -60f32..60., 2 => -9e5f32..9e5, 1 => Just(Real::NAN), 1 => any::<f32>(), 2 => Just(0.0)]
+}
+
+/// Points, most of them usable.
+fn line(most: usize) -> impl Strategy<Value = Vec<Point2>> {
+    let near = (-200f32..200., -200f32..200.);
+    let point = prop_oneof![60 => near, 1 => (coordinate(), coordinate())];
+    prop::collection::vec(point.prop_map(|(x, y)| Point2::new(x, y)), 0..most)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    #[test]
+    fn whatever_comes_in_gives_a_picture_or_an_error_and_the_same_one_twice(
+        (a, b, c, d) in (line(9), line(9), line(9), line(9)),
+        (x, y, turn, scale) in (coordinate(), coordinate(), -9f32..9., prop_oneof![4 => 1e-3f32..2., 1 => any::<f32>()]),
+        (width, height) in (0u32..90, 0u32..90),
+        sizes in prop::collection::vec((coordinate(), 1e-3f32..30., 0usize..5, 0usize..7), 0..6),
+        text in "\\PC{0,12}",
+    ) {
+        let polygon = Polygon { exterior: a.clone(), holes: vec![b.clone()] };
+        let map = Map {
+            drivable_area: vec![polygon.clone()],
+            ped_crossings: vec![polygon.clone()],
+            lane_dividers: vec![c.clone()],
+            road_dividers: vec![d.clone()],
+            ..Map::default()
+        };
+        let layers = MapLayers::new(&map);
+        let boxes: Vec<AgentBox> = sizes
+            .iter()
+            .map(|(x, l, kind, driver)| AgentBox {
+                pose: Pose2::new(*x, 0.5 * x, turn),
+                length_m: *l,
+                width_m: 0.4 * l,
+                kind: AgentKind::ALL[*kind],
+                driver: Driver::ALL[*driver],
+                collided: *kind == 1,
+            })
+            .collect();
+        let lines = [Line { points: &a, driver: Driver::Ccdiff }, Line { points: &d, driver: Driver::Ego }];
+        let ends = a.iter().zip(&b);
+        let arrows: Vec<Arrow> = ends.map(|(p, q)| Arrow { from: *p, to: *q, weight: scale }).collect();
+        let picture = Picture {
+            map: layers.as_ref().ok(),
+            route: &c,
+            trails: &lines,
+            samples: &lines,
+            boxes: &boxes,
+            arrows: &arrows,
+            collisions: &b,
+            caption: &text,
+            scale_bar: true,
+        };
+        let camera =
+            Camera { centre: Point2::new(x, y), up_rad: turn, metres_per_pixel: scale, width, height };
+        let first = render(&picture, &camera);
+        prop_assert_eq!(&first, &render(&picture, &camera));
+        if let Ok(image) = first {
+            prop_assert_eq!(image.rgb.len(), (width * height * 3) as usize);
+        }
+    }
+
+    #[test]
+    fn moving_camera_and_agent_together_moves_nothing(x in -300f32..300., y in -300f32..300., h in -3f32..3.) {
+        // Whole metres keep the differences exact.
+        let shift = Vector2::new(x.round(), y.round());
+        let shot = |by: Vector2| {
+            let boxes = [AgentBox { pose: Pose2::new(by.x, by.y, h), ..car(0.0, 0.0, h, Driver::Ego) }];
+            let camera = Camera::over(Point2::from(by), 30.0, 96, 64);
+            render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap()
+        };
+        let (here, there) = (shot(Vector2::zeros()), shot(shift));
+        let far = here.rgb.iter().zip(&there.rgb).filter(|(a, b)| a.abs_diff(**b) > 12).count();
+        prop_assert!(far < 12, "{} bytes differ", far);
+    }
+}
