@@ -1,14 +1,14 @@
 //! The heaviest cliques of a weighted graph, without listing all cliques.
 //!
-//! A branch-and-bound search over cliques in the order in which networkx's `enumerate_all_cliques` lists those of
-//! one size. Ties are settled as a stable sort of that listing by falling weight settles them: heavier first,
-//! then fewer members, then earlier in the listing.
+//! A branch-and-bound search that bounds what candidates can add by colouring them. Ties are settled as a stable
+//! sort by falling weight of networkx's `enumerate_all_cliques` settles them: heavier first, then fewer members,
+//! then earlier in that listing, which goes by node order.
 
 use std::cmp::Ordering;
 
 /// Fixed-point steps per unit of weight. Sums of weights are integers, hence independent of their order, and
 /// equal weights are equal.
-const STEPS_PER_UNIT: f64 = (1u64 << 39) as f64;
+const STEPS_PER_UNIT: f64 = (1u64 << 40) as f64;
 
 /// A clique and its weight.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub struct HeaviestCliques {
 pub struct WeightedGraph {
     /// Agent index of every node, in node order.
     agents: Vec<usize>,
-    /// Weights [N, N] in even fixed-point steps, symmetric; 0 where nodes are not joined and on the diagonal.
+    /// Weights [N, N] in fixed-point steps, symmetric; 0 where nodes are not joined and on the diagonal.
     weights: Vec<u64>,
 }
 
@@ -82,8 +82,8 @@ impl WeightedGraph {
         let num_nodes = agents.len();
         let mut weights = vec![0; num_nodes * num_nodes];
         for (a, b, weight) in edges {
-            // even, so that halves are whole; never 0, so that the pair stays joined
-            let steps = (2 * (weight * STEPS_PER_UNIT).round() as u64).max(2);
+            // never 0, so that the pair stays joined
+            let steps = ((weight * STEPS_PER_UNIT).round() as u64).max(1);
             weights[a * num_nodes + b] = steps;
             weights[b * num_nodes + a] = steps;
         }
@@ -120,9 +120,13 @@ impl WeightedGraph {
         };
         if count > 0 {
             search.seed();
-            let nodes: Vec<Candidate> =
-                (0..self.num_nodes() as u32).map(|node| Candidate { node, gain: 0 }).collect();
-            search.expand(0, &nodes);
+            let nodes = 0..self.num_nodes() as u32;
+            let degree: Vec<u64> =
+                nodes.clone().map(|a| nodes.clone().map(|b| self.weight(a, b)).sum()).collect();
+            let mut candidates: Vec<Candidate> = nodes.map(|node| Candidate { node, gain: 0 }).collect();
+            // heavy nodes first makes for few classes
+            candidates.sort_by_key(|c| std::cmp::Reverse(degree[c.node as usize]));
+            search.expand(0, candidates);
         }
         let agents = |c: &Clique| c.members.iter().map(|&p| self.agents[p as usize]).collect();
         HeaviestCliques { cliques: search.best.iter().map(agents).collect(), exact: search.exact }
@@ -202,77 +206,115 @@ impl Search<'_> {
         }
     }
 
-    /// Visits all cliques that extend the members by candidates; `weight` is that of the members.
-    fn expand(&mut self, weight: u64, candidates: &[Candidate]) {
-        for (k, &chosen) in candidates.iter().enumerate() {
-            if self.nodes_left == 0 {
-                self.exact = false;
-                return;
-            }
-            self.nodes_left -= 1;
-            self.members.push(chosen.node);
-            let weight = weight + chosen.gain;
-            self.offer(Clique { members: self.members.clone(), weight });
-            let rest: Vec<Candidate> = candidates[k + 1..]
-                .iter()
-                .filter_map(|c| match self.graph.weight(chosen.node, c.node) {
+    /// Visits the cliques that extend the members by candidates, but for those that cannot be among the best;
+    /// `weight` is that of the members.
+    fn expand(&mut self, weight: u64, candidates: Vec<Candidate>) {
+        if self.members.len() + candidates.len() < self.min_size {
+            return;
+        }
+        let classes = Classes::new(self.graph, candidates);
+        for class in (0..classes.ends.len()).rev() {
+            for &chosen in &classes.nodes[classes.range(class)] {
+                // What is left are cliques with nodes of this class and those before it.
+                if !self.may_improve(weight, &classes, class) {
+                    return;
+                }
+                if self.nodes_left == 0 {
+                    self.exact = false;
+                    return;
+                }
+                self.nodes_left -= 1;
+                self.members.push(chosen.node);
+                let weight = weight + chosen.gain;
+                let mut members = self.members.clone();
+                members.sort_unstable();
+                self.offer(Clique { members, weight });
+                let joined = |c: &Candidate| match self.graph.weight(chosen.node, c.node) {
                     0 => None,
                     w => Some(Candidate { node: c.node, gain: c.gain + w }),
-                })
-                .collect();
-            if !rest.is_empty() && self.may_improve(weight, &rest) {
-                self.expand(weight, &rest);
+                };
+                let rest: Vec<Candidate> =
+                    classes.nodes[..classes.range(class).start].iter().filter_map(joined).collect();
+                if !rest.is_empty() {
+                    self.expand(weight, rest);
+                }
+                self.members.pop();
             }
-            self.members.pop();
         }
     }
 
-    /// Whether a clique of the members and some candidates could displace the worst one kept.
-    ///
-    /// Candidates are split into classes without joined pairs; a clique takes at most one node of each. A node adds
-    /// its gain and its weights to the nodes taken with it, half of each counted here and half at the other end,
-    /// so that a class adds at most the largest such sum among its nodes.
-    fn may_improve(&self, weight: u64, candidates: &[Candidate]) -> bool {
-        if self.members.len() + candidates.len() < self.min_size {
-            return false;
-        }
+    /// Whether a clique of the members and nodes of the classes up to `last` could displace the worst one kept.
+    fn may_improve(&self, weight: u64, classes: &Classes, last: usize) -> bool {
         if self.best.len() < self.count {
             return true;
         }
         let Some(worst) = self.best.last() else { return true };
-        let mut bounds = self.class_bounds(candidates);
-        let bound = weight + bounds.iter().sum::<u64>();
+        let bound = weight + classes.adds[..=last].iter().sum::<u64>();
         if bound != worst.weight {
             return bound > worst.weight;
         }
         // A tie at best: only with fewer members, or as many and earlier in the order.
-        let spare = worst.members.len().saturating_sub(1 + self.members.len());
-        bounds.sort_unstable_by(|a, b| b.cmp(a));
-        if weight + bounds.iter().take(spare).sum::<u64>() >= worst.weight {
+        let needed = worst.members.len().saturating_sub(self.members.len());
+        let mut adds = classes.adds[..=last].to_vec();
+        adds.sort_unstable_by(|a, b| b.cmp(a));
+        if weight + adds.iter().take(needed.saturating_sub(1)).sum::<u64>() >= worst.weight {
             return true;
         }
-        let shared = self.members.len().min(worst.members.len());
-        self.members[..shared] <= worst.members[..shared]
+        if needed == 0 || needed > last + 1 {
+            return false;
+        }
+        let first_of = |class: usize| classes.nodes[classes.range(class)].iter().map(|c| c.node).min();
+        let mut earliest: Vec<u32> = (0..=last).filter_map(first_of).collect();
+        earliest.sort_unstable();
+        earliest.truncate(needed);
+        earliest.extend(&self.members);
+        earliest.sort_unstable();
+        earliest < worst.members
+    }
+}
+
+/// Candidates split into classes without joined pairs: a clique takes at most one node of each.
+struct Classes {
+    /// Candidates, class after class.
+    nodes: Vec<Candidate>,
+    /// Where each class ends in `nodes`.
+    ends: Vec<usize>,
+    /// What each class adds at most to a clique of members and nodes of the classes before it: the largest gain of
+    /// a node plus its largest weight to every earlier class.
+    adds: Vec<u64>,
+}
+
+impl Classes {
+    fn new(graph: &WeightedGraph, mut candidates: Vec<Candidate>) -> Self {
+        let mut classes =
+            Self { nodes: Vec::with_capacity(candidates.len()), ends: Vec::new(), adds: Vec::new() };
+        while !candidates.is_empty() {
+            let start = classes.nodes.len();
+            candidates.retain(|c| {
+                let free = classes.nodes[start..].iter().all(|o| graph.weight(o.node, c.node) == 0);
+                if free {
+                    classes.nodes.push(*c);
+                }
+                !free
+            });
+            let adds = classes.nodes[start..].iter().map(|c| c.gain + classes.reach(graph, c.node)).max();
+            classes.adds.push(adds.unwrap_or(0));
+            classes.ends.push(classes.nodes.len());
+        }
+        classes
     }
 
-    fn class_bounds(&self, candidates: &[Candidate]) -> Vec<u64> {
-        let graph = self.graph;
-        let mut classes: Vec<Vec<Candidate>> = Vec::new();
-        for &c in candidates {
-            let free = |class: &&mut Vec<Candidate>| class.iter().all(|o| graph.weight(o.node, c.node) == 0);
-            match classes.iter_mut().find(free) {
-                Some(class) => class.push(c),
-                None => classes.push(vec![c]),
-            }
-        }
-        let reach = |c: &Candidate| {
-            let best_of = |class: &Vec<Candidate>| {
-                class.iter().map(|o| graph.weight(c.node, o.node)).max().unwrap_or(0)
-            };
-            // its own class adds nothing: no pair of it is joined
-            c.gain + classes.iter().map(best_of).sum::<u64>() / 2
+    fn range(&self, class: usize) -> std::ops::Range<usize> {
+        let start = if class == 0 { 0 } else { self.ends[class - 1] };
+        start..self.ends[class]
+    }
+
+    /// Sum over the classes so far of the largest weight from a node to one of theirs.
+    fn reach(&self, graph: &WeightedGraph, node: u32) -> u64 {
+        let largest = |class: usize| {
+            self.nodes[self.range(class)].iter().map(|o| graph.weight(node, o.node)).max().unwrap_or(0)
         };
-        classes.iter().map(|class| class.iter().map(reach).max().unwrap_or(0)).collect()
+        (0..self.ends.len()).map(largest).sum()
     }
 }
 
