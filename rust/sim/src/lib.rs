@@ -1,7 +1,9 @@
 //! Pure simulation of driving scenes: no files, no clock, no torch, no Python.
 
 pub mod causal;
+pub mod dynamics;
 pub mod error;
+pub mod events;
 pub mod geom;
 pub mod scene;
 pub mod state;

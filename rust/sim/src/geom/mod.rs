@@ -4,14 +4,20 @@
 //! bit-reproducible on every machine: transcendental functions come from [`math`], never from the
 //! platform's C library.
 
+mod lane_index;
 pub mod math;
 mod obb;
 mod polygon;
+mod polyline;
 mod pose;
+mod region;
 
+pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use obb::OrientedBox;
-pub use polygon::Polygon;
+pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};
+pub use polyline::{Polyline, Projection};
 pub use pose::Pose2;
+pub use region::Region;
 
 /// Precision of the running simulation. Loaders work in f64 and recentre before they round.
 pub type Real = f32;

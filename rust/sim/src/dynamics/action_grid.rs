@@ -1,0 +1,80 @@
+//! Discrete actions: a grid over two columns of a model's actions.
+
+use super::{Action, Dynamics};
+use crate::geom::Real;
+use serde::{Deserialize, Serialize};
+
+/// Grid of actions: every value of the first axis with every value of the second.
+///
+/// The action of an index is `first[index / num_second]`, `second[index % num_second]`. The first axis is column 0
+/// (acceleration, or dx). The second is the turning column: 1 for unicycle and bicycle, 2 (dψ) for delta pose, whose
+/// dy is 0.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActionGrid {
+    /// Values of column 0, F of them.
+    pub first: Vec<Real>,
+    /// Values of the turning column, S of them.
+    pub second: Vec<Real>,
+}
+
+impl ActionGrid {
+    /// The default 7 x 9 grid of a model; index 31 is "straight on": zero acceleration (0.5 m forward for delta
+    /// pose) and zero turn.
+    ///
+    /// Denser near zero, where driving mostly happens, and with one braking value beyond comfort.
+    pub fn default_for(dynamics: &Dynamics) -> Self {
+        let (first, second) = match dynamics {
+            Dynamics::Unicycle(_) => (
+                [-6.0, -3.0, -1.0, 0.0, 1.0, 2.0, 4.0],
+                [-0.9, -0.45, -0.2, -0.07, 0.0, 0.07, 0.2, 0.45, 0.9],
+            ),
+            Dynamics::Bicycle(_) => (
+                [-6.0, -3.0, -1.0, 0.0, 1.0, 2.0, 4.0],
+                [-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5],
+            ),
+            Dynamics::DeltaPose(_) => (
+                [0.0, 0.1, 0.3, 0.5, 0.8, 1.2, 1.8],
+                [-0.09, -0.045, -0.02, -0.007, 0.0, 0.007, 0.02, 0.045, 0.09],
+            ),
+        };
+        Self { first: first.to_vec(), second: second.to_vec() }
+    }
+
+    /// Number of actions F x S.
+    pub fn len(&self) -> usize {
+        self.first.len() * self.second.len()
+    }
+
+    /// Whether the grid has no action.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Action of an index; `None` out of range.
+    #[inline]
+    pub fn action(&self, dynamics: &Dynamics, index: usize) -> Option<Action> {
+        let num_second = self.second.len();
+        let (first, second) =
+            (*self.first.get(index.checked_div(num_second)?)?, self.second[index % num_second]);
+        Some(match dynamics {
+            Dynamics::DeltaPose(_) => [first, 0.0, second],
+            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) => [first, second, 0.0],
+        })
+    }
+
+    /// Index of the grid's nearest action, each axis by itself; the lower index on a tie, 0 for an empty grid.
+    pub fn nearest(&self, dynamics: &Dynamics, action: Action) -> usize {
+        let turning = match dynamics {
+            Dynamics::DeltaPose(_) => action[2],
+            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) => action[1],
+        };
+        let nearest = |values: &[Real], wanted: Real| {
+            let by_distance = |a: &(usize, &Real), b: &(usize, &Real)| {
+                (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())
+            };
+            values.iter().enumerate().min_by(by_distance).map_or(0, |(i, _)| i)
+        };
+        nearest(&self.first, action[0]) * self.second.len() + nearest(&self.second, turning)
+    }
+}

@@ -1,0 +1,119 @@
+//! Kinematic bicycle: acceleration and steering angle.
+
+use super::{Action, KinState, Motion, is_positive, is_range};
+use crate::geom::{Real, math};
+use crate::state::Body;
+use serde::{Deserialize, Serialize};
+use std::f32::consts::{FRAC_PI_2, TAU};
+
+/// Below this speed the heading says nothing about the steering angle, metres per second.
+const MIN_STEERED_SPEED_MPS: Real = 1e-3;
+
+/// Limits and proportions of the bicycle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BicycleLimits {
+    /// Lowest and highest acceleration, metres per second squared.
+    pub acceleration_mps2: [Real; 2],
+    /// Lowest and highest speed along the heading, metres per second.
+    pub speed_mps: [Real; 2],
+    /// Largest steering angle of the front wheel, radians, below π/2.
+    pub max_steering_rad: Real,
+    /// Highest yaw rate times speed, metres per second squared.
+    pub max_lateral_acceleration_mps2: Real,
+    /// Wheelbase as a share of the length. 0.6 fits passenger cars: nuPlan's Pacifica has 3.089 m of 5.176 m.
+    pub wheelbase_share: Real,
+}
+
+impl Default for BicycleLimits {
+    fn default() -> Self {
+        Self {
+            acceleration_mps2: [-10.0, 8.0],
+            speed_mps: [-10.0, 30.0],
+            max_steering_rad: 0.6,
+            max_lateral_acceleration_mps2: TAU,
+            wheelbase_share: 0.6,
+        }
+    }
+}
+
+impl BicycleLimits {
+    /// Distance between the axles of a body, metres. The centre of the box lies midway.
+    #[inline]
+    pub fn wheelbase_m(&self, body: &Body) -> Real {
+        2.0 * body.half_length_m * self.wheelbase_share
+    }
+
+    pub(super) fn action_bounds(&self) -> (Action, Action) {
+        (
+            [self.acceleration_mps2[0], -self.max_steering_rad, 0.0],
+            [self.acceleration_mps2[1], self.max_steering_rad, 0.0],
+        )
+    }
+
+    pub(super) fn first_fault(&self) -> Option<&'static str> {
+        let steering_ok = is_positive(self.max_steering_rad) && self.max_steering_rad < FRAC_PI_2;
+        [
+            ("acceleration_mps2", is_range(self.acceleration_mps2)),
+            ("speed_mps", is_range(self.speed_mps)),
+            ("max_steering_rad", steering_ok),
+            ("max_lateral_acceleration_mps2", is_positive(self.max_lateral_acceleration_mps2)),
+            ("wheelbase_share", is_positive(self.wheelbase_share)),
+        ]
+        .into_iter()
+        .find_map(|(name, ok)| (!ok).then_some(name))
+    }
+
+    /// Yaw rate at a speed and steering angle, within the lateral limit, radians per second.
+    #[inline]
+    fn yaw_rate(&self, speed_mps: Real, curvature_1pm: Real) -> Real {
+        let bound = self.max_lateral_acceleration_mps2 / speed_mps.abs().max(0.1);
+        (speed_mps * curvature_1pm).clamp(-bound, bound)
+    }
+
+    #[inline]
+    pub(super) fn advance(
+        &self,
+        state: &mut KinState,
+        cos: Real,
+        sin: Real,
+        action: Action,
+        dt_s: Real,
+        body: &Body,
+    ) -> Motion {
+        let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
+        let steering = action[1].clamp(-self.max_steering_rad, self.max_steering_rad);
+        let wheelbase_m = self.wheelbase_m(body);
+        let curvature = math::tan(steering) / wheelbase_m;
+        let next_speed = (state.speed_mps + acceleration * dt_s).clamp(self.speed_mps[0], self.speed_mps[1]);
+        let mean_speed = 0.5 * (state.speed_mps + next_speed);
+        let yaw_rate = self.yaw_rate(mean_speed, curvature);
+        // heading midway through the step, by turning the known direction
+        let (turn_sin, turn_cos) = math::sin_cos(0.5 * yaw_rate * dt_s);
+        let (mid_cos, mid_sin) = (cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin);
+        let rear_m = 0.5 * wheelbase_m;
+        let (along, left) = (mean_speed * dt_s, yaw_rate * rear_m * dt_s);
+        state.x += along * mid_cos - left * mid_sin;
+        state.y += along * mid_sin + left * mid_cos;
+        state.heading_rad += yaw_rate * dt_s;
+        state.speed_mps = next_speed;
+        Motion { lateral_mps: self.yaw_rate(next_speed, curvature) * rear_m }
+    }
+
+    pub(super) fn inverse(
+        &self,
+        prev: &KinState,
+        next: &KinState,
+        turn_rad: Real,
+        dt_s: Real,
+        body: &Body,
+    ) -> Action {
+        let mean_speed = 0.5 * (prev.speed_mps + next.speed_mps);
+        let steering = if mean_speed.abs() < MIN_STEERED_SPEED_MPS {
+            0.0
+        } else {
+            math::atan(turn_rad * self.wheelbase_m(body) / (mean_speed * dt_s))
+        };
+        [(next.speed_mps - prev.speed_mps) / dt_s, steering, 0.0]
+    }
+}

@@ -1,0 +1,268 @@
+//! Contacts between agents.
+//!
+//! A contact is an overlap of two boxes, touching included. Candidates come from circle tests of all pairs while
+//! there are few agents and from sorting along x when there are many; both give the same pairs.
+
+use crate::geom::{OrientedBox, Real};
+use crate::scene::AgentKind;
+use crate::state::{AgentStates, Body};
+
+/// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
+const SWEEP_FROM_AGENTS: usize = 96;
+/// Agents tested at once.
+const LANES: usize = 8;
+/// Speed up to which an agent counts as stopped, metres per second (nuPlan's value).
+const STOPPED_SPEED_MPS: Real = 0.05;
+
+/// Side of an agent's own box that another agent hits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum ContactKind {
+    /// The front edge.
+    Front = 0,
+    /// The rear edge.
+    Rear = 1,
+    /// One of the long edges.
+    Side = 2,
+}
+
+impl ContactKind {
+    /// The name used in Python.
+    pub fn name(self) -> &'static str {
+        ["front", "rear", "side"][self as usize]
+    }
+}
+
+/// A contact as one of its two agents sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Index of the other agent.
+    pub partner: u32,
+    /// Side of this agent's box with the longest piece inside the partner's box. Where no edge of this box reaches
+    /// into the partner (it holds the partner whole), the side that the partner's centre is nearest to.
+    pub kind: ContactKind,
+    /// Speed at which the two approach along the direction of least overlap, metres per second; negative when they
+    /// part.
+    pub closing_speed_mps: Real,
+    /// Whether this agent is to blame by nuPlan's rule, see [`Collisions::at_fault`].
+    pub at_fault: bool,
+}
+
+/// Finds the contacts of one world, step after step. Scratch buffers are kept: no allocation after warm-up.
+#[derive(Debug, Clone, Default)]
+pub struct Collisions {
+    pairs: Vec<(u32, u32)>,
+    first: Vec<Option<Contact>>,
+    at_fault: Vec<bool>,
+    /// Active agents: index, centre and radius, padded by [`LANES`] entries at infinity.
+    agent: Vec<u32>,
+    x: Vec<Real>,
+    y: Vec<Real>,
+    radius: Vec<Real>,
+    /// Order-preserving bits of the left end (high half) and agent index (low half).
+    order: Vec<u64>,
+}
+
+impl Collisions {
+    /// Empty buffers.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Finds all touching pairs of active agents; pairs of two static agents are left out.
+    ///
+    /// `bodies` and `kinds` are indexed like `states`; agents beyond the shortest of the three are not looked at.
+    pub fn detect(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        let num_agents = states.len().min(bodies.len()).min(kinds.len());
+        let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
+        if num_active < SWEEP_FROM_AGENTS {
+            self.detect_by_circles(states, bodies, kinds);
+        } else {
+            self.detect_by_sweep(states, bodies, kinds);
+        }
+    }
+
+    /// [`Self::detect`] with circle tests of all pairs.
+    pub fn detect_by_circles(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.pairs.clear();
+        self.gather(states, bodies, kinds);
+        let num_active = self.agent.len();
+        for row in 0..num_active {
+            let (x, y, radius) = (self.x[row], self.y[row], self.radius[row]);
+            let blocks = (num_active - row - 1).div_ceil(LANES);
+            let columns = row + 1..row + 1 + blocks * LANES;
+            let xs = self.x[columns.clone()].chunks_exact(LANES);
+            let ys = self.y[columns.clone()].chunks_exact(LANES);
+            let radii = self.radius[columns].chunks_exact(LANES);
+            for (block, ((xs, ys), radii)) in xs.zip(ys).zip(radii).enumerate() {
+                let mut near = [false; LANES];
+                for lane in 0..LANES {
+                    let (dx, dy, reach) = (xs[lane] - x, ys[lane] - y, radii[lane] + radius);
+                    near[lane] = dx * dx + dy * dy <= reach * reach;
+                }
+                if near == [false; LANES] {
+                    continue;
+                }
+                for lane in 0..LANES {
+                    if near[lane] {
+                        let (a, b) = (self.agent[row], self.agent[row + 1 + block * LANES + lane]);
+                        push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
+                    }
+                }
+            }
+        }
+        self.describe(states, bodies);
+    }
+
+    /// [`Self::detect`] with a sort along x and a sweep.
+    pub fn detect_by_sweep(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.pairs.clear();
+        self.gather(states, bodies, kinds);
+        self.order.clear();
+        self.order.extend((0..self.agent.len()).map(|i| {
+            let bits = (self.x[i] - self.radius[i]).to_bits();
+            let ordered = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+            u64::from(ordered) << 32 | i as u64
+        }));
+        self.order.sort_unstable();
+        for (rank, key) in self.order.iter().enumerate() {
+            let a = (*key & 0xffff_ffff) as usize;
+            let (x, y, radius) = (self.x[a], self.y[a], self.radius[a]);
+            for key in &self.order[rank + 1..] {
+                let b = (*key & 0xffff_ffff) as usize;
+                let (dx, dy, reach) = (self.x[b] - x, self.y[b] - y, self.radius[b] + radius);
+                // the margin covers the rounding of the keys
+                if dx > reach + 1e-3 {
+                    break;
+                }
+                if dx * dx + dy * dy <= reach * reach {
+                    let (a, b) = (self.agent[a.min(b)], self.agent[a.max(b)]);
+                    push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
+                }
+            }
+        }
+        self.pairs.sort_unstable();
+        self.describe(states, bodies);
+    }
+
+    /// Touching pairs (i, j), i < j, ascending.
+    pub fn pairs(&self) -> &[(u32, u32)] {
+        &self.pairs
+    }
+
+    /// The agent's contact with the partner of lowest index; `None` without contact.
+    #[inline]
+    pub fn first_partner(&self, agent_idx: usize) -> Option<Contact> {
+        self.first.get(agent_idx).copied().flatten()
+    }
+
+    /// Whether the agent is to blame for one of its contacts.
+    ///
+    /// The rule of nuPlan's `no_ego_at_fault_collisions` metric: an agent that stands is never to blame; one that
+    /// moves is to blame when the partner stands, or when its front edge hits the partner, unless it is hit from
+    /// behind. Differs from nuPlan: "from behind" is [`ContactKind::Rear`] rather than the bearing of the partner's
+    /// centre, and side contacts of an agent that straddles lanes or leaves the road are not counted against it.
+    #[inline]
+    pub fn at_fault(&self, agent_idx: usize) -> bool {
+        self.at_fault.get(agent_idx).copied().unwrap_or(false)
+    }
+
+    /// Copies the active agents together.
+    fn gather(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.agent.clear();
+        self.x.clear();
+        self.y.clear();
+        self.radius.clear();
+        let num_agents = states.len().min(bodies.len()).min(kinds.len());
+        for agent in 0..num_agents {
+            if states.active[agent] {
+                self.agent.push(agent as u32);
+                self.x.push(states.x[agent]);
+                self.y.push(states.y[agent]);
+                self.radius.push(bodies[agent].radius_m);
+            }
+        }
+        let padded = self.agent.len() + LANES;
+        self.x.resize(padded, Real::INFINITY);
+        self.y.resize(padded, Real::INFINITY);
+        self.radius.resize(padded, 0.0);
+    }
+
+    /// Fills what is known per agent from the pairs.
+    fn describe(&mut self, states: &AgentStates, bodies: &[Body]) {
+        self.first.clear();
+        self.first.resize(states.len(), None);
+        self.at_fault.clear();
+        self.at_fault.resize(states.len(), false);
+        for &(a, b) in &self.pairs {
+            for (agent, partner) in [(a, b), (b, a)] {
+                let contact = contact(states, bodies, agent, partner);
+                self.at_fault[agent as usize] |= contact.at_fault;
+                self.first[agent as usize].get_or_insert(contact);
+            }
+        }
+    }
+}
+
+#[inline]
+fn push_if_touching(
+    pairs: &mut Vec<(u32, u32)>,
+    states: &AgentStates,
+    bodies: &[Body],
+    kinds: &[AgentKind],
+    a: u32,
+    b: u32,
+) {
+    let (i, j) = (a as usize, b as usize);
+    if kinds[i] == AgentKind::Static && kinds[j] == AgentKind::Static {
+        return;
+    }
+    if states.oriented_box(i, &bodies[i]).overlaps(&states.oriented_box(j, &bodies[j])) {
+        pairs.push((a, b));
+    }
+}
+
+fn contact(states: &AgentStates, bodies: &[Body], agent: u32, partner: u32) -> Contact {
+    let (i, j) = (agent as usize, partner as usize);
+    let own = states.oriented_box(i, &bodies[i]);
+    let other = states.oriented_box(j, &bodies[j]);
+    let lengths = own.edge_lengths_inside(&other);
+    let kind = contact_kind(&own, &other, lengths);
+    let (velocity, other_velocity) = (states.velocity(i), states.velocity(j));
+    let stopped = |v: &crate::geom::Vector2| v.norm_squared() <= STOPPED_SPEED_MPS * STOPPED_SPEED_MPS;
+    let hits = stopped(&other_velocity) || (lengths[0] > 0.0 && kind != ContactKind::Rear);
+    Contact {
+        partner,
+        kind,
+        closing_speed_mps: (velocity - other_velocity).dot(&own.contact_normal(&other)),
+        at_fault: !stopped(&velocity) && hits,
+    }
+}
+
+/// Side with the longest piece in the other box; front wins over rear and rear over the sides on a tie.
+fn contact_kind(
+    own: &OrientedBox,
+    other: &OrientedBox,
+    [front, left, rear, right]: [Real; 4],
+) -> ContactKind {
+    let side = left.max(right);
+    if front.max(rear).max(side) <= 0.0 {
+        let offset = other.centre - own.centre;
+        let along = (own.cos * offset.x + own.sin * offset.y) / own.half_length_m;
+        let across = (own.cos * offset.y - own.sin * offset.x) / own.half_width_m;
+        return if across.abs() > along.abs() {
+            ContactKind::Side
+        } else if along >= 0.0 {
+            ContactKind::Front
+        } else {
+            ContactKind::Rear
+        };
+    }
+    if front >= rear && front >= side {
+        ContactKind::Front
+    } else if rear >= side {
+        ContactKind::Rear
+    } else {
+        ContactKind::Side
+    }
+}

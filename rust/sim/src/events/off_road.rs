@@ -1,0 +1,36 @@
+//! Leaving the drivable area.
+
+use crate::geom::{Real, Region};
+use crate::state::{AgentStates, Body};
+
+/// Whether an agent has left a region. Both false for agents that are not active.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct OffRoad {
+    /// A corner of the box is outside.
+    pub corner: bool,
+    /// The centre is outside (the variant of the CCDiff paper's off-road rate).
+    pub centroid: bool,
+}
+
+/// Writes the flags of all agents; `out` is resized to their number.
+pub fn off_road(states: &AgentStates, bodies: &[Body], region: &Region, out: &mut Vec<OffRoad>) {
+    out.clear();
+    out.extend(bodies.iter().enumerate().take(states.len()).map(|(agent, body)| {
+        if !states.active[agent] {
+            return OffRoad::default();
+        }
+        off_road_at(states, agent, body, region)
+    }));
+    out.resize(states.len(), OffRoad::default());
+}
+
+#[inline]
+fn off_road_at(states: &AgentStates, agent: usize, body: &Body, region: &Region) -> OffRoad {
+    let centre = states.position(agent);
+    let reach_m: Real = body.radius_m;
+    if region.holds_square(centre, reach_m) {
+        return OffRoad::default();
+    }
+    let corners = states.oriented_box(agent, body).corners();
+    OffRoad { corner: corners.iter().any(|c| !region.contains(*c)), centroid: !region.contains(centre) }
+}

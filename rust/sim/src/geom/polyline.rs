@@ -1,0 +1,151 @@
+//! Lines of points: arc length, points along, projection onto.
+
+use super::{Point2, Pose2, Real, Vector2, math};
+
+/// Points nearer to each other than this count as one, metres.
+const MIN_SPACING_M: Real = 1e-3;
+
+/// A line through at least two distinct points, with arc length. Immutable.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Polyline {
+    /// P distinct points.
+    points: Vec<Point2>,
+    /// Arc length at each point, metres [P].
+    s_m: Vec<Real>,
+    /// Unit direction and heading of each segment [P - 1].
+    directions: Vec<(Vector2, Real)>,
+    /// Segment at each multiple of `bin_m` along the line, so that a position is found without a search.
+    bins: Vec<u32>,
+    /// Spacing of `bins`, metres.
+    bin_m: Real,
+}
+
+/// Where a point lies relative to a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projection {
+    /// Arc length of the nearest point of the line, metres, in [0, length].
+    pub s_m: Real,
+    /// Offset from the (prolonged) segment, metres, left positive.
+    pub lateral_m: Real,
+    /// Distance to the nearest point of the line, metres; above |lateral| past the ends and outside of corners.
+    pub distance_m: Real,
+    /// Segment of the nearest point.
+    pub segment_idx: usize,
+}
+
+impl Polyline {
+    /// Line through the points in order, repeated points dropped; `None` when fewer than two distinct ones remain
+    /// or a coordinate is not finite.
+    pub fn new(mut points: Vec<Point2>) -> Option<Self> {
+        if !points.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
+            return None;
+        }
+        points.dedup_by(|next, kept| (*next - *kept).norm_squared() < MIN_SPACING_M * MIN_SPACING_M);
+        if points.len() < 2 {
+            return None;
+        }
+        let mut s_m = Vec::with_capacity(points.len());
+        let mut directions = Vec::with_capacity(points.len() - 1);
+        let mut total_m = 0.0_f64;
+        s_m.push(0.0);
+        for pair in points.windows(2) {
+            let d = pair[1] - pair[0];
+            let length_m = math::hypot(d.x, d.y);
+            total_m += f64::from(length_m);
+            s_m.push(total_m as Real);
+            directions.push((d / length_m, math::atan2(d.y, d.x)));
+        }
+        let num_bins = 2 * directions.len();
+        let bin_m = total_m as Real / num_bins as Real;
+        let mut bins = Vec::with_capacity(num_bins);
+        let mut segment = 0;
+        for bin in 0..num_bins {
+            while segment + 1 < directions.len() && s_m[segment + 1] <= bin as Real * bin_m {
+                segment += 1;
+            }
+            bins.push(segment as u32);
+        }
+        Some(Self { points, s_m, directions, bins, bin_m })
+    }
+
+    /// Length, metres.
+    #[inline]
+    pub fn length_m(&self) -> Real {
+        self.s_m.last().copied().unwrap_or(0.0)
+    }
+
+    /// The distinct points.
+    pub fn points(&self) -> &[Point2] {
+        &self.points
+    }
+
+    /// Arc length at each point of [`Self::points`], metres.
+    pub fn arc_lengths_m(&self) -> &[Real] {
+        &self.s_m
+    }
+
+    /// Segment that holds an arc length; the ends are clamped. Constant time on evenly spaced points.
+    #[inline]
+    pub fn segment_at(&self, s_m: Real) -> usize {
+        // a NaN or negative arc length becomes bin 0
+        let bin = ((s_m / self.bin_m) as usize).min(self.bins.len() - 1);
+        let mut segment = self.bins[bin] as usize;
+        while segment + 1 < self.directions.len() && self.s_m[segment + 1] < s_m {
+            segment += 1;
+        }
+        segment
+    }
+
+    /// Point and direction at an arc length, clamped to the ends. The heading lies in (−π, π].
+    #[inline]
+    pub fn at(&self, s_m: Real) -> Pose2 {
+        let s_m = s_m.clamp(0.0, self.length_m());
+        let segment = self.segment_at(s_m);
+        let (direction, heading_rad) = self.directions[segment];
+        let position = self.points[segment] + direction * (s_m - self.s_m[segment]);
+        Pose2 { position, heading_rad, cos: direction.x, sin: direction.y }
+    }
+
+    /// Unit direction at an arc length, clamped to the ends.
+    #[inline]
+    pub fn tangent_at(&self, s_m: Real) -> Vector2 {
+        self.directions[self.segment_at(s_m)].0
+    }
+
+    /// Nearest point of the whole line; the earliest one where several are equally near. Linear in P.
+    pub fn project(&self, point: Point2) -> Projection {
+        self.project_onto(point, 0, self.directions.len() - 1)
+    }
+
+    /// Nearest point among the segments that touch [hint − window, hint + window], metres of arc length.
+    ///
+    /// Cheap, and it stays on the right branch where a line crosses itself: made for following a line tick by tick.
+    pub fn project_near(&self, point: Point2, hint_s_m: Real, window_m: Real) -> Projection {
+        let first = self.segment_at(hint_s_m - window_m);
+        let last = self.segment_at(hint_s_m + window_m).max(first);
+        self.project_onto(point, first, last)
+    }
+
+    fn project_onto(&self, point: Point2, first: usize, last: usize) -> Projection {
+        let (mut best_sq, mut best_segment, mut best_along) = (Real::INFINITY, first, 0.0);
+        for segment in first..=last {
+            let direction = self.directions[segment].0;
+            let offset = point - self.points[segment];
+            let along = (offset.x * direction.x + offset.y * direction.y)
+                .min(self.s_m[segment + 1] - self.s_m[segment])
+                .max(0.0);
+            let distance_sq = (offset - direction * along).norm_squared();
+            if distance_sq < best_sq {
+                (best_sq, best_segment, best_along) = (distance_sq, segment, along);
+            }
+        }
+        let direction = self.directions[best_segment].0;
+        let offset = point - self.points[best_segment];
+        Projection {
+            s_m: self.s_m[best_segment] + best_along,
+            lateral_m: direction.x * offset.y - direction.y * offset.x,
+            distance_m: best_sq.sqrt(),
+            segment_idx: best_segment,
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! Motion models against test vectors, closed forms and their inverses.
+
+use ccdiff_sim::dynamics::{
+    ActionGrid, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits, rollout_unicycle,
+};
+use ccdiff_sim::geom::{Pose2, Vector2};
+use ccdiff_sim::state::{AgentStates, Body};
+use proptest::prelude::*;
+
+const DT_S: f32 = 0.1;
+
+fn car() -> Body {
+    Body::new(4.6, 1.9)
+}
+
+fn models() -> [Dynamics; 3] {
+    [
+        Dynamics::Unicycle(UnicycleLimits::default()),
+        Dynamics::Bicycle(BicycleLimits::default()),
+        Dynamics::DeltaPose(DeltaPoseLimits::default()),
+    ]
+}
+
+fn at_rest_or_moving(speed_mps: f32) -> KinState {
+    KinState { speed_mps, ..KinState::default() }
+}
+
+/// Start speed, actions, states x y v ψ.
+type Vectors = (f32, Vec<[f32; 2]>, Vec<[f32; 4]>);
+
+/// Measured on the released CCDiff unicycle.
+fn released_vectors() -> Vec<Vectors> {
+    vec![
+        (
+            5.0,
+            vec![[2.0, 0.1], [2.0, 0.3], [-12.0, 0.3], [0.0, 5.0], [1.0, -1.0]],
+            vec![
+                [0.51, 0.0, 5.2, 0.01],
+                [1.039974, 0.0053, 5.4, 0.04],
+                [1.529582, 0.024895, 4.4, 0.07],
+                [1.968504, 0.05567, 4.4, 0.2128],
+                [2.403466, 0.149652, 4.5, 0.1128],
+            ],
+        ),
+        (
+            0.0,
+            vec![[9.0, 0.5], [9.0, 0.5], [0.0, 0.01]],
+            vec![[0.04, 0.0, 0.8, 0.01], [0.159994, 0.0012, 1.6, 0.05], [0.319794, 0.009197, 1.6, 0.051]],
+        ),
+    ]
+}
+
+fn assert_near(state: KinState, [x, y, v, heading]: [f32; 4]) {
+    let got = [state.x, state.y, state.speed_mps, state.heading_rad];
+    for (got, want) in got.iter().zip([x, y, v, heading]) {
+        assert!((got - want).abs() < 2e-5, "{state:?} is not {:?}", [x, y, v, heading]);
+    }
+}
+
+#[test]
+fn stepwise_unicycle_follows_the_released_vectors() {
+    let unicycle = Dynamics::default();
+    for (speed, actions, expected) in released_vectors() {
+        let mut state = at_rest_or_moving(speed);
+        for (action, want) in actions.iter().zip(expected) {
+            unicycle.step(&mut state, [action[0], action[1], 0.0], DT_S, &car());
+            assert_near(state, want);
+        }
+    }
+}
+
+#[test]
+fn parallel_unicycle_follows_the_released_vectors() {
+    for (speed, actions, expected) in released_vectors() {
+        let mut states = vec![KinState::default(); actions.len()];
+        let limits = UnicycleLimits::default();
+        rollout_unicycle(&limits, at_rest_or_moving(speed), &actions, DT_S, &mut states);
+        for (state, want) in states.iter().zip(expected) {
+            assert_near(*state, want);
+        }
+    }
+}
+
+#[test]
+fn the_two_modes_part_once_the_speed_limit_is_hit() {
+    // 29 m/s, two steps at 8 m/s² sum to 30.6: parallel mode clips the sum to 30 and is at 29.6 after one step of
+    // -10 m/s²; stepwise forgets the surplus and is at 29.0
+    let actions = [[8.0, 0.0], [8.0, 0.0], [-10.0, 0.0]];
+    let mut parallel = [KinState::default(); 3];
+    rollout_unicycle(&UnicycleLimits::default(), at_rest_or_moving(29.0), &actions, DT_S, &mut parallel);
+    let mut stepwise = at_rest_or_moving(29.0);
+    for [a, w] in actions {
+        Dynamics::default().step(&mut stepwise, [a, w, 0.0], DT_S, &car());
+    }
+    assert!((parallel[1].speed_mps - 30.0).abs() < 1e-6);
+    assert!((parallel[2].speed_mps - 29.6).abs() < 1e-5);
+    assert!((stepwise.speed_mps - 29.0).abs() < 1e-5);
+}
+
+#[test]
+fn bicycle_drives_the_circle_of_its_steering_angle() {
+    let limits = BicycleLimits::default();
+    let body = car();
+    let wheelbase = f64::from(limits.wheelbase_m(&body));
+    let steering = 0.3_f64;
+    // the rear axle runs on a circle of radius L / tan δ, the centre of the box on one through half the wheelbase
+    let rear_radius = wheelbase / steering.tan();
+    let radius = rear_radius.hypot(0.5 * wheelbase);
+    let mut state = at_rest_or_moving(4.0);
+    let centre = (-0.5 * wheelbase, rear_radius);
+    let bicycle = Dynamics::Bicycle(limits);
+    for _ in 0..100 {
+        bicycle.step(&mut state, [0.0, steering as f32, 0.0], DT_S, &body);
+        let distance = (f64::from(state.x) - centre.0).hypot(f64::from(state.y) - centre.1);
+        assert!((distance - radius).abs() < 0.02, "{distance} m from the centre of a circle of {radius} m");
+    }
+    let turned = 4.0 * 10.0 / rear_radius;
+    assert!((f64::from(state.heading_rad) - turned).abs() < 1e-3);
+}
+
+#[test]
+fn stationary_agents_of_every_model_stay_where_they_are() {
+    for model in models() {
+        let mut state = KinState { x: 3.0, y: -2.0, heading_rad: 1.0, speed_mps: 0.0 };
+        model.step(&mut state, [0.0; 3], DT_S, &car());
+        assert_eq!(state, KinState { x: 3.0, y: -2.0, heading_rad: 1.0, speed_mps: 0.0 }, "{}", model.name());
+    }
+}
+
+#[test]
+fn default_grids_have_63_distinct_actions_within_the_bounds_and_straight_on_in_the_middle() {
+    for model in models() {
+        let grid = ActionGrid::default_for(&model);
+        assert_eq!(grid.len(), 63);
+        for index in 0..grid.len() {
+            let action = grid.action(&model, index).unwrap();
+            assert_eq!(model.clip(action), action);
+            assert_eq!(grid.nearest(&model, action), index);
+        }
+        let straight = grid.action(&model, 31).unwrap();
+        assert_eq!(straight[1..], [0.0, 0.0]);
+        assert_eq!(grid.action(&model, 63), None);
+    }
+}
+
+#[test]
+fn limits_out_of_order_or_not_finite_are_named() {
+    let wrong = UnicycleLimits { speed_mps: [5.0, -5.0], ..UnicycleLimits::default() };
+    assert_eq!(Dynamics::Unicycle(wrong).first_fault(), Some("speed_mps"));
+    let wrong = BicycleLimits { max_steering_rad: 2.0, ..BicycleLimits::default() };
+    assert_eq!(Dynamics::Bicycle(wrong).first_fault(), Some("max_steering_rad"));
+    let wrong = DeltaPoseLimits { dx_m: [f32::NAN, 1.0], ..DeltaPoseLimits::default() };
+    assert_eq!(Dynamics::DeltaPose(wrong).first_fault(), Some("dx_m"));
+    assert!(models().iter().all(|m| m.first_fault().is_none()));
+}
+
+#[test]
+fn actions_that_are_short_or_not_finite_are_refused() {
+    let [unicycle, _, delta] = models();
+    assert_eq!(unicycle.action_from_slice(&[1.0, 0.5]), Some([1.0, 0.5, 0.0]));
+    assert_eq!(unicycle.action_from_slice(&[1.0, f32::NAN]), None);
+    assert_eq!(delta.action_from_slice(&[1.0, 0.5]), None);
+}
+
+#[test]
+fn models_survive_a_round_trip_through_json() {
+    for model in models() {
+        let text = serde_json::to_string(&model).unwrap();
+        assert_eq!(serde_json::from_str::<Dynamics>(&text).unwrap(), model);
+    }
+    assert_eq!(serde_json::from_str::<Dynamics>(r#"{"unicycle": {}}"#).unwrap(), Dynamics::default());
+    assert!(serde_json::from_str::<Dynamics>(r#"{"unicycle": {"top_speed": 3}}"#).is_err());
+}
+
+fn kin_state() -> impl Strategy<Value = KinState> {
+    (-50f32..50.0, -50f32..50.0, -7f32..7.0, -9f32..29.0)
+        .prop_map(|(x, y, heading_rad, speed_mps)| KinState { x, y, heading_rad, speed_mps })
+}
+
+proptest! {
+    #[test]
+    fn inverse_models_recover_actions_within_the_limits(
+        start in kin_state(), u in prop::array::uniform3(0f32..1.0),
+    ) {
+        for model in models() {
+            let (low, high) = model.action_bounds();
+            let wanted: [f32; 3] = std::array::from_fn(|i| low[i] + u[i] * (high[i] - low[i]));
+            let mut next = start;
+            model.step(&mut next, wanted, DT_S, &car());
+            let action = model.inverse(&start, &next, DT_S, &car());
+            // what the limits changed must come back as the changed action: apply it again
+            let mut again = start;
+            model.step(&mut again, action, DT_S, &car());
+            prop_assert!((again.x - next.x).abs() < 2e-3 && (again.y - next.y).abs() < 2e-3, "{}", model.name());
+            prop_assert!((again.heading_rad - next.heading_rad).abs() < 2e-3);
+            if !matches!(model, Dynamics::DeltaPose(_)) {
+                prop_assert!((again.speed_mps - next.speed_mps).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn speeds_and_yaw_rates_stay_within_the_limits(
+        start in kin_state(), actions in prop::collection::vec(prop::array::uniform2(-50f32..50.0), 20),
+    ) {
+        let limits = UnicycleLimits::default();
+        let unicycle = Dynamics::Unicycle(limits);
+        let mut state = start;
+        for [a, w] in actions {
+            let before = state;
+            unicycle.step(&mut state, [a, w, 0.0], DT_S, &car());
+            prop_assert!(state.speed_mps >= -10.0 && state.speed_mps <= 30.0);
+            let yaw_rate = (state.heading_rad - before.heading_rad).abs() / DT_S;
+            prop_assert!(yaw_rate <= limits.yaw_rate_bound(before.speed_mps) + 1e-4);
+        }
+    }
+
+    #[test]
+    fn rollouts_agree_with_steps_below_the_speed_limits(
+        speed in 5f32..10.0, actions in prop::collection::vec((-2f32..2.0, -0.5f32..0.5), 20),
+    ) {
+        let actions: Vec<[f32; 2]> = actions.into_iter().map(|(a, w)| [a, w]).collect();
+        let mut states = vec![KinState::default(); 20];
+        rollout_unicycle(&UnicycleLimits::default(), at_rest_or_moving(speed), &actions, DT_S, &mut states);
+        let mut state = at_rest_or_moving(speed);
+        for (action, rolled) in actions.iter().zip(states) {
+            Dynamics::default().step(&mut state, [action[0], action[1], 0.0], DT_S, &car());
+            assert_near(rolled, [state.x, state.y, state.speed_mps, state.heading_rad]);
+        }
+    }
+
+    #[test]
+    fn agents_of_a_world_move_like_their_kinematic_state(
+        start in kin_state(), u in prop::array::uniform3(-1f32..1.0),
+    ) {
+        for model in models() {
+            let mut states = AgentStates::new(2);
+            let pose = Pose2::new(start.x, start.y, start.heading_rad);
+            states.place(1, pose, pose.rotate(Vector2::new(start.speed_mps, 0.0)));
+            states.speed_mps[1] = start.speed_mps;
+            let mut state = start;
+            model.step(&mut state, u, DT_S, &car());
+            model.step_agent(&mut states, 1, u, DT_S, &car());
+            prop_assert_eq!(states.kin_state(1), state);
+            prop_assert_eq!(states.pose(1), Pose2::new(state.x, state.y, state.heading_rad));
+            let along = states.velocity(1).dot(&Vector2::new(states.cos[1], states.sin[1]));
+            prop_assert!((along - state.speed_mps).abs() < 1e-4);
+            if matches!(model, Dynamics::DeltaPose(_)) {
+                let moved = Vector2::new(state.x - start.x, state.y - start.y);
+                prop_assert!((states.velocity(1) * DT_S - moved).norm() < 1e-3);
+            }
+        }
+    }
+}
