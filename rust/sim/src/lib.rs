@@ -5,7 +5,10 @@ pub mod dynamics;
 pub mod error;
 pub mod events;
 pub mod geom;
+pub mod observe;
+pub mod policy;
 pub mod scene;
 pub mod state;
+pub mod world;
 
 pub use error::{Result, SimError};

@@ -48,6 +48,26 @@ pub struct Contact {
     pub at_fault: bool,
 }
 
+impl Contact {
+    /// The contact of two touching agents as the first one sees it.
+    pub fn between(states: &AgentStates, bodies: &[Body], agent_idx: usize, partner_idx: usize) -> Self {
+        let (i, j) = (agent_idx, partner_idx);
+        let own = states.oriented_box(i, &bodies[i]);
+        let other = states.oriented_box(j, &bodies[j]);
+        let lengths = own.edge_lengths_inside(&other);
+        let kind = contact_kind(&own, &other, lengths);
+        let (velocity, other_velocity) = (states.velocity(i), states.velocity(j));
+        let stopped = |v: &crate::geom::Vector2| v.norm_squared() <= STOPPED_SPEED_MPS * STOPPED_SPEED_MPS;
+        let hits = stopped(&other_velocity) || (lengths[0] > 0.0 && kind != ContactKind::Rear);
+        Self {
+            partner: partner_idx as u32,
+            kind,
+            closing_speed_mps: (velocity - other_velocity).dot(&own.contact_normal(&other)),
+            at_fault: !stopped(&velocity) && hits,
+        }
+    }
+}
+
 /// Finds the contacts of one world, step after step. Scratch buffers are kept: no allocation after warm-up.
 #[derive(Debug, Clone, Default)]
 pub struct Collisions {
@@ -196,7 +216,7 @@ impl Collisions {
         self.at_fault.resize(states.len(), false);
         for &(a, b) in &self.pairs {
             for (agent, partner) in [(a, b), (b, a)] {
-                let contact = contact(states, bodies, agent, partner);
+                let contact = Contact::between(states, bodies, agent as usize, partner as usize);
                 self.at_fault[agent as usize] |= contact.at_fault;
                 self.first[agent as usize].get_or_insert(contact);
             }
@@ -219,23 +239,6 @@ fn push_if_touching(
     }
     if states.oriented_box(i, &bodies[i]).overlaps(&states.oriented_box(j, &bodies[j])) {
         pairs.push((a, b));
-    }
-}
-
-fn contact(states: &AgentStates, bodies: &[Body], agent: u32, partner: u32) -> Contact {
-    let (i, j) = (agent as usize, partner as usize);
-    let own = states.oriented_box(i, &bodies[i]);
-    let other = states.oriented_box(j, &bodies[j]);
-    let lengths = own.edge_lengths_inside(&other);
-    let kind = contact_kind(&own, &other, lengths);
-    let (velocity, other_velocity) = (states.velocity(i), states.velocity(j));
-    let stopped = |v: &crate::geom::Vector2| v.norm_squared() <= STOPPED_SPEED_MPS * STOPPED_SPEED_MPS;
-    let hits = stopped(&other_velocity) || (lengths[0] > 0.0 && kind != ContactKind::Rear);
-    Contact {
-        partner,
-        kind,
-        closing_speed_mps: (velocity - other_velocity).dot(&own.contact_normal(&other)),
-        at_fault: !stopped(&velocity) && hits,
     }
 }
 

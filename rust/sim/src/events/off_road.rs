@@ -12,20 +12,9 @@ pub struct OffRoad {
     pub centroid: bool,
 }
 
-/// Writes the flags of all agents; `out` is resized to their number.
-pub fn off_road(states: &AgentStates, bodies: &[Body], region: &Region, out: &mut Vec<OffRoad>) {
-    out.clear();
-    out.extend(bodies.iter().enumerate().take(states.len()).map(|(agent, body)| {
-        if !states.active[agent] {
-            return OffRoad::default();
-        }
-        off_road_at(states, agent, body, region)
-    }));
-    out.resize(states.len(), OffRoad::default());
-}
-
+/// Whether an agent has left a region. A square inside the region that holds the box settles most calls at once.
 #[inline]
-fn off_road_at(states: &AgentStates, agent: usize, body: &Body, region: &Region) -> OffRoad {
+pub fn off_road(states: &AgentStates, agent: usize, body: &Body, region: &Region) -> OffRoad {
     let centre = states.position(agent);
     let reach_m: Real = body.radius_m;
     if region.holds_square(centre, reach_m) {

@@ -68,6 +68,19 @@ impl Polyline {
         Some(Self { points, s_m, directions, bins, bin_m })
     }
 
+    /// Straight line from a pose along its heading, at least a metre long.
+    pub fn straight(pose: &Pose2, length_m: Real) -> Self {
+        let length_m = if length_m.is_finite() { length_m.max(1.0) } else { 1.0 };
+        let direction = Vector2::new(pose.cos, pose.sin);
+        Self {
+            points: vec![pose.position, pose.position + direction * length_m],
+            s_m: vec![0.0, length_m],
+            directions: vec![(direction, pose.heading_rad)],
+            bins: vec![0, 0],
+            bin_m: 0.5 * length_m,
+        }
+    }
+
     /// Length, metres.
     #[inline]
     pub fn length_m(&self) -> Real {

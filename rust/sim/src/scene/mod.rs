@@ -4,6 +4,7 @@
 //! worlds start from, replay and compare with. Nothing here knows a data set.
 
 mod map;
+pub mod synthetic;
 
 pub use map::{Lane, LaneKind, Map};
 

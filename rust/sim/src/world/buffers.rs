@@ -1,0 +1,130 @@
+//! Where a step writes: memory of the caller, E worlds x C slots, row-major.
+
+use crate::error::{Result, SimError};
+use crate::world::columns::NUM_COLUMNS;
+use crate::world::config::Autoreset;
+
+/// Output of a reset or a step. D is the size of the observation row, M the number of columns.
+#[derive(Debug)]
+pub struct StepBuffers<'a> {
+    /// Observations [E, C, D]; zero for slots without a living agent.
+    pub obs: &'a mut [f32],
+    /// Rewards [E, C].
+    pub reward: &'a mut [f32],
+    /// Whether an agent's episode ended in this step by what happened in it [E, C].
+    pub terminated: &'a mut [bool],
+    /// Whether it was cut off in this step [E, C].
+    pub truncated: &'a mut [bool],
+    /// Whether the slot's agent goes on after this step [E, C].
+    pub alive: &'a mut [bool],
+    /// Figures of the step [E, C, M], see [`super::COLUMNS`].
+    pub columns: &'a mut [f32],
+    /// Whether the world's episode ended in this step [E].
+    pub done: &'a mut [bool],
+    /// Whether the observation is the first of a new episode [E].
+    pub was_reset: &'a mut [bool],
+    /// In SAME_STEP mode the last observation of an ended episode [E, C, D]; empty in the other modes.
+    pub final_obs: &'a mut [f32],
+}
+
+/// The part of [`StepBuffers`] that belongs to one world.
+pub(crate) struct WorldOut<'a> {
+    pub(crate) obs: &'a mut [f32],
+    pub(crate) reward: &'a mut [f32],
+    pub(crate) terminated: &'a mut [bool],
+    pub(crate) truncated: &'a mut [bool],
+    pub(crate) alive: &'a mut [bool],
+    pub(crate) columns: &'a mut [f32],
+    pub(crate) done: &'a mut bool,
+    pub(crate) was_reset: &'a mut bool,
+    pub(crate) final_obs: &'a mut [f32],
+}
+
+impl WorldOut<'_> {
+    /// Rewards, endings and figures of a step in which nothing happened.
+    pub(crate) fn clear_step(&mut self) {
+        self.reward.fill(0.0);
+        self.terminated.fill(false);
+        self.truncated.fill(false);
+        self.columns.fill(0.0);
+        *self.done = false;
+    }
+}
+
+impl<'a> StepBuffers<'a> {
+    /// Checks every length before anything is written.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] names the first array that does not fit.
+    pub fn check(&self, num_envs: usize, num_slots: usize, row: usize, autoreset: Autoreset) -> Result<()> {
+        let slots = num_envs * num_slots;
+        let lengths = [
+            ("obs", self.obs.len(), slots * row),
+            ("reward", self.reward.len(), slots),
+            ("terminated", self.terminated.len(), slots),
+            ("truncated", self.truncated.len(), slots),
+            ("alive", self.alive.len(), slots),
+            ("columns", self.columns.len(), slots * NUM_COLUMNS),
+            ("done", self.done.len(), num_envs),
+            ("was_reset", self.was_reset.len(), num_envs),
+            (
+                "final_obs",
+                self.final_obs.len(),
+                if autoreset == Autoreset::SameStep { slots * row } else { 0 },
+            ),
+        ];
+        for (what, got, expected) in lengths {
+            if got != expected {
+                return Err(SimError::Length { what, got, expected });
+            }
+        }
+        Ok(())
+    }
+
+    /// The buffers of the first `worlds` worlds, and those of the rest.
+    pub(crate) fn split_at(self, worlds: usize, num_slots: usize, row: usize) -> (Self, Self) {
+        let slots = worlds * num_slots;
+        let (obs, obs_rest) = self.obs.split_at_mut(slots * row);
+        let (reward, reward_rest) = self.reward.split_at_mut(slots);
+        let (terminated, terminated_rest) = self.terminated.split_at_mut(slots);
+        let (truncated, truncated_rest) = self.truncated.split_at_mut(slots);
+        let (alive, alive_rest) = self.alive.split_at_mut(slots);
+        let (columns, columns_rest) = self.columns.split_at_mut(slots * NUM_COLUMNS);
+        let (done, done_rest) = self.done.split_at_mut(worlds);
+        let (was_reset, was_reset_rest) = self.was_reset.split_at_mut(worlds);
+        let middle = (slots * row).min(self.final_obs.len());
+        let (final_obs, final_obs_rest) = self.final_obs.split_at_mut(middle);
+        (
+            Self { obs, reward, terminated, truncated, alive, columns, done, was_reset, final_obs },
+            Self {
+                obs: obs_rest,
+                reward: reward_rest,
+                terminated: terminated_rest,
+                truncated: truncated_rest,
+                alive: alive_rest,
+                columns: columns_rest,
+                done: done_rest,
+                was_reset: was_reset_rest,
+                final_obs: final_obs_rest,
+            },
+        )
+    }
+
+    /// The buffers of one world.
+    pub(crate) fn world(&mut self, i: usize, num_slots: usize, row: usize) -> WorldOut<'_> {
+        let slots = i * num_slots..(i + 1) * num_slots;
+        let rows = slots.start * row..slots.end * row;
+        let final_rows = if self.final_obs.is_empty() { 0..0 } else { rows.clone() };
+        WorldOut {
+            obs: &mut self.obs[rows],
+            reward: &mut self.reward[slots.clone()],
+            terminated: &mut self.terminated[slots.clone()],
+            truncated: &mut self.truncated[slots.clone()],
+            alive: &mut self.alive[slots.clone()],
+            columns: &mut self.columns[slots.start * NUM_COLUMNS..slots.end * NUM_COLUMNS],
+            done: &mut self.done[i],
+            was_reset: &mut self.was_reset[i],
+            final_obs: &mut self.final_obs[final_rows],
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
+
+use crate::geom::{Pose2, Real, Vector2};
+use crate::scene::AgentKind;
+use crate::state::AgentStates;
+use crate::world::config::{Controlled, Driver, WorldConfig};
+use crate::world::history::History;
+use crate::world::prepared::PreparedScene;
+use crate::world::rng::Rng;
+use serde::{Deserialize, Serialize};
+
+/// Distances to a goal below this are a log that stands still, metres.
+pub(crate) const STANDING_M: Real = 2.0;
+
+/// Where a world is in its life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Phase {
+    NeverReset,
+    Running,
+    Ended,
+}
+
+/// A controlled agent's own account.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Slot {
+    pub(crate) agent_idx: Option<usize>,
+    pub(crate) alive: bool,
+    /// Elapsed steps at which the agent's episode ended.
+    pub(crate) ended_at: Option<usize>,
+    /// Stands still whatever its action.
+    pub(crate) stopped: bool,
+    pub(crate) start_s_m: Real,
+    pub(crate) goal_s_m: Real,
+    /// Farthest position along the route so far.
+    pub(crate) best_s_m: Real,
+    /// The last action, normalised.
+    pub(crate) last_action: [Real; 3],
+    /// Acceleration of the step before, for the jerk.
+    pub(crate) acceleration_mps2: Real,
+    pub(crate) touching: bool,
+    pub(crate) ever_collided: bool,
+    pub(crate) ever_off_road: bool,
+    /// Whether the agent has been on the road; until then being off it is the log's fault.
+    pub(crate) been_on_road: bool,
+    pub(crate) goal_reached: bool,
+    // what the last step found out, for reward and observation
+    pub(crate) off_road: bool,
+    pub(crate) off_road_centroid: bool,
+    pub(crate) wrong_way: bool,
+    pub(crate) route_distance_m: Real,
+    pub(crate) route_heading_error_rad: Real,
+    pub(crate) lane_distance_m: Option<Real>,
+    pub(crate) speed_limit_mps: Real,
+}
+
+/// State of one world.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Episode {
+    pub(crate) phase: Phase,
+    pub(crate) rng: Rng,
+    /// Seed that the generator was last started from.
+    pub(crate) seed: u64,
+    /// Episodes begun since then.
+    pub(crate) number: u64,
+    pub(crate) scene_idx: usize,
+    /// Scene of the next episode in sequential order.
+    pub(crate) next_scene_idx: usize,
+    /// Step of the log that the states stand at.
+    pub(crate) step_idx: usize,
+    pub(crate) elapsed_steps: usize,
+    pub(crate) states: AgentStates,
+    pub(crate) route_s_m: Vec<Real>,
+    pub(crate) drivers: Vec<Driver>,
+    /// Whether an agent has been in the world; nobody enters twice.
+    pub(crate) entered: Vec<bool>,
+    /// Pairs that touch since the start and are no collisions until they have parted.
+    pub(crate) initial_contacts: Vec<(u32, u32)>,
+    pub(crate) slots: Vec<Slot>,
+    pub(crate) history: Option<History>,
+}
+
+impl Episode {
+    pub(crate) fn new(world_idx: usize, num_scenes: usize) -> Self {
+        Self {
+            phase: Phase::NeverReset,
+            rng: Rng::new(world_idx as u64),
+            seed: world_idx as u64,
+            number: 0,
+            scene_idx: 0,
+            next_scene_idx: world_idx % num_scenes,
+            step_idx: 0,
+            elapsed_steps: 0,
+            states: AgentStates::default(),
+            route_s_m: Vec::new(),
+            drivers: Vec::new(),
+            entered: Vec::new(),
+            initial_contacts: Vec::new(),
+            slots: Vec::new(),
+            history: None,
+        }
+    }
+
+    /// Puts the agents where the log has them after the history, and hands out slots and drivers.
+    pub(crate) fn begin(
+        &mut self,
+        scene: &PreparedScene,
+        scene_idx: usize,
+        config: &WorldConfig,
+        history_len: Option<usize>,
+    ) {
+        let log = &scene.scene;
+        let num_agents = log.num_agents();
+        self.phase = Phase::Running;
+        self.number += 1;
+        self.scene_idx = scene_idx;
+        self.step_idx = config.history_steps;
+        self.elapsed_steps = 0;
+        if self.states.len() == num_agents {
+            self.states.active.fill(false);
+        } else {
+            self.states = AgentStates::new(num_agents);
+        }
+        self.route_s_m.clear();
+        self.route_s_m.resize(num_agents, 0.0);
+        self.entered.clear();
+        self.entered.resize(num_agents, false);
+        self.drivers.clear();
+        self.drivers.extend(scene.kinds.iter().map(|kind| match kind {
+            AgentKind::Vehicle => config.traffic,
+            _ => Driver::Replay,
+        }));
+        for a in 0..num_agents {
+            if log.is_valid(a, self.step_idx) {
+                self.enter(scene, a);
+            }
+        }
+        self.fill_slots(scene, config);
+        self.initial_contacts.clear();
+        self.history = history_len.map(|len| History::from_log(log, self.step_idx, len));
+    }
+
+    /// Puts an agent at its logged state of the present step.
+    pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize) {
+        let log = &scene.scene;
+        let at = log.at(agent_idx, self.step_idx);
+        let p = log.tracks.position[at];
+        let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
+        self.states.place(agent_idx, pose, log.tracks.velocity[at]);
+        self.states.active[agent_idx] = true;
+        self.entered[agent_idx] = true;
+        self.route_s_m[agent_idx] = scene.routes[agent_idx].path.project(p).s_m;
+    }
+
+    fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig) {
+        let log = &scene.scene;
+        let mut vehicles =
+            (0..log.num_agents()).filter(|a| scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a]);
+        let chosen: Vec<Option<usize>> = match &config.controlled {
+            Controlled::Ego => vec![log.agent_index(crate::scene::EGO_ID)],
+            Controlled::Vehicles => (0..config.num_slots).map(|_| vehicles.next()).collect(),
+            Controlled::Ids(ids) => ids.iter().map(|id| log.agent_index(id)).collect(),
+        };
+        let end_step = config.history_steps + config.horizon_steps;
+        self.slots.clear();
+        for agent in chosen {
+            let agent_idx = agent.filter(|a| self.states.active[*a]);
+            let (mut start_s_m, mut goal_s_m) = (0.0, 0.0);
+            if let Some(a) = agent_idx {
+                self.drivers[a] = config.driver;
+                start_s_m = self.route_s_m[a];
+                let last = (config.history_steps..log.num_steps.min(end_step + 1))
+                    .rev()
+                    .find(|t| log.is_valid(a, *t))
+                    .unwrap_or(config.history_steps);
+                let goal = log.tracks.position[log.at(a, last)];
+                goal_s_m = scene.routes[a].path.project(goal).s_m.max(start_s_m);
+            }
+            self.slots.push(Slot {
+                agent_idx,
+                alive: agent_idx.is_some(),
+                ended_at: None,
+                stopped: false,
+                start_s_m,
+                goal_s_m,
+                best_s_m: start_s_m,
+                last_action: [0.0; 3],
+                acceleration_mps2: 0.0,
+                touching: false,
+                ever_collided: false,
+                ever_off_road: false,
+                been_on_road: false,
+                goal_reached: false,
+                off_road: false,
+                off_road_centroid: false,
+                wrong_way: false,
+                route_distance_m: 0.0,
+                route_heading_error_rad: 0.0,
+                lane_distance_m: None,
+                speed_limit_mps: config.speed_limit_mps,
+            });
+        }
+    }
+
+    /// Moves an agent: accelerations and yaw rates follow from where it was.
+    pub(crate) fn place(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2, dt_s: Real) {
+        let (speed, heading) = (self.states.speed_mps[agent_idx], self.states.heading_rad[agent_idx]);
+        self.states.place(agent_idx, pose, velocity);
+        self.states.acceleration_mps2[agent_idx] = (self.states.speed_mps[agent_idx] - speed) / dt_s;
+        self.states.yaw_rate_radps[agent_idx] =
+            crate::geom::math::wrap_angle(pose.heading_rad - heading) / dt_s;
+    }
+
+    /// Starts the generator anew; the next episode is the first of this seed.
+    pub(crate) fn reseed(&mut self, seed: u64, next_scene_idx: usize) {
+        self.rng = Rng::new(seed);
+        self.seed = seed;
+        self.number = 0;
+        self.next_scene_idx = next_scene_idx;
+    }
+
+    /// Whether an episode has ever begun.
+    pub(crate) fn begun(&self) -> bool {
+        self.phase != Phase::NeverReset
+    }
+
+    /// Whether all arrays have the lengths that a scene and a number of slots ask for.
+    pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize) -> bool {
+        let n = scene.scene.num_agents();
+        let s = &self.states;
+        let reals = [
+            &s.x,
+            &s.y,
+            &s.heading_rad,
+            &s.cos,
+            &s.sin,
+            &s.speed_mps,
+            &s.velocity_x_mps,
+            &s.velocity_y_mps,
+            &s.acceleration_mps2,
+            &s.yaw_rate_radps,
+            &self.route_s_m,
+        ];
+        let in_range = |i: usize| i < n;
+        reals.iter().all(|v| v.len() == n && v.iter().all(|x| x.is_finite()))
+            && s.active.len() == n
+            && self.drivers.len() == n
+            && self.entered.len() == n
+            && self.slots.len() == num_slots
+            && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range))
+            && self.initial_contacts.iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
+            && self.history.as_ref().is_none_or(|h| h.fits(n))
+    }
+
+    /// A number that depends on the seed, the episode and the step alone.
+    pub(crate) fn noise_seed(&self) -> u64 {
+        Rng::new(self.seed).split(self.number).split(self.elapsed_steps as u64).next_u64()
+    }
+}
+
+impl Slot {
+    /// Share of the way to the goal, 0 to 1; 1 where the log stands still.
+    pub(crate) fn completion(&self) -> Real {
+        let way = self.goal_s_m - self.start_s_m;
+        if way < STANDING_M { 1.0 } else { ((self.best_s_m - self.start_s_m) / way).clamp(0.0, 1.0) }
+    }
+}

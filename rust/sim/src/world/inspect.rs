@@ -1,0 +1,200 @@
+//! What can be asked of a running batch of worlds.
+
+use super::{ActionDecoder, Driver, PreparedScene, TickPhase, VecWorld, WorldConfig};
+use crate::dynamics::Action;
+use crate::error::{Result, SimError};
+use crate::events::{Collisions, Contact, OffRoad, off_road};
+use crate::geom::{Point2, Real};
+use crate::observe::Layout;
+use crate::scene::Scene;
+use crate::state::AgentStates;
+use crate::world::tick::World;
+use std::sync::Arc;
+
+/// Facts about a world's present.
+#[derive(Debug, Clone, Copy)]
+pub struct WorldStatus<'a> {
+    /// Index of the scene.
+    pub scene_idx: usize,
+    /// Seed that the world's generator was last started from.
+    pub seed: u64,
+    /// Episodes begun since that seed.
+    pub episode: u64,
+    /// Step of the log that the states stand at.
+    pub step_idx: usize,
+    /// Steps since the episode began.
+    pub elapsed_steps: usize,
+    /// States of all agents.
+    pub states: &'a AgentStates,
+    /// Who drives each agent.
+    pub drivers: &'a [Driver],
+    /// Position of each agent along its route, metres.
+    pub route_s_m: &'a [Real],
+}
+
+impl VecWorld {
+    /// Configuration.
+    pub fn config(&self) -> &WorldConfig {
+        &self.config
+    }
+
+    /// Schema of the observation row.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Decoder of actions.
+    pub fn decoder(&self) -> &ActionDecoder {
+        &self.decoder
+    }
+
+    /// Number of worlds E.
+    pub fn num_worlds(&self) -> usize {
+        self.worlds.len()
+    }
+
+    /// Number of scenes.
+    pub fn num_scenes(&self) -> usize {
+        self.scenes.list.len()
+    }
+
+    /// A scene of the list.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for an index out of range.
+    pub fn scene(&self, scene_idx: usize) -> Result<&Arc<Scene>> {
+        let known = self.scenes.list.get(scene_idx).map(|(scene, _)| scene);
+        known.ok_or_else(|| SimError::Unknown {
+            what: "scene",
+            got: scene_idx.to_string(),
+            expected: format!("an index below {}", self.num_scenes()),
+        })
+    }
+
+    /// A scene made ready.
+    ///
+    /// # Errors
+    /// As [`VecWorld::scene`].
+    pub fn prepared(&self, scene_idx: usize) -> Result<Arc<PreparedScene>> {
+        self.scene(scene_idx)?;
+        Ok(self.scenes.prepared(scene_idx))
+    }
+
+    pub(crate) fn scene_name(&self, scene_idx: usize) -> &str {
+        &self.scenes.list[scene_idx].0.name
+    }
+
+    pub(crate) fn config_fingerprint(&self) -> String {
+        serde_json::to_string(&self.config).unwrap_or_default()
+    }
+
+    pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {
+        self.worlds.get(world_idx).ok_or_else(|| SimError::Unknown {
+            what: "world",
+            got: world_idx.to_string(),
+            expected: format!("an index below {}", self.worlds.len()),
+        })
+    }
+
+    fn begun(&self, world_idx: usize) -> Result<&World> {
+        let world = self.world(world_idx)?;
+        if world.episode.begun() {
+            Ok(world)
+        } else {
+            Err(SimError::ResetNeeded { world: world_idx, why: "it was never reset" })
+        }
+    }
+
+    /// The present of a world.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`], and [`SimError::ResetNeeded`] before the first reset.
+    pub fn status(&self, world_idx: usize) -> Result<WorldStatus<'_>> {
+        let e = &self.begun(world_idx)?.episode;
+        Ok(WorldStatus {
+            scene_idx: e.scene_idx,
+            seed: e.seed,
+            episode: e.number,
+            step_idx: e.step_idx,
+            elapsed_steps: e.elapsed_steps,
+            states: &e.states,
+            drivers: &e.drivers,
+            route_s_m: &e.route_s_m,
+        })
+    }
+
+    /// Agent of each slot of a world.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn slot_agents(&self, world_idx: usize) -> Result<Vec<Option<usize>>> {
+        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.agent_idx).collect())
+    }
+
+    /// Route of a slot's agent, points about a metre apart, and the goal on it.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn slot_route(&self, world_idx: usize, slot_idx: usize) -> Result<Option<(Vec<Point2>, Point2)>> {
+        let world = self.begun(world_idx)?;
+        Ok(world.episode.slots.get(slot_idx).and_then(|slot| {
+            let path = &world.scene.routes[slot.agent_idx?].path;
+            Some((path.points().to_vec(), path.at(slot.goal_s_m).position))
+        }))
+    }
+
+    /// All pairs of agents (i < j) that touch now, each with the contact as seen by `i` and by `j`.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn contacts(&self, world_idx: usize) -> Result<Vec<(Contact, Contact)>> {
+        let world = self.begun(world_idx)?;
+        let (states, scene) = (&world.episode.states, &world.scene);
+        let mut collisions = Collisions::new();
+        collisions.detect(states, &scene.bodies, &scene.kinds);
+        let seen = |i: u32, j: u32| Contact::between(states, &scene.bodies, i as usize, j as usize);
+        Ok(collisions.pairs().iter().map(|(i, j)| (seen(*i, *j), seen(*j, *i))).collect())
+    }
+
+    /// Whether each agent is off the road now; never where the map has no road.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn off_road(&self, world_idx: usize) -> Result<Vec<OffRoad>> {
+        let world = self.begun(world_idx)?;
+        let (states, scene) = (&world.episode.states, &world.scene);
+        let fact = |a: usize| match &scene.road {
+            Some(road) if states.active[a] => off_road(states, a, &scene.bodies[a], road),
+            _ => OffRoad::default(),
+        };
+        Ok((0..states.len()).map(fact).collect())
+    }
+
+    /// Actions that bring each slot's agent from where it is towards its next logged state, in the form that
+    /// [`VecWorld::step`] takes; zeros where there is no log.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn expert_actions(&self, world_idx: usize) -> Result<Vec<Action>> {
+        let world = self.begun(world_idx)?;
+        let (e, scene) = (&world.episode, &world.scene);
+        let log = &scene.scene;
+        let action = |agent: Option<usize>| {
+            let a = agent.filter(|a| log.is_valid(*a, e.step_idx + 1))?;
+            let mut next = AgentStates::new(1);
+            let at = log.at(a, e.step_idx + 1);
+            let p = log.tracks.position[at];
+            let pose = crate::geom::Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
+            next.place(0, pose, log.tracks.velocity[at]);
+            let (from, to) = (e.states.kin_state(a), next.kin_state(0));
+            let physical = self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.bodies[a]);
+            Some(self.decoder.encode(&physical))
+        };
+        Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())
+    }
+
+    /// Names of the phases that [`VecWorld::step_in_phases`] reports.
+    pub fn phase_names() -> [&'static str; TickPhase::ALL.len()] {
+        ["decide", "move", "events", "reward", "observe"]
+    }
+}

@@ -1,0 +1,405 @@
+//! Many worlds stepped as one batch.
+//!
+//! A tick runs these phases: background policies plan for all worlds at once; then, world by world and in parallel
+//! over worlds, actions are decoded and background motions decided, agents move, enter and leave, contacts and road
+//! departures are found, rewards and endings follow, ended worlds are reset as the autoreset mode says, and
+//! observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
+//! worlds of the batch.
+
+mod actions;
+mod buffers;
+mod columns;
+mod config;
+mod episode;
+mod history;
+mod inspect;
+mod policies;
+mod prepared;
+mod reward;
+mod rng;
+mod route;
+mod snapshot;
+mod tick;
+
+pub use actions::ActionDecoder;
+pub use buffers::StepBuffers;
+pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
+pub use config::{
+    ActionConfig, Autoreset, Consequence, Controlled, Driver, IdmConfig, RewardConfig, SceneOrder,
+    WorldConfig,
+};
+pub use history::{History, PastState};
+pub use prepared::PreparedScene;
+pub use rng::Rng;
+pub use route::Route;
+pub use tick::TickPhase;
+
+use crate::error::{Result, SimError};
+use crate::geom::Real;
+use crate::observe::{Layout, Observer};
+use crate::policy::{BackgroundPolicy, WorldView};
+use crate::scene::Scene;
+use episode::{Episode, Phase};
+use policies::Policies;
+use std::sync::{Arc, OnceLock};
+use tick::{Shared, World};
+
+/// Batches smaller than this run on the calling thread: handing work to a pool costs more than it saves.
+const MIN_PARALLEL_WORLDS: usize = 8;
+/// Worlds in one piece of parallel work.
+const GRAIN_WORLDS: usize = 4;
+
+/// The scenes of a batch, each prepared when it is first played.
+struct Scenes {
+    list: Vec<(Arc<Scene>, OnceLock<Arc<PreparedScene>>)>,
+}
+
+impl Scenes {
+    fn prepared(&self, scene_idx: usize) -> Arc<PreparedScene> {
+        let (scene, slot) = &self.list[scene_idx];
+        Arc::clone(slot.get_or_init(|| Arc::new(PreparedScene::new(Arc::clone(scene)))))
+    }
+
+    /// Scene of a world's next episode, by the configured order.
+    fn next(
+        &self,
+        episode: &mut Episode,
+        order: SceneOrder,
+        num_worlds: usize,
+    ) -> (Arc<PreparedScene>, usize) {
+        let n = self.list.len();
+        let scene_idx = match order {
+            SceneOrder::Random => episode.rng.below(n),
+            SceneOrder::Sequential => {
+                let idx = episode.next_scene_idx;
+                episode.next_scene_idx = (idx + num_worlds) % n;
+                idx
+            }
+        };
+        (self.prepared(scene_idx), scene_idx)
+    }
+}
+
+/// What a reset asks for, world by world; `None` leaves the choice to the world.
+#[derive(Debug, Clone, Copy)]
+pub struct ResetRequest<'a> {
+    /// Seeds [E]; a world without one goes on with its generator.
+    pub seeds: &'a [Option<u64>],
+    /// Indices of scenes [E].
+    pub scenes: &'a [Option<usize>],
+    /// Worlds to reset [E]; all without it. The buffers of the others are not touched.
+    pub mask: Option<&'a [bool]>,
+}
+
+/// E worlds over a list of scenes.
+pub struct VecWorld {
+    config: WorldConfig,
+    layout: Layout,
+    decoder: ActionDecoder,
+    scenes: Scenes,
+    policies: Policies,
+    worlds: Vec<World>,
+    pool: Option<rayon::ThreadPool>,
+}
+
+impl VecWorld {
+    /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `planned` drives the agents whose
+    /// driver is [`Driver::Planned`]. `num_threads` 1 never leaves the calling thread.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] and [`SimError::Scene`] for what does not fit together: wrong step, a scene too short
+    /// for its history, no controlled agent present at the start.
+    pub fn new(
+        scenes: Vec<Arc<Scene>>,
+        config: WorldConfig,
+        num_worlds: usize,
+        num_threads: usize,
+        planned: Option<Box<dyn BackgroundPolicy>>,
+    ) -> Result<Self> {
+        config.validate()?;
+        let bad = |field, got: usize, expected: &str| {
+            Err(SimError::Config { field, got: got.to_string(), expected: expected.into() })
+        };
+        if num_worlds == 0 {
+            return bad("num_envs", 0, "at least 1");
+        }
+        if num_threads == 0 {
+            return bad("num_threads", 0, "at least 1");
+        }
+        if scenes.is_empty() {
+            return bad("scenes", 0, "at least one scene");
+        }
+        let planned_wanted = config.traffic == Driver::Planned || config.driver == Driver::Planned;
+        if planned_wanted && planned.is_none() {
+            let expected = "a policy handed to the world for planned drivers".into();
+            return Err(SimError::Config { field: "traffic", got: "planned".into(), expected });
+        }
+        for scene in &scenes {
+            check_scene(scene, &config)?;
+        }
+        let layout = Layout::new(&config.observation)?;
+        let max_agents = scenes.iter().map(|s| s.num_agents()).max().unwrap_or(0);
+        let num_scenes = scenes.len();
+        let scenes = Scenes { list: scenes.into_iter().map(|s| (s, OnceLock::new())).collect() };
+        let observer = Observer::new(layout.clone(), max_agents);
+        let first = scenes.prepared(0);
+        let worlds = (0..num_worlds)
+            .map(|i| World::new(i, num_scenes, Arc::clone(&first), observer.clone()))
+            .collect();
+        let pool = if num_threads > 1 {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().map_err(|e| {
+                SimError::Config {
+                    field: "num_threads",
+                    got: e.to_string(),
+                    expected: "threads that start".into(),
+                }
+            })?;
+            Some(pool)
+        } else {
+            None
+        };
+        let decoder = ActionDecoder::new(&config.action);
+        let policies = Policies::new(planned, config.history_steps + 1);
+        Ok(Self { config, layout, decoder, scenes, policies, worlds, pool })
+    }
+
+    /// Begins new episodes and writes their first observations.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] and [`SimError::Unknown`] before anything changes.
+    pub fn reset(&mut self, request: &ResetRequest<'_>, out: StepBuffers<'_>) -> Result<()> {
+        let num_worlds = self.worlds.len();
+        out.check(num_worlds, self.config.num_slots, self.layout.size, self.config.autoreset)?;
+        let length = |what, got| Err(SimError::Length { what, got, expected: num_worlds });
+        if request.seeds.len() != num_worlds {
+            return length("seeds", request.seeds.len());
+        }
+        if request.scenes.len() != num_worlds {
+            return length("scenes", request.scenes.len());
+        }
+        if let Some(mask) = request.mask
+            && mask.len() != num_worlds
+        {
+            return length("reset_mask", mask.len());
+        }
+        let n = self.scenes.list.len();
+        if let Some(idx) = request.scenes.iter().flatten().find(|i| **i >= n) {
+            let expected = format!("an index below {n}");
+            return Err(SimError::Unknown { what: "scene", got: idx.to_string(), expected });
+        }
+        let wanted = |i: usize| request.mask.is_none_or(|m| m[i]);
+        for i in (0..num_worlds).filter(|i| wanted(*i)) {
+            self.policies.reset_world(i);
+        }
+        let shared = Shared {
+            config: &self.config,
+            decoder: &self.decoder,
+            policies: &self.policies,
+            row: self.layout.size,
+        };
+        let scenes = &self.scenes;
+        let job = |i: usize, world: &mut World, _: &[Real], mut out: buffers::WorldOut<'_>| {
+            if !wanted(i) {
+                return;
+            }
+            let episode = &mut world.episode;
+            if let Some(seed) = request.seeds[i] {
+                episode.reseed(seed, i % n);
+            }
+            let (scene, scene_idx) = match request.scenes[i] {
+                Some(idx) => (scenes.prepared(idx), idx),
+                None => scenes.next(episode, shared.config.scene_order, num_worlds),
+            };
+            world.begin(scene, scene_idx, &shared);
+            out.clear_step();
+            *out.was_reset = true;
+            world.finish(&shared, &mut out);
+        };
+        run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, self.config.num_slots, self.layout.size, &job);
+        Ok(())
+    }
+
+    /// One step of all worlds. `actions` [E, C, width] are normalised numbers or grid indices; those of agents that
+    /// are not driven from outside are ignored.
+    ///
+    /// # Errors
+    /// [`SimError::Length`], [`SimError::Action`], [`SimError::ResetNeeded`] and [`SimError::Policy`] before anything
+    /// changes.
+    pub fn step(&mut self, actions: &[Real], out: StepBuffers<'_>) -> Result<()> {
+        self.prepare_step(actions, &out)?;
+        let shared = Shared {
+            config: &self.config,
+            decoder: &self.decoder,
+            policies: &self.policies,
+            row: self.layout.size,
+        };
+        let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
+        let job = |_: usize, world: &mut World, actions: &[Real], mut out: buffers::WorldOut<'_>| {
+            let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
+            world.step(actions, &shared, next, &mut out, &mut |_| {});
+        };
+        let (slots, row) = (self.config.num_slots, self.layout.size);
+        let width = self.decoder.width() * slots;
+        run(self.pool.as_ref(), &mut self.worlds, actions, width, out, slots, row, &job);
+        self.forget_plans();
+        Ok(())
+    }
+
+    /// [`VecWorld::step`] on the calling thread that calls `lap` after each phase of each world: for measuring what
+    /// each phase costs.
+    ///
+    /// # Errors
+    /// As [`VecWorld::step`].
+    pub fn step_in_phases(
+        &mut self,
+        actions: &[Real],
+        mut out: StepBuffers<'_>,
+        lap: &mut impl FnMut(TickPhase),
+    ) -> Result<()> {
+        self.prepare_step(actions, &out)?;
+        let shared = Shared {
+            config: &self.config,
+            decoder: &self.decoder,
+            policies: &self.policies,
+            row: self.layout.size,
+        };
+        let (num_worlds, order) = (self.worlds.len(), self.config.scene_order);
+        let width = self.decoder.width() * self.config.num_slots;
+        for (i, world) in self.worlds.iter_mut().enumerate() {
+            let next = |episode: &mut Episode| self.scenes.next(episode, order, num_worlds);
+            let actions = &actions[i * width..(i + 1) * width];
+            let mut out = out.world(i, self.config.num_slots, self.layout.size);
+            world.step(actions, &shared, next, &mut out, lap);
+        }
+        self.forget_plans();
+        Ok(())
+    }
+
+    fn prepare_step(&mut self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
+        let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
+        out.check(num_worlds, slots, self.layout.size, self.config.autoreset)?;
+        let width = self.decoder.width() * slots;
+        if actions.len() != num_worlds * width {
+            return Err(SimError::Length {
+                what: "actions",
+                got: actions.len(),
+                expected: num_worlds * width,
+            });
+        }
+        for (i, world) in self.worlds.iter().enumerate() {
+            match world.episode.phase {
+                Phase::NeverReset => {
+                    return Err(SimError::ResetNeeded { world: i, why: "it was never reset" });
+                }
+                Phase::Ended if self.config.autoreset == Autoreset::Disabled => {
+                    return Err(SimError::ResetNeeded { world: i, why: "its episode has ended" });
+                }
+                _ => world.check_actions(&actions[i * width..(i + 1) * width], &self.decoder)?,
+            }
+        }
+        if self.policies.plans() {
+            let running = self.worlds.iter().filter(|w| w.episode.phase == Phase::Running);
+            let views: Vec<WorldView<'_>> = running.map(|w| w.view(&self.config)).collect();
+            self.policies.plan(&views)?;
+        }
+        Ok(())
+    }
+
+    /// Drops the plans of worlds that began a new episode within the step.
+    fn forget_plans(&mut self) {
+        if self.policies.has_planned() {
+            for world in &self.worlds {
+                if world.episode.elapsed_steps == 0 {
+                    self.policies.reset_world(world.idx);
+                }
+            }
+        }
+    }
+}
+
+fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
+    let fail = |field: &str, got: String, expected| {
+        Err(SimError::Scene { scene: scene.name.clone(), field: field.into(), got, expected })
+    };
+    if (scene.dt_s - config.dt_s).abs() > 1e-6 {
+        return fail("dt_s", scene.dt_s.to_string(), "the world's own step");
+    }
+    if scene.num_steps < config.history_steps + 2 {
+        return fail("num_steps", scene.num_steps.to_string(), "more steps than the history and one");
+    }
+    let start = config.history_steps;
+    let present = |id: &str| scene.agent_index(id).is_some_and(|a| scene.is_valid(a, start));
+    let any = match &config.controlled {
+        Controlled::Ego => present(crate::scene::EGO_ID),
+        Controlled::Vehicles => (0..scene.num_agents())
+            .any(|a| scene.agents[a].kind == crate::scene::AgentKind::Vehicle && scene.is_valid(a, start)),
+        Controlled::Ids(ids) => ids.iter().any(|id| present(id)),
+    };
+    if any {
+        Ok(())
+    } else {
+        fail("agents", "nobody to control".into(), "a controlled agent present at the start")
+    }
+}
+
+/// Runs a job for every world, splitting worlds and buffers in halves over the pool. Allocates nothing.
+fn run<J>(
+    pool: Option<&rayon::ThreadPool>,
+    worlds: &mut [World],
+    actions: &[Real],
+    width: usize,
+    out: StepBuffers<'_>,
+    slots: usize,
+    row: usize,
+    job: &J,
+) where
+    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+{
+    match pool {
+        Some(pool) if worlds.len() >= MIN_PARALLEL_WORLDS => {
+            pool.install(|| halve(worlds, actions, width, out, slots, row, job));
+        }
+        _ => each(worlds, actions, width, out, slots, row, job),
+    }
+}
+
+fn halve<J>(
+    worlds: &mut [World],
+    actions: &[Real],
+    width: usize,
+    out: StepBuffers<'_>,
+    slots: usize,
+    row: usize,
+    job: &J,
+) where
+    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+{
+    if worlds.len() <= GRAIN_WORLDS {
+        return each(worlds, actions, width, out, slots, row, job);
+    }
+    let middle = worlds.len() / 2;
+    let (left, right) = worlds.split_at_mut(middle);
+    let (left_actions, right_actions) = actions.split_at(middle * width);
+    let (left_out, right_out) = out.split_at(middle, slots, row);
+    rayon::join(
+        || halve(left, left_actions, width, left_out, slots, row, job),
+        || halve(right, right_actions, width, right_out, slots, row, job),
+    );
+}
+
+fn each<J>(
+    worlds: &mut [World],
+    actions: &[Real],
+    width: usize,
+    mut out: StepBuffers<'_>,
+    slots: usize,
+    row: usize,
+    job: &J,
+) where
+    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+{
+    for (i, world) in worlds.iter_mut().enumerate() {
+        let actions = &actions[i * width..(i + 1) * width];
+        job(world.idx, world, actions, out.world(i, slots, row));
+    }
+}

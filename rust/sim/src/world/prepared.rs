@@ -1,0 +1,52 @@
+//! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
+
+use crate::geom::{LaneIndex, Region};
+use crate::observe::MapPieces;
+use crate::scene::{AgentKind, Scene};
+use crate::state::Body;
+use crate::world::route::Route;
+use std::sync::Arc;
+
+/// A scene made ready to be stepped.
+#[derive(Debug)]
+pub struct PreparedScene {
+    /// The scene itself.
+    pub scene: Arc<Scene>,
+    /// Bodies of the agents.
+    pub bodies: Vec<Body>,
+    /// Kinds of the agents.
+    pub kinds: Vec<AgentKind>,
+    /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
+    /// then nothing is ever off the road.
+    pub road: Option<Region>,
+    /// Nearest-lane index; `None` without lanes.
+    pub lanes: Option<LaneIndex>,
+    /// Route of each agent.
+    pub routes: Vec<Route>,
+    /// Map pieces for observations.
+    pub pieces: MapPieces,
+}
+
+impl PreparedScene {
+    /// Derives everything from a scene.
+    pub fn new(scene: Arc<Scene>) -> Self {
+        let map = &scene.map;
+        let road = if map.drivable_area.is_empty() {
+            let lanes: Vec<_> = map.lanes.iter().map(|l| l.polygon.clone()).collect();
+            Region::new(&lanes)
+        } else {
+            Region::new(&map.drivable_area)
+        };
+        let lanes = LaneIndex::new(map);
+        let routes = (0..scene.num_agents()).map(|a| Route::new(&scene, a, lanes.as_ref())).collect();
+        Self {
+            bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
+            kinds: scene.agents.iter().map(|a| a.kind).collect(),
+            pieces: MapPieces::new(map),
+            road,
+            lanes,
+            routes,
+            scene,
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Reward of a step: the weighted sum of named components, each also reported as a column.
+
+use crate::geom::Real;
+use crate::state::AgentStates;
+use crate::world::columns::Col;
+use crate::world::config::WorldConfig;
+use crate::world::episode::{STANDING_M, Slot};
+use crate::world::tick::StepFacts;
+
+/// Scale of accelerations in the discomfort, m/s².
+const COMFORT_MPS2: Real = 4.0;
+/// Scale of jerk in the discomfort, m/s³.
+const COMFORT_MPS3: Real = 10.0;
+/// A step costs no more discomfort than this.
+const MAX_DISCOMFORT: Real = 3.0;
+/// Distance from the route counts up to here, metres.
+const MAX_LANE_KEEPING_M: Real = 3.0;
+/// Share of the route that makes an episode a success.
+const SUCCESS_COMPLETION: Real = 0.95;
+
+/// Fills a slot's columns (all but the time limit) and returns the reward. `slot.best_s_m` holds the progress of
+/// this step already; `slot` learns accidents and the goal.
+pub(crate) fn score(
+    states: &AgentStates,
+    agent_idx: usize,
+    slot: &mut Slot,
+    facts: &StepFacts,
+    progress_before_m: Real,
+    config: &WorldConfig,
+    columns: &mut [Real],
+) -> Real {
+    let weights = &config.reward;
+    let flag = |b: bool| if b { 1.0 } else { 0.0 };
+    let (speed, acceleration) = (states.speed_mps[agent_idx], states.acceleration_mps2[agent_idx]);
+    let lateral = speed * states.yaw_rate_radps[agent_idx];
+    let jerk = (acceleration - slot.acceleration_mps2) / config.dt_s;
+    slot.acceleration_mps2 = acceleration;
+
+    let square = |x: Real, scale: Real| (x / scale) * (x / scale);
+    let discomfort =
+        (square(acceleration, COMFORT_MPS2) + square(lateral, COMFORT_MPS2) + square(jerk, COMFORT_MPS3))
+            .min(MAX_DISCOMFORT);
+    let collided = facts.contact.is_some();
+    slot.ever_collided |= collided;
+    slot.ever_off_road |= slot.off_road;
+    let standing = slot.goal_s_m - slot.start_s_m < STANDING_M;
+    let reached = !standing && !slot.goal_reached && slot.best_s_m >= slot.goal_s_m;
+    slot.goal_reached |= reached;
+
+    let mut set = |column: Col, value: Real| columns[column as usize] = value;
+    let components = [
+        (Col::RewardProgress, weights.progress * (slot.best_s_m - progress_before_m)),
+        (Col::RewardCollision, weights.collision * flag(collided)),
+        (Col::RewardOffRoad, weights.off_road * flag(slot.off_road)),
+        (Col::RewardComfort, weights.comfort * discomfort),
+        (Col::RewardSpeedLimit, weights.speed_limit * (speed - slot.speed_limit_mps).max(0.0)),
+        (Col::RewardLaneKeeping, weights.lane_keeping * slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M)),
+        (Col::RewardGoal, weights.goal * flag(reached)),
+    ];
+    let mut total = 0.0;
+    for (column, value) in components {
+        set(column, value);
+        total += value;
+    }
+    set(Col::Collision, flag(collided));
+    set(Col::CollisionKind, facts.contact_number());
+    set(Col::CollisionPartner, facts.contact.map_or(0.0, |c| (c.partner + 1) as Real));
+    set(Col::AtFault, flag(facts.contact.is_some_and(|c| c.at_fault)));
+    set(Col::OffRoad, flag(slot.off_road));
+    set(Col::OffRoadCentroid, flag(slot.off_road_centroid));
+    set(Col::WrongWay, flag(slot.wrong_way));
+    set(Col::GoalReached, flag(reached));
+    set(Col::HasLane, flag(slot.lane_distance_m.is_some()));
+    set(Col::LaneDistance, slot.lane_distance_m.unwrap_or(0.0));
+    set(Col::RouteDistance, slot.route_distance_m);
+    set(Col::Progress, slot.best_s_m - slot.start_s_m);
+    set(Col::RouteCompletion, slot.completion());
+    set(Col::Speed, speed);
+    set(Col::Acceleration, acceleration);
+    set(Col::LateralAcceleration, lateral);
+    set(Col::Jerk, jerk);
+    set(Col::Ttc, facts.ttc_s);
+    set(Col::LogDistance, facts.log_distance_m);
+    total
+}
+
+/// Whether an episode that ends now was a success.
+pub(crate) fn is_success(slot: &Slot) -> bool {
+    !slot.ever_collided && !slot.ever_off_road && slot.completion() >= SUCCESS_COMPLETION
+}

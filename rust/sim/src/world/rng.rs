@@ -1,0 +1,62 @@
+//! The random numbers of one world: a counter generator, so that its state is one number.
+
+use serde::{Deserialize, Serialize};
+
+/// SplitMix64 (Steele, Lea, Flood 2014): 64 bits per draw from a 64-bit counter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Rng {
+    counter: u64,
+}
+
+const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
+
+fn mix(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+impl Rng {
+    /// Generator of a seed; every seed is legal and neighbouring seeds give unrelated streams.
+    pub fn new(seed: u64) -> Self {
+        Self { counter: mix(seed.wrapping_add(GOLDEN)) }
+    }
+
+    /// Next 64 random bits.
+    pub fn next_u64(&mut self) -> u64 {
+        self.counter = self.counter.wrapping_add(GOLDEN);
+        mix(self.counter)
+    }
+
+    /// Generator of the n-th child stream; the stream itself does not move.
+    pub fn split(&self, n: u64) -> Self {
+        Self { counter: mix(self.counter ^ mix(n.wrapping_add(GOLDEN))) }
+    }
+
+    /// A number in 0..n, n > 0, by multiply and shift (bias below 2⁻³² for n < 2³²).
+    pub fn below(&mut self, n: usize) -> usize {
+        ((u128::from(self.next_u64()) * n as u128) >> 64) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_are_even_and_in_range() {
+        let mut rng = Rng::new(7);
+        let mut counts = [0usize; 10];
+        for _ in 0..100_000 {
+            counts[rng.below(10)] += 1;
+        }
+        assert!(counts.iter().all(|c| (9_500..10_500).contains(c)), "{counts:?}");
+    }
+
+    #[test]
+    fn first_output_of_the_published_generator() {
+        // SplitMix64 seeded with the counter 0 starts with this number.
+        let mut rng = Rng { counter: 0 };
+        assert_eq!(rng.next_u64(), 0xE220_A839_7B1D_CDAF);
+    }
+}

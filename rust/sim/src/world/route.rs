@@ -1,0 +1,139 @@
+//! The path an agent is meant to drive: its log, then the lanes ahead, else straight on.
+
+use crate::geom::{LaneIndex, Point2, Polyline, Pose2, Real};
+use crate::scene::{Map, Scene};
+
+/// Distance between samples of a route, metres.
+const SPACING_M: Real = 1.0;
+/// Logged positions closer than this to the last kept one are jitter, metres.
+const MIN_STEP_M: Real = 0.5;
+/// How far a route goes on past the end of the log, metres.
+const EXTENSION_M: Real = 80.0;
+/// Lateral acceleration at which curves are taken, m/s².
+const CURVE_MPS2: Real = 3.0;
+/// Braking assumed ahead of a curve, m/s².
+const APPROACH_MPS2: Real = 2.0;
+/// A vehicle whose log never exceeds this speed is parked, m/s.
+const PARKED_MPS: Real = 0.5;
+
+/// An agent's path with the speed its curves allow.
+#[derive(Debug, Clone)]
+pub struct Route {
+    /// The path, from the first logged position on, sampled about every metre.
+    pub path: Polyline,
+    /// Greatest speed the curves at and ahead of each metre allow, m/s.
+    curve_speed_mps: Vec<Real>,
+    /// Greatest logged speed, m/s.
+    pub logged_speed_mps: Real,
+    /// Whether the path follows map lanes past the end of the log (else it goes straight on).
+    pub on_lanes: bool,
+}
+
+impl Route {
+    /// Route of one agent of a scene.
+    pub fn new(scene: &Scene, agent_idx: usize, lanes: Option<&LaneIndex>) -> Self {
+        let steps = (0..scene.num_steps).filter(|t| scene.is_valid(agent_idx, *t));
+        let mut points: Vec<Point2> = Vec::new();
+        let mut pose = Pose2::new(0.0, 0.0, 0.0);
+        let mut logged_speed_mps: Real = 0.0;
+        for t in steps {
+            let at = scene.at(agent_idx, t);
+            let p = scene.tracks.position[at];
+            logged_speed_mps = logged_speed_mps.max(scene.tracks.velocity[at].norm());
+            pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
+            match points.last() {
+                None => points.push(p),
+                Some(last) => {
+                    let step = p - last;
+                    // what is driven backwards is not part of the route
+                    if step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0 {
+                        points.push(p);
+                    }
+                }
+            }
+        }
+        let on_lanes = extend(&mut points, pose, &scene.map, lanes);
+        let straight = || Polyline::straight(&pose, EXTENSION_M);
+        let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
+        let curve_speed_mps = curve_speeds(&path);
+        Self { path, curve_speed_mps, logged_speed_mps, on_lanes }
+    }
+
+    /// Whether the vehicle never moves in the log.
+    pub fn is_parked(&self) -> bool {
+        self.logged_speed_mps <= PARKED_MPS
+    }
+
+    /// Greatest speed the curves at and ahead of a position allow, m/s.
+    #[inline]
+    pub fn curve_speed_mps(&self, s_m: Real) -> Real {
+        let i = (s_m.max(0.0) / SPACING_M) as usize;
+        self.curve_speed_mps.get(i).or(self.curve_speed_mps.last()).copied().unwrap_or(Real::MAX)
+    }
+}
+
+/// Appends the lanes that follow the last pose, else a straight line; tells whether lanes were found.
+fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneIndex>) -> bool {
+    let hit = lanes.and_then(|l| l.nearest(pose.position, pose.cos, pose.sin, 3.0));
+    let hit = hit.filter(|h| h.heading_error_rad.abs() < 0.6);
+    let Some(hit) = hit else {
+        points.push(pose.to_outer(Point2::new(EXTENSION_M, 0.0)));
+        return false;
+    };
+    let (mut lane_idx, mut from_s, mut left_m) = (hit.lane_idx as usize, hit.s_m + 4.0, EXTENSION_M);
+    loop {
+        let lane = &map.lanes[lane_idx];
+        let mut s = 0.0;
+        for pair in lane.centreline.windows(2) {
+            s += (pair[1] - pair[0]).norm();
+            if s >= from_s && left_m > 0.0 {
+                left_m -= (pair[1] - pair[0]).norm();
+                points.push(pair[1]);
+            }
+        }
+        from_s = 0.0;
+        let Some(next) = lane.successors.first() else { break };
+        if left_m <= 0.0 {
+            return true;
+        }
+        lane_idx = *next as usize;
+    }
+    if left_m > 0.0 && points.len() >= 2 {
+        let (a, b) = (points[points.len() - 2], points[points.len() - 1]);
+        let d = b - a;
+        if d.norm() > 1e-3 {
+            points.push(b + d * (left_m / d.norm()));
+        }
+    }
+    true
+}
+
+fn resampled(path: &Polyline) -> Polyline {
+    let n = (path.length_m() / SPACING_M).ceil().max(1.0) as usize;
+    let points = (0..=n).map(|i| path.at((i as Real * SPACING_M).min(path.length_m())).position).collect();
+    Polyline::new(points).unwrap_or_else(|| path.clone())
+}
+
+/// Speeds from the curvature of each metre, limited so that braking at [`APPROACH_MPS2`] reaches them in time.
+fn curve_speeds(path: &Polyline) -> Vec<Real> {
+    let n = path.length_m().ceil().max(1.0) as usize + 1;
+    let tangents: Vec<(Real, Real)> = (0..n + 3)
+        .map(|i| {
+            let at = path.at(i as Real * SPACING_M);
+            (at.cos, at.sin)
+        })
+        .collect();
+    let mut speeds: Vec<Real> = (0..n)
+        .map(|i| {
+            // turn over three metres, so that kinks of the sampling do not count as curves
+            let ((c0, s0), (c1, s1)) = (tangents[i], tangents[i + 3]);
+            let turn = (c0 * s1 - s0 * c1).abs().max(1e-4);
+            (CURVE_MPS2 * 3.0 * SPACING_M / turn).sqrt().max(2.0)
+        })
+        .collect();
+    for i in (0..n.saturating_sub(1)).rev() {
+        let ahead = speeds[i + 1];
+        speeds[i] = speeds[i].min((ahead * ahead + 2.0 * APPROACH_MPS2 * SPACING_M).sqrt());
+    }
+    speeds
+}

@@ -1,0 +1,82 @@
+//! Snapshots of running worlds, bit for bit, and digests of their states.
+
+use crate::error::{Result, SimError};
+use crate::world::VecWorld;
+use crate::world::episode::Episode;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Layout of the bytes; other layouts are refused, not guessed.
+const VERSION: u32 = 1;
+
+#[derive(Serialize, Deserialize)]
+struct Snapshot {
+    version: u32,
+    config: String,
+    scene: String,
+    episode: Episode,
+    plan: Vec<u8>,
+}
+
+fn damaged(e: postcard::Error) -> SimError {
+    SimError::Snapshot(format!("damaged bytes ({e})"))
+}
+
+impl VecWorld {
+    /// Everything that the future of a world depends on: states, generator, clocks, plan.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world that does not exist.
+    pub fn snapshot(&self, world_idx: usize) -> Result<Vec<u8>> {
+        let world = self.world(world_idx)?;
+        let snapshot = Snapshot {
+            version: VERSION,
+            config: self.config_fingerprint(),
+            scene: self.scene_name(world.episode.scene_idx).to_owned(),
+            episode: world.episode.clone(),
+            plan: self.policies.save_world(world_idx),
+        };
+        postcard::to_stdvec(&snapshot).map_err(damaged)
+    }
+
+    /// Puts a world into the state of a snapshot, its own or another world's of a batch of the same configuration
+    /// and scenes: `restore(j, snapshot(i))` forks world i into world j.
+    ///
+    /// # Errors
+    /// [`SimError::Snapshot`] for damaged bytes, another layout, configuration or scene list; the world is unchanged.
+    pub fn restore(&mut self, world_idx: usize, bytes: &[u8]) -> Result<()> {
+        self.world(world_idx)?;
+        let snapshot: Snapshot = postcard::from_bytes(bytes).map_err(damaged)?;
+        let refuse = |what: String| Err(SimError::Snapshot(what));
+        if snapshot.version != VERSION {
+            return refuse(format!("layout {}, this build reads {VERSION}", snapshot.version));
+        }
+        if snapshot.config != self.config_fingerprint() {
+            return refuse("taken under another configuration".into());
+        }
+        let episode = snapshot.episode;
+        let name =
+            (episode.scene_idx < self.num_scenes()).then(|| self.scene_name(episode.scene_idx).to_owned());
+        if name.as_deref() != Some(&snapshot.scene) {
+            return refuse(format!("scene {:?} is not number {} here", snapshot.scene, episode.scene_idx));
+        }
+        let scene = self.prepared(episode.scene_idx)?;
+        if episode.begun() && !episode.fits(&scene, self.config.num_slots) {
+            return refuse("its arrays do not fit the scene".into());
+        }
+        self.policies.load_world(world_idx, &snapshot.plan)?;
+        let world = &mut self.worlds[world_idx];
+        world.scene = Arc::clone(&scene);
+        world.episode = episode;
+        Ok(())
+    }
+
+    /// FNV-1a digest of the bits of a world's states, its clock and its generator: equal digests, equal worlds.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world that does not exist.
+    pub fn digest(&self, world_idx: usize) -> Result<u64> {
+        let bytes = postcard::to_stdvec(&self.world(world_idx)?.episode).map_err(damaged)?;
+        Ok(bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)))
+    }
+}

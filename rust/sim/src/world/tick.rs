@@ -1,0 +1,504 @@
+//! One world's tick, phase by phase. The order of the phases is fixed here and nowhere else.
+
+use crate::dynamics::Action;
+use crate::error::{Result, SimError};
+use crate::events::{Collisions, Contact, ContactKind, lane_facts, off_road};
+use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
+use crate::observe::{EgoFacts, Observer, View};
+use crate::policy::{Motion, WorldView};
+use crate::scene::AgentKind;
+use crate::state::AgentStates;
+use crate::world::actions::ActionDecoder;
+use crate::world::buffers::WorldOut;
+use crate::world::columns::{Col, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::config::{Autoreset, Consequence, Driver, WorldConfig};
+use crate::world::episode::{Episode, Phase, Slot};
+use crate::world::policies::Policies;
+use crate::world::prepared::PreparedScene;
+use crate::world::reward;
+use std::sync::Arc;
+
+/// Lanes farther than this say nothing about an agent, metres.
+const LANE_REACH_M: Real = 5.0;
+/// From this many slots on, contacts are looked for among all agents at once.
+const JOINT_DETECTION_SLOTS: usize = 4;
+
+/// Parts of a tick, for the cost split of the benchmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(usize)]
+pub enum TickPhase {
+    /// Actions decoded, background motions asked for.
+    Decide = 0,
+    /// Agents moved, entered, left.
+    Move = 1,
+    /// Collisions, road, lanes.
+    Events = 2,
+    /// Rewards, figures, endings.
+    Reward = 3,
+    /// Observations written.
+    Observe = 4,
+}
+
+impl TickPhase {
+    /// All phases in order.
+    pub const ALL: [Self; 5] = [Self::Decide, Self::Move, Self::Events, Self::Reward, Self::Observe];
+}
+
+/// A world: its state and the memory its tick works in.
+pub(crate) struct World {
+    pub(crate) idx: usize,
+    pub(crate) scene: Arc<PreparedScene>,
+    pub(crate) episode: Episode,
+    motions: Vec<(u32, Motion)>,
+    /// Physical actions of the slots.
+    actions: Vec<Action>,
+    contacts: Vec<Option<Contact>>,
+    collisions: Collisions,
+    observer: Observer,
+}
+
+/// What all worlds of a batch have in common.
+pub(crate) struct Shared<'a> {
+    pub(crate) config: &'a WorldConfig,
+    pub(crate) decoder: &'a ActionDecoder,
+    pub(crate) policies: &'a Policies,
+    pub(crate) row: usize,
+}
+
+impl World {
+    pub(crate) fn new(idx: usize, num_scenes: usize, scene: Arc<PreparedScene>, observer: Observer) -> Self {
+        let episode = Episode::new(idx, num_scenes);
+        Self {
+            idx,
+            scene,
+            episode,
+            motions: Vec::new(),
+            actions: Vec::new(),
+            contacts: Vec::new(),
+            collisions: Collisions::new(),
+            observer,
+        }
+    }
+
+    pub(crate) fn view<'a>(&'a self, config: &'a WorldConfig) -> WorldView<'a> {
+        let e = &self.episode;
+        WorldView {
+            world_idx: self.idx,
+            scene: &self.scene,
+            states: &e.states,
+            route_s_m: &e.route_s_m,
+            drivers: &e.drivers,
+            history: e.history.as_ref(),
+            step_idx: e.step_idx,
+            elapsed_steps: e.elapsed_steps,
+            noise_seed: e.noise_seed(),
+            config,
+        }
+    }
+
+    /// Begins an episode in a scene.
+    pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
+        self.scene = scene;
+        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies.history_len());
+        self.find_events(shared.config, true);
+    }
+
+    /// Refuses actions that are no numbers, before anything moves.
+    pub(crate) fn check_actions(&self, actions: &[Real], decoder: &ActionDecoder) -> Result<()> {
+        if self.episode.phase == Phase::Running {
+            for (c, slot) in self.episode.slots.iter().enumerate() {
+                let external = slot.agent_idx.is_some_and(|a| self.episode.drivers[a] == Driver::External);
+                if slot.alive && external {
+                    let width = decoder.width();
+                    decoder.check(&actions[c * width..(c + 1) * width]).map_err(|(got, expected)| {
+                        SimError::Action { world: self.idx, slot: c, got, expected }
+                    })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Advances a running world by one step, up to and with its rewards; returns whether its episode ended.
+    pub(crate) fn advance(
+        &mut self,
+        actions: &[Real],
+        shared: &Shared<'_>,
+        out: &mut WorldOut<'_>,
+        lap: &mut impl FnMut(TickPhase),
+    ) -> bool {
+        self.decide(actions, shared);
+        lap(TickPhase::Decide);
+        self.move_agents(shared);
+        lap(TickPhase::Move);
+        self.find_events(shared.config, false);
+        lap(TickPhase::Events);
+        let done = self.reward(shared.config, out);
+        lap(TickPhase::Reward);
+        done
+    }
+
+    fn decide(&mut self, actions: &[Real], shared: &Shared<'_>) {
+        let width = shared.decoder.width();
+        self.actions.clear();
+        for (c, slot) in self.episode.slots.iter_mut().enumerate() {
+            let external = slot.agent_idx.is_some_and(|a| self.episode.drivers[a] == Driver::External);
+            let mut physical = [0.0; 3];
+            if external && slot.alive {
+                physical = shared.decoder.decode(&actions[c * width..(c + 1) * width]);
+                slot.last_action = shared.decoder.normalise(&physical);
+            }
+            self.actions.push(physical);
+        }
+        let mut motions = std::mem::take(&mut self.motions);
+        motions.clear();
+        let view = self.view(shared.config);
+        for a in 0..view.states.len() {
+            let driver = view.drivers[a];
+            // obstacles do not move; the log decides about everybody else who is not driven from outside
+            let moves = driver != Driver::External && view.scene.kinds[a] != AgentKind::Static;
+            if view.states.active[a] && moves {
+                motions.push((a as u32, shared.policies.get(driver).act(&view, a)));
+            }
+        }
+        self.motions = motions;
+    }
+
+    fn move_agents(&mut self, shared: &Shared<'_>) {
+        let config = shared.config;
+        let e = &mut self.episode;
+        e.step_idx += 1;
+        e.elapsed_steps += 1;
+        for (c, slot) in e.slots.iter().enumerate() {
+            let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
+            if slot.stopped {
+                let pose = e.states.pose(a);
+                e.states.place(a, pose, Vector2::zeros());
+            } else if e.drivers[a] == Driver::External {
+                let body = &self.scene.bodies[a];
+                shared.decoder.dynamics().step_agent(&mut e.states, a, self.actions[c], config.dt_s, body);
+            }
+        }
+        for (a, motion) in self.motions.drain(..) {
+            let a = a as usize;
+            let slot = e.slots.iter().find(|s| s.agent_idx == Some(a));
+            let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
+            match (motion, slot) {
+                (_, Some(slot)) if slot.stopped => {}
+                (Motion::Place(pose, velocity), Some(_)) => e.place(a, pose, velocity, config.dt_s),
+                // an agent with a slot waits where its policy has no more way for it
+                (Motion::Leave, Some(_)) => {
+                    let pose = e.states.pose(a);
+                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                }
+                (Motion::Place(pose, velocity), None) if !log_ended => {
+                    e.place(a, pose, velocity, config.dt_s);
+                }
+                _ => e.states.active[a] = false,
+            }
+        }
+        for a in 0..e.states.len() {
+            let follows_route =
+                e.drivers[a] != Driver::Replay || e.slots.iter().any(|s| s.agent_idx == Some(a));
+            if e.states.active[a] && follows_route {
+                let path = &self.scene.routes[a].path;
+                e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;
+            }
+        }
+        if config.late_arrivals {
+            for a in 0..self.scene.scene.num_agents() {
+                if !e.entered[a]
+                    && self.scene.scene.is_valid(a, e.step_idx)
+                    && place_is_free(e, &self.scene, a)
+                {
+                    e.enter(&self.scene, a);
+                }
+            }
+        }
+        if let Some(history) = &mut e.history {
+            history.push(&e.states);
+        }
+    }
+
+    /// Finds out what happened to the agents with slots. At the start of an episode contacts are taken as given.
+    fn find_events(&mut self, config: &WorldConfig, at_start: bool) {
+        let e = &mut self.episode;
+        let scene = &*self.scene;
+        self.contacts.clear();
+        self.contacts.resize(e.slots.len(), None);
+        let mut standing = std::mem::take(&mut e.initial_contacts);
+        standing.retain(|(i, j)| touching(&e.states, scene, *i as usize, *j as usize));
+        let jointly = e.slots.len() >= JOINT_DETECTION_SLOTS;
+        if jointly {
+            self.collisions.detect(&e.states, &scene.bodies, &scene.kinds);
+        }
+        for c in 0..e.slots.len() {
+            let Some(a) = e.slots[c].agent_idx.filter(|a| e.states.active[*a]) else { continue };
+            let mut meet = |j: usize| {
+                let pair = (a as u32, j as u32);
+                if at_start {
+                    standing.push(pair);
+                } else if !standing.contains(&pair) && self.contacts[c].is_none() {
+                    self.contacts[c] = Some(Contact::between(&e.states, &scene.bodies, a, j));
+                }
+            };
+            if jointly {
+                for (i, j) in self.collisions.pairs() {
+                    let (i, j) = (*i as usize, *j as usize);
+                    if i == a {
+                        meet(j);
+                    } else if j == a {
+                        meet(i);
+                    }
+                }
+            } else {
+                (0..e.states.len())
+                    .filter(|j| *j != a && touching(&e.states, scene, a, *j))
+                    .for_each(&mut meet);
+            }
+            road_and_lane(&e.states, scene, a, e.route_s_m[a], &mut e.slots[c], config);
+        }
+        e.initial_contacts = standing;
+    }
+
+    fn reward(&mut self, config: &WorldConfig, out: &mut WorldOut<'_>) -> bool {
+        let e = &mut self.episode;
+        let at_end = e.elapsed_steps >= config.horizon_steps
+            || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
+        for c in 0..e.slots.len() {
+            let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
+            columns.fill(0.0);
+            (out.reward[c], out.terminated[c], out.truncated[c]) = (0.0, false, false);
+            let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
+            let contact = self.contacts[c];
+            let facts = StepFacts {
+                contact: contact.filter(|_| !e.slots[c].touching),
+                ttc_s: least_ttc(&e.states, &self.scene, a),
+                log_distance_m: log_distance(e, &self.scene, a),
+            };
+            let slot = &mut e.slots[c];
+            slot.touching = contact.is_some();
+            let before_m = slot.best_s_m;
+            slot.best_s_m = before_m.max(e.route_s_m[a].min(slot.goal_s_m));
+            out.reward[c] = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
+            let ends = |event: bool, consequence: Consequence| {
+                event && matches!(consequence, Consequence::Terminate | Consequence::Remove)
+            };
+            let collided = facts.contact.is_some();
+            let reached = columns[Col::GoalReached as usize] > 0.0;
+            out.terminated[c] = ends(collided, config.on_collision)
+                || ends(slot.off_road, config.on_off_road)
+                || (reached && config.terminate_at_goal);
+            out.truncated[c] = at_end && !out.terminated[c];
+            columns[Col::TimeLimit as usize] = f32::from(out.truncated[c]);
+            let gone = |event: bool, consequence: Consequence| event && consequence == Consequence::Remove;
+            let halted = |event: bool, consequence: Consequence| event && consequence == Consequence::Stop;
+            slot.stopped |=
+                halted(collided, config.on_collision) || halted(slot.off_road, config.on_off_road);
+            if out.terminated[c] || out.truncated[c] {
+                columns[Col::Success as usize] = f32::from(reward::is_success(slot));
+                slot.alive = false;
+                slot.ended_at = Some(e.elapsed_steps);
+                // who ends by an accident stays in the others' way; who reached its goal leaves
+                slot.stopped = true;
+                let leaves = (reached && !collided && !slot.off_road)
+                    || gone(collided, config.on_collision)
+                    || gone(slot.off_road, config.on_off_road);
+                e.states.active[a] &= !leaves;
+            }
+        }
+        let done = e.slots.iter().all(|s| !s.alive);
+        if done {
+            e.phase = Phase::Ended;
+        }
+        done
+    }
+
+    /// Writes the observations of all slots: of agents that go on, and of those whose episode ended in this very
+    /// step. Rows of the others are zero.
+    fn observe(&mut self, config: &WorldConfig, obs: &mut [Real], row: usize) {
+        let e = &self.episode;
+        for (c, slot) in e.slots.iter().enumerate() {
+            let out = &mut obs[c * row..(c + 1) * row];
+            let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
+            let Some(a) = slot.agent_idx.filter(|_| shown) else {
+                out.fill(0.0);
+                continue;
+            };
+            let route = &self.scene.routes[a].path;
+            let facts = EgoFacts {
+                last_action: [slot.last_action[0], slot.last_action[1]],
+                speed_limit_mps: slot.speed_limit_mps,
+                lane_distance_m: slot.lane_distance_m,
+                lateral_m: slot.route_distance_m,
+                heading_error_rad: slot.route_heading_error_rad,
+                off_road: slot.off_road,
+                collided: slot.touching,
+                route_remaining_m: (slot.goal_s_m - e.route_s_m[a]).max(0.0),
+                time_remaining: 1.0 - e.elapsed_steps as Real / config.horizon_steps as Real,
+            };
+            let view = View {
+                states: &e.states,
+                bodies: &self.scene.bodies,
+                kinds: &self.scene.kinds,
+                pieces: &self.scene.pieces,
+                route,
+                route_s_m: e.route_s_m[a],
+                agent_idx: a,
+                facts,
+            };
+            self.observer.write(&view, out);
+        }
+    }
+
+    /// A full step: advance, or the reset that NEXT_STEP owes, then observations.
+    pub(crate) fn step(
+        &mut self,
+        actions: &[Real],
+        shared: &Shared<'_>,
+        next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
+        out: &mut WorldOut<'_>,
+        lap: &mut impl FnMut(TickPhase),
+    ) {
+        (*out.done, *out.was_reset) = (false, false);
+        // the batch has refused ended worlds before, in every mode but NEXT_STEP
+        let owed = self.episode.phase == Phase::Ended;
+        if owed {
+            out.clear_step();
+        } else {
+            *out.done = self.advance(actions, shared, out, lap);
+        }
+        let ends_now = *out.done && shared.config.autoreset == Autoreset::SameStep;
+        if ends_now {
+            self.observe(shared.config, out.final_obs, shared.row);
+        }
+        if owed || ends_now {
+            let (scene, scene_idx) = next_scene(&mut self.episode);
+            self.begin(scene, scene_idx, shared);
+            *out.was_reset = true;
+        }
+        self.finish(shared, out);
+        lap(TickPhase::Observe);
+    }
+
+    /// Writes who is alive, and the observations.
+    pub(crate) fn finish(&mut self, shared: &Shared<'_>, out: &mut WorldOut<'_>) {
+        for (alive, slot) in out.alive.iter_mut().zip(&self.episode.slots) {
+            *alive = slot.alive;
+        }
+        self.observe(shared.config, out.obs, shared.row);
+    }
+}
+
+/// What a slot's reward is made from, besides its state.
+pub(crate) struct StepFacts {
+    /// A contact that begins in this step.
+    pub(crate) contact: Option<Contact>,
+    pub(crate) ttc_s: Real,
+    pub(crate) log_distance_m: Real,
+}
+
+impl StepFacts {
+    /// Number of the side that is hit, as in the columns.
+    pub(crate) fn contact_number(&self) -> Real {
+        match self.contact.map(|c| c.kind) {
+            None => 0.0,
+            Some(ContactKind::Front) => 1.0,
+            Some(ContactKind::Rear) => 2.0,
+            Some(ContactKind::Side) => 3.0,
+        }
+    }
+}
+
+fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
+    let log = &scene.scene;
+    let at = log.at(a, e.step_idx);
+    let p = log.tracks.position[at];
+    let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
+    let own = OrientedBox::new(&pose, &scene.bodies[a]);
+    let still = scene.kinds[a] == AgentKind::Static;
+    (0..e.states.len()).all(|j| {
+        !e.states.active[j]
+            || (still && scene.kinds[j] == AgentKind::Static)
+            || !near(e.states.position(j), p, scene.bodies[j].radius_m + scene.bodies[a].radius_m)
+            || !own.overlaps(&e.states.oriented_box(j, &scene.bodies[j]))
+    })
+}
+
+#[inline]
+fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
+    (a - b).norm_squared() <= distance_m * distance_m
+}
+
+fn touching(states: &AgentStates, scene: &PreparedScene, i: usize, j: usize) -> bool {
+    let reach = scene.bodies[i].radius_m + scene.bodies[j].radius_m;
+    states.active[i]
+        && states.active[j]
+        && near(states.position(i), states.position(j), reach)
+        && states.oriented_box(i, &scene.bodies[i]).overlaps(&states.oriented_box(j, &scene.bodies[j]))
+}
+
+fn road_and_lane(
+    states: &AgentStates,
+    scene: &PreparedScene,
+    a: usize,
+    route_s_m: Real,
+    slot: &mut Slot,
+    config: &WorldConfig,
+) {
+    let pose = states.pose(a);
+    let on_route = scene.routes[a].path.at(route_s_m);
+    let d = pose.position - on_route.position;
+    slot.route_distance_m = d.y * on_route.cos - d.x * on_route.sin;
+    let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
+    let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
+    slot.route_heading_error_rad = math::atan2(sin, cos);
+    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
+    slot.lane_distance_m = lane.lane.map(|l| l.distance_m);
+    slot.wrong_way = lane.wrong_way;
+    let limit = lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps);
+    slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
+    if let Some(road) = &scene.road {
+        let off = off_road(states, a, &scene.bodies[a], road);
+        slot.been_on_road |= !off.corner;
+        slot.off_road = off.corner && slot.been_on_road;
+        slot.off_road_centroid = off.centroid && slot.been_on_road;
+    }
+}
+
+/// Least time to contact of an agent with any other one at constant velocities, seconds.
+fn least_ttc(states: &AgentStates, scene: &PreparedScene, a: usize) -> Real {
+    let own = states.oriented_box(a, &scene.bodies[a]);
+    let velocity = states.velocity(a);
+    let mut best = TTC_HORIZON_S;
+    for j in 0..states.len() {
+        if j == a || !states.active[j] {
+            continue;
+        }
+        let d = states.position(j) - own.centre;
+        let w = states.velocity(j) - velocity;
+        let reach = scene.bodies[a].radius_m + scene.bodies[j].radius_m;
+        // the circles round the boxes touch when |d + w t| = reach: never, or not before `best`, for most pairs
+        let (dd, dw, ww) = (d.norm_squared(), d.dot(&w), w.norm_squared());
+        let gap = dd - reach * reach;
+        if gap > 0.0 {
+            let discriminant = dw * dw - ww * gap;
+            if dw >= 0.0 || discriminant < 0.0 || -dw - discriminant.sqrt() > best * ww {
+                continue;
+            }
+        }
+        let other = states.oriented_box(j, &scene.bodies[j]);
+        if let Some(t) = own.time_to_contact(velocity, &other, states.velocity(j), best) {
+            best = best.min(t);
+        }
+    }
+    best
+}
+
+fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {
+    let log = &scene.scene;
+    if !log.is_valid(a, e.step_idx) {
+        return 0.0;
+    }
+    (e.states.position(a) - log.tracks.position[log.at(a, e.step_idx)]).norm()
+}

@@ -1,0 +1,101 @@
+//! A batch of worlds with the buffers it writes into.
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+use ccdiff_sim::Result;
+use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::synthetic::GridCity;
+use ccdiff_sim::world::{Autoreset, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use std::sync::Arc;
+
+pub struct Batch {
+    pub world: VecWorld,
+    pub obs: Vec<f32>,
+    pub reward: Vec<f32>,
+    pub terminated: Vec<bool>,
+    pub truncated: Vec<bool>,
+    pub alive: Vec<bool>,
+    pub columns: Vec<f32>,
+    pub done: Vec<bool>,
+    pub was_reset: Vec<bool>,
+    pub final_obs: Vec<f32>,
+}
+
+macro_rules! buffers {
+    ($b:expr) => {
+        StepBuffers {
+            obs: &mut $b.obs,
+            reward: &mut $b.reward,
+            terminated: &mut $b.terminated,
+            truncated: &mut $b.truncated,
+            alive: &mut $b.alive,
+            columns: &mut $b.columns,
+            done: &mut $b.done,
+            was_reset: &mut $b.was_reset,
+            final_obs: &mut $b.final_obs,
+        }
+    };
+}
+
+pub fn city(num_agents: usize) -> Arc<Scene> {
+    Arc::new(GridCity { num_agents, ..GridCity::default() }.scene().validated().unwrap())
+}
+
+impl Batch {
+    pub fn new(scenes: Vec<Arc<Scene>>, config: WorldConfig, envs: usize, threads: usize) -> Self {
+        let slots = envs * config.num_slots;
+        let same_step = config.autoreset == Autoreset::SameStep;
+        let world = VecWorld::new(scenes, config, envs, threads, None).unwrap();
+        let row = world.layout().size;
+        Self {
+            obs: vec![0.0; slots * row],
+            reward: vec![0.0; slots],
+            terminated: vec![false; slots],
+            truncated: vec![false; slots],
+            alive: vec![false; slots],
+            columns: vec![0.0; slots * NUM_COLUMNS],
+            done: vec![false; envs],
+            was_reset: vec![false; envs],
+            final_obs: vec![0.0; if same_step { slots * row } else { 0 }],
+            world,
+        }
+    }
+
+    pub fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
+        let request = ResetRequest { seeds, scenes, mask: None };
+        self.world.reset(&request, buffers!(self))
+    }
+
+    pub fn reset_all(&mut self, seed: u64) {
+        let n = self.world.num_worlds();
+        let seeds: Vec<_> = (0..n as u64).map(|i| Some(seed + i)).collect();
+        self.reset(&seeds, &vec![None; n]).unwrap();
+    }
+
+    pub fn reset_masked(&mut self, mask: &[bool]) -> Result<()> {
+        let n = self.world.num_worlds();
+        let request = ResetRequest { seeds: &vec![None; n], scenes: &vec![None; n], mask: Some(mask) };
+        self.world.reset(&request, buffers!(self))
+    }
+
+    pub fn step(&mut self, actions: &[f32]) -> Result<()> {
+        self.world.step(actions, buffers!(self))
+    }
+
+    /// All bits that a step gives out.
+    pub fn bits(&self) -> Vec<u32> {
+        let reals = self.obs.iter().chain(&self.reward).chain(&self.columns);
+        let flags = self.terminated.iter().chain(&self.truncated).chain(&self.alive);
+        let worlds = self.done.iter().chain(&self.was_reset);
+        reals.map(|x| x.to_bits()).chain(flags.chain(worlds).map(|b| u32::from(*b))).collect()
+    }
+}
+
+/// Actions in [-1, 1] that look random, from a linear congruence.
+pub fn actions(step: usize, n: usize) -> Vec<f32> {
+    (0..n)
+        .map(|i| {
+            let x = (step as u32).wrapping_mul(2654435761).wrapping_add((i as u32).wrapping_mul(40503));
+            (x.wrapping_mul(1664525).wrapping_add(1013904223) >> 8) as f32 / (1u32 << 23) as f32 - 1.0
+        })
+        .collect()
+}

@@ -1,0 +1,118 @@
+//! Same seed, same bits: whatever the threads, the batch, the snapshot or the run.
+
+mod common;
+
+use ccdiff_sim::world::{Autoreset, Controlled, Driver, WorldConfig};
+use common::{Batch, actions, city};
+
+fn config(traffic: Driver) -> WorldConfig {
+    WorldConfig { traffic, horizon_steps: 40, autoreset: Autoreset::SameStep, ..WorldConfig::default() }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let run = |threads: usize| {
+        let mut batch = Batch::new(vec![city(12), city(30)], config(Driver::Idm), 24, threads);
+        batch.reset_all(5);
+        let mut bits = batch.bits();
+        for t in 0..90 {
+            batch.step(&actions(t, 48)).unwrap();
+            bits.extend(batch.bits());
+        }
+        bits
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(4));
+}
+
+#[test]
+fn a_world_alone_plays_as_in_a_batch() {
+    let scenes = || vec![city(12), city(30), city(8)];
+    let mut all = Batch::new(scenes(), config(Driver::Idm), 9, 1);
+    all.reset_all(100);
+    let row = all.world.layout().size;
+    let mut alone: Vec<Batch> = (0..9)
+        .map(|i| {
+            let mut b = Batch::new(scenes(), config(Driver::Idm), 1, 1);
+            b.reset(&[Some(100 + i)], &[None]).unwrap();
+            b
+        })
+        .collect();
+    for t in 0..90 {
+        let a = actions(t, 18);
+        all.step(&a).unwrap();
+        for (i, one) in alone.iter_mut().enumerate() {
+            one.step(&a[2 * i..2 * i + 2]).unwrap();
+            assert_eq!(one.obs, all.obs[i * row..(i + 1) * row], "world {i} step {t}");
+            assert_eq!(one.reward[0].to_bits(), all.reward[i].to_bits());
+            assert_eq!(one.world.status(0).unwrap().scene_idx, all.world.status(i).unwrap().scene_idx);
+        }
+    }
+}
+
+#[test]
+fn a_restored_world_goes_on_bit_for_bit() {
+    let mut batch = Batch::new(vec![city(20), city(9)], config(Driver::Idm), 2, 1);
+    batch.reset_all(3);
+    for t in 0..15 {
+        batch.step(&actions(t, 4)).unwrap();
+    }
+    let saved = [batch.world.snapshot(0).unwrap(), batch.world.snapshot(1).unwrap()];
+    let go = |batch: &mut Batch| {
+        let mut bits = Vec::new();
+        for t in 15..70 {
+            batch.step(&actions(t, 4)).unwrap();
+            bits.extend(batch.bits());
+        }
+        (bits, batch.world.digest(0).unwrap(), batch.world.digest(1).unwrap())
+    };
+    let first = go(&mut batch);
+    for (i, bytes) in saved.iter().enumerate() {
+        batch.world.restore(i, bytes).unwrap();
+    }
+    assert!(first == go(&mut batch));
+}
+
+#[test]
+fn a_fork_follows_its_original_and_damaged_bytes_change_nothing() {
+    let mut batch = Batch::new(vec![city(20)], config(Driver::Replay), 2, 1);
+    batch.reset_all(3);
+    for t in 0..7 {
+        batch.step(&actions(t, 4)).unwrap();
+    }
+    let bytes = batch.world.snapshot(0).unwrap();
+    batch.world.restore(1, &bytes).unwrap();
+    assert_eq!(batch.world.digest(0).unwrap(), batch.world.digest(1).unwrap());
+    let before = batch.world.digest(1).unwrap();
+    for cut in [0, 1, 10, bytes.len() / 2, bytes.len() - 1] {
+        assert!(batch.world.restore(1, &bytes[..cut]).is_err(), "{cut} bytes");
+        assert_eq!(batch.world.digest(1).unwrap(), before);
+    }
+    let mut other = Batch::new(vec![city(20)], config(Driver::Idm), 1, 1);
+    assert!(other.world.restore(0, &bytes).is_err(), "another configuration");
+}
+
+#[test]
+fn joint_and_single_contact_detection_agree() {
+    // with one slot contacts are looked for agent by agent, with many among all at once
+    let single = WorldConfig { autoreset: Autoreset::Disabled, ..config(Driver::Replay) };
+    let joint = WorldConfig {
+        controlled: Controlled::Vehicles,
+        num_slots: 12,
+        driver: Driver::Replay,
+        ..single.clone()
+    };
+    let single = WorldConfig { driver: Driver::Replay, ..single };
+    let mut one = Batch::new(vec![city(24)], single, 1, 1);
+    let mut many = Batch::new(vec![city(24)], joint, 1, 1);
+    one.reset_all(0);
+    many.reset_all(0);
+    for t in 0..39 {
+        one.step(&actions(t, 2)).unwrap();
+        many.step(&actions(t, 24)).unwrap();
+        assert_eq!(one.columns[..], many.columns[..one.columns.len()], "step {t}");
+        if one.done[0] {
+            break;
+        }
+    }
+}

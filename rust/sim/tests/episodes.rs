@@ -1,0 +1,271 @@
+//! How episodes begin, go on and end.
+
+mod common;
+
+use ccdiff_sim::SimError;
+use ccdiff_sim::scene::synthetic::GridCity;
+use ccdiff_sim::world::{
+    Autoreset, COLUMNS, Col, Consequence, Controlled, Driver, NUM_COLUMNS, SceneOrder, WorldConfig,
+};
+use common::{Batch, actions, city};
+use std::sync::Arc;
+
+fn base() -> WorldConfig {
+    WorldConfig { autoreset: Autoreset::Disabled, ..WorldConfig::default() }
+}
+
+#[test]
+fn the_replayed_ego_stays_on_its_log_and_reaches_its_goal() {
+    let mut batch = Batch::new(vec![city(1)], WorldConfig { driver: Driver::Replay, ..base() }, 1, 1);
+    batch.reset_all(0);
+    let mut total = 0.0;
+    while !batch.done[0] {
+        batch.step(&[0.0, 0.0]).unwrap();
+        total += batch.reward[0];
+        assert!(batch.columns[Col::LogDistance as usize] < 1e-3);
+    }
+    assert!(batch.terminated[0] && !batch.truncated[0]);
+    assert_eq!(batch.columns[Col::GoalReached as usize], 1.0);
+    assert_eq!(batch.columns[Col::Success as usize], 1.0);
+    // 40 m at 0.1 a metre and the goal's bonus, no costs on a straight road at constant speed
+    assert!((total - (4.0 + 2.0)).abs() < 0.2, "{total}");
+}
+
+#[test]
+fn a_standing_ego_is_cut_off_at_the_horizon() {
+    let mut batch = Batch::new(vec![city(1)], WorldConfig { horizon_steps: 25, ..base() }, 1, 1);
+    batch.reset_all(0);
+    for t in 1..=25 {
+        batch.step(&[-1.0, 0.0]).unwrap();
+        assert_eq!(batch.done[0], t == 25);
+    }
+    assert!(batch.truncated[0] && !batch.terminated[0] && !batch.alive[0]);
+    assert!(batch.columns[Col::RouteCompletion as usize] < 0.5);
+    assert_eq!(
+        batch.step(&[0.0, 0.0]).unwrap_err(),
+        SimError::ResetNeeded { world: 0, why: "its episode has ended" }
+    );
+}
+
+#[test]
+fn swerving_off_the_road_ends_ignores_stops_or_removes_as_configured() {
+    for (consequence, ends) in [
+        (Consequence::Terminate, true),
+        (Consequence::Remove, true),
+        (Consequence::Stop, false),
+        (Consequence::Ignore, false),
+    ] {
+        let config = WorldConfig { on_off_road: consequence, ..base() };
+        let mut batch = Batch::new(vec![city(1)], config, 1, 1);
+        batch.reset_all(0);
+        let mut off = false;
+        for _ in 0..60 {
+            batch.step(&[0.0, -0.4]).unwrap();
+            off |= batch.columns[Col::OffRoad as usize] > 0.0;
+            if batch.done[0] || (off && consequence == Consequence::Stop) {
+                break;
+            }
+        }
+        assert!(off, "{consequence:?}");
+        assert_eq!(batch.terminated[0], ends, "{consequence:?}");
+        let active = batch.world.status(0).unwrap().states.active[0];
+        assert_eq!(active, consequence != Consequence::Remove);
+        if consequence == Consequence::Stop {
+            batch.step(&[1.0, 0.0]).unwrap();
+            assert_eq!(batch.columns[Col::Speed as usize], 0.0);
+        }
+    }
+}
+
+#[test]
+fn autoreset_modes_differ_as_gymnasium_says() {
+    let short = WorldConfig { horizon_steps: 3, ..base() };
+    let run = |autoreset| {
+        let mut batch = Batch::new(vec![city(4)], WorldConfig { autoreset, ..short.clone() }, 1, 1);
+        batch.reset_all(9);
+        let mut seen = Vec::new();
+        for t in 0..8 {
+            if batch.step(&actions(t, 2)).is_err() {
+                batch.reset_masked(&[true]).unwrap();
+            }
+            seen.push((batch.done[0], batch.was_reset[0], batch.reward[0] == 0.0));
+        }
+        seen
+    };
+    let done: Vec<bool> = run(Autoreset::NextStep).iter().map(|s| s.0).collect();
+    assert_eq!(done, [false, false, true, false, false, false, true, false]);
+    let next = run(Autoreset::NextStep);
+    assert!(next[3].1 && next[3].2, "the step after the end resets and pays nothing");
+    let same = run(Autoreset::SameStep);
+    assert!(same[2].0 && same[2].1 && !same[3].1);
+    let disabled = run(Autoreset::Disabled);
+    assert!(disabled[2].0 && !disabled[2].1 && disabled[3].1);
+}
+
+#[test]
+fn same_step_keeps_the_last_observation() {
+    let config = |autoreset| WorldConfig { horizon_steps: 3, autoreset, ..WorldConfig::default() };
+    let mut same = Batch::new(vec![city(4)], config(Autoreset::SameStep), 1, 1);
+    let mut disabled = Batch::new(vec![city(4)], config(Autoreset::Disabled), 1, 1);
+    same.reset_all(9);
+    disabled.reset_all(9);
+    let first = same.obs.clone();
+    for t in 0..3 {
+        same.step(&actions(t, 2)).unwrap();
+        disabled.step(&actions(t, 2)).unwrap();
+    }
+    assert_eq!(same.final_obs, disabled.obs);
+    assert_eq!(same.obs, first, "the only scene begins anew");
+}
+
+#[test]
+fn every_agent_of_a_game_ends_for_itself() {
+    let config = WorldConfig { controlled: Controlled::Vehicles, num_slots: 6, horizon_steps: 60, ..base() };
+    let mut batch = Batch::new(vec![city(4)], config, 1, 1);
+    batch.reset_all(0);
+    assert_eq!(batch.alive, [true, true, true, true, false, false]);
+    let mut ended = [0usize; 6];
+    for t in 0..60 {
+        // agent 1 leaves the road, the others go straight on
+        let mut a = vec![0.0; 12];
+        a[3] = 0.5;
+        batch.step(&a).unwrap();
+        for c in 0..6 {
+            ended[c] += usize::from(batch.terminated[c] || batch.truncated[c]);
+            if !batch.alive[c] && !(batch.terminated[c] || batch.truncated[c]) {
+                assert_eq!(batch.reward[c], 0.0);
+                let row = batch.world.layout().size;
+                assert!(batch.obs[c * row..(c + 1) * row].iter().all(|x| *x == 0.0), "slot {c} step {t}");
+            }
+        }
+        if batch.done[0] {
+            break;
+        }
+    }
+    assert!(batch.done[0]);
+    assert_eq!(ended, [1, 1, 1, 1, 0, 0]);
+}
+
+#[test]
+fn sequential_order_plays_every_scene_once_per_round() {
+    let scenes: Vec<_> = (0..7).map(|i| city(3 + i)).collect();
+    let config = WorldConfig {
+        scene_order: SceneOrder::Sequential,
+        horizon_steps: 1,
+        autoreset: Autoreset::SameStep,
+        ..WorldConfig::default()
+    };
+    let mut batch = Batch::new(scenes, config, 3, 1);
+    batch.reset_all(0);
+    let mut played = vec![0; 7];
+    for t in 0..7 {
+        for i in 0..3 {
+            played[batch.world.status(i).unwrap().scene_idx] += 1;
+        }
+        batch.step(&actions(t, 6)).unwrap();
+    }
+    assert_eq!(played, [3; 7]);
+}
+
+#[test]
+fn idm_traffic_never_runs_into_its_leader() {
+    // a dense single file: everybody brakes behind a parked first car
+    let mut scene = GridCity { num_agents: 40, num_roads: 1, gap_m: 14.0, ..GridCity::default() }.scene();
+    scene.name = "queue".into();
+    let config = WorldConfig {
+        traffic: Driver::Idm,
+        driver: Driver::Idm,
+        controlled: Controlled::Vehicles,
+        num_slots: 4,
+        on_collision: Consequence::Ignore,
+        terminate_at_goal: false,
+        ..base()
+    };
+    let mut batch = Batch::new(vec![Arc::new(scene.validated().unwrap())], config, 1, 1);
+    batch.reset_all(0);
+    let mut worst = 0;
+    for _ in 0..100 {
+        batch.step(&[0.0; 8]).unwrap();
+        let lead = batch.world.contacts(0).unwrap();
+        let rear_end = lead.iter().filter(|(a, b)| {
+            let s = batch.world.status(0).unwrap().states;
+            let (i, j) = (b.partner as usize, a.partner as usize);
+            s.cos[i] * s.cos[j] + s.sin[i] * s.sin[j] > 0.9
+        });
+        worst = worst.max(rear_end.count());
+        if batch.done[0] {
+            break;
+        }
+    }
+    assert_eq!(worst, 0, "cars of one lane touch");
+}
+
+#[test]
+fn late_agents_enter_when_their_place_is_free() {
+    let mut scene = GridCity { num_agents: 2, num_roads: 1, ..GridCity::default() }.scene();
+    // agent 1 exists from step 60 on, exactly where the ego will stand
+    let t_len = scene.num_steps;
+    let ego_at_start = scene.tracks.position[30];
+    for t in 0..t_len {
+        scene.tracks.valid[t_len + t] = t >= 60;
+        scene.tracks.position[t_len + t] = ego_at_start;
+    }
+    let config = WorldConfig { on_collision: Consequence::Ignore, ..base() };
+    let mut batch = Batch::new(vec![Arc::new(scene.validated().unwrap())], config, 1, 1);
+    batch.reset_all(0);
+    for t in 31..=75 {
+        // brake hard, stay, then drive off
+        batch.step(&[if t < 70 { -1.0 } else { 1.0 }, 0.0]).unwrap();
+        assert_eq!(batch.columns[Col::Collision as usize], 0.0);
+    }
+    assert!(!batch.world.status(0).unwrap().states.active[1], "its place is taken");
+    for _ in 0..20 {
+        batch.step(&[1.0, 0.0]).unwrap();
+    }
+    assert!(batch.world.status(0).unwrap().states.active[1], "its place is free");
+}
+
+#[test]
+fn bad_calls_are_refused_before_anything_changes() {
+    let mut batch = Batch::new(vec![city(4)], base(), 2, 1);
+    assert!(matches!(batch.step(&[0.0; 4]), Err(SimError::ResetNeeded { world: 0, .. })));
+    batch.reset_all(0);
+    let before = batch.world.digest(0).unwrap();
+    assert!(matches!(batch.step(&[0.0; 3]), Err(SimError::Length { what: "actions", .. })));
+    assert!(matches!(
+        batch.step(&[0.0, 0.0, f32::NAN, 0.0]),
+        Err(SimError::Action { world: 1, slot: 0, .. })
+    ));
+    assert!(matches!(
+        batch.reset(&[None, None], &[Some(9), None]),
+        Err(SimError::Unknown { what: "scene", .. })
+    ));
+    assert_eq!(batch.world.digest(0).unwrap(), before);
+}
+
+#[test]
+fn expert_actions_keep_the_ego_on_its_log() {
+    let mut batch = Batch::new(vec![city(6)], WorldConfig { terminate_at_goal: false, ..base() }, 1, 1);
+    batch.reset_all(0);
+    for _ in 0..80 {
+        let expert = batch.world.expert_actions(0).unwrap()[0];
+        batch.step(&expert[..2]).unwrap();
+        assert!(batch.columns[Col::LogDistance as usize] < 0.05);
+    }
+}
+
+#[test]
+fn reward_is_the_sum_of_its_components() {
+    let mut batch =
+        Batch::new(vec![city(12)], WorldConfig { autoreset: Autoreset::SameStep, ..base() }, 4, 1);
+    batch.reset_all(1);
+    let parts = COLUMNS.iter().filter(|c| c.name.starts_with("reward_")).count();
+    for t in 0..200 {
+        batch.step(&actions(t, 8)).unwrap();
+        for i in 0..4 {
+            let row = &batch.columns[i * NUM_COLUMNS..(i + 1) * NUM_COLUMNS];
+            let sum: f32 = row[..parts].iter().sum();
+            assert!((sum - batch.reward[i]).abs() < 1e-5);
+        }
+    }
+}
