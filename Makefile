@@ -27,5 +27,30 @@ $(SO): $(STAMP) $(RUST)
 	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
 	touch $(SO)
 
+demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)
+	$(BIN)/python -m ccdiff_env.demo $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)
+
+test: test-rust test-py  ## every test
+
+test-rust: $(STAMP)
+	cargo test --locked
+	cargo test --release --locked -p ccdiff-models
+
+test-py: $(SO)
+	$(BIN)/python -m pytest
+
+lint: $(SO)  ## formatting, clippy, ruff, mypy
+	cargo fmt --check
+	cargo clippy --locked --all-targets -- -D warnings
+	cargo clippy --locked --release -p ccdiff-models -p ccdiff-py -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(SO)  ## speed of world and loader, as quoted in the README
+	cargo bench --locked -p ccdiff-sim --bench world
+	$(BIN)/python benchmarks/steps.py
+	$(BIN)/python benchmarks/loader.py
+
 clean:  ## remove what the other verbs made
 	rm -rf $(VENV) .libtorch target dist runs $(SO)
