@@ -7,7 +7,7 @@
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
 use super::{BackgroundPolicy, Motion, WorldView};
-use crate::geom::{Pose2, Real, Vector2, math};
+use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::world::{IdmConfig, Route};
 
 /// Sideways clearance that a moving obstacle must leave, metres.
@@ -16,8 +16,8 @@ const CLEARANCE_M: Real = 0.3;
 const STANDING_CLEARANCE_M: Real = 0.05;
 /// Desired speed of a vehicle whose log is slower than this, m/s.
 const MIN_DESIRED_MPS: Real = 4.0;
-/// Distance between coarse samples when an agent is looked for along the route, metres.
-const COARSE_M: Real = 4.0;
+/// Metres (samples of the route) from one place to the next when an agent is looked for along it.
+const COARSE: usize = 4;
 
 /// Follows the agent's route and keeps its distance.
 #[derive(Debug, Default)]
@@ -53,6 +53,8 @@ impl Idm {
         let (cos, sin) = (states.cos[agent_idx], states.sin[agent_idx]);
         let speed = states.speed_mps[agent_idx];
         let reach = (20.0 + speed * 4.0).min(70.0).min(route.path.length_m() - s);
+        let window = window(route, s, reach);
+        let (low, high) = bounds(window);
         let mut best: Option<Leader> = None;
         for j in 0..states.len() {
             if j == agent_idx || !states.active[j] {
@@ -60,8 +62,15 @@ impl Idm {
             }
             let body = &world.scene.bodies[j];
             let (dx, dy) = (states.x[j] - x, states.y[j] - y);
-            let far = reach + own.radius_m + body.radius_m;
-            if dx * dx + dy * dy > far * far || dx * cos + dy * sin < -(own.radius_m + body.radius_m) {
+            // where the agent can matter: round the window, as far as it comes while it is anticipated
+            let travel = states.speed_mps[j].abs() * world.config.idm.anticipation_s;
+            let margin = own.half_width_m + body.radius_m + CLEARANCE_M + travel;
+            if states.x[j] < low.x - margin
+                || states.x[j] > high.x + margin
+                || states.y[j] < low.y - margin
+                || states.y[j] > high.y + margin
+                || dx * cos + dy * sin < -(own.radius_m + body.radius_m)
+            {
                 continue;
             }
             let crossing = (states.cos[j] * cos + states.sin[j] * sin).abs() < 0.8;
@@ -70,7 +79,7 @@ impl Idm {
             for time_s in &times[..if crossing && moving { 2 } else { 1 }] {
                 let px = states.x[j] + states.velocity_x_mps[j] * time_s;
                 let py = states.y[j] + states.velocity_y_mps[j] * time_s;
-                let Some((at_s, lateral, (tc, ts))) = nearest_ahead(route, s, reach, px, py) else {
+                let Some((at_s, lateral, (tc, ts))) = nearest_ahead(route, s, window, px, py) else {
                     continue;
                 };
                 let along = (states.cos[j] * tc + states.sin[j] * ts).abs();
@@ -92,32 +101,43 @@ impl Idm {
     }
 }
 
+/// Samples of a route, about a metre apart, from `s` on for `reach` metres; at least one.
+fn window(route: &Route, s: Real, reach: Real) -> &[Point2] {
+    let points = route.path.points();
+    let first = (s as usize).min(points.len() - 1);
+    let last = ((s + reach).ceil() as usize).clamp(first, points.len() - 1);
+    &points[first..=last]
+}
+
+/// Least and greatest coordinates of a window; between its samples the route bends by less than a body's size.
+fn bounds(window: &[Point2]) -> (Point2, Point2) {
+    let last = window[window.len() - 1];
+    window.iter().step_by(COARSE).fold((last, last), |(low, high), p| (low.inf(p), high.sup(p)))
+}
+
 /// Nearest position of the route ahead of `s` to a point: (position along the route, signed distance, tangent);
 /// `None` when the point lies abreast or behind.
 fn nearest_ahead(
     route: &Route,
     s: Real,
-    reach: Real,
+    window: &[Point2],
     x: Real,
     y: Real,
 ) -> Option<(Real, Real, (Real, Real))> {
-    let mut best = (Real::MAX, s);
-    let samples = (reach / COARSE_M) as usize + 1;
-    for k in 0..=samples {
-        let at_s = s + k as Real * COARSE_M;
-        let at = route.path.at(at_s);
-        let (dx, dy) = (x - at.position.x, y - at.position.y);
+    let mut best = (Real::MAX, 0);
+    for k in (0..window.len()).step_by(COARSE) {
+        let (dx, dy) = (x - window[k].x, y - window[k].y);
         let d2 = dx * dx + dy * dy;
         if d2 < best.0 {
-            best = (d2, at_s);
+            best = (d2, k);
         }
     }
     // two steps of projection on the local tangent
-    let mut at_s = best.1;
+    let mut at_s = s.floor() + best.1 as Real;
     let mut at = route.path.at(at_s);
     for _ in 0..2 {
         let ahead = (x - at.position.x) * at.cos + (y - at.position.y) * at.sin;
-        at_s = (at_s + ahead.clamp(-COARSE_M, COARSE_M)).max(s);
+        at_s = (at_s + ahead.clamp(-(COARSE as Real), COARSE as Real)).max(s);
         at = route.path.at(at_s);
     }
     let lateral = (y - at.position.y) * at.cos - (x - at.position.x) * at.sin;
