@@ -76,7 +76,7 @@ impl Grid {
             return None;
         }
         let (column, row) = (x as usize, y as usize);
-        (column < self.num_columns && row < self.num_rows).then_some(row * self.num_columns + column)
+        (column < self.num_columns && row < self.num_rows).then(|| row * self.num_columns + column)
     }
 
     /// Lower left corner of a cell in f64.

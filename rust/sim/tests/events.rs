@@ -1,0 +1,151 @@
+//! Contacts and leaving the road, against the `geo` crate and hand-made situations.
+
+use ccdiff_sim::events::{Collisions, ContactKind, OffRoad, off_road};
+use ccdiff_sim::geom::{Point2, Polygon, Pose2, Region, Vector2};
+use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::state::{AgentStates, Body};
+use geo::{Area, BooleanOps};
+use proptest::prelude::*;
+use std::f32::consts::{FRAC_PI_2, PI};
+
+/// x, y, heading, speed of cars of 4 m x 2 m.
+fn cars(cars: &[(f32, f32, f32, f32)]) -> (AgentStates, Vec<Body>, Vec<AgentKind>) {
+    let mut states = AgentStates::new(cars.len());
+    for (i, (x, y, heading, speed)) in cars.iter().enumerate() {
+        let pose = Pose2::new(*x, *y, *heading);
+        states.place(i, pose, pose.rotate(Vector2::new(*speed, 0.0)));
+        states.active[i] = true;
+    }
+    (states, vec![Body::new(4.0, 2.0); cars.len()], vec![AgentKind::Vehicle; cars.len()])
+}
+
+fn detect(agents: &[(f32, f32, f32, f32)]) -> Collisions {
+    let (states, bodies, kinds) = cars(agents);
+    let mut collisions = Collisions::new();
+    collisions.detect(&states, &bodies, &kinds);
+    collisions
+}
+
+#[test]
+fn rear_end_collisions_are_the_fault_of_the_one_behind() {
+    let collisions = detect(&[(0.0, 0.0, 0.0, 8.0), (3.9, 0.2, 0.0, 3.0)]);
+    assert_eq!(collisions.pairs(), [(0, 1)]);
+    let (behind, ahead) = (collisions.first_partner(0).unwrap(), collisions.first_partner(1).unwrap());
+    assert_eq!((behind.partner, behind.kind), (1, ContactKind::Front));
+    assert_eq!((ahead.partner, ahead.kind), (0, ContactKind::Rear));
+    assert!((behind.closing_speed_mps - 5.0).abs() < 1e-5 && (ahead.closing_speed_mps - 5.0).abs() < 1e-5);
+    assert!(collisions.at_fault(0) && !collisions.at_fault(1));
+}
+
+#[test]
+fn boxes_that_only_touch_are_in_contact() {
+    let collisions = detect(&[(0.0, 0.0, 0.0, 1.0), (4.0, 0.0, 0.0, 0.0)]);
+    assert_eq!(collisions.first_partner(0).unwrap().kind, ContactKind::Front);
+    assert_eq!(collisions.first_partner(1).unwrap().kind, ContactKind::Rear);
+    assert!(detect(&[(0.0, 0.0, 0.0, 1.0), (4.01, 0.0, 0.0, 0.0)]).pairs().is_empty());
+}
+
+#[test]
+fn crossing_traffic_hits_with_the_front_and_is_hit_on_the_side() {
+    // agent 1 drives north into the right side of agent 0
+    let collisions = detect(&[(0.0, 0.0, 0.0, 5.0), (0.5, -2.8, FRAC_PI_2, 5.0)]);
+    assert_eq!(collisions.first_partner(0).unwrap().kind, ContactKind::Side);
+    assert_eq!(collisions.first_partner(1).unwrap().kind, ContactKind::Front);
+    assert!(!collisions.at_fault(0) && collisions.at_fault(1));
+}
+
+#[test]
+fn head_on_collisions_are_the_fault_of_both_unless_one_stands() {
+    let moving = detect(&[(0.0, 0.0, 0.0, 5.0), (3.8, 0.0, PI, 5.0)]);
+    assert!(moving.at_fault(0) && moving.at_fault(1));
+    let standing = detect(&[(0.0, 0.0, 0.0, 5.0), (3.8, 0.0, PI, 0.0)]);
+    assert!(standing.at_fault(0) && !standing.at_fault(1));
+}
+
+#[test]
+fn an_agent_inside_another_is_placed_by_its_centre() {
+    let (states, mut bodies, kinds) = cars(&[(0.0, 0.0, 0.0, 0.0), (3.0, 0.0, 0.0, 0.0)]);
+    bodies[0] = Body::new(10.0, 3.0);
+    bodies[1] = Body::new(0.4, 0.4);
+    let mut collisions = Collisions::new();
+    collisions.detect(&states, &bodies, &kinds);
+    assert_eq!(collisions.first_partner(0).unwrap().kind, ContactKind::Front);
+}
+
+#[test]
+fn absent_agents_and_pairs_of_static_agents_do_not_collide() {
+    let (mut states, bodies, mut kinds) =
+        cars(&[(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)]);
+    let mut collisions = Collisions::new();
+    collisions.detect(&states, &bodies, &kinds);
+    assert_eq!(collisions.pairs(), [(0, 1), (0, 2), (1, 2)]);
+    kinds[0] = AgentKind::Static;
+    kinds[1] = AgentKind::Static;
+    collisions.detect(&states, &bodies, &kinds);
+    assert_eq!(collisions.pairs(), [(0, 2), (1, 2)]);
+    assert_eq!(collisions.first_partner(2).unwrap().partner, 0);
+    states.active[0] = false;
+    collisions.detect(&states, &bodies, &kinds);
+    assert_eq!(collisions.pairs(), [(1, 2)]);
+    assert_eq!(collisions.first_partner(0), None);
+    assert_eq!(collisions.first_partner(99), None);
+}
+
+#[test]
+fn corners_leave_the_road_before_the_centre_does() {
+    let square = [(0.0, -50.0), (50.0, -50.0), (50.0, 50.0), (0.0, 50.0)].map(|(x, y)| Point2::new(x, y));
+    let region = Region::new(&[Polygon::from_exterior(square.to_vec())]).unwrap();
+    let (mut states, bodies, _) =
+        cars(&[(25.0, 0.0, 1.0, 0.0), (1.5, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0), (-99.0, 0.0, 0.0, 0.0)]);
+    states.active[3] = false;
+    let mut flags = Vec::new();
+    off_road(&states, &bodies, &region, &mut flags);
+    let flag = |corner, centroid| OffRoad { corner, centroid };
+    assert_eq!(flags, [flag(false, false), flag(true, false), flag(true, true), flag(false, false)]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn pairs_are_those_of_all_polygon_intersections_in_order(
+        agents in prop::collection::vec((-40f32..40.0, -40f32..40.0, -4f32..4.0, 0.5f32..12.0, 0.5f32..3.0), 1..80),
+        absent in prop::collection::vec(0usize..80, 0..8),
+    ) {
+        let poses: Vec<_> = agents.iter().map(|(x, y, h, ..)| (*x, *y, *h, 0.0)).collect();
+        let (mut states, mut bodies, kinds) = cars(&poses);
+        for (body, (.., length, width)) in bodies.iter_mut().zip(&agents) {
+            *body = Body::new(*length, *width);
+        }
+        for i in absent {
+            states.active[i % agents.len()] = false;
+        }
+        let (mut circles, mut sweep) = (Collisions::new(), Collisions::new());
+        circles.detect_by_circles(&states, &bodies, &kinds);
+        sweep.detect_by_sweep(&states, &bodies, &kinds);
+        prop_assert_eq!(circles.pairs(), sweep.pairs());
+        prop_assert!(circles.pairs().is_sorted());
+        let polygon = |i: usize| {
+            let corners = states.oriented_box(i, &bodies[i]).corners();
+            let ring = corners.iter().map(|c| (f64::from(c.x), f64::from(c.y))).collect::<Vec<_>>();
+            geo::Polygon::new(ring.into(), vec![])
+        };
+        for i in 0..agents.len() {
+            prop_assert_eq!(circles.first_partner(i), sweep.first_partner(i));
+            for j in i + 1..agents.len() {
+                let both = states.active[i] && states.active[j];
+                let area = if both { polygon(i).intersection(&polygon(j)).unsigned_area() } else { 0.0 };
+                let found = circles.pairs().contains(&(i as u32, j as u32));
+                prop_assert!(both || !found);
+                prop_assert!(found || area < 1e-3);
+                if found && area == 0.0 {
+                    let gap = geo::Distance::distance(&geo::Euclidean, &polygon(i), &polygon(j));
+                    prop_assert!(gap < 1e-3);
+                }
+            }
+        }
+        let in_pairs = |i: usize| circles.pairs().iter().any(|(a, b)| *a as usize == i || *b as usize == i);
+        for i in 0..agents.len() {
+            prop_assert_eq!(circles.first_partner(i).is_some(), in_pairs(i));
+        }
+    }
+}
