@@ -101,6 +101,18 @@ fn winding_line() -> impl Strategy<Value = Vec<Point2>> {
     })
 }
 
+/// Any float, and ordinary ones.
+fn wild() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        any::<f32>(),
+        -1e4f32..1e4,
+        Just(0.0),
+        Just(f32::MAX),
+        Just(f32::MIN),
+        Just(f32::MIN_POSITIVE)
+    ]
+}
+
 #[test]
 fn corners_run_counter_clockwise_from_the_front_left() {
     let b = OrientedBox::new(&Pose2::new(1.0, 2.0, 0.0), &Body::new(4.0, 2.0));
@@ -384,5 +396,23 @@ proptest! {
         prop_assert!((pose.position - expected).norm() < 2e-3);
         prop_assert_eq!(line.tangent_at(s_m), Vector2::new(pose.cos, pose.sin));
         prop_assert!((pose.heading_rad.cos() - pose.cos).abs() < 1e-5);
+    }
+
+    #[test]
+    fn extreme_coordinates_do_no_harm(
+        ring in prop::collection::vec((wild(), wild()), 0..8), queries in prop::collection::vec((wild(), wild()), 20),
+    ) {
+        let ring: Vec<Point2> = ring.into_iter().map(|(x, y)| Point2::new(x, y)).collect();
+        let region = Region::new(&[Polygon::from_exterior(ring.clone())]);
+        let line = Polyline::new(ring);
+        for (x, y) in queries {
+            let p = Point2::new(x, y);
+            if let Some(region) = &region {
+                std::hint::black_box((region.contains(p), region.holds_square(p, y)));
+            }
+            if let Some(line) = &line {
+                std::hint::black_box((line.project(p), line.at(x), line.project_near(p, x, y)));
+            }
+        }
     }
 }

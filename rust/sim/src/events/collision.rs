@@ -8,7 +8,7 @@ use crate::scene::AgentKind;
 use crate::state::{AgentStates, Body};
 
 /// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
-const SWEEP_FROM_AGENTS: usize = 96;
+const SWEEP_FROM_AGENTS: usize = 80;
 /// Agents tested at once.
 const LANES: usize = 8;
 /// Speed up to which an agent counts as stopped, metres per second (nuPlan's value).

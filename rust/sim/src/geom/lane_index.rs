@@ -123,27 +123,25 @@ impl LaneIndex {
     ) -> NearLanes {
         let Some(cell) = self.grid.cell(point) else { return NearLanes::default() };
         let list = &self.entries[self.starts[cell] as usize..self.starts[cell + 1] as usize];
-        let reach_m = max_distance_m.min(REACH_M);
-        // squared distance, segment
-        let none = (reach_m * reach_m, u32::MAX);
-        let (mut any, mut agreeing) = (none, none);
+        // bits of the squared distance (ordered like the distance, which is not negative), then the segment: the
+        // smaller key is the nearer segment, without a branch
+        let (mut any, mut agreeing) = (u64::MAX, u64::MAX);
         for &segment_idx in list {
             let segment = &self.segments[segment_idx as usize];
-            let distance_sq = segment.distance_sq(point);
+            let key = u64::from(segment.distance_sq(point).to_bits()) << 32 | u64::from(segment_idx);
             let agrees = segment.cos * cos + segment.sin * sin >= 0.0;
-            if distance_sq < any.0 {
-                any = (distance_sq, segment_idx);
-            }
-            if agrees & (distance_sq < agreeing.0) {
-                agreeing = (distance_sq, segment_idx);
-            }
+            any = any.min(key);
+            agreeing = agreeing.min(if agrees { key } else { u64::MAX });
         }
-        let hit = |(distance_sq, segment_idx): (Real, u32)| {
-            let segment = self.segments.get(segment_idx as usize)?;
+        let reach_m = max_distance_m.min(REACH_M);
+        let hit = |key: u64| {
+            let (distance_sq, segment_idx) = (Real::from_bits((key >> 32) as u32), key as u32 as usize);
+            // no segment: the distance is not a number
+            let segment = self.segments.get(segment_idx).filter(|_| distance_sq <= reach_m * reach_m)?;
             Some(segment.hit(point, cos, sin, distance_sq))
         };
         let any_hit = hit(any);
-        NearLanes { agreeing: if agreeing.1 == any.1 { any_hit } else { hit(agreeing) }, any: any_hit }
+        NearLanes { agreeing: if agreeing == any { any_hit } else { hit(agreeing) }, any: any_hit }
     }
 
     /// Lanes further away than this are never found, metres.

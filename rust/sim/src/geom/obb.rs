@@ -114,8 +114,18 @@ impl OrientedBox {
         other_velocity: Vector2,
         horizon_s: Real,
     ) -> Option<Real> {
+        let (offset, closing) = (other.centre - self.centre, other_velocity - velocity);
+        // most pairs go out here: circles round the boxes that never meet
+        let circles_m =
+            1.001 * (self.half_length_m + self.half_width_m + other.half_length_m + other.half_width_m);
+        let (gap_sq, reach_sq) = (offset.norm_squared(), circles_m * circles_m);
+        if gap_sq > reach_sq {
+            let miss = offset.x * closing.y - offset.y * closing.x;
+            if offset.dot(&closing) >= 0.0 || miss * miss > reach_sq * closing.norm_squared() {
+                return None;
+            }
+        }
         let r = self.relative(other);
-        let closing = other_velocity - velocity;
         let (in_first, in_other) = (self.rotate_inverse(closing), other.rotate_inverse(closing));
         let axes = [
             (r.in_first.x, in_first.x, r.reach[0]),
@@ -131,7 +141,8 @@ impl OrientedBox {
                 }
                 continue;
             }
-            let (t0, t1) = ((-reach - distance) / speed, (reach - distance) / speed);
+            let s_per_m = speed.recip();
+            let (t0, t1) = ((-reach - distance) * s_per_m, (reach - distance) * s_per_m);
             enter_s = enter_s.max(t0.min(t1));
             exit_s = exit_s.min(t0.max(t1));
             if enter_s > exit_s {
