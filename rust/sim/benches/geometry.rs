@@ -162,6 +162,7 @@ fn main() {
     time("nearest lane, agents on lanes", CALLS, |i| {
         lanes.nearest(states.position(i), states.cos[i], states.sin[i], 10.0)
     });
+    time("off road, agents on lanes", CALLS, |i| off_road(&states, i, &bodies[i], &region));
     time("lane facts, agents on lanes", CALLS, |i| lane_facts(&states, i, &lanes, 10.0));
     if let Some(route) = Polyline::new(map.lanes[0].centreline.clone()) {
         time("line at", CALLS, |i| route.at(points[i].x));
@@ -176,7 +177,7 @@ fn main() {
 
     for num_agents in [8, 32, 64, 96, 128, 256, 512] {
         let (states, bodies, kinds) = traffic(&map, num_agents, true);
-        let (mut collisions, mut flags) = (Collisions::new(), Vec::new());
+        let mut collisions = Collisions::new();
         let calls = 200_000 / num_agents;
         println!("A = {num_agents}");
         let per_agent = |name: &str, call: &mut dyn FnMut()| {
@@ -187,6 +188,5 @@ fn main() {
         per_agent("  detect, circles", &mut || collisions.detect_by_circles(&states, &bodies, &kinds));
         per_agent("  detect, sweep", &mut || collisions.detect_by_sweep(&states, &bodies, &kinds));
         println!("    {} pairs", collisions.pairs().len());
-        per_agent("  off road", &mut || off_road(&states, &bodies, &region, &mut flags));
     }
 }

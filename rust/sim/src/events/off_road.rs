@@ -3,7 +3,7 @@
 use crate::geom::{Real, Region};
 use crate::state::{AgentStates, Body};
 
-/// Whether an agent has left a region. Both false for agents that are not active.
+/// How far an agent has left a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OffRoad {
     /// A corner of the box is outside.
