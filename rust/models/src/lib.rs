@@ -1,3 +1,31 @@
 //! Policies on libtorch: the one crate that links it.
-use tch as _;
+//!
+//! ```text
+//! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► ccdiff::Network
+//!                                                    dataset, train ◄── losses       │
+//!                                                    sampler, planner ◄──────────────┘ clean action knots
+//! ```
+//! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour
+//! slots. Tensor code runs inside [`grad::guarded`], so libtorch's exceptions come back as [`ModelError`].
+
+pub mod batch;
+pub mod ccdiff;
+pub mod checkpoint;
+pub mod config;
+pub mod dataset;
+pub mod error;
+pub mod features;
+pub mod grad;
+pub mod noise;
+mod optimiser;
+pub mod planner;
+pub mod raster;
+pub mod sampler;
+pub mod schedule;
+pub mod train;
+pub mod unicycle;
+
+pub use config::ModelConfig;
+pub use error::{ModelError, Result};
+
 use torch_sys as _;

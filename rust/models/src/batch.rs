@@ -1,0 +1,166 @@
+//! Scenes' features joined into tensors: rows of all agents of all worlds, without padding between scenes.
+
+use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures};
+use tch::{Device, Kind, Tensor};
+
+/// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.
+#[derive(Debug)]
+pub struct Batch {
+    /// Agents of each scene, summing up to R.
+    pub scene_sizes: Vec<usize>,
+    /// Histories [R, H, 8].
+    pub history: Tensor,
+    /// Speeds now [R].
+    pub speed_mps: Tensor,
+    /// Rows of the agents in each slot [R, K], int64; slot 0 is the row itself.
+    pub neighbours: Tensor,
+    /// Whether a slot is an edge of G [R, K], bool.
+    pub joined: Tensor,
+    /// Edges [R, K, tokens, 9].
+    pub edges: Tensor,
+    /// Rasters [R, channels, size, size], bytes; `None` for a map-blind network.
+    pub image: Option<Tensor>,
+}
+
+/// Logged futures of the rows of a batch.
+#[derive(Debug)]
+pub struct Targets {
+    /// States [R, T, 6].
+    pub states: Tensor,
+    /// Whether logged [R, T], as 0 or 1.
+    pub valid: Tensor,
+}
+
+/// Rows of each scene of a list, counted from the first.
+pub(crate) fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
+    scene_sizes
+        .iter()
+        .scan(0, |next, size| {
+            let start = *next;
+            *next += size;
+            Some(start)
+        })
+        .collect()
+}
+
+impl Batch {
+    /// Joins scenes. Scenes without agents are fine; a batch without any agent is not.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] where no scene has an agent.
+    pub fn new(scenes: &[&SceneFeatures], config: &ModelConfig, device: Device) -> Result<Self> {
+        let scene_sizes: Vec<usize> = scenes.iter().map(|s| s.agents.len()).collect();
+        let rows: usize = scene_sizes.iter().sum();
+        if rows == 0 {
+            return Err(ModelError::Shape {
+                what: "batch",
+                got: "0 agents".into(),
+                expected: "at least one".into(),
+            });
+        }
+        let slots = scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
+        let tokens = config.history_token_steps().len();
+        let edge = tokens * EDGE_FEATURES;
+        let mut history = Vec::with_capacity(rows * config.history_steps * HISTORY_FEATURES);
+        let mut speed = Vec::with_capacity(rows);
+        let mut neighbours = vec![0i64; rows * slots];
+        let mut joined = vec![0u8; rows * slots];
+        let mut edges = vec![0f32; rows * slots * edge];
+        let mut image = Vec::new();
+        for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
+            history.extend_from_slice(&scene.history);
+            speed.extend_from_slice(&scene.speed_mps);
+            image.extend_from_slice(&scene.image);
+            let own = scene.num_slots;
+            for row in 0..scene.agents.len() {
+                let (to, from) = ((offset + row) * slots, row * own);
+                for slot in 0..slots {
+                    let local = if slot < own { scene.neighbours[from + slot] } else { row };
+                    neighbours[to + slot] = (offset + local) as i64;
+                }
+                for slot in 0..own {
+                    joined[to + slot] = u8::from(scene.joined[from + slot]);
+                }
+                edges[to * edge..(to + own) * edge]
+                    .copy_from_slice(&scene.edges[from * edge..(from + own) * edge]);
+            }
+        }
+        let (r, k) = (rows as i64, slots as i64);
+        let put = |t: Tensor, size: &[i64]| t.view(size).to_device(device);
+        let image = config.map.as_ref().map(|map| {
+            let side = map.size_px as i64;
+            let size = [r, map.num_channels(config.history_steps) as i64, side, side];
+            put(Tensor::from_slice(&image), &size)
+        });
+        Ok(Self {
+            scene_sizes,
+            history: put(
+                Tensor::from_slice(&history),
+                &[r, config.history_steps as i64, HISTORY_FEATURES as i64],
+            ),
+            speed_mps: put(Tensor::from_slice(&speed), &[r]),
+            neighbours: put(Tensor::from_slice(&neighbours), &[r, k]),
+            joined: put(Tensor::from_slice(&joined).to_kind(Kind::Bool), &[r, k]),
+            edges: put(Tensor::from_slice(&edges), &[r, k, tokens as i64, EDGE_FEATURES as i64]),
+            image,
+        })
+    }
+
+    /// Number of rows R.
+    pub fn num_rows(&self) -> i64 {
+        self.speed_mps.size()[0]
+    }
+
+    /// The same rows with G replaced by the identity where `dropped` [R] (bool) says so: those rows see themselves
+    /// alone, in every social layer and in the raster.
+    #[must_use]
+    pub fn with_graph_dropped(&self, dropped: &Tensor, config: &ModelConfig) -> Self {
+        let keep = dropped.logical_not();
+        let image = self.image.as_ref().map(|image| {
+            if !config.map.as_ref().is_some_and(|m| m.history_channels) {
+                return image.shallow_clone();
+            }
+            let steps = config.history_steps as i64;
+            let own = image.narrow(1, 0, steps);
+            let hidden = own.clamp_min(i64::from(crate::raster::ZERO));
+            let own = hidden.where_self(&dropped.view([-1, 1, 1, 1]), &own);
+            Tensor::cat(&[own, image.narrow(1, steps, image.size()[1] - steps)], 1)
+        });
+        Self {
+            scene_sizes: self.scene_sizes.clone(),
+            history: self.history.shallow_clone(),
+            speed_mps: self.speed_mps.shallow_clone(),
+            neighbours: self.neighbours.shallow_clone(),
+            joined: self.joined.logical_and(&keep.unsqueeze(1)),
+            edges: self.edges.shallow_clone(),
+            image,
+        }
+    }
+
+    /// The same rows with G = identity for all, and a single slot.
+    #[must_use]
+    pub fn with_identity_graph(&self, config: &ModelConfig) -> Self {
+        let all = Tensor::ones([self.num_rows()], (Kind::Bool, self.speed_mps.device()));
+        let mut batch = self.with_graph_dropped(&all, config);
+        batch.neighbours = batch.neighbours.narrow(1, 0, 1);
+        batch.joined = batch.joined.narrow(1, 0, 1);
+        batch.edges = batch.edges.narrow(1, 0, 1);
+        batch
+    }
+}
+
+impl Targets {
+    /// Joins the futures of the scenes of a batch.
+    pub fn new(futures: &[&Futures], config: &ModelConfig, device: Device) -> Self {
+        let states: Vec<f32> = futures.iter().flat_map(|f| f.states.iter().copied()).collect();
+        let valid: Vec<f32> =
+            futures.iter().flat_map(|f| f.valid.iter().map(|v| f32::from(u8::from(*v)))).collect();
+        let steps = config.horizon_steps as i64;
+        Self {
+            states: Tensor::from_slice(&states).view([-1, steps, 6]).to_device(device),
+            valid: Tensor::from_slice(&valid).view([-1, steps]).to_device(device),
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Embeddings of positions, diffusion steps and histories.
+
+use crate::config::{HistoryTokens, ModelConfig};
+use crate::features::HISTORY_FEATURES;
+use tch::nn::{self, Module};
+use tch::{Device, Kind, Tensor};
+
+/// Sinusoidal table [positions, width], sine and cosine interleaved, base 10⁴.
+pub(super) fn positions(positions: usize, width: i64, device: Device) -> Tensor {
+    let half = width / 2;
+    let mut table = Vec::with_capacity(positions * width as usize);
+    for p in 0..positions {
+        for i in 0..half {
+            let angle = p as f64 * (-(2.0 * i as f64) / width as f64 * 1e4f64.ln()).exp();
+            table.extend([angle.sin() as f32, angle.cos() as f32]);
+        }
+    }
+    Tensor::from_slice(&table).view([positions as i64, width]).to_device(device)
+}
+
+/// Sinusoidal table [steps, width] of the diffusion steps: a sine block, then a cosine block.
+fn diffusion_steps(steps: usize, width: i64, device: Device) -> Tensor {
+    let half = width / 2;
+    let rate = 1e4f64.ln() / (half - 1).max(1) as f64;
+    let mut table = Vec::with_capacity(steps * width as usize);
+    for k in 0..steps {
+        let angle = |i: i64| k as f64 * (-(i as f64) * rate).exp();
+        table.extend((0..half).map(|i| angle(i).sin() as f32));
+        table.extend((0..half).map(|i| angle(i).cos() as f32));
+    }
+    Tensor::from_slice(&table).view([steps as i64, width]).to_device(device)
+}
+
+/// Diffusion step → width: sinusoid, Linear, Mish, Linear.
+#[derive(Debug)]
+pub(super) struct StepEmbedding {
+    table: Tensor,
+    up: nn::Linear,
+    down: nn::Linear,
+}
+
+impl StepEmbedding {
+    pub(super) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
+        let d = config.width;
+        Self {
+            table: diffusion_steps(config.diffusion_steps, d, p.device()),
+            up: nn::linear(p / "up", d, 4 * d, Default::default()),
+            down: nn::linear(p / "down", 4 * d, d, Default::default()),
+        }
+    }
+
+    /// `steps` [R] int64 → [R, 1, d].
+    pub(super) fn forward(&self, steps: &Tensor) -> Tensor {
+        self.table.index_select(0, steps).apply(&self.up).mish().apply(&self.down).unsqueeze(1)
+    }
+}
+
+/// Histories → tokens.
+#[derive(Debug)]
+pub(super) enum HistoryEmbedding {
+    PerStep(nn::Linear),
+    Summary(nn::Linear, nn::Linear),
+}
+
+impl HistoryEmbedding {
+    pub(super) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
+        let d = config.width;
+        match config.history {
+            HistoryTokens::PerStep => {
+                Self::PerStep(nn::linear(p / "step", HISTORY_FEATURES as i64 - 1, d, Default::default()))
+            }
+            HistoryTokens::Summary => {
+                let inputs = (config.history_steps * HISTORY_FEATURES) as i64;
+                Self::Summary(
+                    nn::linear(p / "in", inputs, 4 * d, Default::default()),
+                    nn::linear(p / "out", 4 * d, d, Default::default()),
+                )
+            }
+        }
+    }
+
+    /// Normalised histories [R, H, 8] → tokens [R, H or 1, d].
+    pub(super) fn forward(&self, history: &Tensor) -> Tensor {
+        match self {
+            Self::PerStep(step) => step.forward(&history.narrow(2, 0, HISTORY_FEATURES as i64 - 1)),
+            Self::Summary(first, second) => {
+                history.flatten(1, 2).apply(first).relu().apply(second).unsqueeze(1)
+            }
+        }
+    }
+}
+
+/// (x - mean) / std over the last dimension.
+pub(crate) fn standardise(x: &Tensor, mean: &[f64], std: &[f64]) -> Tensor {
+    let row = |v: &[f64]| Tensor::from_slice(v).to_kind(Kind::Float).to_device(x.device());
+    (x - row(mean)) / row(std)
+}

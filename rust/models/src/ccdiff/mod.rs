@@ -1,0 +1,17 @@
+//! The CCDiff network: causal scene encoder and decoder that predicts the clean actions (method.md 2.3-2.6).
+//!
+//! ```text
+//! histories, noisy plan ─► tokens ─► round 0: [map] temporal, edge-aware social (masked by G)
+//!                                    round 1: [map] temporal, plain social (masked by G) ─► clean action knots
+//! ```
+//! [`Network::encode`] computes what does not depend on the noisy plan once; [`Network::denoise`] runs per step.
+
+mod edge;
+pub(crate) mod embed;
+mod map_encoder;
+mod network;
+mod resnet;
+mod social;
+mod temporal;
+
+pub use network::{Context, Network};

@@ -1,0 +1,247 @@
+//! Training samples from scenes: (scene, step) pairs whose features are built on demand, in parallel.
+
+use crate::batch::{Batch, Targets};
+use crate::config::{ModelConfig, Normalisation};
+use crate::error::{ModelError, Result};
+use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
+use crate::noise::Noise;
+use crate::raster::MapBitmap;
+use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
+use rayon::prelude::*;
+use std::sync::Arc;
+use tch::Device;
+
+/// Samples start no earlier than this step, so that there is some history.
+const FIRST_STEP: usize = 5;
+
+/// A scene with what is computed once about it.
+#[derive(Debug)]
+struct Prepared {
+    scene: Arc<Scene>,
+    /// Indices of the vehicles; the ego (or else the first vehicle) comes first.
+    vehicles: Vec<usize>,
+    bitmap: Option<MapBitmap>,
+}
+
+/// Samples of a list of scenes.
+#[derive(Debug)]
+pub struct Dataset {
+    config: ModelConfig,
+    scenes: Vec<Prepared>,
+    /// (scene, current step).
+    samples: Vec<(u32, u32)>,
+}
+
+/// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
+pub fn vehicles(scene: &Scene) -> Vec<usize> {
+    let mut list: Vec<usize> = (0..scene.num_agents())
+        .filter(|a| scene.agents[*a].kind == AgentKind::Vehicle || scene.agents[*a].id == EGO_ID)
+        .collect();
+    list.sort_by_key(|a| scene.agents[*a].id != EGO_ID);
+    list
+}
+
+impl Dataset {
+    /// Prepares scenes. A step is a sample if some vehicle has its whole future logged; every `stride`-th is taken.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for another time step than the configuration's or a stride of 0;
+    /// [`ModelError::NoSamples`] where no step qualifies.
+    pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, stride: usize) -> Result<Self> {
+        let num_scenes = scenes.len();
+        if stride == 0 {
+            return Err(ModelError::Config { field: "stride", got: "0".into(), expected: "at least 1" });
+        }
+        if let Some(odd) = scenes.iter().find(|s| (f64::from(s.dt_s) - config.dt_s).abs() > 1e-6) {
+            return Err(ModelError::Config {
+                field: "dt_s",
+                got: format!("{} s in scene {:?}", odd.dt_s, odd.name),
+                expected: "the time step of the network",
+            });
+        }
+        let scenes: Vec<Prepared> = scenes
+            .into_par_iter()
+            .map(|scene| Prepared {
+                vehicles: vehicles(&scene),
+                bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)),
+                scene,
+            })
+            .collect();
+        let horizon = config.horizon_steps;
+        let mut samples = Vec::new();
+        for (index, prepared) in scenes.iter().enumerate() {
+            let scene = &prepared.scene;
+            for step in (FIRST_STEP..scene.num_steps.saturating_sub(horizon)).step_by(stride) {
+                let whole = |a: &usize| (step..=step + horizon).all(|s| scene.is_valid(*a, s));
+                if prepared.vehicles.iter().any(whole) {
+                    samples.push((index as u32, step as u32));
+                }
+            }
+        }
+        if samples.is_empty() {
+            return Err(ModelError::NoSamples {
+                num_scenes,
+                expected: format!("a vehicle logged for {horizon} steps after step {FIRST_STEP}"),
+            });
+        }
+        Ok(Self { config: config.clone(), scenes, samples })
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.samples.len()
+    }
+
+    /// Whether there are none; never so.
+    pub fn is_empty(&self) -> bool {
+        self.samples.is_empty()
+    }
+
+    /// Number of scenes.
+    pub fn num_scenes(&self) -> usize {
+        self.scenes.len()
+    }
+
+    /// Changes the normalisation constants.
+    pub fn set_normalisation(&mut self, normalisation: &Normalisation) {
+        self.config.normalisation = normalisation.clone();
+    }
+
+    /// Features and futures of a sample (index below [`Self::len`]).
+    ///
+    /// The agents are the vehicles within `agents_within_m` of the ego, nearest first, at most `max_agents`. Differs from
+    /// the released code, which truncates the list before it filters by distance (method.md 1.4).
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for an index out of range.
+    pub fn sample(&self, index: usize) -> Result<(SceneFeatures, Futures)> {
+        let Some(&(scene_idx, step)) = self.samples.get(index) else {
+            return Err(ModelError::Shape {
+                what: "sample index",
+                got: index.to_string(),
+                expected: format!("below {}", self.samples.len()),
+            });
+        };
+        let (prepared, step) = (&self.scenes[scene_idx as usize], step as usize);
+        let scene = &prepared.scene;
+        let at = |a: usize| scene.tracks.position[scene.at(a, step)];
+        let mut present: Vec<usize> =
+            prepared.vehicles.iter().copied().filter(|a| scene.is_valid(*a, step)).collect();
+        if let Some(&centre) = present.first() {
+            let distance = |a: usize| (at(a) - at(centre)).norm();
+            present.retain(|a| distance(*a) <= self.config.agents_within_m);
+            present.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b)));
+            present.truncate(self.config.max_agents);
+        }
+        let window = Window::from_scene(scene, step, &present, self.config.history_steps);
+        let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
+        let futures = features::futures(scene, step, &present, &features, &self.config);
+        Ok((features, futures))
+    }
+
+    fn samples(&self, indices: &[usize]) -> Result<Vec<(SceneFeatures, Futures)>> {
+        indices.par_iter().map(|i| self.sample(*i)).collect()
+    }
+
+    /// Tensors of some samples.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for an index out of range.
+    pub fn batch(&self, indices: &[usize], device: Device) -> Result<(Batch, Targets)> {
+        let samples = self.samples(indices)?;
+        let features: Vec<&SceneFeatures> = samples.iter().map(|s| &s.0).collect();
+        let futures: Vec<&Futures> = samples.iter().map(|s| &s.1).collect();
+        Ok((Batch::new(&features, &self.config, device)?, Targets::new(&futures, &self.config, device)))
+    }
+
+    /// Samples of a training step: `count` at a time from one permutation per epoch, a function of seed and step alone.
+    pub fn indices_of_step(&self, seed: u64, step: u64, count: usize) -> Vec<usize> {
+        let len = self.samples.len() as u64;
+        let (start, mut order, mut epoch) = (step * count as u64, Vec::new(), u64::MAX);
+        (start..start + count as u64)
+            .map(|at| {
+                if at / len != epoch {
+                    epoch = at / len;
+                    order = Noise::new(seed, u64::MAX - epoch).permutation(self.samples.len());
+                }
+                order[(at % len) as usize]
+            })
+            .collect()
+    }
+
+    /// Estimates means and standard deviations from `count` samples drawn by a seed.
+    ///
+    /// # Errors
+    /// What building the samples' features returns.
+    pub fn estimate_normalisation(&self, count: usize, seed: u64) -> Result<Normalisation> {
+        let mut order = Noise::new(seed, u64::MAX / 2).permutation(self.samples.len());
+        order.truncate(count.max(1));
+        let samples = self.samples(&order)?;
+        let mut trajectory = [Moments::default(); 6];
+        let mut history = [Moments::default(); 5];
+        let mut edges = [Moments::default(); 4];
+        let per_edge = self.config.history_token_steps().len() * EDGE_FEATURES;
+        for (features, futures) in &samples {
+            for (state, valid) in futures.states.chunks_exact(6).zip(&futures.valid) {
+                if *valid {
+                    trajectory.iter_mut().zip(state).for_each(|(m, v)| m.add(*v));
+                }
+            }
+            for step in features.history.chunks_exact(HISTORY_FEATURES).filter(|s| s[7] > 0.5) {
+                let picked = [step[0], step[1], step[4], step[5], step[6]];
+                history.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));
+            }
+            for (edge, joined) in features.edges.chunks_exact(per_edge).zip(&features.joined) {
+                if *joined {
+                    let now = &edge[per_edge - EDGE_FEATURES..];
+                    let picked = [now[0], now[1], now[4], now[5]];
+                    edges.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));
+                }
+            }
+        }
+        let default = Normalisation::default();
+        let [mean, std] = [Moments::mean, Moments::std];
+        let mut found = Normalisation {
+            trajectory_mean: trajectory.each_ref().map(mean),
+            trajectory_std: trajectory.each_ref().map(std),
+            action_mean: [mean(&trajectory[4]), mean(&trajectory[5])],
+            action_std: [std(&trajectory[4]), std(&trajectory[5])],
+            history_mean: history.each_ref().map(mean),
+            history_std: history.each_ref().map(std),
+            ..default
+        };
+        if edges[0].count > 100.0 {
+            // about zero, since the direction of an offset carries meaning
+            let spread = |m: &Moments| (m.squares / m.count).sqrt().max(0.1);
+            found.edge_position_std = [spread(&edges[0]), spread(&edges[1])];
+            found.edge_velocity_std = spread(&edges[2]).max(spread(&edges[3]));
+        }
+        Ok(found)
+    }
+}
+
+/// Count, sum and sum of squares.
+#[derive(Debug, Clone, Copy, Default)]
+struct Moments {
+    count: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Moments {
+    fn add(&mut self, value: f32) {
+        let v = f64::from(value);
+        self.count += 1.0;
+        self.sum += v;
+        self.squares += v * v;
+    }
+
+    fn mean(&self) -> f64 {
+        self.sum / self.count.max(1.0)
+    }
+
+    /// Standard deviation, at least 1e-3.
+    fn std(&self) -> f64 {
+        (self.squares / self.count.max(1.0) - self.mean().powi(2)).max(0.0).sqrt().max(1e-3)
+    }
+}

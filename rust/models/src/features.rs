@@ -1,0 +1,359 @@
+//! From a window of states to the network's inputs: one code for training and for the running world.
+//!
+//! Everything is agent-centric (method.md 1.5): for agent i the origin is its position at the current step and +x its
+//! heading. Numbers are physical here; the network normalises them.
+
+use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use crate::raster::{self, MapBitmap};
+use crate::unicycle;
+use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
+use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
+use ccdiff_sim::geom::{Point2, Pose2, Vector2};
+use ccdiff_sim::scene::Scene;
+use std::cmp::Ordering;
+
+/// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
+pub const HISTORY_FEATURES: usize = 8;
+/// Numbers per edge and history step: relative x, y; cos, sin of the relative heading; relative velocity x, y;
+/// relative distance of the bodies and time to contact, both 1 for "now" and 0 for 20 m or 20 s; availability.
+pub const EDGE_FEATURES: usize = 9;
+/// Distance (m) and time to contact (s) at which their edge features reach zero.
+const EDGE_RANGE: f32 = 20.0;
+
+/// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Window {
+    /// Number of steps H.
+    pub num_steps: usize,
+    /// Centre x, metres, [A, H].
+    pub x_m: Vec<f32>,
+    /// Centre y, metres, [A, H].
+    pub y_m: Vec<f32>,
+    /// Heading, radians, [A, H].
+    pub heading_rad: Vec<f32>,
+    /// Speed along the heading, metres per second, negative when reversing, [A, H].
+    pub speed_mps: Vec<f32>,
+    /// Whether the agent was there, [A, H]. Other entries mean nothing where this is false.
+    pub valid: Vec<bool>,
+    /// Length, metres, [A].
+    pub length_m: Vec<f32>,
+    /// Width, metres, [A].
+    pub width_m: Vec<f32>,
+}
+
+impl Window {
+    /// The window of some agents of a scene that ends at a step; steps before the scene's start are not valid.
+    pub fn from_scene(scene: &Scene, step_idx: usize, agents: &[usize], num_steps: usize) -> Self {
+        let mut window = Self { num_steps, ..Self::default() };
+        for &agent in agents {
+            window.length_m.push(scene.agents[agent].length_m);
+            window.width_m.push(scene.agents[agent].width_m);
+            for back in (0..num_steps).rev() {
+                let at = step_idx.checked_sub(back).filter(|s| scene.is_valid(agent, *s));
+                window.valid.push(at.is_some());
+                let (position, heading, speed) = at.map_or((Point2::origin(), 0.0, 0.0), |step| {
+                    let entry = scene.at(agent, step);
+                    let (heading, v) = (scene.tracks.heading_rad[entry], scene.tracks.velocity[entry]);
+                    let pose = Pose2::new(0.0, 0.0, heading);
+                    (scene.tracks.position[entry], heading, pose.rotate_inverse(v).x)
+                });
+                window.x_m.push(position.x);
+                window.y_m.push(position.y);
+                window.heading_rad.push(heading);
+                window.speed_mps.push(speed);
+            }
+        }
+        window
+    }
+
+    /// Number of agents A.
+    pub fn num_agents(&self) -> usize {
+        self.length_m.len()
+    }
+
+    /// Checks the lengths of all arrays.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] names the first that does not fit.
+    pub fn check(&self, num_steps: usize) -> Result<()> {
+        let (agents, entries) = (self.num_agents(), self.num_agents() * num_steps);
+        for (what, got, expected) in [
+            ("window steps", self.num_steps, num_steps),
+            ("window x_m", self.x_m.len(), entries),
+            ("window y_m", self.y_m.len(), entries),
+            ("window heading_rad", self.heading_rad.len(), entries),
+            ("window speed_mps", self.speed_mps.len(), entries),
+            ("window valid", self.valid.len(), entries),
+            ("window width_m", self.width_m.len(), agents),
+        ] {
+            if got != expected {
+                return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
+            }
+        }
+        Ok(())
+    }
+
+    /// Pose of an agent at a step.
+    pub(crate) fn pose(&self, agent: usize, step: usize) -> Pose2 {
+        let at = agent * self.num_steps + step;
+        Pose2::new(self.x_m[at], self.y_m[at], self.heading_rad[at])
+    }
+
+    fn velocity(&self, agent: usize, step: usize) -> Vector2 {
+        let at = agent * self.num_steps + step;
+        self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
+    }
+
+    fn is_valid(&self, agent: usize, step: usize) -> bool {
+        self.valid[agent * self.num_steps + step]
+    }
+}
+
+/// Inputs of the M agents of one scene that are there now.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneFeatures {
+    /// Index in the window of each of the M agents.
+    pub agents: Vec<usize>,
+    /// Pose now, scene frame, [M].
+    pub poses: Vec<Pose2>,
+    /// Speed now, [M].
+    pub speed_mps: Vec<f32>,
+    /// Histories [M, H, 8], see [`HISTORY_FEATURES`]; zero where not available.
+    pub history: Vec<f32>,
+    /// Neighbour slots per agent K, at least 1. Slot 0 is the agent itself.
+    pub num_slots: usize,
+    /// Agent (0..M) in each slot, [M, K]; unused slots hold the agent itself.
+    pub neighbours: Vec<usize>,
+    /// Whether a slot is an edge of the decision causal graph G to another agent, [M, K]; false for slot 0.
+    pub joined: Vec<bool>,
+    /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`EDGE_FEATURES`].
+    pub edges: Vec<f32>,
+    /// Map raster [M, channels, size, size] coded as bytes, see [`raster`]; empty for a map-blind network.
+    pub image: Vec<u8>,
+    /// Decision causal graph over the M agents.
+    pub graph: CausalGraph,
+    /// Times to contact now, seconds, [M, M].
+    pub ttc_s: Vec<f32>,
+}
+
+/// Logged futures of the M agents of a [`SceneFeatures`], in their agent frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Futures {
+    /// States x, y, v, yaw, acceleration, yaw rate, [M, T, 6]; zero where not valid.
+    pub states: Vec<f32>,
+    /// Whether the step is logged, [M, T].
+    pub valid: Vec<bool>,
+}
+
+/// Builds the inputs of one scene.
+///
+/// # Errors
+/// [`ModelError::Shape`] where the window's arrays do not fit the configuration.
+pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) -> Result<SceneFeatures> {
+    window.check(config.history_steps)?;
+    let now = config.history_steps - 1;
+    let agents: Vec<usize> = (0..window.num_agents()).filter(|a| window.is_valid(*a, now)).collect();
+    let poses: Vec<Pose2> = agents.iter().map(|a| window.pose(*a, now)).collect();
+    let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
+    let history = histories(window, &agents, &poses);
+    let ttc_now = ttc_at(window, &agents, now)?;
+    let graph = graph_at(window, &agents, now, &ttc_now, config)?;
+    let (num_slots, neighbours, joined) = slots(&graph, &ttc_now, config.max_neighbours);
+    let token_steps = config.history_token_steps();
+    let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
+    for (token, step) in token_steps.iter().enumerate() {
+        let ttc = if *step == now { ttc_now.clone() } else { ttc_at(window, &agents, *step)? };
+        for row in 0..agents.len() {
+            for slot in 0..num_slots {
+                let other = neighbours[row * num_slots + slot];
+                if slot > 0 && !joined[row * num_slots + slot] {
+                    continue;
+                }
+                let at = ((row * num_slots + slot) * token_steps.len() + token) * EDGE_FEATURES;
+                let ttc_s = ttc[row * agents.len() + other];
+                if let Some(edge) = edge_at(window, (agents[row], agents[other]), *step, &poses[row], ttc_s) {
+                    edges[at..at + EDGE_FEATURES].copy_from_slice(&edge);
+                }
+            }
+        }
+    }
+    let mut features = SceneFeatures {
+        agents,
+        poses,
+        speed_mps,
+        history,
+        num_slots,
+        neighbours,
+        joined,
+        edges,
+        image: Vec::new(),
+        graph,
+        ttc_s: ttc_now,
+    };
+    if let Some(map) = &config.map {
+        features.image = raster::images(&features, window, bitmap, map);
+    }
+    Ok(features)
+}
+
+fn histories(window: &Window, agents: &[usize], poses: &[Pose2]) -> Vec<f32> {
+    let steps = window.num_steps;
+    let mut history = vec![0.0; agents.len() * steps * HISTORY_FEATURES];
+    for (row, (&agent, frame)) in agents.iter().zip(poses).enumerate() {
+        for step in (0..steps).filter(|s| window.is_valid(agent, *s)) {
+            let pose = window.pose(agent, step);
+            let local = frame.to_local(pose.position);
+            let turned = frame.rotate_inverse(Vector2::new(pose.cos, pose.sin));
+            let speed = window.speed_mps[agent * steps + step];
+            let at = (row * steps + step) * HISTORY_FEATURES;
+            let (length, width) = (window.length_m[agent], window.width_m[agent]);
+            history[at..at + HISTORY_FEATURES]
+                .copy_from_slice(&[local.x, local.y, turned.x, turned.y, speed, length, width, 1.0]);
+        }
+    }
+    history
+}
+
+/// Columns of the chosen agents at a step.
+struct Columns {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    heading: Vec<f32>,
+    speed: Vec<f32>,
+    length: Vec<f32>,
+    width: Vec<f32>,
+    valid: Vec<bool>,
+}
+
+impl Columns {
+    fn new(window: &Window, agents: &[usize], step: usize) -> Self {
+        let pick = |v: &[f32]| agents.iter().map(|a| v[a * window.num_steps + step]).collect();
+        Self {
+            x: pick(&window.x_m),
+            y: pick(&window.y_m),
+            heading: pick(&window.heading_rad),
+            speed: pick(&window.speed_mps),
+            length: agents.iter().map(|a| window.length_m[*a]).collect(),
+            width: agents.iter().map(|a| window.width_m[*a]).collect(),
+            valid: agents.iter().map(|a| window.is_valid(*a, step)).collect(),
+        }
+    }
+
+    fn frame(&self) -> Result<AgentFrame<'_>> {
+        Ok(AgentFrame::new(
+            &self.x,
+            &self.y,
+            &self.heading,
+            &self.speed,
+            &self.length,
+            &self.width,
+            &self.valid,
+        )?)
+    }
+}
+
+fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+    let columns = Columns::new(window, agents, step);
+    let mut out = vec![0.0; agents.len() * agents.len()];
+    columns.frame()?.ttc_s(Ttc::Oriented, &columns.heading, &mut out)?;
+    Ok(out)
+}
+
+fn graph_at(
+    window: &Window,
+    agents: &[usize],
+    step: usize,
+    ttc_s: &[f32],
+    config: &ModelConfig,
+) -> Result<CausalGraph> {
+    let columns = Columns::new(window, agents, step);
+    let mut distance_m = vec![0.0; ttc_s.len()];
+    columns.frame()?.distance_m(&mut distance_m)?;
+    let thresholds =
+        GraphThresholds { ttc_s: config.ttc_threshold_s, distance_m: config.distance_threshold_m };
+    Ok(CausalGraph::from_measures(agents.len(), ttc_s, &distance_m, thresholds)?)
+}
+
+/// Slot table of a graph: itself, then the joined agents by time to contact.
+fn slots(graph: &CausalGraph, ttc_s: &[f32], max_neighbours: usize) -> (usize, Vec<usize>, Vec<bool>) {
+    let m = graph.num_agents();
+    let lists: Vec<Vec<usize>> = (0..m)
+        .map(|i| {
+            let mut list: Vec<usize> = (0..m).filter(|j| *j != i && graph.contains(i, *j)).collect();
+            list.sort_by(|a, b| {
+                ttc_s[i * m + a].partial_cmp(&ttc_s[i * m + b]).unwrap_or(Ordering::Equal).then(a.cmp(b))
+            });
+            list.truncate(max_neighbours);
+            list
+        })
+        .collect();
+    let num_slots = 1 + lists.iter().map(Vec::len).max().unwrap_or(0);
+    let mut neighbours = Vec::with_capacity(m * num_slots);
+    let mut joined = Vec::with_capacity(m * num_slots);
+    for (i, list) in lists.iter().enumerate() {
+        neighbours.push(i);
+        joined.push(false);
+        for slot in 0..num_slots - 1 {
+            neighbours.push(list.get(slot).copied().unwrap_or(i));
+            joined.push(slot < list.len());
+        }
+    }
+    (num_slots, neighbours, joined)
+}
+
+/// Edge of agents (i, j) at a step in i's frame of now; `None` where either was not there.
+///
+/// Differs from the released code (method.md 2.4): position and velocity are those of j relative to i at the same step,
+/// in physical units.
+fn edge_at(
+    window: &Window,
+    (i, j): (usize, usize),
+    step: usize,
+    frame: &Pose2,
+    ttc_s: f32,
+) -> Option<[f32; EDGE_FEATURES]> {
+    if !(window.is_valid(i, step) && window.is_valid(j, step)) {
+        return None;
+    }
+    let (pose_i, pose_j) = (window.pose(i, step), window.pose(j, step));
+    let offset = frame.rotate_inverse(pose_j.position - pose_i.position);
+    let heading = frame.rotate_inverse(Vector2::new(pose_j.cos, pose_j.sin));
+    let velocity = frame.rotate_inverse(window.velocity(j, step) - window.velocity(i, step));
+    let half_sizes = 0.25 * (window.length_m[i] + window.width_m[i] + window.length_m[j] + window.width_m[j]);
+    let nearness = |v: f32| (EDGE_RANGE - v.clamp(0.0, EDGE_RANGE)) / EDGE_RANGE;
+    let gap = nearness(offset.norm() - half_sizes);
+    let ttc_s = if i == j || ttc_s.is_nan() { 0.0 } else { ttc_s };
+    Some([offset.x, offset.y, heading.x, heading.y, velocity.x, velocity.y, gap, nearness(ttc_s), 1.0])
+}
+
+/// Logged futures of window agents in their frames at the current step.
+///
+/// `agents` maps window rows to agents of the scene; `step_idx` is the current step.
+pub fn futures(
+    scene: &Scene,
+    step_idx: usize,
+    agents: &[usize],
+    features: &SceneFeatures,
+    config: &ModelConfig,
+) -> Futures {
+    let steps = config.horizon_steps;
+    let mut out = Futures { states: Vec::new(), valid: Vec::new() };
+    for (row, frame) in features.poses.iter().enumerate() {
+        let agent = agents[features.agents[row]];
+        let mut poses = Vec::with_capacity(steps);
+        for step in step_idx + 1..=step_idx + steps {
+            if !scene.is_valid(agent, step) {
+                break;
+            }
+            let entry = scene.at(agent, step);
+            let local = frame.to_local(scene.tracks.position[entry]);
+            poses.push([local.x, local.y, scene.tracks.heading_rad[entry] - frame.heading_rad]);
+        }
+        let states = unicycle::states_of_poses(&poses, features.speed_mps[row], config.dt_s as f32);
+        out.states.extend(states.iter().flatten());
+        out.states.resize(out.states.len() + (steps - states.len()) * 6, 0.0);
+        out.valid.extend((0..steps).map(|t| t < states.len()));
+    }
+    out
+}

@@ -1,0 +1,307 @@
+//! Agent-centred map rasters, cut from a bitmap of the scene that is drawn once (method.md 1.6).
+//!
+//! Layers: drivable area, lines between lanes and directions, pedestrian areas; then, if asked for, cosine and sine of
+//! the lane direction against the agent's heading. Bytes code numbers in [-1, 1] as 128 + 127 v; the network decodes
+//! them with (byte - 128) / 127. Outside of the bitmap everything is 0.
+//!
+//! Differs from the released code: history pixels of others are drawn for neighbours in G alone, so that G = identity
+//! hides the others from this input too; dropping G is then a clamp of these channels at 0.
+
+use crate::config::MapConfig;
+use crate::features::{SceneFeatures, Window};
+use ccdiff_sim::geom::{Point2, Polygon, Pose2};
+use ccdiff_sim::scene::{Map, Scene};
+
+/// Byte of the number 0.
+pub const ZERO: u8 = 128;
+const ONE: u8 = 255;
+const MINUS_ONE: u8 = 1;
+
+const DRIVABLE: u8 = 1;
+const DIVIDER: u8 = 2;
+const PEDESTRIAN: u8 = 4;
+/// Half the width of the painted lane direction, metres.
+const LANE_HALF_WIDTH_M: f32 = 1.5;
+
+/// The map round a scene as bits and lane directions, one byte each per pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapBitmap {
+    min: Point2,
+    px_per_m: f32,
+    width: usize,
+    height: usize,
+    flags: Vec<u8>,
+    /// 0: no lane; else 1 + 254 × (direction / 2π).
+    direction: Vec<u8>,
+}
+
+impl MapBitmap {
+    /// Draws the map over the box of all logged vehicle positions, grown by the raster's reach and 50 m.
+    pub fn from_scene(scene: &Scene, config: &MapConfig) -> Self {
+        let margin = config.reach_m() + 50.0;
+        let valid = scene.tracks.position.iter().zip(&scene.tracks.valid).filter(|(_, ok)| **ok);
+        let (mut min, mut max) = (Point2::new(f32::MAX, f32::MAX), Point2::new(f32::MIN, f32::MIN));
+        for (p, _) in valid {
+            (min.x, min.y) = (min.x.min(p.x), min.y.min(p.y));
+            (max.x, max.y) = (max.x.max(p.x), max.y.max(p.y));
+        }
+        if min.x > max.x {
+            (min, max) = (Point2::origin(), Point2::origin());
+        }
+        let size = |a: f32, b: f32| ((b - a + 2.0 * margin) * config.bitmap_px_per_m).ceil() as usize + 1;
+        Self::draw(
+            &scene.map,
+            Point2::new(min.x - margin, min.y - margin),
+            config.bitmap_px_per_m,
+            size(min.x, max.x),
+            size(min.y, max.y),
+        )
+    }
+
+    /// Draws a map into `width` x `height` pixels whose first corner is `min`.
+    pub fn draw(map: &Map, min: Point2, px_per_m: f32, width: usize, height: usize) -> Self {
+        let mut bitmap = Self {
+            min,
+            px_per_m,
+            width,
+            height,
+            flags: vec![0; width * height],
+            direction: vec![0; width * height],
+        };
+        for polygon in &map.drivable_area {
+            bitmap.fill(polygon, DRIVABLE);
+        }
+        for polygon in map.ped_crossings.iter().chain(&map.walkways) {
+            bitmap.fill(polygon, PEDESTRIAN);
+        }
+        for line in map.road_dividers.iter().chain(&map.lane_dividers) {
+            bitmap.stroke(line, 0.0, |b, at, _| b.flags[at] |= DIVIDER);
+        }
+        for lane in &map.lanes {
+            bitmap.stroke(&lane.centreline, LANE_HALF_WIDTH_M, |b, at, code| b.direction[at] = code);
+        }
+        bitmap
+    }
+
+    fn to_px(&self, p: Point2) -> (f32, f32) {
+        ((p.x - self.min.x) * self.px_per_m, (p.y - self.min.y) * self.px_per_m)
+    }
+
+    fn index(&self, x: f32, y: f32) -> Option<usize> {
+        (x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32)
+            .then(|| y as usize * self.width + x as usize)
+    }
+
+    /// Sets a flag at every pixel whose centre lies in the polygon (even-odd over all rings).
+    fn fill(&mut self, polygon: &Polygon, flag: u8) {
+        let rings: Vec<Vec<(f32, f32)>> = std::iter::once(&polygon.exterior)
+            .chain(&polygon.holes)
+            .map(|ring| ring.iter().map(|p| self.to_px(*p)).collect())
+            .collect();
+        let Some(outer) = rings.first() else { return };
+        let low = outer.iter().fold(f32::MAX, |m, p| m.min(p.1)).max(0.0) as usize;
+        let high = outer.iter().fold(0.0f32, |m, p| m.max(p.1)).min(self.height as f32 - 1.0).max(0.0);
+        let mut crossings: Vec<f32> = Vec::new();
+        for row in low..=high as usize {
+            let y = row as f32 + 0.5;
+            crossings.clear();
+            for ring in rings.iter().filter(|r| r.len() > 2) {
+                for (k, a) in ring.iter().enumerate() {
+                    let b = ring[(k + 1) % ring.len()];
+                    if (a.1 > y) != (b.1 > y) {
+                        crossings.push(a.0 + (y - a.1) / (b.1 - a.1) * (b.0 - a.0));
+                    }
+                }
+            }
+            crossings.sort_by(f32::total_cmp);
+            for span in crossings.chunks_exact(2) {
+                let from = (span[0] - 0.5).ceil().max(0.0) as usize;
+                let to = (span[1] - 0.5).floor().min(self.width as f32 - 1.0);
+                if to >= 0.0 {
+                    for col in from..=(to as usize) {
+                        self.flags[row * self.width + col] |= flag;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Visits the pixels within `half_width_m` of a line, in steps of half a pixel, with its direction code.
+    fn stroke(&mut self, line: &[Point2], half_width_m: f32, paint: impl Fn(&mut Self, usize, u8)) {
+        let across = (half_width_m * self.px_per_m * 2.0) as i32;
+        for ends in line.windows(2) {
+            let ((x0, y0), (x1, y1)) = (self.to_px(ends[0]), self.to_px(ends[1]));
+            let (dx, dy) = (x1 - x0, y1 - y0);
+            let length = (dx * dx + dy * dy).sqrt();
+            if length < 1e-6 {
+                continue;
+            }
+            let (ux, uy) = (dx / length, dy / length);
+            let turn = libm::atan2f(dy, dx).rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
+            let code = 1 + ((turn * 254.0) as u8).min(253);
+            for along in 0..=(length * 2.0) as i32 {
+                let s = (along as f32 * 0.5).min(length);
+                for side in -across..=across {
+                    let o = side as f32 * 0.5;
+                    if let Some(at) = self.index(x0 + s * ux - o * uy, y0 + s * uy + o * ux) {
+                        paint(self, at, code);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Cuts the layers round a pose into `out` [layers, size, size].
+    pub fn crop_into(&self, pose: &Pose2, config: &MapConfig, out: &mut [u8]) {
+        let size = config.size_px;
+        let plane = size * size;
+        let step = config.metres_per_px * self.px_per_m;
+        // steps in bitmap pixels along a column (agent x) and along a row (agent y)
+        let (cx, cy, rx, ry) = (pose.cos * step, pose.sin * step, -pose.sin * step, pose.cos * step);
+        let (x0, y0) = self.to_px(pose.position);
+        let turn = libm::atan2f(pose.sin, pose.cos);
+        let directions: Vec<(u8, u8)> = (0..=255u32)
+            .map(|code| {
+                if code == 0 {
+                    return (ZERO, ZERO);
+                }
+                let (s, c) = libm::sincosf((code as f32 - 0.5) / 254.0 * std::f32::consts::TAU - turn);
+                ((128.0 + 127.0 * c) as u8, (128.0 + 127.0 * s) as u8)
+            })
+            .collect();
+        for row in 0..size {
+            let down = row as f32 - (size / 2) as f32 + 0.5;
+            for col in 0..size {
+                let ahead = col as f32 - config.agent_column_px as f32 + 0.5;
+                let (x, y) = (x0 + ahead * cx + down * rx, y0 + ahead * cy + down * ry);
+                let Some(at) = self.index(x, y) else { continue };
+                let pixel = row * size + col;
+                let flags = self.flags[at];
+                for (layer, flag) in [DRIVABLE, DIVIDER, PEDESTRIAN].into_iter().enumerate() {
+                    if flags & flag != 0 {
+                        out[layer * plane + pixel] = ONE;
+                    }
+                }
+                if config.lane_direction {
+                    let (cos, sin) = directions[usize::from(self.direction[at])];
+                    out[3 * plane + pixel] = cos;
+                    out[4 * plane + pixel] = sin;
+                }
+            }
+        }
+    }
+}
+
+/// Rasters of all agents of a scene, [M, channels, size, size]: history channels first, then the map's layers.
+pub(crate) fn images(
+    features: &SceneFeatures,
+    window: &Window,
+    bitmap: Option<&MapBitmap>,
+    config: &MapConfig,
+) -> Vec<u8> {
+    let plane = config.size_px * config.size_px;
+    let channels = config.num_channels(window.num_steps);
+    let map_from = (channels - config.num_layers()) * plane;
+    let mut images = vec![ZERO; features.agents.len() * channels * plane];
+    for (row, image) in images.chunks_exact_mut(channels * plane).enumerate() {
+        if config.history_channels {
+            draw_histories(features, window, row, config, image);
+        }
+        if let Some(bitmap) = bitmap {
+            bitmap.crop_into(&features.poses[row], config, &mut image[map_from..]);
+        }
+    }
+    images
+}
+
+/// One pixel per agent and history step: the row's own +1, its neighbours' in G -1.
+fn draw_histories(
+    features: &SceneFeatures,
+    window: &Window,
+    row: usize,
+    config: &MapConfig,
+    image: &mut [u8],
+) {
+    let (size, slots) = (config.size_px, features.num_slots);
+    let frame = &features.poses[row];
+    for slot in (0..slots).rev() {
+        let at = row * slots + slot;
+        if slot > 0 && !features.joined[at] {
+            continue;
+        }
+        let agent = features.agents[features.neighbours[at]];
+        for step in 0..window.num_steps {
+            if !window.valid[agent * window.num_steps + step] {
+                continue;
+            }
+            let local = frame.to_local(window.pose(agent, step).position);
+            let col = local.x / config.metres_per_px + config.agent_column_px as f32;
+            let line = local.y / config.metres_per_px + (size / 2) as f32;
+            if col >= 0.0 && line >= 0.0 && col < size as f32 && line < size as f32 {
+                image[(step * size + line as usize) * size + col as usize] =
+                    if slot == 0 { ONE } else { MINUS_ONE };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ModelConfig;
+    use ccdiff_sim::scene::{Lane, LaneKind};
+
+    fn square(x0: f32, y0: f32, x1: f32, y1: f32) -> Vec<Point2> {
+        vec![Point2::new(x0, y0), Point2::new(x1, y0), Point2::new(x1, y1), Point2::new(x0, y1)]
+    }
+
+    fn bitmap() -> MapBitmap {
+        let map = Map {
+            drivable_area: vec![Polygon {
+                exterior: square(0.0, 0.0, 100.0, 20.0),
+                holes: vec![square(40.0, 5.0, 50.0, 15.0)],
+            }],
+            lane_dividers: vec![vec![Point2::new(0.0, 10.0), Point2::new(30.0, 10.0)]],
+            lanes: vec![Lane {
+                id: "lane".into(),
+                kind: LaneKind::Lane,
+                centreline: vec![Point2::new(0.0, 3.0), Point2::new(100.0, 3.0)],
+                polygon: Polygon::default(),
+                successors: Vec::new(),
+                predecessors: Vec::new(),
+                speed_limit_mps: None,
+            }],
+            ..Map::default()
+        };
+        MapBitmap::draw(&map, Point2::new(-20.0, -40.0), 1.0, 160, 100)
+    }
+
+    #[test]
+    fn a_crop_shows_what_lies_ahead_in_the_agents_own_frame() {
+        let bitmap = bitmap();
+        let config = ModelConfig::fast().map.unwrap();
+        let size = config.size_px;
+        let mut out = vec![ZERO; 5 * size * size];
+        // on the road's west part, facing north: the road's far edge is 17 m ahead
+        bitmap.crop_into(&Pose2::new(20.0, 3.0, std::f32::consts::FRAC_PI_2), &config, &mut out);
+        let at = |layer: usize, ahead: f32, left: f32| {
+            let col = (ahead + config.agent_column_px as f32) as usize;
+            out[layer * size * size + (left + size as f32 / 2.0) as usize * size + col]
+        };
+        assert_eq!((at(0, 15.5, 0.5), at(0, 18.5, 0.5), at(0, -4.5, 0.5)), (ONE, ZERO, ZERO));
+        // the hole is 20 to 30 m to the right (east), 2 to 12 m ahead
+        assert_eq!((at(0, 6.5, -25.5), at(0, 6.5, -15.5)), (ZERO, ONE));
+        assert_eq!(at(1, 7.4, 5.5), ONE);
+        // the lane runs east: to the right of the agent, so its direction is -90 degrees
+        let (cos, sin) = (i32::from(at(3, 0.5, 0.5)) - 128, i32::from(at(4, 0.5, 0.5)) - 128);
+        assert!(cos.abs() < 6 && sin < -120, "{cos} {sin}");
+    }
+
+    #[test]
+    fn a_pose_off_the_bitmap_sees_nothing() {
+        let config = ModelConfig::fast().map.unwrap();
+        let mut out = vec![ZERO; 5 * 64 * 64];
+        bitmap().crop_into(&Pose2::new(1e5, -1e5, 1.0), &config, &mut out);
+        assert!(out.iter().all(|v| *v == ZERO));
+    }
+}

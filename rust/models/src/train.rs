@@ -1,0 +1,440 @@
+//! Training: the 6-component loss through the unicycle, counterfactual dropping of G, exact resume.
+//!
+//! Everything random is a function of (seed, step), so the state of a run is its step, weights, averages and moments.
+
+use crate::batch::{Batch, Targets};
+use crate::ccdiff::Network;
+use crate::checkpoint;
+use crate::config::ModelConfig;
+use crate::dataset::Dataset;
+use crate::error::{ModelError, Result};
+use crate::grad::guarded;
+use crate::noise::Noise;
+use crate::optimiser::{Adam, MovingAverage, variables};
+use crate::sampler::{self, SampleOptions};
+use crate::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use tch::{Device, Kind, Tensor, nn};
+
+/// Bounds of logged actions before they are noised: jumps of the log beyond them are label noise.
+const ACTION_BOUNDS: [(f64, f64); 2] = [(-10.0, 8.0), (-1.5, 1.5)];
+/// Streams of random numbers of one step.
+const STREAMS: u64 = 4;
+
+/// How a network is trained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainConfig {
+    /// Scenes per step.
+    pub batch_scenes: usize,
+    /// Peak learning rate.
+    pub learning_rate: f64,
+    /// Steps of linear warm-up.
+    pub warmup_steps: u64,
+    /// Decay of the moving average of the weights.
+    pub ema_decay: f64,
+    /// Until this step the average is a copy.
+    pub ema_start: u64,
+    /// Probability that a scene's G is replaced by the identity.
+    pub drop_graph: f64,
+    /// Largest norm of the gradient.
+    pub clip_norm: f64,
+    /// Seed of batches, noise and dropping.
+    pub seed: u64,
+}
+
+impl TrainConfig {
+    /// Settings of a preset (method.md 7.1); `fast` takes larger steps and batches, as it has minutes, not days.
+    pub fn preset(name: &str) -> Self {
+        let paper = Self {
+            batch_scenes: 4,
+            learning_rate: 1e-4,
+            warmup_steps: 0,
+            ema_decay: 0.995,
+            ema_start: 4000,
+            drop_graph: 0.1,
+            clip_norm: 100.0,
+            seed: 0,
+        };
+        if name != "fast" {
+            return paper;
+        }
+        Self {
+            batch_scenes: 24,
+            learning_rate: 1e-3,
+            warmup_steps: 200,
+            ema_decay: 0.995,
+            ema_start: 200,
+            clip_norm: 1.0,
+            ..paper
+        }
+    }
+
+    fn validated(self) -> Result<Self> {
+        let fail = |field: &'static str, got: String, expected: &'static str| {
+            Err(ModelError::Config { field, got, expected })
+        };
+        if self.batch_scenes == 0 {
+            return fail("batch_scenes", "0".into(), "at least 1");
+        }
+        if !(self.learning_rate > 0.0 && self.learning_rate.is_finite()) {
+            return fail("learning_rate", self.learning_rate.to_string(), "a positive number");
+        }
+        if !(0.0..=1.0).contains(&self.drop_graph) {
+            return fail("drop_graph", self.drop_graph.to_string(), "a probability");
+        }
+        if !(0.0..1.0).contains(&self.ema_decay) {
+            return fail("ema_decay", self.ema_decay.to_string(), "a number in [0, 1)");
+        }
+        Ok(self)
+    }
+}
+
+/// The last steps of a run, in which the learning rate falls linearly to zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cooldown {
+    /// First step.
+    pub start: u64,
+    /// Number of steps.
+    pub steps: u64,
+}
+
+/// Errors of open-loop plans over held-out samples, metres, means over agents with a whole logged future.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Validation {
+    /// Least mean distance to the log among the samples of a plan.
+    pub min_ade_m: f64,
+    /// Least distance at the end among the samples.
+    pub min_fde_m: f64,
+    /// Mean distance of one sample.
+    pub ade_m: f64,
+    /// Distance at the end of one sample.
+    pub fde_m: f64,
+    /// Mean distance of constant velocity.
+    pub constant_velocity_ade_m: f64,
+    /// Distance at the end of constant velocity.
+    pub constant_velocity_fde_m: f64,
+    /// Agents counted.
+    pub num_agents: usize,
+}
+
+/// A training run.
+#[derive(Debug)]
+pub struct Trainer {
+    model: ModelConfig,
+    config: TrainConfig,
+    dataset: Dataset,
+    schedule: Schedule,
+    store: nn::VarStore,
+    network: Network,
+    average: MovingAverage,
+    adam: Adam,
+    step: u64,
+    cooldown: Option<Cooldown>,
+}
+
+impl Trainer {
+    /// A run from fresh weights, drawn from torch's global generator.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for settings out of range.
+    pub fn new(model: ModelConfig, config: TrainConfig, dataset: Dataset, device: Device) -> Result<Self> {
+        let (model, config) = (model.validated()?, config.validated()?);
+        guarded(true, "building the network", || {
+            let store = nn::VarStore::new(device);
+            let network = Network::new(&store.root(), &model);
+            let average = tch::no_grad(|| MovingAverage::new(&store, &model));
+            Ok(Self {
+                schedule: Schedule::cosine(model.diffusion_steps)?,
+                adam: Adam::new(&store),
+                store,
+                network,
+                average,
+                dataset,
+                step: 0,
+                cooldown: None,
+                model,
+                config,
+            })
+        })
+    }
+
+    /// Steps taken.
+    pub fn step(&self) -> u64 {
+        self.step
+    }
+
+    /// Trainable numbers of the network.
+    pub fn num_parameters(&self) -> usize {
+        self.store.trainable_variables().iter().map(Tensor::numel).sum()
+    }
+
+    /// Samples of the training set.
+    pub fn num_samples(&self) -> usize {
+        self.dataset.len()
+    }
+
+    /// Starts the cool-down now, for a number of steps.
+    pub fn cool_down(&mut self, steps: u64) {
+        self.cooldown = Some(Cooldown { start: self.step, steps: steps.max(1) });
+    }
+
+    /// The cool-down, if it has begun.
+    pub fn cooldown(&self) -> Option<Cooldown> {
+        self.cooldown
+    }
+
+    fn learning_rate(&self) -> f64 {
+        let warm = (self.step + 1) as f64 / (self.config.warmup_steps + 1) as f64;
+        let cool =
+            self.cooldown.map_or(1.0, |c| 1.0 - (self.step.saturating_sub(c.start)) as f64 / c.steps as f64);
+        self.config.learning_rate * warm.min(1.0) * cool.max(0.0)
+    }
+
+    fn draw(&self, stream: u64) -> Noise {
+        Noise::new(self.config.seed, self.step * STREAMS + stream)
+    }
+
+    /// Loss of one batch at this step's random draws.
+    fn loss(&self, batch: &Batch, targets: &Targets) -> Tensor {
+        let device = batch.speed_mps.device();
+        let (of_step, of_drop) = (self.draw(0), self.draw(1));
+        let per_scene = |f: &dyn Fn(u64) -> i64| -> Vec<i64> {
+            let scenes = batch.scene_sizes.iter().zip(0u64..);
+            scenes.flat_map(|(size, s)| std::iter::repeat_n(f(s), *size)).collect()
+        };
+        let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
+        let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < self.config.drop_graph));
+        let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
+        let batch = batch.with_graph_dropped(&dropped, &self.model);
+
+        let clean = self.network.knots_of(&logged_actions(targets));
+        let numbers = self.draw(2).normals(clean.numel());
+        let noise = Tensor::from_slice(&numbers).view_as(&clean).to_device(device);
+        let share = |f: &dyn Fn(f64) -> f64| {
+            let values: Vec<f32> = k.iter().map(|k| f(self.schedule.alpha_bar[*k as usize]) as f32).collect();
+            Tensor::from_slice(&values).view([-1, 1, 1]).to_device(device)
+        };
+        let noisy = &clean * share(&f64::sqrt) + noise * share(&|a| (1.0 - a).sqrt());
+
+        let context = self.network.encode(&batch, true);
+        let steps = Tensor::from_slice(&k).to_device(device);
+        let predicted = self.network.denoise(&context, &noisy, &steps);
+        let states = self.network.states(&predicted, &batch.speed_mps);
+        trajectory_loss(&self.network, &states, targets)
+    }
+
+    /// Takes `steps` training steps and returns their losses.
+    ///
+    /// # Errors
+    /// [`ModelError::Diverged`] where the loss is not finite; what libtorch refuses.
+    pub fn run(&mut self, steps: usize) -> Result<Vec<f64>> {
+        guarded(true, "training", || {
+            let mut losses = Vec::with_capacity(steps);
+            for _ in 0..steps {
+                let indices =
+                    self.dataset.indices_of_step(self.config.seed, self.step, self.config.batch_scenes);
+                let (batch, targets) = self.dataset.batch(&indices, self.store.device())?;
+                let loss = self.loss(&batch, &targets);
+                let value = loss.double_value(&[]);
+                if !value.is_finite() {
+                    return Err(ModelError::Diverged { step: self.step, loss: value });
+                }
+                loss.backward();
+                let rate = self.learning_rate();
+                tch::no_grad(|| {
+                    self.adam.step(self.step + 1, rate, self.config.clip_norm);
+                    self.step += 1;
+                    let decay = if self.step <= self.config.ema_start { 0.0 } else { self.config.ema_decay };
+                    self.average.follow(decay);
+                });
+                losses.push(value);
+            }
+            Ok(losses)
+        })
+    }
+
+    /// Open-loop errors of the averaged weights on `count` samples of another data set, spread evenly over it.
+    ///
+    /// # Errors
+    /// What features, sampling and libtorch refuse.
+    pub fn validate(&self, held_out: &Dataset, count: usize, options: SampleOptions) -> Result<Validation> {
+        let count = count.clamp(1, held_out.len());
+        let indices: Vec<usize> = (0..count).map(|i| i * held_out.len() / count).collect();
+        guarded(false, "validation", || {
+            let mut errors = Errors::default();
+            for chunk in indices.chunks(32) {
+                let (batch, targets) = held_out.batch(chunk, self.store.device())?;
+                let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
+                let net = &self.average.network;
+                let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options)?;
+                let n = options.num_samples as i64;
+                let states = net.states(&knots, &batch.speed_mps.repeat([n]));
+                errors.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
+            }
+            Ok(errors.means())
+        })
+    }
+
+    /// Writes the averaged weights with a header that rebuilds the network; `notes` is kept in it as it is.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`] where the file cannot be written.
+    pub fn export(&self, path: &Path, notes: &serde_json::Value) -> Result<()> {
+        guarded(false, "writing weights", || {
+            let header = serde_json::json!({
+                "format": 1,
+                "kind": "ccdiff",
+                "model": self.model,
+                "training": self.config,
+                "step": self.step,
+                "notes": notes,
+            });
+            checkpoint::write(path, &header, &variables(&self.average.store))
+        })
+    }
+
+    /// Writes everything that an exact resume needs.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`] where the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        guarded(false, "writing a training state", || {
+            let header = serde_json::json!({
+                "format": 1,
+                "kind": "ccdiff-training",
+                "model": self.model,
+                "training": self.config,
+                "step": self.step,
+                "cooldown": self.cooldown,
+            });
+            let mut tensors = BTreeMap::new();
+            for (prefix, part) in
+                [("weights.", variables(&self.store)), ("average.", variables(&self.average.store))]
+            {
+                tensors.extend(part.into_iter().map(|(n, t)| (format!("{prefix}{n}"), t)));
+            }
+            for (prefix, part) in [("first.", &self.adam.first), ("second.", &self.adam.second)] {
+                tensors.extend(part.iter().map(|(n, t)| (format!("{prefix}{n}"), t.shallow_clone())));
+            }
+            checkpoint::write(path, &header, &tensors)
+        })
+    }
+
+    /// Continues where [`Self::save`] stood; model and training settings must be the file's.
+    ///
+    /// # Errors
+    /// [`ModelError::Checkpoint`] where the file is of another run, or damaged.
+    pub fn resume(&mut self, path: &Path) -> Result<()> {
+        guarded(false, "reading a training state", || {
+            let (header, tensors) = checkpoint::read(path)?;
+            let same = |name: &str, got: bool| {
+                if got {
+                    return Ok(());
+                }
+                Err(ModelError::Checkpoint {
+                    path: path.to_path_buf(),
+                    entry: name.to_string(),
+                    got: "of other settings".into(),
+                    expected: "the settings of this run".into(),
+                })
+            };
+            same("model", checkpoint::field::<ModelConfig>(path, &header, "model")? == self.model)?;
+            same("training", checkpoint::field::<TrainConfig>(path, &header, "training")? == self.config)?;
+            let part = |prefix: &str| -> BTreeMap<String, Tensor> {
+                let own = tensors.iter().filter(|(n, _)| n.starts_with(prefix));
+                own.map(|(n, t)| (n.clone(), t.shallow_clone())).collect()
+            };
+            checkpoint::fill(path, &part("weights."), "weights.", &mut variables(&self.store))?;
+            let average = &mut variables(&self.average.store);
+            checkpoint::fill(path, &part("average."), "average.", average)?;
+            checkpoint::fill(path, &part("first."), "first.", &mut self.adam.first)?;
+            checkpoint::fill(path, &part("second."), "second.", &mut self.adam.second)?;
+            self.step = checkpoint::field(path, &header, "step")?;
+            self.cooldown = checkpoint::field(path, &header, "cooldown")?;
+            Ok(())
+        })
+    }
+}
+
+/// Model and training settings of a training state, so that a resumed run is built alike.
+///
+/// # Errors
+/// [`ModelError::Io`], [`ModelError::Checkpoint`].
+pub fn settings_of(path: &Path) -> Result<(ModelConfig, TrainConfig)> {
+    let (header, _) = guarded(false, "reading a training state", || checkpoint::read(path))?;
+    Ok((checkpoint::field(path, &header, "model")?, checkpoint::field(path, &header, "training")?))
+}
+
+/// Logged actions [R, T, 2], bounded, zero where not logged.
+fn logged_actions(targets: &Targets) -> Tensor {
+    let bounded: Vec<Tensor> = ACTION_BOUNDS
+        .iter()
+        .zip(4..)
+        .map(|((low, high), c)| targets.states.select(2, c).clamp(*low, *high) * &targets.valid)
+        .collect();
+    Tensor::stack(&bounded, 2)
+}
+
+/// Mean squared error over the six normalised components of the logged steps (method.md 2.9).
+///
+/// Differs from the released code: the mean is over logged steps, not over padding as well.
+pub fn trajectory_loss(network: &Network, states: &Tensor, targets: &Targets) -> Tensor {
+    let config = network.config();
+    let difference = network.standardised_states(states) - network.standardised_states(&targets.states);
+    let weights =
+        Tensor::from_slice(&config.loss_weights).to_kind(Kind::Float).to_device(difference.device());
+    let per_step = (difference.square() * weights).mean_dim([2i64].as_slice(), false, Kind::Float);
+    (per_step * &targets.valid).sum(Kind::Float) / targets.valid.sum(Kind::Float).clamp_min(1.0)
+}
+
+/// Sums of [`Validation`].
+#[derive(Debug, Default)]
+struct Errors {
+    sums: [f64; 6],
+    num_agents: usize,
+}
+
+impl Errors {
+    fn add(&mut self, states: &Tensor, speed: &Tensor, targets: &Targets, samples: i64, dt_s: f64) {
+        let size = targets.states.size();
+        let (rows, steps) = (size[0], size[1]);
+        let logged = targets.states.narrow(2, 0, 2);
+        let whole = targets.valid.amin([1i64].as_slice(), false);
+        let distance = |path: &Tensor| {
+            (path - &logged).square().sum_dim_intlist([-1i64].as_slice(), false, Kind::Float).sqrt()
+        };
+        let of_samples = distance(&states.narrow(2, 0, 2).view([samples, rows, steps, 2]));
+        let times = (Tensor::arange(steps, (Kind::Float, speed.device())) + 1.0) * dt_s;
+        let ahead = speed.unsqueeze(1) * times;
+        let of_constant = distance(&Tensor::stack(&[&ahead, &ahead.zeros_like()], 2));
+        let mean = |t: &Tensor| t.mean_dim([-1i64].as_slice(), false, Kind::Float);
+        let end = |t: &Tensor| t.select(-1, steps - 1);
+        let found = [
+            mean(&of_samples).amin([0i64].as_slice(), false),
+            end(&of_samples).amin([0i64].as_slice(), false),
+            mean(&of_samples.select(0, 0)),
+            end(&of_samples.select(0, 0)),
+            mean(&of_constant),
+            end(&of_constant),
+        ];
+        for (sum, value) in self.sums.iter_mut().zip(&found) {
+            *sum += (value * &whole).sum(Kind::Double).double_value(&[]);
+        }
+        self.num_agents += whole.sum(Kind::Double).double_value(&[]) as usize;
+    }
+
+    fn means(&self) -> Validation {
+        let mean = |i: usize| self.sums[i] / self.num_agents.max(1) as f64;
+        Validation {
+            min_ade_m: mean(0),
+            min_fde_m: mean(1),
+            ade_m: mean(2),
+            fde_m: mean(3),
+            constant_velocity_ade_m: mean(4),
+            constant_velocity_fde_m: mean(5),
+            num_agents: self.num_agents,
+        }
+    }
+}

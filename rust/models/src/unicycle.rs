@@ -1,0 +1,180 @@
+//! The unicycle as tensors (method.md 2.7), action knots, and actions from logged poses (method.md 1.9).
+//!
+//! This is the roll-out of a *plan*: the cumulative sum of accelerations is clipped ("parallel" mode), which differs
+//! from integrating step by step once a bound is hit.
+
+use crate::config::ModelConfig;
+use ccdiff_sim::geom::math::wrap_angle;
+use tch::{Kind, Tensor};
+
+/// Bounds of acceleration (m/s²) and speed (m/s) of a plan.
+const ACCELERATION_MPS2: (f64, f64) = (-10.0, 8.0);
+const SPEED_MPS: (f64, f64) = (-10.0, 30.0);
+
+/// Rolls actions out from the origin, heading +x.
+///
+/// # Shapes
+/// `actions` [R, T, 2] (m/s², rad/s), `speed_mps` [R] → states [R, T, 6]: x, y, v, yaw, acceleration, yaw rate. The last
+/// two are the actions as given, not clipped. Differentiable; the yaw-rate bound has no gradient.
+pub fn rollout(actions: &Tensor, speed_mps: &Tensor, dt_s: f64) -> Tensor {
+    let (acceleration, yaw_rate) = (actions.select(2, 0), actions.select(2, 1));
+    let gained = (acceleration.clamp(ACCELERATION_MPS2.0, ACCELERATION_MPS2.1) * dt_s).cumsum(1, Kind::Float);
+    let start = speed_mps.unsqueeze(1);
+    let after = (&gained + &start).clamp(SPEED_MPS.0, SPEED_MPS.1);
+    let steps = after.size()[1];
+    let before = Tensor::cat(&[start, after.narrow(1, 0, steps - 1)], 1);
+    let pace = before.detach().abs();
+    let bound =
+        (&pace * 0.5).minimum(&(pace.clamp_min(0.1).reciprocal() * std::f64::consts::TAU)).clamp_min(0.1);
+    let turned = yaw_rate.minimum(&bound).maximum(&bound.neg()) * dt_s;
+    let yaw_after = turned.cumsum(1, Kind::Float);
+    let yaw_before = &yaw_after - &turned;
+    let step_m = (&before + &after) * (0.5 * dt_s);
+    let x = (&step_m * yaw_before.cos()).cumsum(1, Kind::Float);
+    let y = (&step_m * yaw_before.sin()).cumsum(1, Kind::Float);
+    Tensor::stack(&[&x, &y, &after, &yaw_after, &acceleration, &yaw_rate], 2)
+}
+
+/// States x, y, v, yaw, acceleration, yaw rate [T, 6] of poses in the agent frame, from finite differences.
+///
+/// `poses` are (x, y, yaw) at steps 1..=T; step 0 is the origin, heading +x, with `speed_mps`. Not exactly reproduced by
+/// rolling the actions out through the clipped unicycle.
+pub fn states_of_poses(poses: &[[f32; 3]], speed_mps: f32, dt_s: f32) -> Vec<[f32; 6]> {
+    let (mut last, mut last_speed) = ([0.0f32; 3], speed_mps);
+    poses
+        .iter()
+        .map(|&[x, y, yaw]| {
+            let (sin, cos) = yaw.sin_cos();
+            let speed = ((x - last[0]) * cos + (y - last[1]) * sin) / dt_s;
+            let state = [x, y, speed, yaw, (speed - last_speed) / dt_s, wrap_angle(yaw - last[2]) / dt_s];
+            (last, last_speed) = ([x, y, yaw], speed);
+            state
+        })
+        .collect()
+}
+
+/// The matrix [T, knots] that joins knots linearly; the identity for a stride of one.
+pub fn knot_weights(config: &ModelConfig) -> Vec<f32> {
+    let (steps, knots) = (config.horizon_steps, config.num_knots());
+    let mut weights = vec![0.0f32; steps * knots];
+    for step in 0..steps {
+        let at = ((step as f64 + 0.5) / config.knot_stride as f64 - 0.5).clamp(0.0, (knots - 1) as f64);
+        let low = (at.floor() as usize).min(knots - 1);
+        let share = (at - low as f64) as f32;
+        weights[step * knots + low] += 1.0 - share;
+        if share > 0.0 {
+            weights[step * knots + low + 1] += share;
+        }
+    }
+    weights
+}
+
+/// Linear maps between knots and actions.
+#[derive(Debug)]
+pub struct Knots {
+    spread: Tensor,
+    fit: Tensor,
+}
+
+impl Knots {
+    /// Maps of a configuration, on a device.
+    pub fn new(config: &ModelConfig, device: tch::Device) -> Self {
+        let size = [config.horizon_steps as i64, config.num_knots() as i64];
+        let spread = Tensor::from_slice(&knot_weights(config)).view(size);
+        let fit = spread.to_kind(Kind::Double).linalg_pinv(1e-12, false).to_kind(Kind::Float);
+        Self { spread: spread.to_device(device), fit: fit.to_device(device) }
+    }
+
+    /// Actions [R, T, 2] of knots [R, knots, 2].
+    pub fn spread(&self, knots: &Tensor) -> Tensor {
+        self.spread.matmul(knots)
+    }
+
+    /// Knots [R, knots, 2] that fit actions [R, T, 2] best in the least-squares sense.
+    pub fn fit(&self, actions: &Tensor) -> Tensor {
+        self.fit.matmul(actions)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn roll(speed: f32, actions: &[[f32; 2]]) -> Vec<f32> {
+        let flat: Vec<f32> = actions.iter().flatten().copied().collect();
+        let states = rollout(
+            &Tensor::from_slice(&flat).view([1, actions.len() as i64, 2]),
+            &Tensor::from_slice(&[speed]),
+            0.1,
+        );
+        Vec::<f32>::try_from(states.view([-1])).unwrap()
+    }
+
+    fn check(speed: f32, actions: &[[f32; 2]], want: &[[f32; 4]]) {
+        let got = roll(speed, actions);
+        for (t, w) in want.iter().enumerate() {
+            for c in 0..4 {
+                let v = got[t * 6 + c];
+                assert!((v - w[c]).abs() < 2e-5, "step {t} component {c}: got {v}, want {}", w[c]);
+            }
+            assert_eq!(got[t * 6 + 4..t * 6 + 6], actions[t]);
+        }
+    }
+
+    #[test]
+    fn the_rollout_reproduces_the_tabulated_states() {
+        check(
+            5.0,
+            &[[2.0, 0.1], [2.0, 0.3], [-12.0, 0.3], [0.0, 5.0], [1.0, -1.0]],
+            &[
+                [0.51, 0.0, 5.2, 0.01],
+                [1.039974, 0.0053, 5.4, 0.04],
+                [1.529582, 0.024895, 4.4, 0.07],
+                [1.968504, 0.05567, 4.4, 0.2128],
+                [2.403466, 0.149652, 4.5, 0.1128],
+            ],
+        );
+        check(
+            0.0,
+            &[[9.0, 0.5], [9.0, 0.5], [0.0, 0.01]],
+            &[[0.04, 0.0, 0.8, 0.01], [0.159994, 0.0012, 1.6, 0.05], [0.319794, 0.009197, 1.6, 0.051]],
+        );
+    }
+
+    #[test]
+    fn speed_leaves_its_bound_as_the_cumulative_sum_does() {
+        let got = roll(29.5, &[[8.0, 0.0], [8.0, 0.0], [-8.0, 0.0]]);
+        assert!((got[2] - 30.0).abs() < 1e-5 && (got[8] - 30.0).abs() < 1e-5);
+        // 29.5 + 0.8 + 0.8 - 0.8 = 30.3 is still clipped, where step-by-step integration would give 29.2
+        assert!((got[14] - 30.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn actions_of_a_rolled_out_path_are_recovered() {
+        let actions: Vec<[f32; 2]> =
+            (0..52).map(|t| [(t as f32 * 0.2).sin(), 0.1 * (t as f32 * 0.1).cos()]).collect();
+        let rolled = roll(6.0, &actions);
+        let poses: Vec<[f32; 3]> = rolled.chunks(6).map(|s| [s[0], s[1], s[3]]).collect();
+        let states = states_of_poses(&poses, 6.0, 0.1);
+        for (t, state) in states.iter().enumerate() {
+            // the chord's speed lies half a step behind
+            assert!((state[2] - rolled[t * 6 + 2]).abs() < 0.1, "speed at {t}");
+            assert!((state[5] - actions[t][1]).abs() < 1e-3, "yaw rate at {t}");
+        }
+    }
+
+    #[test]
+    fn knots_reproduce_what_is_linear_between_them_and_are_the_identity_at_stride_one() {
+        let fast = ModelConfig::fast();
+        let knots = Knots::new(&fast, tch::Device::Cpu);
+        let z = Tensor::from_slice(&crate::noise::Noise::new(1, 1).normals(26)).view([1, 13, 2]);
+        let back = knots.fit(&knots.spread(&z));
+        assert!(back.allclose(&z, 1e-4, 1e-4, false));
+        let paper = knot_weights(&ModelConfig::paper());
+        for (i, w) in paper.iter().enumerate() {
+            assert_eq!(*w, if i / 52 == i % 52 { 1.0 } else { 0.0 });
+        }
+        let rows = knot_weights(&fast);
+        assert!(rows.chunks(13).all(|r| (r.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+    }
+}
