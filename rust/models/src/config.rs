@@ -242,7 +242,7 @@ impl ModelConfig {
                 "at least 2 and 1",
             );
         }
-        if self.knot_stride < 1 || self.horizon_steps % self.knot_stride != 0 {
+        if self.knot_stride < 1 || !self.horizon_steps.is_multiple_of(self.knot_stride) {
             return fail("knot_stride", self.knot_stride.to_string(), "a divisor of horizon_steps");
         }
         if !(self.dt_s > 0.0 && self.dt_s.is_finite()) {

@@ -126,7 +126,7 @@ pub fn sample(
                 let p = schedule.posterior(k);
                 x = clean(&x, k) * p.from_x0 + &x * p.from_xk;
                 if k > 0 {
-                    x = x + normal(k as u64) * p.sigma;
+                    x = &x + normal(k as u64) * p.sigma;
                 }
             }
         }

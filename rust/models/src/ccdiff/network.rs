@@ -174,7 +174,7 @@ impl Network {
             if let (Some(layer), Some(kv)) = (&round.map, &context.map[r]) {
                 x = &x + layer.forward(&x, kv, None);
             }
-            x = x + &self.positions;
+            x = &x + &self.positions;
             for layer in &round.temporal {
                 x = layer.forward(&x, context.seen.as_ref());
             }
