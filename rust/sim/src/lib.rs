@@ -5,6 +5,7 @@ pub mod dynamics;
 pub mod error;
 pub mod events;
 pub mod geom;
+pub mod metrics;
 pub mod observe;
 pub mod policy;
 pub mod scene;

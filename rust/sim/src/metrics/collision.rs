@@ -1,0 +1,193 @@
+//! Collisions of a recorded scene, in the variants that a collision rate can mean.
+
+use super::Rollout;
+use crate::error::Result;
+use crate::events::{Collisions, ContactKind};
+use crate::scene::AgentKind;
+use crate::state::AgentStates;
+
+/// Which contacts count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum CollisionVariant {
+    /// Every contact (parity with the release).
+    All = 0,
+    /// Contacts that involve a controlled agent.
+    Controlled = 1,
+    /// Contacts of pairs that do not touch at the first step, nor in the log at the same step.
+    New = 2,
+    /// Both.
+    ControlledNew = 3,
+}
+
+impl CollisionVariant {
+    /// All variants in the order of their numbers.
+    pub const ALL: [Self; 4] = [Self::All, Self::Controlled, Self::New, Self::ControlledNew];
+}
+
+/// One pair of agents in contact at one step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PairContact {
+    /// Step index.
+    pub step_idx: u32,
+    /// The two agents, the smaller index first.
+    pub agents: (u32, u32),
+    /// Whether one of them is controlled.
+    pub controlled: bool,
+    /// Whether the pair touched neither at the first step nor in the log at this step.
+    pub new: bool,
+}
+
+impl PairContact {
+    fn counts_in(&self, variant: CollisionVariant) -> bool {
+        match variant {
+            CollisionVariant::All => true,
+            CollisionVariant::Controlled => self.controlled,
+            CollisionVariant::New => self.new,
+            CollisionVariant::ControlledNew => self.controlled && self.new,
+        }
+    }
+}
+
+/// All contacts of one scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CollisionReport {
+    /// By step, then agents.
+    pub contacts: Vec<PairContact>,
+    /// Side on which every agent is hit at its first contact.
+    pub first_kind: Vec<Option<ContactKind>>,
+    /// Agents that are there at some step.
+    present: Vec<bool>,
+}
+
+impl CollisionReport {
+    /// Finds the contacts of a roll-out. `log` is the recorded traffic of the same agents and steps.
+    ///
+    /// # Errors
+    /// [`crate::SimError::Length`] where `controlled` or `log` do not fit the roll-out.
+    ///
+    /// # Reference
+    /// method.md 6.1.
+    pub fn new(rollout: &Rollout<'_>, controlled: &[bool], log: Option<&Rollout<'_>>) -> Result<Self> {
+        rollout.check_same(log, controlled)?;
+        let num_agents = rollout.num_agents();
+        let kinds = vec![AgentKind::Vehicle; num_agents];
+        let (mut states, mut found) = (AgentStates::new(num_agents), Collisions::new());
+        let (mut log_states, mut log_found) = (AgentStates::new(num_agents), Collisions::new());
+        let mut report = Self {
+            contacts: Vec::new(),
+            first_kind: vec![None; num_agents],
+            present: (0..num_agents)
+                .map(|a| (0..rollout.num_steps()).any(|t| rollout.is_valid(a, t)))
+                .collect(),
+        };
+        let mut at_start: Vec<(u32, u32)> = Vec::new();
+        for step_idx in 0..rollout.num_steps() {
+            rollout.states_at(step_idx, &mut states);
+            found.detect(&states, rollout.bodies(), &kinds);
+            if step_idx == 0 {
+                at_start = found.pairs().to_vec();
+            }
+            if let Some(log) = log {
+                log.states_at(step_idx, &mut log_states);
+                log_found.detect(&log_states, log.bodies(), &kinds);
+            }
+            for &(a, b) in found.pairs() {
+                let pair = (a.min(b), a.max(b));
+                let among = |pairs: &[(u32, u32)]| pairs.iter().any(|&(c, d)| pair == (c.min(d), c.max(d)));
+                report.contacts.push(PairContact {
+                    step_idx: step_idx as u32,
+                    agents: pair,
+                    controlled: controlled[a as usize] || controlled[b as usize],
+                    new: !among(&at_start) && !among(log_found.pairs()),
+                });
+            }
+            for agent in 0..num_agents {
+                if report.first_kind[agent].is_none() {
+                    report.first_kind[agent] = found.first_partner(agent).map(|contact| contact.kind);
+                }
+            }
+        }
+        report.contacts.sort_by_key(|c| (c.step_idx, c.agents));
+        Ok(report)
+    }
+
+    /// Whether every agent is ever in a contact that counts.
+    pub fn agents(&self, variant: CollisionVariant) -> Vec<bool> {
+        let mut collided = vec![false; self.present.len()];
+        for contact in self.contacts.iter().filter(|c| c.counts_in(variant)) {
+            collided[contact.agents.0 as usize] = true;
+            collided[contact.agents.1 as usize] = true;
+        }
+        collided
+    }
+
+    /// Whether any contact counts: the scene's entry in the scene collision rate (SCR).
+    pub fn any(&self, variant: CollisionVariant) -> bool {
+        self.contacts.iter().any(|c| c.counts_in(variant))
+    }
+
+    /// Share of the agents that are ever there that are ever in a contact that counts; 0 without agents.
+    pub fn agent_rate(&self, variant: CollisionVariant) -> f64 {
+        let present = self.present.iter().filter(|&&p| p).count();
+        let collided = self.agents(variant).iter().filter(|&&c| c).count();
+        if present == 0 { 0.0 } else { collided as f64 / present as f64 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rollout::Recorded;
+    use super::*;
+
+    fn standing(x: f32, y: f32, steps: usize) -> Vec<Option<(f32, f32, f32)>> {
+        vec![Some((x, y, 0.0)); steps]
+    }
+
+    #[test]
+    fn variants_split_old_contacts_from_new_and_controlled_ones() {
+        // 0 and 1 overlap from the start; 2 drives into 3; 4 vanishes before it would be hit
+        let driving = (0..5).map(|t| Some((20.0 + 2.0 * t as f32, 0.0, 0.0))).collect();
+        let mut vanishing = standing(28.0, 0.5, 5);
+        vanishing[2..].fill(None);
+        let recorded = Recorded::new(&[
+            standing(0.0, 0.0, 5),
+            standing(3.0, 0.0, 5),
+            driving,
+            standing(30.0, 0.0, 5),
+            vanishing,
+        ]);
+        let rollout = recorded.rollout(0.1);
+        let report = CollisionReport::new(&rollout, &[true, false, false, false, false], None).unwrap();
+        assert_eq!(report.agents(CollisionVariant::All), [true, true, true, true, true]);
+        assert_eq!(report.agents(CollisionVariant::Controlled), [true, true, false, false, false]);
+        // 3 and 4 touch at the first step
+        assert_eq!(report.agents(CollisionVariant::New), [false, false, true, true, false]);
+        assert!(!report.any(CollisionVariant::ControlledNew));
+        assert_eq!(report.agent_rate(CollisionVariant::New), 0.4);
+        assert_eq!(report.first_kind[2], Some(ContactKind::Front));
+        assert_eq!(report.first_kind[1], Some(ContactKind::Rear));
+    }
+
+    #[test]
+    fn contacts_that_the_log_has_at_the_same_step_are_not_new() {
+        let mut late = standing(30.0, 0.0, 3);
+        late[2] = Some((3.0, 0.0, 0.0));
+        let recorded = Recorded::new(&[standing(0.0, 0.0, 3), late]);
+        let rollout = recorded.rollout(0.1);
+        let none = [false; 2];
+        let alone = CollisionReport::new(&rollout, &none, None).unwrap();
+        assert!(alone.any(CollisionVariant::New));
+        let replay = CollisionReport::new(&rollout, &none, Some(&rollout)).unwrap();
+        assert!(replay.any(CollisionVariant::All) && !replay.any(CollisionVariant::New));
+    }
+
+    #[test]
+    fn masks_and_logs_of_another_shape_are_refused() {
+        let recorded = Recorded::new(&[standing(0.0, 0.0, 3)]);
+        let other = Recorded::new(&[standing(0.0, 0.0, 2)]);
+        assert!(CollisionReport::new(&recorded.rollout(0.1), &[], None).is_err());
+        let log = other.rollout(0.1);
+        assert!(CollisionReport::new(&recorded.rollout(0.1), &[true], Some(&log)).is_err());
+    }
+}

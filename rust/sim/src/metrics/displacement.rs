@@ -1,0 +1,75 @@
+//! Distance of a roll-out from the log.
+
+use super::Rollout;
+use crate::error::Result;
+
+/// Displacement errors of one scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Displacement {
+    /// Mean error of every agent over the steps where both are there, metres; `None` where there are none.
+    pub ade_m: Vec<Option<f64>>,
+    /// Error of every agent at the last such step, metres.
+    pub fde_m: Vec<Option<f64>>,
+}
+
+impl Displacement {
+    /// Means of (ADE, FDE) over the agents of a mask [A] (all, where it is shorter); `None` where none has an error.
+    pub fn mean_m(&self, counted: &[bool]) -> Option<(f64, f64)> {
+        let mean = |errors: &[Option<f64>]| {
+            let kept: Vec<f64> = errors
+                .iter()
+                .enumerate()
+                .filter(|&(agent, _)| counted.get(agent).copied().unwrap_or(true))
+                .filter_map(|(_, error)| *error)
+                .collect();
+            if kept.is_empty() { None } else { Some(kept.iter().sum::<f64>() / kept.len() as f64) }
+        };
+        Some((mean(&self.ade_m)?, mean(&self.fde_m)?))
+    }
+}
+
+/// Compares a roll-out with the log of the same agents and steps.
+///
+/// # Errors
+/// [`crate::SimError::Length`] where the log has other agents or steps.
+///
+/// # Reference
+/// method.md 6.3.
+pub fn displacement(rollout: &Rollout<'_>, log: &Rollout<'_>) -> Result<Displacement> {
+    rollout.check_same(Some(log), &vec![false; rollout.num_agents()])?;
+    let mut result = Displacement { ade_m: Vec::new(), fde_m: Vec::new() };
+    for agent in 0..rollout.num_agents() {
+        let errors: Vec<f64> = (0..rollout.num_steps())
+            .filter(|&t| rollout.is_valid(agent, t) && log.is_valid(agent, t))
+            .map(|t| f64::from((rollout.position(agent, t) - log.position(agent, t)).norm()))
+            .collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        result.ade_m.push(if errors.is_empty() { None } else { Some(mean) });
+        result.fde_m.push(errors.last().copied());
+    }
+    Ok(result)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rollout::Recorded;
+    use super::*;
+
+    #[test]
+    fn final_error_is_that_of_the_last_common_step() {
+        let log: Vec<_> = (0..4).map(|t| Some((t as f32, 0.0, 0.0))).collect();
+        let mut gone = log.clone();
+        gone[3] = None;
+        let shifted = gone.iter().map(|s| s.map(|(x, y, h)| (x, y + x, h))).collect();
+        let (a, b) = (
+            Recorded::new(&[log.clone(), gone, vec![None; 4]]),
+            Recorded::new(&[log, shifted, vec![None; 4]]),
+        );
+        let result = displacement(&b.rollout(0.1), &a.rollout(0.1)).unwrap();
+        assert_eq!(result.ade_m, [Some(0.0), Some(1.0), None]);
+        assert_eq!(result.fde_m, [Some(0.0), Some(2.0), None]);
+        assert_eq!(result.mean_m(&[]), Some((0.5, 1.0)));
+        assert_eq!(result.mean_m(&[false, true, true]), Some((1.0, 2.0)));
+        assert_eq!(result.mean_m(&[false, false, true]), None);
+    }
+}

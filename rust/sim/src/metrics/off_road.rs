@@ -1,0 +1,90 @@
+//! How much of the time agents are off the drivable area.
+
+use super::Rollout;
+use crate::events::{OffRoad, off_road};
+use crate::geom::Region;
+use crate::state::AgentStates;
+
+/// Off-road flags of one scene and their shares.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OffRoadReport {
+    /// Flags [A, T]; false where the agent is absent.
+    pub flags: Vec<OffRoad>,
+    /// Share of the entries with a present agent whose centre is outside, over the agents asked for.
+    pub centroid_rate: f64,
+    /// The same for boxes that have a corner outside.
+    pub box_rate: f64,
+    /// The centre variant as the release is thought to count: an agent that vanishes between two plans counts as
+    /// outside until the next plan (method.md 6.2, caveat 3, an inference).
+    pub parity_rate: f64,
+}
+
+/// Tests every agent at every step against a region.
+///
+/// Rates count the agents of `counted` [A] (all, where it is shorter), 0 where there is nothing to count.
+/// `replan_steps` is the number of steps between plans, for the parity rate; 0 counts as 1.
+///
+/// Differs from the release: polygons of the map in place of pixels of a raster that is clamped at its border.
+pub fn off_road_report(
+    rollout: &Rollout<'_>,
+    region: &Region,
+    counted: &[bool],
+    replan_steps: usize,
+) -> OffRoadReport {
+    let (num_agents, num_steps) = (rollout.num_agents(), rollout.num_steps());
+    let replan_steps = replan_steps.max(1);
+    let mut flags = vec![OffRoad::default(); num_agents * num_steps];
+    let mut states = AgentStates::new(num_agents);
+    let mut at_step = Vec::new();
+    for step_idx in 0..num_steps {
+        rollout.states_at(step_idx, &mut states);
+        off_road(&states, rollout.bodies(), region, &mut at_step);
+        for (agent, flag) in at_step.iter().enumerate() {
+            flags[agent * num_steps + step_idx] = *flag;
+        }
+    }
+    let (mut present, mut centroid, mut corner, mut vanished) = (0u64, 0u64, 0u64, 0u64);
+    for agent in (0..num_agents).filter(|&a| counted.get(a).copied().unwrap_or(true)) {
+        for step_idx in 0..num_steps {
+            let flag = flags[agent * num_steps + step_idx];
+            if rollout.is_valid(agent, step_idx) {
+                present += 1;
+                centroid += u64::from(flag.centroid);
+                corner += u64::from(flag.corner);
+            } else if rollout.is_valid(agent, step_idx - step_idx % replan_steps) {
+                vanished += 1;
+            }
+        }
+    }
+    let share = |count: u64, of: u64| if of == 0 { 0.0 } else { count as f64 / of as f64 };
+    OffRoadReport {
+        flags,
+        centroid_rate: share(centroid, present),
+        box_rate: share(corner, present),
+        parity_rate: share(centroid + vanished, present + vanished),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rollout::Recorded;
+    use super::*;
+    use crate::geom::{Point2, Polygon};
+
+    #[test]
+    fn rates_count_present_agents_and_parity_counts_those_who_vanish_within_a_plan() {
+        let ring = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
+        let square = Polygon::from_exterior(ring.map(|(x, y)| Point2::new(x, y)).to_vec());
+        let region = Region::new(&[square]).unwrap();
+        // centre leaves at the third step, a corner at the second; gone from the fourth on
+        let leaving = [5.0, 9.0, 11.0].map(|x| Some((x, 5.0, 0.0))).into_iter().chain([None; 3]).collect();
+        let recorded = Recorded::new(&[leaving, vec![Some((5.0, 5.0, 0.0)); 6]]);
+        let report = off_road_report(&recorded.rollout(0.1), &region, &[], 5);
+        assert_eq!(report.centroid_rate, 1.0 / 9.0);
+        assert_eq!(report.box_rate, 2.0 / 9.0);
+        assert_eq!(report.parity_rate, 3.0 / 11.0);
+        let only_second = off_road_report(&recorded.rollout(0.1), &region, &[false, true], 5);
+        assert_eq!(only_second.parity_rate, 0.0);
+        assert!(!only_second.flags[3].centroid);
+    }
+}

@@ -1,0 +1,179 @@
+//! A view of one recorded scene.
+
+use crate::error::{Result, SimError};
+use crate::geom::{Point2, Pose2, Real, Vector2};
+use crate::state::{AgentStates, Body};
+
+/// States of A agents over T steps, row-major [A, T]: agent a at step t is entry `a * T + t`.
+///
+/// Entries where `valid` is false mean nothing and may hold any number.
+#[derive(Debug, Clone, Copy)]
+pub struct Rollout<'a> {
+    num_steps: usize,
+    dt_s: Real,
+    x_m: &'a [Real],
+    y_m: &'a [Real],
+    heading_rad: &'a [Real],
+    valid: &'a [bool],
+    bodies: &'a [Body],
+}
+
+impl<'a> Rollout<'a> {
+    /// A view of A * T states, with A bodies.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where the arrays do not agree, [`SimError::Config`] for a time step that is not positive
+    /// or a valid state that is not finite.
+    pub fn new(
+        dt_s: Real,
+        x_m: &'a [Real],
+        y_m: &'a [Real],
+        heading_rad: &'a [Real],
+        valid: &'a [bool],
+        bodies: &'a [Body],
+    ) -> Result<Self> {
+        let expected = x_m.len();
+        for (what, got) in [("y", y_m.len()), ("heading", heading_rad.len()), ("validity", valid.len())] {
+            if got != expected {
+                return Err(SimError::Length { what, got, expected });
+            }
+        }
+        let num_steps = expected.checked_div(bodies.len()).unwrap_or(0);
+        if num_steps * bodies.len() != expected {
+            return Err(SimError::Length { what: "x", got: expected, expected: num_steps * bodies.len() });
+        }
+        if !(dt_s.is_finite() && dt_s > 0.0) {
+            let expected = "a positive number of seconds".into();
+            return Err(SimError::Config { field: "dt_s", got: dt_s.to_string(), expected });
+        }
+        let finite = |k: usize| x_m[k].is_finite() && y_m[k].is_finite() && heading_rad[k].is_finite();
+        if let Some(k) = (0..expected).find(|&k| valid[k] && !finite(k)) {
+            return Err(SimError::Config {
+                field: "rollout",
+                got: format!("a state that is not finite at agent {}, step {}", k / num_steps, k % num_steps),
+                expected: "finite states wherever an agent is valid".into(),
+            });
+        }
+        Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, bodies })
+    }
+
+    /// Number of agents A.
+    pub fn num_agents(&self) -> usize {
+        self.bodies.len()
+    }
+
+    /// Number of steps T.
+    pub fn num_steps(&self) -> usize {
+        self.num_steps
+    }
+
+    /// Time between steps, seconds.
+    pub fn dt_s(&self) -> Real {
+        self.dt_s
+    }
+
+    /// Bodies of the agents.
+    pub fn bodies(&self) -> &'a [Body] {
+        self.bodies
+    }
+
+    /// Whether an agent is there at a step; false out of range.
+    pub fn is_valid(&self, agent_idx: usize, step_idx: usize) -> bool {
+        step_idx < self.num_steps
+            && self.valid.get(agent_idx * self.num_steps + step_idx).copied().unwrap_or(false)
+    }
+
+    /// Centre of an agent, metres. Indices must be in range.
+    pub(super) fn position(&self, agent_idx: usize, step_idx: usize) -> Point2 {
+        let k = agent_idx * self.num_steps + step_idx;
+        Point2::new(self.x_m[k], self.y_m[k])
+    }
+
+    /// Heading of an agent, radians. Indices must be in range.
+    pub(super) fn heading_rad(&self, agent_idx: usize, step_idx: usize) -> Real {
+        self.heading_rad[agent_idx * self.num_steps + step_idx]
+    }
+
+    pub(super) fn pose(&self, agent_idx: usize, step_idx: usize) -> Pose2 {
+        let p = self.position(agent_idx, step_idx);
+        Pose2::new(p.x, p.y, self.heading_rad(agent_idx, step_idx))
+    }
+
+    /// Velocity from the step before, or to the step after where the agent was absent before; zero where both are
+    /// missing. Indices must be in range.
+    pub(super) fn velocity(&self, agent_idx: usize, step_idx: usize) -> Vector2 {
+        let (from, to) = if step_idx > 0 && self.is_valid(agent_idx, step_idx - 1) {
+            (step_idx - 1, step_idx)
+        } else if self.is_valid(agent_idx, step_idx + 1) {
+            (step_idx, step_idx + 1)
+        } else {
+            return Vector2::zeros();
+        };
+        (self.position(agent_idx, to) - self.position(agent_idx, from)) / self.dt_s
+    }
+
+    /// Writes the states of all agents at a step. `step_idx` must be in range.
+    pub(super) fn states_at(&self, step_idx: usize, out: &mut AgentStates) {
+        if out.len() != self.num_agents() {
+            *out = AgentStates::new(self.num_agents());
+        }
+        for agent in 0..self.num_agents() {
+            out.active[agent] = self.is_valid(agent, step_idx);
+            if out.active[agent] {
+                out.place(agent, self.pose(agent, step_idx), self.velocity(agent, step_idx));
+            }
+        }
+    }
+
+    /// Checks that another roll-out has the same agents and steps, and a mask the same agents.
+    pub(super) fn check_same(&self, other: Option<&Rollout<'_>>, controlled: &[bool]) -> Result<()> {
+        if controlled.len() != self.num_agents() {
+            let (got, expected) = (controlled.len(), self.num_agents());
+            return Err(SimError::Length { what: "mask of controlled agents", got, expected });
+        }
+        if let Some(other) = other {
+            for (what, got, expected) in [
+                ("agents of the log", other.num_agents(), self.num_agents()),
+                ("steps of the log", other.num_steps, self.num_steps),
+            ] {
+                if got != expected {
+                    return Err(SimError::Length { what, got, expected });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// State (x, y, heading) at one step, `None` for absent.
+#[cfg(test)]
+pub(super) type Entry = Option<(Real, Real, Real)>;
+
+/// Arrays of a roll-out for tests: agents as rows of entries.
+#[cfg(test)]
+pub(super) struct Recorded {
+    x_m: Vec<Real>,
+    y_m: Vec<Real>,
+    heading_rad: Vec<Real>,
+    valid: Vec<bool>,
+    bodies: Vec<Body>,
+}
+
+#[cfg(test)]
+impl Recorded {
+    /// Cars of 4 m by 2 m.
+    pub(super) fn new(agents: &[Vec<Entry>]) -> Self {
+        let all: Vec<_> = agents.iter().flatten().copied().collect();
+        Self {
+            x_m: all.iter().map(|s| s.map_or(Real::NAN, |s| s.0)).collect(),
+            y_m: all.iter().map(|s| s.map_or(Real::NAN, |s| s.1)).collect(),
+            heading_rad: all.iter().map(|s| s.map_or(Real::NAN, |s| s.2)).collect(),
+            valid: all.iter().map(Option::is_some).collect(),
+            bodies: vec![Body::new(4.0, 2.0); agents.len()],
+        }
+    }
+
+    pub(super) fn rollout(&self, dt_s: Real) -> Rollout<'_> {
+        Rollout::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
+    }
+}

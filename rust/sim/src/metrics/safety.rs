@@ -1,0 +1,161 @@
+//! Surrogate safety measures of a recorded scene: least time to contact, post-encroachment time, over-speed.
+
+use super::Rollout;
+use crate::causal::measures::TTC_CAP_S;
+use crate::geom::{OrientedBox, Real};
+
+/// Post-encroachment times are looked for up to this, seconds.
+pub const PET_HORIZON_S: Real = 5.0;
+/// Slower agents do not count towards the speed limit, metres per second.
+const MOVING_MPS: Real = 1.0;
+
+fn counts(mask: &[bool], agent_idx: usize) -> bool {
+    mask.get(agent_idx).copied().unwrap_or(true)
+}
+
+/// Least time to contact of every agent with any other over all steps, seconds, capped at 20.
+///
+/// Boxes move on at the velocity of their last step. 0 from the first contact on; 20 for agents that meet nobody.
+pub fn min_ttc_s(rollout: &Rollout<'_>) -> Vec<Real> {
+    let num_agents = rollout.num_agents();
+    let mut least = vec![TTC_CAP_S; num_agents];
+    for t in 0..rollout.num_steps() {
+        let moving: Vec<_> = (0..num_agents)
+            .filter(|&a| rollout.is_valid(a, t))
+            .map(|a| (a, OrientedBox::new(&rollout.pose(a, t), &rollout.bodies()[a]), rollout.velocity(a, t)))
+            .collect();
+        for (k, (a, box_a, velocity_a)) in moving.iter().enumerate() {
+            for (b, box_b, velocity_b) in &moving[..k] {
+                // contact later than both know of already is of no interest
+                let horizon_s = least[*a].max(least[*b]);
+                if let Some(t_s) = box_a.time_to_contact(*velocity_a, box_b, *velocity_b, horizon_s) {
+                    least[*a] = least[*a].min(t_s);
+                    least[*b] = least[*b].min(t_s);
+                }
+            }
+        }
+    }
+    least
+}
+
+/// Least post-encroachment time of every agent with any other, seconds; `None` beyond 5 s.
+///
+/// The time between one agent's box leaving a place and another's reaching it: the least |t - s| over steps t, s
+/// at which the box of one at t overlaps the box of the other at s. 0 for a collision. Agents that follow each
+/// other count too, with their time headway.
+pub fn post_encroachment_time_s(rollout: &Rollout<'_>) -> Vec<Option<Real>> {
+    let (num_agents, num_steps) = (rollout.num_agents(), rollout.num_steps());
+    let horizon = (PET_HORIZON_S / rollout.dt_s()).round() as usize;
+    let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
+        .map(|a| {
+            let present = (0..num_steps).filter(|&t| rollout.is_valid(a, t));
+            present.map(|t| (t, OrientedBox::new(&rollout.pose(a, t), &rollout.bodies()[a]))).collect()
+        })
+        .collect();
+    let mut least: Vec<Option<usize>> = vec![None; num_agents];
+    for a in 0..num_agents {
+        for b in 0..a {
+            let reach_m = rollout.bodies()[a].radius_m + rollout.bodies()[b].radius_m;
+            // a later meeting than both know of already is of no interest
+            let mut limit = least[a].unwrap_or(horizon + 1).max(least[b].unwrap_or(horizon + 1));
+            for (t, box_a) in &boxes[a] {
+                let near = boxes[b].iter().filter(|(s, box_b)| {
+                    s.abs_diff(*t) < limit
+                        && (box_a.centre - box_b.centre).norm_squared() <= reach_m * reach_m
+                });
+                if let Some(gap) =
+                    near.filter(|(_, box_b)| box_a.overlaps(box_b)).map(|(s, _)| s.abs_diff(*t)).min()
+                {
+                    limit = gap;
+                    for agent in [a, b] {
+                        least[agent] = Some(least[agent].map_or(gap, |known| known.min(gap)));
+                    }
+                }
+            }
+        }
+    }
+    least.into_iter().map(|gap| gap.map(|steps| steps as Real * rollout.dt_s())).collect()
+}
+
+/// Whether every agent of a mask [A] (all, where it is shorter) drives faster than a limit for at least `at_least_s`
+/// without a break.
+///
+/// The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
+///
+/// Differs from the paper: it names the rate without a definition; this one is of method.md 6.5.
+pub fn over_speed(rollout: &Rollout<'_>, limit_mps: Real, at_least_s: Real, counted: &[bool]) -> Vec<bool> {
+    let needed = (at_least_s / rollout.dt_s()).round().max(1.0) as usize;
+    let of_agent = |agent: usize| {
+        let mut run = 0;
+        (0..rollout.num_steps()).any(|t| {
+            let fast = rollout.is_valid(agent, t) && rollout.velocity(agent, t).norm() > limit_mps;
+            run = if fast { run + 1 } else { 0 };
+            run >= needed
+        })
+    };
+    (0..rollout.num_agents()).map(|agent| counts(counted, agent) && of_agent(agent)).collect()
+}
+
+/// Speed limit taken from traffic: the 0.75 quantile of all speeds above 1 m/s, metres per second.
+///
+/// Linear between order statistics, as numpy does. `None` where nobody moves.
+pub fn speed_limit_mps(speeds_mps: &[Real]) -> Option<Real> {
+    let mut moving: Vec<Real> = speeds_mps.iter().copied().filter(|v| *v > MOVING_MPS).collect();
+    moving.sort_by(Real::total_cmp);
+    let at = 0.75 * moving.len().checked_sub(1)? as f64;
+    let (below, above) = (at.floor() as usize, at.ceil() as usize);
+    let share = (at - at.floor()) as Real;
+    Some(moving[below] + share * (moving[above] - moving[below]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rollout::Recorded;
+    use super::*;
+    use std::f32::consts::FRAC_PI_2;
+
+    #[test]
+    fn least_time_to_contact_is_over_all_steps() {
+        // closing at 10 m/s until step 5, then side by side
+        let chaser = (0..10).map(|t| Some((t as f32, if t > 5 { 30.0 } else { 0.0 }, 0.0))).collect();
+        let recorded =
+            Recorded::new(&[chaser, vec![Some((20.0, 0.0, 0.0)); 10], vec![Some((0.0, -50.0, 0.0)); 10]]);
+        let least = min_ttc_s(&recorded.rollout(0.1));
+        assert!((least[0] - 1.1).abs() < 1e-4 && least[1] == least[0]);
+        assert_eq!(least[2], TTC_CAP_S);
+    }
+
+    #[test]
+    fn post_encroachment_time_is_from_leaving_to_reaching() {
+        // both cross the origin at 10 m/s; one leaves the other's path, 3 m on, after step 23; the other reaches
+        // that of the first, 3 m before the origin, at step 37
+        let first = (0..60).map(|t| Some((t as f32 - 20.25, 0.0, 0.0))).collect();
+        let second = (0..60).map(|t| Some((0.0, t as f32 - 39.75, FRAC_PI_2))).collect();
+        let recorded = Recorded::new(&[first, second, vec![Some((99.0, 0.0, 0.0)); 60]]);
+        let pet = post_encroachment_time_s(&recorded.rollout(0.1));
+        assert!((pet[0].unwrap() - 1.4).abs() < 1e-5, "{pet:?}");
+        assert_eq!((pet[0], pet[2]), (pet[1], None));
+    }
+
+    #[test]
+    fn over_speed_must_last() {
+        let at = |mps: f32, from: usize, to: usize| {
+            let mut x = 0.0;
+            (0..20)
+                .map(|t| {
+                    x += if (from..to).contains(&t) { mps * 0.1 } else { 0.5 };
+                    Some((x, 0.0, 0.0))
+                })
+                .collect()
+        };
+        let recorded = Recorded::new(&[at(20.0, 5, 10), at(20.0, 5, 9), at(5.0, 0, 0), at(20.0, 5, 15)]);
+        let mask = [true, true, true, false];
+        assert_eq!(over_speed(&recorded.rollout(0.1), 15.0, 0.5, &mask), [true, false, false, false]);
+    }
+
+    #[test]
+    fn speed_limit_is_the_upper_quartile_of_those_who_move() {
+        assert_eq!(speed_limit_mps(&[0.0, 0.5, 2.0, 4.0, 6.0]), Some(5.0));
+        assert_eq!(speed_limit_mps(&[0.5]), None);
+    }
+}
