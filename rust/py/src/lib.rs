@@ -1,10 +1,12 @@
 //! The Python module `ccdiff_env._native`: a translation, no arithmetic.
 
+mod causal;
 mod errors;
 
 use pyo3::prelude::*;
 
 #[pymodule]
-fn _native(_m: &Bound<'_, PyModule>) -> PyResult<()> {
+fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    causal::register(m)?;
     Ok(())
 }

@@ -5,7 +5,7 @@
 //! included, for parity with its rankings. Entries of absent agents hold "no contact" (20 s) or an infinite distance.
 
 use crate::error::{Result, SimError};
-use crate::geom::{Point2, Real, Vector2, math};
+use crate::geom::{OrientedBox, Pose2, Real, Vector2, math};
 
 /// Times to contact are capped here, seconds (method.md 2.4).
 pub const TTC_CAP_S: Real = 20.0;
@@ -73,15 +73,16 @@ impl<'a> AgentFrame<'a> {
         self.valid.get(agent_idx).copied().unwrap_or(false)
     }
 
-    fn moving_box(&self, i: usize) -> MovingBox {
-        let (sin, cos) = math::sin_cos(self.heading_rad[i]);
-        MovingBox {
-            centre: Point2::new(self.x_m[i], self.y_m[i]),
-            axis: Vector2::new(cos, sin),
+    fn box_and_velocity(&self, i: usize) -> (OrientedBox, Vector2) {
+        let pose = Pose2::new(self.x_m[i], self.y_m[i], self.heading_rad[i]);
+        let oriented_box = OrientedBox {
+            centre: pose.position,
+            cos: pose.cos,
+            sin: pose.sin,
             half_length_m: 0.5 * self.length_m[i],
             half_width_m: 0.5 * self.width_m[i],
-            velocity: Vector2::new(cos, sin) * self.speed_mps[i],
-        }
+        };
+        (oriented_box, pose.rotate(Vector2::new(self.speed_mps[i], 0.0)))
     }
 
     /// Writes the times to contact of all pairs, seconds in [0, 20], into `out` [M, M].
@@ -105,11 +106,14 @@ impl<'a> AgentFrame<'a> {
     fn ttc_oriented_s(&self, out: &mut [Real]) {
         let num_agents = self.num_agents();
         out.fill(TTC_CAP_S);
-        let boxes: Vec<MovingBox> = (0..num_agents).map(|i| self.moving_box(i)).collect();
+        let moving: Vec<(OrientedBox, Vector2)> = (0..num_agents).map(|i| self.box_and_velocity(i)).collect();
         for i in (0..num_agents).filter(|&i| self.valid[i]) {
             out[i * num_agents + i] = 0.0;
             for j in (i + 1..num_agents).filter(|&j| self.valid[j]) {
-                let t_s = boxes[i].time_to_contact_s(&boxes[j]).min(TTC_CAP_S);
+                let ((one, one_velocity), (other, other_velocity)) = (&moving[i], &moving[j]);
+                let t_s = one
+                    .time_to_contact(*one_velocity, other, *other_velocity, TTC_CAP_S)
+                    .unwrap_or(TTC_CAP_S);
                 out[i * num_agents + j] = t_s;
                 out[j * num_agents + i] = t_s;
             }
@@ -289,49 +293,6 @@ impl<'a> AgentHistory<'a> {
     }
 }
 
-/// An oriented box on its way.
-struct MovingBox {
-    centre: Point2,
-    axis: Vector2,
-    half_length_m: Real,
-    half_width_m: Real,
-    velocity: Vector2,
-}
-
-impl MovingBox {
-    /// Half the extent of the box along a unit vector, metres.
-    fn reach_m(&self, along: Vector2) -> Real {
-        let normal = Vector2::new(-self.axis.y, self.axis.x);
-        self.half_length_m * self.axis.dot(&along).abs() + self.half_width_m * normal.dot(&along).abs()
-    }
-
-    /// First time, seconds from now, at which two boxes touch that keep heading and velocity; infinite for never.
-    ///
-    /// Along each of the four face normals the projections overlap during one interval of time; the boxes touch
-    /// from the latest beginning, provided that no interval has ended by then (separating axes, swept).
-    fn time_to_contact_s(&self, other: &Self) -> Real {
-        let offset = other.centre - self.centre;
-        let velocity = other.velocity - self.velocity;
-        let (mut enter_s, mut leave_s) = (0.0, Real::INFINITY);
-        for axis in [self.axis, other.axis] {
-            for along in [axis, Vector2::new(-axis.y, axis.x)] {
-                let reach_m = self.reach_m(along) + other.reach_m(along);
-                let (gap_m, speed_mps) = (offset.dot(&along), velocity.dot(&along));
-                if speed_mps.abs() < 1e-6 {
-                    if gap_m.abs() > reach_m {
-                        return Real::INFINITY;
-                    }
-                    continue;
-                }
-                let (a, b) = ((-reach_m - gap_m) / speed_mps, (reach_m - gap_m) / speed_mps);
-                enter_s = Real::max(enter_s, a.min(b));
-                leave_s = Real::min(leave_s, a.max(b));
-            }
-        }
-        if enter_s <= leave_s && leave_s >= 0.0 { enter_s } else { Real::INFINITY }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -433,49 +394,7 @@ mod tests {
         );
     }
 
-    fn corners(b: &MovingBox, t: f32) -> [Point2; 4] {
-        let normal = Vector2::new(-b.axis.y, b.axis.x);
-        [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)].map(|(s, w)| {
-            b.centre + b.velocity * t + b.axis * (s * b.half_length_m) + normal * (w * b.half_width_m)
-        })
-    }
-
-    /// Gap of two boxes at time t: largest separation over the face normals, from the corners.
-    fn separation(a: &MovingBox, b: &MovingBox, t: f32) -> f32 {
-        let mut gap = f32::NEG_INFINITY;
-        for axis in [a.axis, b.axis] {
-            for along in [axis, Vector2::new(-axis.y, axis.x)] {
-                let span = |m: &MovingBox| {
-                    let dots = corners(m, t).map(|c| c.coords.dot(&along));
-                    (
-                        dots.iter().copied().fold(f32::MAX, f32::min),
-                        dots.iter().copied().fold(f32::MIN, f32::max),
-                    )
-                };
-                let ((a0, a1), (b0, b1)) = (span(a), span(b));
-                gap = gap.max(b0 - a1).max(a0 - b1);
-            }
-        }
-        gap
-    }
-
     proptest! {
-        #[test]
-        fn oriented_ttc_agrees_with_stepping_the_boxes(
-            x in -40f32..40., y in -40f32..40., h in -3.2f32..3.2, g in -3.2f32..3.2, v in 0f32..15., w in -5f32..15.,
-        ) {
-            let (xs, ys, hs, vs) = ([0.0, x], [0.0, y], [g, h], [v, w]);
-            let frame = AgentFrame::new(&xs, &ys, &hs, &vs, &[4.5, 6.0], &[2.0, 2.5], &[true; 2]).unwrap();
-            let (a, b) = (frame.moving_box(0), frame.moving_box(1));
-            let t = a.time_to_contact_s(&b);
-            let first = (0..=4000).map(|k| k as f32 * 0.005).find(|&s| separation(&a, &b, s) <= 0.0);
-            match first {
-                Some(s) => prop_assert!(t <= s + 1e-3 && s - t <= 0.006, "{t} vs {s}"),
-                // a graze may lie between two steps
-                None => prop_assert!(t > 19.99 || separation(&a, &b, t).abs() < 1e-3),
-            }
-        }
-
         #[test]
         fn oriented_ttc_does_not_change_with_the_frame(
             x in -40f32..40., y in -40f32..40., h in -3.2f32..3.2, turn in -3.2f32..3.2, v in 0f32..15., w in 0f32..15.,

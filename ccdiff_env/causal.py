@@ -1,0 +1,441 @@
+"""Which agents matter to which: times to contact, the decision causal graph, rankings of key
+agents.
+
+Matrices have shape [M, M] (or [T, M, M] over a history), row i belongs to agent i. Everything is
+computed by the Rust code that the running world and the training features use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.errors import ShapeError
+
+TTC_CAP_S = 20.0
+"""Times to contact are capped here, seconds."""
+DISTANCE_CAP_M = 20.0
+"""Distances beyond this are 0 in the normalised form, metres."""
+NODE_LIMIT = 20_000
+"""Cliques that a search visits per step at most, unless told otherwise."""
+
+__all__ = [
+    "DISTANCE_CAP_M",
+    "NODE_LIMIT",
+    "TTC_CAP_S",
+    "CliqueCounts",
+    "Graph",
+    "Ranking",
+    "clique_counts",
+    "distance",
+    "graph",
+    "normalise_distance",
+    "normalise_ttc",
+    "rank",
+    "rank_cliques",
+    "rank_distance",
+    "rank_greedy",
+    "ttc",
+]
+
+
+def _history(
+    name: str, values: npt.ArrayLike, dtype: Any, ndim: int
+) -> tuple[npt.NDArray[Any], bool]:
+    """Return the array with a leading step axis, C-contiguous, and whether that axis was added."""
+    array = np.asarray(values, dtype=dtype)
+    single = array.ndim == ndim - 1
+    if single:
+        array = array[None]
+    if array.ndim != ndim:
+        raise ShapeError(f"{name} has {array.ndim} axes, expected {ndim - 1} or {ndim}")
+    return np.ascontiguousarray(array), single
+
+
+def _states(
+    position: npt.ArrayLike, valid: npt.ArrayLike | None
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_], bool]:
+    """Return positions [T, M, 2] and validity [T, M]; agents whose position is not finite are
+    absent.
+    """
+    points, single = _history("position", position, np.float32, 3)
+    if points.shape[-1] != 2:
+        raise ShapeError(f"position has shape {points.shape}, expected [..., M, 2]")
+    there = np.isfinite(points).all(axis=-1)
+    if valid is not None:
+        given = np.asarray(valid, dtype=bool)
+        if given.shape not in (there.shape, there.shape[1:]):
+            raise ShapeError(f"valid has shape {given.shape}, expected {there.shape} or [M]")
+        there = there & given
+    return points, np.ascontiguousarray(there), single
+
+
+def ttc(
+    position: npt.ArrayLike,
+    heading: npt.ArrayLike,
+    speed: npt.ArrayLike,
+    size: npt.ArrayLike,
+    valid: npt.ArrayLike | None = None,
+    *,
+    method: Literal["oriented", "released"] = "oriented",
+    normalised: bool = True,
+) -> npt.NDArray[np.float32]:
+    """Compute the times to contact of all pairs of agents.
+
+    Parameters
+    ----------
+    position : [M, 2] or [T, M, 2], metres, T oldest first. Agents whose position is not finite are
+        absent.
+    heading : [M] or [T, M], radians counter-clockwise from +x.
+    speed : [M] or [T, M], metres per second along the heading.
+    size : [M, 2], length and width, metres.
+    valid : bool [M] or [T, M], optional; agents that are not valid meet nobody.
+    method : ``"oriented"`` sweeps oriented boxes at constant velocity and is symmetric;
+        ``"released"`` repeats the arithmetic of the authors' release with its quirks. Over a
+        history the released recipe uses the axes of each row's agent at the last step.
+    normalised : give (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later, in place of
+        seconds.
+
+    Returns
+    -------
+    float32 [M, M] or [T, M, M]. Pairs with an absent agent hold "no contact" (0, or 20 s).
+
+    Raises
+    ------
+    ShapeError
+        Where shapes do not agree.
+    UnknownNameError
+        For another method.
+
+    Examples
+    --------
+    Two cars nose to nose, 30 m apart, closing at 15 m/s, 4.5 m long:
+
+    >>> position, size = [[0, 0], [30, 0]], [[4.5, 2], [4.5, 2]]
+    >>> seconds = ttc(position, [0, np.pi], [10, 5], size, normalised=False)
+    >>> round(float(seconds[0, 1]), 3)
+    1.7
+    """
+    points, there, single = _states(position, valid)
+    headings, _ = _history("heading", heading, np.float32, 2)
+    speeds, _ = _history("speed", speed, np.float32, 2)
+    sizes = np.asarray(size, dtype=np.float32)
+    shape = points.shape[:2]
+    for name, got, expected in (
+        ("heading", headings.shape, shape),
+        ("speed", speeds.shape, shape),
+        ("size", sizes.shape, (shape[1], 2)),
+    ):
+        if got != expected:
+            raise ShapeError(f"{name} has shape {got}, expected {expected}")
+    seconds: npt.NDArray[np.float32] = _native.causal_ttc(
+        np.ascontiguousarray(points[..., 0]),
+        np.ascontiguousarray(points[..., 1]),
+        headings,
+        speeds,
+        np.ascontiguousarray(sizes[:, 0]),
+        np.ascontiguousarray(sizes[:, 1]),
+        there,
+        method,
+    )
+    out = normalise_ttc(seconds) if normalised else seconds
+    return out[0] if single else out
+
+
+def distance(
+    position: npt.ArrayLike, valid: npt.ArrayLike | None = None, *, normalised: bool = False
+) -> npt.NDArray[np.float32]:
+    """Compute the distances of the centres of all pairs of agents.
+
+    Parameters
+    ----------
+    position : [M, 2] or [T, M, 2], metres.
+    valid : bool [M] or [T, M], optional.
+    normalised : give (20 - d) / 20 clipped to [0, 1] in place of metres.
+
+    Returns
+    -------
+    float32 [M, M] or [T, M, M]. Pairs with an absent agent are infinitely far apart.
+    """
+    points, there, single = _states(position, valid)
+    metres: npt.NDArray[np.float32] = _native.causal_distance(
+        np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1]), there
+    )
+    out = normalise_distance(metres) if normalised else metres
+    return out[0] if single else out
+
+
+def normalise_ttc(ttc_s: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Turn seconds into (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later."""
+    seconds = np.asarray(ttc_s, dtype=np.float32)
+    return (TTC_CAP_S - np.clip(seconds, 0.0, TTC_CAP_S)) / np.float32(TTC_CAP_S)
+
+
+def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Turn metres into (20 - d) / 20, 1 for the same place and 0 for 20 m or beyond."""
+    metres = np.asarray(distance_m, dtype=np.float32)
+    return (DISTANCE_CAP_M - np.clip(metres, 0.0, DISTANCE_CAP_M)) / np.float32(DISTANCE_CAP_M)
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The decision causal graph G."""
+
+    joined: npt.NDArray[np.bool_]
+    """[M, M]; entry (i, j) says that j may influence i. Always true on the diagonal."""
+    sparsity: float
+    """Share of ordered pairs of different agents that are not joined."""
+
+
+def graph(
+    ttc_s: npt.ArrayLike,
+    distance_m: npt.ArrayLike,
+    *,
+    max_ttc_s: float = 3.0,
+    max_distance_m: float = 50.0,
+    symmetric: bool = False,
+) -> Graph:
+    """Build the decision causal graph: pairs near in time to contact and in distance, and every
+    agent with itself.
+
+    Parameters
+    ----------
+    ttc_s : [M, M], seconds (not normalised).
+    distance_m : [M, M], metres.
+    max_ttc_s, max_distance_m : joined only up to these.
+    symmetric : join both directions where either is joined.
+    """
+    seconds = np.ascontiguousarray(ttc_s, dtype=np.float32)
+    metres = np.ascontiguousarray(distance_m, dtype=np.float32)
+    if seconds.ndim != 2 or seconds.shape != metres.shape:
+        raise ShapeError(
+            f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] both"
+        )
+    joined, sparsity = _native.causal_graph(seconds, metres, max_ttc_s, max_distance_m, symmetric)
+    return Graph(joined=joined, sparsity=sparsity)
+
+
+@dataclass(frozen=True)
+class CliqueCounts:
+    """How often agents take part in the heaviest cliques."""
+
+    agents: npt.NDArray[np.int64]
+    """Agent indices by falling count; equal counts in the order of first appearance."""
+    counts: npt.NDArray[np.int64]
+    """Number of cliques that hold each of ``agents``."""
+    num_cliques: int
+    """Cliques counted over all steps."""
+    exact: bool
+    """Whether the search was completed at every step."""
+
+
+def _matrices(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    array, _ = _history(name, values, np.float64, 3)
+    return array
+
+
+def clique_counts(
+    measure: npt.ArrayLike,
+    *,
+    threshold: float = 0.0,
+    min_size: int = 2,
+    top_per_frame: int = 3,
+    node_limit: int = NODE_LIMIT,
+) -> CliqueCounts:
+    """Count in how many of the heaviest cliques of every step each agent takes part.
+
+    Agents i and j are joined where ``measure[t, i, j]`` or ``measure[t, j, i]`` exceeds the
+    threshold; the weight of the pair is the sum of the two. Not all cliques are listed: a
+    branch-and-bound search finds the heaviest.
+
+    Parameters
+    ----------
+    measure : [T, M, M] or [M, M], values in [0, 1], NaN for absent agents.
+    threshold : at least 0.
+    min_size : smallest clique that counts.
+    top_per_frame : heaviest cliques taken per step.
+    node_limit : cliques visited per step before the search settles for the heaviest seen.
+    """
+    agents, counts, num_cliques, exact = _native.causal_clique_occurrences(
+        _matrices("measure", measure), threshold, min_size, top_per_frame, node_limit
+    )
+    return CliqueCounts(
+        agents=np.asarray(agents, dtype=np.int64),
+        counts=np.asarray(counts, dtype=np.int64),
+        num_cliques=num_cliques,
+        exact=exact,
+    )
+
+
+def rank_cliques(
+    ttc: npt.ArrayLike,
+    threshold: float = 0.0,
+    min_size: int = 2,
+    top_per_frame: int = 3,
+    top_k: int = 10,
+    *,
+    node_limit: int = NODE_LIMIT,
+) -> list[int]:
+    """Rank agents by their number of occurrences in the heaviest cliques of the time-to-contact
+    graph.
+
+    The defaults are those that made the released lists of key agents; ``threshold=0.5,
+    min_size=3`` are those of the
+    released script. The list is not filled up: it is short, or empty, where few agents meet.
+
+    Parameters
+    ----------
+    ttc : [T, M, M], normalised times to contact, 1 for contact now and 0 for 20 s or later, NaN
+        for absent agents.
+    threshold : agents are joined where a value exceeds this in either direction.
+    min_size : smallest clique that counts.
+    top_per_frame : heaviest cliques taken per step.
+    top_k : agents to return at most.
+    node_limit : cliques visited per step before the search settles for the heaviest seen.
+
+    Returns
+    -------
+    Agent indices, most frequent first; ties in the order of first appearance.
+
+    Examples
+    --------
+    >>> near = np.zeros((1, 4, 4))
+    >>> near[0, 1, 3] = 0.9
+    >>> rank_cliques(near)
+    [1, 3]
+    """
+    counts = clique_counts(
+        ttc,
+        threshold=threshold,
+        min_size=min_size,
+        top_per_frame=top_per_frame,
+        node_limit=node_limit,
+    )
+    return [int(agent) for agent in counts.agents[: max(top_k, 0)]]
+
+
+def rank_distance(
+    position: npt.ArrayLike,
+    valid: npt.ArrayLike | None = None,
+    *,
+    threshold: float = 0.0,
+    min_size: int = 2,
+    top_per_frame: int = 3,
+    top_k: int = 10,
+) -> list[int]:
+    """Rank agents as :func:`rank_cliques` does, on relative distances in place of times to contact.
+
+    Parameters
+    ----------
+    position : [M, 2] or [T, M, 2], metres.
+    valid : bool [M] or [T, M], optional.
+    threshold : agents are joined where (20 - d) / 20 exceeds this: 0 joins those within 20 m.
+    min_size, top_per_frame, top_k : as in :func:`rank_cliques`.
+    """
+    near = distance(position, valid, normalised=True)
+    return rank_cliques(near, threshold, min_size, top_per_frame, top_k)
+
+
+def rank_greedy(
+    graph: npt.ArrayLike,
+    attention: npt.ArrayLike | None = None,
+    *,
+    order: Literal["size", "occurrences"] = "size",
+    top_k: int = 10,
+) -> list[int]:
+    """Rank agents by cliques grown greedily from each of them on G times attention, the paper's
+    algorithm.
+
+    Parameters
+    ----------
+    graph : [M, M], true (or positive) where joined.
+    attention : [M, M], at least 0; 1 everywhere if absent.
+    order : ``"size"`` sorts by the size of the agent's own clique, then its weight;
+        ``"occurrences"`` by the number
+        of grown cliques that hold the agent.
+    top_k : agents to return at most; agents without a neighbour are left out.
+    """
+    weights = np.asarray(graph, dtype=np.float64)
+    if attention is not None:
+        factors = np.asarray(attention, dtype=np.float64)
+        if factors.shape != weights.shape:
+            raise ShapeError(f"attention has shape {factors.shape}, expected {weights.shape}")
+        weights = weights * factors
+    if weights.ndim != 2:
+        raise ShapeError(f"graph has shape {weights.shape}, expected [M, M]")
+    ranked: list[int] = _native.causal_greedy_order(np.ascontiguousarray(weights), order)
+    return ranked[: max(top_k, 0)]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Key agents, most important first."""
+
+    agents: list[int]
+    """Agent indices, no repeats."""
+    num_named: int
+    """How many of them the ranker named; the rest was filled up."""
+    exact: bool
+    """False where a clique search was cut short by its limit."""
+
+
+def rank(
+    ranker: Literal["cliques", "distance", "first", "random", "given", "scores"],
+    *,
+    top_k: int,
+    valid: npt.ArrayLike,
+    ttc: npt.ArrayLike | None = None,
+    distance: npt.ArrayLike | None = None,
+    agents: Sequence[int] | None = None,
+    scores: npt.ArrayLike | None = None,
+    seed: int = 0,
+    threshold: float = 0.0,
+    min_size: int = 2,
+    top_per_frame: int = 3,
+    node_limit: int = NODE_LIMIT,
+) -> Ranking:
+    """Choose key agents by a named ranker and fill up by ascending time to contact, then distance,
+    then index.
+
+    Parameters
+    ----------
+    ranker : ``"cliques"`` and ``"distance"`` count clique occurrences, ``"first"`` takes agents in
+        their order, ``"random"`` shuffles by the seed, ``"given"`` takes ``agents``, ``"scores"``
+        sorts by falling ``scores``.
+    top_k : agents to choose; fewer only where fewer are there.
+    valid : bool [M], whether an agent is there.
+    ttc, distance : [T, M, M] or [M, M], normalised; for their rankers and for filling up.
+    agents : a list, as of a human, for ``"given"``.
+    scores : [M], for ``"scores"``, such as the alignment of the gradients of realism and guidance.
+    seed : for ``"random"``.
+    threshold, min_size, top_per_frame, node_limit : as in :func:`rank_cliques`.
+    """
+    there = np.ascontiguousarray(valid, dtype=bool)
+
+    def pairs(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float32] | None:
+        if values is None:
+            return None
+        array, _ = _history(name, values, np.float32, 3)
+        if array.shape[1:] != (there.size, there.size):
+            raise ShapeError(
+                f"{name} has shape {array.shape}, expected [T, {there.size}, {there.size}]"
+            )
+        return array
+
+    chosen, num_named, exact = _native.causal_rank(
+        ranker,
+        top_k,
+        there,
+        pairs("ttc", ttc),
+        pairs("distance", distance),
+        None if agents is None else [int(agent) for agent in agents],
+        None if scores is None else np.ascontiguousarray(scores, dtype=np.float32),
+        seed,
+        (threshold, min_size, top_per_frame, node_limit),
+    )
+    return Ranking(agents=chosen, num_named=num_named, exact=exact)

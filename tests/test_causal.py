@@ -1,0 +1,326 @@
+"""Measures, causal graph and rankings against networkx, shapely and the released lists."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import math
+import os
+import time
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import affinity
+from shapely.geometry import MultiPoint, Polygon, box
+
+from ccdiff_env import causal
+from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, UnknownNameError
+
+
+def released_ranker() -> Path | None:
+    roots = [os.environ.get("CCDIFF_DATA"), Path(__file__).parents[1] / "../shared/data"]
+    for root in roots:
+        if root and (Path(root) / "../reference/ranker/released_top10.json").is_file():
+            return Path(root) / "../reference/ranker"
+    return None
+
+
+def networkx_ranking(measure, threshold, min_size, top, top_k):
+    """The released procedure word for word: list all cliques, sort by weight, count."""
+    counts: dict[int, int] = {}
+    for matrix in measure:
+        g = nx.Graph()
+        for i in range(len(matrix)):
+            for j in range(i, len(matrix)):
+                if matrix[i, j] > threshold or matrix[j, i] > threshold:
+                    g.add_edge(i, j, weight=matrix[i, j] + matrix[j, i])
+        cliques = [c for c in nx.enumerate_all_cliques(g) if len(c) >= min_size]
+        cliques.sort(
+            key=lambda c: (
+                g.subgraph(c).size("weight") - sum(g[u][u]["weight"] for u in c if g.has_edge(u, u))
+            ),
+            reverse=True,
+        )
+        for clique in cliques[:top]:
+            for agent in clique:
+                counts[agent] = counts.get(agent, 0) + 1
+    return sorted(counts, key=lambda a: -counts[a])[:top_k]
+
+
+def test_released_lists_of_all_real_scenes_are_reproduced():
+    folder = released_ranker()
+    if folder is None:
+        pytest.skip("../shared/reference/ranker is not there (nor beside CCDIFF_DATA)")
+    lists = json.loads((folder / "released_top10.json").read_text())
+    assert len(lists) == 8
+    for scene, expected in lists.items():
+        ttc = np.moveaxis(np.load(folder / f"{scene}.npz")["ttc"], -1, 0)
+        assert list(causal.rank_cliques(ttc)) == expected, scene
+        script = networkx_ranking(ttc.astype(float), 0.5, 3, 3, 10)
+        assert causal.rank_cliques(ttc, threshold=0.5, min_size=3) == script, scene
+
+
+@st.composite
+def measures(draw):
+    """Few levels, so that many cliques weigh the same; sums of eighths are exact in floating
+    point."""
+    m = draw(st.integers(1, 9))
+    t = draw(st.integers(1, 3))
+    levels = draw(st.sampled_from([1, 2, 8]))
+    density = draw(st.floats(0.05, 1.0))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    values = rng.integers(1, levels + 1, (t, m, m)) / 8 * (rng.random((t, m, m)) < density)
+    if draw(st.booleans()):
+        values[:, np.arange(m), np.arange(m)] = 1.0
+    return values
+
+
+@settings(max_examples=300, deadline=None)
+@given(measures(), st.sampled_from([0.0, 0.3]), st.integers(1, 4), st.integers(1, 5))
+def test_rankings_are_those_of_listing_all_cliques_with_networkx(measure, threshold, min_size, top):
+    got = causal.rank_cliques(measure, threshold, min_size, top, 10)
+    assert got == networkx_ranking(measure, threshold, min_size, top, 10)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.2, 0.9))
+def test_rankings_of_larger_graphs_are_those_of_networkx(seed, density):
+    rng = np.random.default_rng(seed)
+    measure = rng.integers(1, 2**20, (1, 13, 13)) / 2**20 * (rng.random((1, 13, 13)) < density)
+    assert causal.rank_cliques(measure) == networkx_ranking(measure, 0.0, 2, 3, 10)
+
+
+@pytest.mark.parametrize("density", [0.1, 0.5, 0.9, 1.0])
+def test_sixty_agents_take_milliseconds(density):
+    rng = np.random.default_rng(0)
+    measure = rng.random((31, 60, 60)) * (rng.random((31, 60, 60)) < density)
+    start = time.perf_counter()
+    ranked = causal.rank_cliques(measure)
+    # a loose bound: shared and slow machines
+    assert time.perf_counter() - start < 31 * 0.3
+    assert len(ranked) == 10
+
+
+def test_a_search_that_is_cut_short_says_so():
+    measure = np.random.default_rng(0).random((1, 40, 40))
+    measure[0, :20] *= np.random.default_rng(1).random((20, 40)) < 0.5
+    assert causal.clique_counts(measure).exact
+    cut = causal.clique_counts(measure, node_limit=2)
+    assert not cut.exact
+    assert cut.num_cliques == 3
+
+
+def test_the_weights_of_absent_agents_do_not_count():
+    measure = np.full((2, 4, 4), np.nan)
+    measure[:, :2, :2] = 0.5
+    assert causal.rank_cliques(measure) == [0, 1]
+    assert causal.rank_cliques(np.zeros((0, 4, 4))) == []
+
+
+CAR = [4.5, 2.0]
+RELEASED = [
+    ((30, 0, math.pi), (10, 5), 1.7),
+    ((20, 0, 0), (10, 5), 3.1),
+    ((-20, 0, 0), (5, 10), 20.0),
+    ((-20, 0, 0), (10, 5), 3.1),
+    ((20, 3.5, 0), (10, 5), 20.0),
+    ((20, 20, -math.pi / 2), (10, 10), 1.8),
+]
+
+
+@pytest.mark.parametrize(("pose", "speeds", "expected"), RELEASED)
+def test_released_ttc_gives_the_known_vectors(pose, speeds, expected):
+    x, y, heading = pose
+    args = ([[0, 0], [x, y]], [0, heading], speeds, [CAR, CAR])
+    assert causal.ttc(*args, method="released", normalised=False)[0, 1] == pytest.approx(
+        expected, abs=1e-4
+    )
+    assert causal.ttc(*args, method="released")[0, 1] == pytest.approx(
+        (20 - expected) / 20, abs=1e-5
+    )
+
+
+def released_ttc_reference(p, h, v, size):
+    """Numpy transcription of the recipe, with history steps seen in the axes of the last one."""
+    t_steps, m = h.shape
+    out = np.zeros((t_steps, m, m))
+    for i in range(m):
+        c, s = np.cos(h[-1, i]), np.sin(h[-1, i])
+        local = p @ np.array([[c, -s], [s, c]])
+        psi = h - h[-1, i]
+        d = np.abs(local - local[:, [i]])
+        dx = d[..., 0] - (size[i, 0] + size[:, 0]) / 2
+        dy = d[..., 1] - (size[i, 1] + size[:, 1]) / 2
+        vx = (v * np.cos(psi))[:, [i]] - v * np.cos(psi)
+        vy = (v * np.sin(psi))[:, [i]] - v * np.sin(psi)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            tx, ty = dx / vx, dy / vy
+        for gap, time_ in ((dx, tx), (dy, ty)):
+            time_[(gap > 0) & (time_ < 0)] = 20
+            time_[gap < 0] = 0
+        out[:, i] = np.clip(np.maximum(tx, ty), 0, 20)
+    return out
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_released_ttc_over_a_history_follows_the_recipe(seed):
+    rng = np.random.default_rng(seed)
+    p, h = rng.uniform(-40, 40, (3, 5, 2)), rng.uniform(-4, 4, (3, 5))
+    v, size = rng.uniform(0, 15, (3, 5)), rng.uniform(1, 6, (5, 2))
+    got = causal.ttc(p, h, v, size, method="released", normalised=False)
+    want = released_ttc_reference(p, h, v, size)
+    # f32 against f64: the gap of a pair may fall on either side of 0
+    close = np.isclose(got, want, rtol=2e-3, atol=2e-3)
+    assert close.mean() > 0.97
+    assert got.shape == (3, 5, 5)
+
+
+def outline(x, y, h, size):
+    return affinity.translate(
+        affinity.rotate(
+            box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2), h, (0, 0), use_radians=True
+        ),
+        x,
+        y,
+    )
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_oriented_ttc_is_where_the_swept_box_first_touches(seed):
+    rng = np.random.default_rng(seed)
+    p, h = rng.uniform(-30, 30, (2, 2)), rng.uniform(-np.pi, np.pi, 2)
+    v, size = rng.uniform(-3, 15, 2), rng.uniform([3, 1.5], [12, 3], (2, 2))
+    t = float(causal.ttc(p, h, v, size, normalised=False)[0, 1])
+    velocity = v[:, None] * np.stack([np.cos(h), np.sin(h)], 1)
+    relative = velocity[0] - velocity[1]
+    target = outline(*p[1], h[1], size[1])
+
+    def swept(until):
+        a = outline(*p[0], h[0], size[0])
+        b = affinity.translate(a, *(relative * until))
+        return MultiPoint([*a.exterior.coords, *b.exterior.coords]).convex_hull
+
+    if t < 20:
+        assert swept(t + 0.01).intersects(target)
+        if t > 0.02:
+            assert not swept(t - 0.01).intersects(target.buffer(-1e-3))
+    else:
+        assert not swept(19.9).intersects(target.buffer(-1e-3))
+    assert isinstance(target, Polygon)
+
+
+def test_closing_from_behind_is_seen_by_both_sides():
+    args = ([[0, 0], [-20, 0]], [0, 0], [5, 10], [CAR, CAR])
+    oriented = causal.ttc(*args, normalised=False)
+    assert oriented[0, 1] == pytest.approx(3.1, abs=1e-4)
+    assert oriented[1, 0] == oriented[0, 1]
+    opening = causal.ttc(args[0], args[1], [10, 5], args[3], normalised=False)
+    assert opening[0, 1] == 20.0
+
+
+def test_agents_that_are_absent_or_have_no_position_meet_nobody():
+    p = [[0, 0], [5, 0], [np.nan, 0]]
+    got = causal.ttc(p, [0, 0, 0], [10, 0, 0], [CAR] * 3, [True, False, True])
+    assert got[0, 0] == 1
+    assert np.count_nonzero(got) == 1
+    d = causal.distance(p, [True, True, True])
+    assert d[0, 1] == 5
+    assert np.isinf(d[2]).all()
+    assert causal.distance(p, normalised=True)[0].tolist() == [1.0, 0.75, 0.0]
+
+
+def test_graph_joins_within_both_thresholds_and_always_self():
+    ttc_s = np.array([[0, 3.0, 1], [3.1, 0, 20], [1, 20, 0]])
+    metres = np.array([[0, 50, 51], [50, 0, 5], [51, 5, np.inf]])
+    g = causal.graph(ttc_s, metres)
+    assert g.joined.tolist() == [[True, True, False], [False, True, False], [False, False, True]]
+    assert g.sparsity == pytest.approx(5 / 6)
+    assert causal.graph(ttc_s, metres, symmetric=True).joined[1, 0]
+    assert causal.graph(ttc_s, metres, max_ttc_s=20, max_distance_m=100).sparsity == 0
+
+
+def greedy_reference(weights, order):
+    w = np.maximum(weights, weights.T)
+    np.fill_diagonal(w, 0)
+    m = len(w)
+    vertices = sorted((i for i in range(m) if w[i].any()), key=lambda i: (-w[i].sum(), i))
+    cliques = {}
+    for i in vertices:
+        clique = [i]
+        for j in vertices:
+            if j != i and all(w[j, k] > 0 for k in clique):
+                clique.append(j)
+        cliques[i] = clique
+    own = {i: w[np.ix_(c, c)].sum() / 2 for i, c in cliques.items()}
+    held = {i: sum(i in c for c in cliques.values()) for i in vertices}
+    first = held if order == "occurrences" else {i: len(c) for i, c in cliques.items()}
+    return sorted(vertices, key=lambda i: (-first[i], -own[i], i))
+
+
+@settings(max_examples=150, deadline=None)
+@given(measures(), st.sampled_from(["size", "occurrences"]))
+def test_greedy_cliques_follow_the_algorithm(measure, order):
+    assert causal.rank_greedy(measure[0], order=order, top_k=99) == greedy_reference(
+        measure[0], order
+    )
+
+
+def test_greedy_ranking_sees_attention_only_through_the_graph():
+    joined = np.array([[1, 1, 0], [0, 1, 0], [0, 0, 1]], bool)
+    attention = np.array([[0.1, 0.2, 0.7], [0.2, 0.1, 0.7], [0.5, 0.4, 0.1]])
+    assert causal.rank_greedy(joined, attention) == [0, 1]
+
+
+def test_distance_ranking_counts_cliques_of_near_agents():
+    position = np.array([[0, 0], [100, 0], [5, 0], [101, 0], [300, 0]])
+    near = causal.distance(position, normalised=True)
+    assert causal.rank_distance(position) == networkx_ranking(near[None].astype(float), 0, 2, 3, 10)
+    assert set(causal.rank_distance(position)) == {0, 1, 2, 3}
+
+
+def test_short_rankings_are_filled_by_contact_then_distance_then_index():
+    ttc = np.zeros((4, 4))
+    ttc[3, 2] = 0.9
+    near = np.zeros((4, 4))
+    near[1, 0] = 0.1
+    ranking = causal.rank("given", top_k=4, valid=[True] * 4, ttc=ttc, distance=near, agents=[1])
+    assert ranking == causal.Ranking(agents=[1, 2, 3, 0], num_named=1, exact=True)
+    assert causal.rank("first", top_k=2, valid=[False, True, True]).agents == [1, 2]
+    assert causal.rank("scores", top_k=2, valid=[True] * 3, scores=[0.1, np.nan, 0.3]).agents == [
+        2,
+        0,
+    ]
+    shuffles = {
+        tuple(causal.rank("random", top_k=3, valid=[True] * 3, seed=s).agents) for s in range(99)
+    }
+    assert len(shuffles) == 6
+
+
+def test_bad_input_is_refused_with_the_offending_part():
+    with pytest.raises(ShapeError, match="heading"):
+        causal.ttc([[0, 0]], [0, 1], [0], [CAR])
+    with pytest.raises(UnknownNameError, match="swept"):
+        causal.ttc([[0, 0]], [0], [0], [CAR], method="swept")
+    with pytest.raises(ConfigError, match=r"rank\.threshold"):
+        causal.rank_cliques(np.zeros((1, 2, 2)), threshold=-1)
+    with pytest.raises(ConfigError, match="normalised"):
+        causal.rank_cliques(np.full((1, 2, 2), 20.0))
+    with pytest.raises(ShapeError):
+        causal.rank_cliques(np.zeros((1, 2, 3)))
+    with pytest.raises(ConfigError, match=r"graph\.ttc_s"):
+        causal.graph(np.zeros((2, 2)), np.zeros((2, 2)), max_ttc_s=-1)
+    with pytest.raises(UnknownNameError, match="agent"):
+        causal.rank("given", top_k=1, valid=[True], agents=[1])
+    assert issubclass(ShapeError, CcdiffError)
+
+
+def test_examples_in_the_documentation_run():
+    result = doctest.testmod(causal)
+    assert result.attempted > 0
+    assert result.failed == 0
