@@ -35,12 +35,12 @@ pub fn off_road_report(
     let replan_steps = replan_steps.max(1);
     let mut flags = vec![OffRoad::default(); num_agents * num_steps];
     let mut states = AgentStates::new(num_agents);
-    let mut at_step = Vec::new();
     for step_idx in 0..num_steps {
         rollout.states_at(step_idx, &mut states);
-        off_road(&states, rollout.bodies(), region, &mut at_step);
-        for (agent, flag) in at_step.iter().enumerate() {
-            flags[agent * num_steps + step_idx] = *flag;
+        for (agent, body) in rollout.bodies().iter().enumerate() {
+            if states.active[agent] {
+                flags[agent * num_steps + step_idx] = off_road(&states, agent, body, region);
+            }
         }
     }
     let (mut present, mut centroid, mut corner, mut vanished) = (0u64, 0u64, 0u64, 0u64);
