@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 def causal_ttc(
@@ -38,4 +39,25 @@ def causal_rank(
     seed: int,
     settings: tuple[float, int, int, int],
 ) -> tuple[list[int], int, bool]: ...
+def render_arrays(
+    position_m: F32,
+    heading_rad: F32,
+    size_m: F32,
+    kind: U8,
+    driver: U8,
+    collided: Bool,
+    *,
+    size: tuple[int, int],
+    span_m: float,
+    centre_m: tuple[float, float],
+    up_rad: float,
+    route_m: F32,
+    trails: list[tuple[F32, int]],
+    samples: list[tuple[F32, int]],
+    arrows: list[tuple[int, int, float]],
+    collisions_m: F32,
+    caption: str,
+    scale_bar: bool,
+) -> U8: ...
+def render_legend() -> list[tuple[str, tuple[int, int, int]]]: ...
 def __getattr__(name: str) -> Any: ...

@@ -2,11 +2,13 @@
 
 mod causal;
 mod errors;
+mod render;
 
 use pyo3::prelude::*;
 
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
+    render::register(m)?;
     Ok(())
 }

@@ -1,0 +1,251 @@
+"""Top-down pictures: drawing agents and lines, and writing pictures and films to files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+__all__ = ["DRIVERS", "KINDS", "draw", "legend", "save"]
+
+Image: TypeAlias = npt.NDArray[np.uint8]
+
+#: Who moves an agent; sets its colour.
+DRIVERS = ("ego", "external", "ccdiff", "adversary", "idm", "replay", "constant_velocity")
+#: Kinds of agents; set their shape.
+KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+
+
+def legend() -> dict[str, tuple[int, int, int]]:
+    """Return names and colours (red, green, blue) of everything in a picture, drivers first."""
+    return dict(_native.render_legend())
+
+
+def draw(
+    position_m: npt.ArrayLike,
+    *,
+    heading_rad: npt.ArrayLike,
+    size_m: npt.ArrayLike,
+    driver: str | Sequence[str] = "replay",
+    kind: str | Sequence[str] = "vehicle",
+    collided: npt.ArrayLike | None = None,
+    size: tuple[int, int] = (640, 640),
+    span_m: float = 100.0,
+    centre_m: tuple[float, float] | None = None,
+    up_rad: float = math.pi / 2,
+    route_m: npt.ArrayLike = (),
+    trails: Iterable[tuple[npt.ArrayLike, str]] = (),
+    samples: Iterable[tuple[npt.ArrayLike, str]] = (),
+    arrows: Iterable[tuple[int, int, float]] = (),
+    collisions_m: npt.ArrayLike = (),
+    caption: str = "",
+    scale_bar: bool = False,
+) -> Image:
+    """Draw agents and lines on bare ground.
+
+    Parameters
+    ----------
+    position_m
+        Centres [A, 2], metres.
+    heading_rad
+        Headings [A], radians counter-clockwise from +x.
+    size_m
+        Lengths and widths [A, 2], metres, > 0.
+    driver, kind
+        One of :data:`DRIVERS` and :data:`KINDS` for all agents, or one per agent.
+    collided
+        Agents [A] to outline in red.
+    size
+        Width and height of the picture, pixels.
+    span_m
+        Metres across the width.
+    centre_m
+        Point in the middle; the first agent by default.
+    up_rad
+        Direction that points to the top; π/2 (the default) puts +y there.
+    route_m
+        Points [N, 2] of a broad band.
+    trails, samples
+        Lines ([N, 2] points, driver): where agents were (oldest first, fading) and where they
+        may go.
+    arrows
+        Edges (i, j, weight in 0..1) between agents: i influences j.
+    collisions_m
+        Points [N, 2] to mark.
+    caption
+        Text in the upper left corner: letters, figures and ``. : - + = / _``.
+    scale_bar
+        Whether to draw a bar of a round number of metres.
+
+    Returns
+    -------
+    ndarray
+        Picture [H, W, 3], uint8.
+
+    Raises
+    ------
+    ShapeError
+        If arrays do not fit together.
+    ConfigError
+        If a name is unknown, a number is not finite or out of range.
+    """
+    position = _points("position_m", position_m)
+    num_agents = len(position)
+    if centre_m is None:
+        centre_m = (float(position[0, 0]), float(position[0, 1])) if num_agents else (0.0, 0.0)
+    red = np.zeros(num_agents, bool) if collided is None else np.asarray(collided, dtype=bool)
+    return _native.render_arrays(
+        position,
+        _vector("heading_rad", heading_rad),
+        _points("size_m", size_m),
+        _numbers("kind", kind, KINDS, num_agents),
+        _numbers("driver", driver, DRIVERS, num_agents),
+        red,
+        size=size,
+        span_m=span_m,
+        centre_m=centre_m,
+        up_rad=up_rad,
+        route_m=_points("route_m", route_m),
+        trails=[(_points("trail", p), _number("driver", d, DRIVERS)) for p, d in trails],
+        samples=[(_points("sample", p), _number("driver", d, DRIVERS)) for p, d in samples],
+        arrows=list(arrows),
+        collisions_m=_points("collisions_m", collisions_m),
+        caption=caption,
+        scale_bar=scale_bar,
+    )
+
+
+def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: float = 10.0) -> None:
+    """Write a picture or a film; the suffix of the file says which.
+
+    Parameters
+    ----------
+    frames
+        One picture [H, W, 3] or pictures [T, H, W, 3] (array or iterable) of one size, uint8.
+    path
+        ``.png`` (one picture), ``.gif`` or ``.mp4``. The folder must exist.
+    fps
+        Pictures per second. GIF counts time in hundredths of a second.
+
+    Raises
+    ------
+    ShapeError
+        If there is no picture, or not all of them are uint8 [H, W, 3] of one size.
+    ConfigError
+        If the suffix is another one, a PNG gets several pictures, or ``fps`` is not positive.
+    MissingFeatureError
+        If the package that writes the format is not installed.
+    """
+    path = Path(path)
+    stack = _stack(frames)
+    if not (math.isfinite(fps) and fps > 0.0):
+        raise ConfigError(f"fps is {fps}, expected a positive number")
+    suffix = path.suffix.lower()
+    if suffix == ".png":
+        if len(stack) != 1:
+            raise ConfigError(
+                f"{path.name}: a PNG holds one picture, got {len(stack)}; use .gif or .mp4"
+            )
+        _pillow().fromarray(stack[0]).save(path)
+    elif suffix == ".gif":
+        _save_gif(stack, path, fps)
+    elif suffix == ".mp4":
+        _save_mp4(stack, path, fps)
+    else:
+        raise ConfigError(f"{path.name}: suffix is {suffix!r}, expected .png, .gif or .mp4")
+
+
+def _save_gif(stack: Image, path: Path, fps: float) -> None:
+    pillow = _pillow()
+    # One palette for the whole film, taken from a few of its pictures: colours do not flicker.
+    few = stack[:: max(1, len(stack) // 8)]
+    palette = pillow.fromarray(np.concatenate(list(few))).quantize(256, method=0, dither=0)
+    images = [pillow.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0
+    )
+
+
+def _save_mp4(stack: Image, path: Path, fps: float) -> None:
+    try:
+        import imageio.v2 as imageio
+        import imageio_ffmpeg  # noqa: F401
+    except ImportError as error:
+        raise MissingFeatureError(
+            "writing .mp4 needs imageio with ffmpeg: pip install 'imageio[ffmpeg]'"
+        ) from error
+    # The codec halves the colour planes: both sides must be even.
+    _, height, width, _ = stack.shape
+    stack = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    writer: Any = imageio.get_writer(
+        path, fps=fps, codec="libx264", quality=8, pixelformat="yuv420p", macro_block_size=1
+    )
+    with writer:
+        for frame in stack:
+            writer.append_data(frame)
+
+
+def _pillow() -> ModuleType:
+    try:
+        from PIL import Image as pillow
+    except ImportError as error:
+        raise MissingFeatureError("writing pictures needs Pillow: pip install pillow") from error
+    return pillow
+
+
+def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
+    """Pictures as one array [T, H, W, 3]."""
+    array: npt.NDArray[Any]
+    if isinstance(frames, np.ndarray):
+        array = frames[None] if frames.ndim == 3 else frames
+    else:
+        listed = [np.asarray(frame) for frame in frames]  # type: ignore[union-attr]
+        shapes = {frame.shape for frame in listed}
+        if len(shapes) > 1:
+            raise ShapeError(f"frames have different shapes: {sorted(shapes)}")
+        array = np.stack(listed) if listed else np.empty((0, 0, 0, 3), np.uint8)
+    if array.dtype != np.uint8 or array.ndim != 4 or array.shape[-1] != 3 or 0 in array.shape:
+        raise ShapeError(
+            f"frames are {array.dtype} {list(array.shape)}, "
+            "expected uint8 [T, H, W, 3] without a zero"
+        )
+    return np.ascontiguousarray(array)
+
+
+def _points(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    array = np.ascontiguousarray(value, dtype=np.float32)
+    if array.size == 0:
+        return np.zeros((0, 2), np.float32)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ShapeError(f"{what} has shape {list(array.shape)}, expected [N, 2]")
+    return array
+
+
+def _vector(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    array = np.ascontiguousarray(value, dtype=np.float32)
+    if array.ndim != 1:
+        raise ShapeError(f"{what} has shape {list(array.shape)}, expected [A]")
+    return array
+
+
+def _number(what: str, name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise ConfigError(f"{what} is {name!r}, expected one of {', '.join(names)}")
+    return names.index(name)
+
+
+def _numbers(
+    what: str, name: str | Sequence[str], names: tuple[str, ...], num_agents: int
+) -> npt.NDArray[np.uint8]:
+    listed = [name] * num_agents if isinstance(name, str) else name
+    return np.array([_number(what, n, names) for n in listed], dtype=np.uint8)

@@ -1,0 +1,235 @@
+//! Bindings of `ccdiff_render`: pictures from arrays and from the log of a scene.
+
+use crate::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
+use ccdiff_render::{
+    AgentBox, Arrow, Camera, Centre, Driver, Image, Line, LogShot, MapLayers, Picture, RenderError, palette,
+    render, render_log,
+};
+use ccdiff_sim::geom::{Point2, Pose2};
+use ccdiff_sim::scene::{AgentKind, Map, Scene};
+use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+/// Adds the functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(render_arrays, module)?)?;
+    module.add_function(wrap_pyfunction!(render_legend, module)?)
+}
+
+/// The Python exception for a renderer's error.
+pub(crate) fn from_render(error: RenderError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        RenderError::Map { .. } => SceneError::new_err(message),
+        _ => ConfigError::new_err(message),
+    }
+}
+
+/// The picture as an array [H, W, 3].
+pub(crate) fn to_array(py: Python<'_>, image: Image) -> PyResult<Bound<'_, PyArray3<u8>>> {
+    let shape = [image.height as usize, image.width as usize, 3];
+    PyArray1::from_vec(py, image.rgb).reshape(shape)
+}
+
+/// How many maps stay prepared.
+const MAPS_KEPT: usize = 8;
+
+/// Prepared layers of the maps drawn last, the newest at the end. `Weak` keeps a map's address from being taken
+/// by another one while it is listed, without keeping the map.
+static PREPARED: Mutex<Vec<(Weak<Map>, Arc<MapLayers>)>> = Mutex::new(Vec::new());
+
+/// The layers of a map, prepared at the first call.
+///
+/// # Errors
+/// `SceneError` for a map that breaks a rule.
+pub(crate) fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
+    let lock = || PREPARED.lock().unwrap_or_else(PoisonError::into_inner);
+    let known = lock().iter().find(|(key, _)| std::ptr::eq(key.as_ptr(), Arc::as_ptr(map))).cloned();
+    if let Some((_, layers)) = known {
+        return Ok(layers);
+    }
+    let layers = Arc::new(MapLayers::new(map).map_err(from_render)?);
+    let mut list = lock();
+    list.retain(|(key, _)| key.strong_count() > 0);
+    if list.len() >= MAPS_KEPT {
+        list.remove(0);
+    }
+    list.push((Arc::downgrade(map), layers.clone()));
+    Ok(layers)
+}
+
+/// What `Scene.render` takes besides the step.
+#[derive(FromPyObject)]
+pub(crate) enum CentreArg {
+    /// Id of an agent.
+    Id(String),
+    /// x, y in the scene frame, metres.
+    Point((f32, f32)),
+}
+
+/// One step of a scene's log as an array [H, W, 3]; the body of `Scene.render`.
+///
+/// # Errors
+/// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
+#[allow(dead_code, reason = "called by the scene class")]
+pub(crate) fn scene_picture<'py>(
+    py: Python<'py>,
+    scene: &Arc<Scene>,
+    step_idx: usize,
+    size: (i64, i64),
+    span_m: f32,
+    centre: CentreArg,
+    heading_up: bool,
+    trails: bool,
+    route: bool,
+    labels: bool,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let centre = match centre {
+        CentreArg::Point((x, y)) => Centre::Point(Point2::new(x, y)),
+        CentreArg::Id(id) => Centre::Agent(scene.agent_index(&id).ok_or_else(|| {
+            UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))
+        })?),
+    };
+    let (width, height) = pixels(size)?;
+    let shot = LogShot { step_idx, centre, span_m, width, height, heading_up, trails, route, labels };
+    let layers = layers_of(&scene.map)?;
+    let image = py.detach(|| render_log(scene, &layers, &shot)).map_err(from_render)?;
+    to_array(py, image)
+}
+
+/// Width and height as the camera counts them.
+fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
+    match (u32::try_from(width), u32::try_from(height)) {
+        (Ok(w), Ok(h)) => Ok((w, h)),
+        _ => Err(ConfigError::new_err(format!(
+            "picture size is {width} x {height} pixels, expected 1 or more"
+        ))),
+    }
+}
+
+type Points<'py> = PyReadonlyArray2<'py, f32>;
+
+/// Rows of an array [N, 2].
+fn points(what: &str, array: &Points<'_>) -> PyResult<Vec<Point2>> {
+    if array.shape()[1] != 2 {
+        return Err(ShapeError::new_err(format!("{what} has shape {:?}, expected [N, 2]", array.shape())));
+    }
+    Ok(array.as_array().rows().into_iter().map(|row| Point2::new(row[0], row[1])).collect())
+}
+
+fn driver(number: u8) -> PyResult<Driver> {
+    let last = Driver::ALL.len() - 1;
+    Driver::from_number(number)
+        .ok_or_else(|| ConfigError::new_err(format!("driver is {number}, expected 0 to {last}")))
+}
+
+/// Agents from arrays of one length A.
+fn boxes(
+    position_m: &Points<'_>,
+    heading_rad: &PyReadonlyArray1<'_, f32>,
+    size_m: &Points<'_>,
+    kind: &PyReadonlyArray1<'_, u8>,
+    driver_of: &PyReadonlyArray1<'_, u8>,
+    collided: &PyReadonlyArray1<'_, bool>,
+) -> PyResult<Vec<AgentBox>> {
+    let (positions, sizes) = (points("position_m", position_m)?, points("size_m", size_m)?);
+    let num_agents = positions.len();
+    for (what, len) in [
+        ("heading_rad", heading_rad.len()),
+        ("size_m", sizes.len()),
+        ("kind", kind.len()),
+        ("driver", driver_of.len()),
+        ("collided", collided.len()),
+    ] {
+        if len != num_agents {
+            let message = format!("{what} has {len} entries, expected {num_agents}, one per position");
+            return Err(ShapeError::new_err(message));
+        }
+    }
+    let (heading_rad, kind) = (heading_rad.as_array(), kind.as_array());
+    let (driver_of, collided) = (driver_of.as_array(), collided.as_array());
+    (0..num_agents)
+        .map(|a| {
+            let shape = AgentKind::ALL.get(usize::from(kind[a])).copied();
+            Ok(AgentBox {
+                pose: Pose2::new(positions[a].x, positions[a].y, heading_rad[a]),
+                length_m: sizes[a].x,
+                width_m: sizes[a].y,
+                kind: shape.ok_or_else(|| {
+                    ConfigError::new_err(format!("kind of agent {a} is {}, expected 0 to 4", kind[a]))
+                })?,
+                driver: driver(driver_of[a])?,
+                collided: collided[a],
+            })
+        })
+        .collect()
+}
+
+/// A picture [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.render.draw`.
+#[pyfunction]
+#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, size, span_m, centre_m, up_rad,
+    route_m, trails, samples, arrows, collisions_m, caption, scale_bar))]
+fn render_arrays<'py>(
+    py: Python<'py>,
+    position_m: Points<'py>,
+    heading_rad: PyReadonlyArray1<'py, f32>,
+    size_m: Points<'py>,
+    kind: PyReadonlyArray1<'py, u8>,
+    driver: PyReadonlyArray1<'py, u8>,
+    collided: PyReadonlyArray1<'py, bool>,
+    size: (i64, i64),
+    span_m: f32,
+    centre_m: (f32, f32),
+    up_rad: f32,
+    route_m: Points<'py>,
+    trails: Vec<(Points<'py>, u8)>,
+    samples: Vec<(Points<'py>, u8)>,
+    arrows: Vec<(usize, usize, f32)>,
+    collisions_m: Points<'py>,
+    caption: &str,
+    scale_bar: bool,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let boxes = boxes(&position_m, &heading_rad, &size_m, &kind, &driver, &collided)?;
+    let owned = |what, list: Vec<(Points<'py>, u8)>| -> PyResult<Vec<(Vec<Point2>, Driver)>> {
+        list.iter().map(|(p, d)| Ok((points(what, p)?, self::driver(*d)?))).collect()
+    };
+    let (trails, samples) = (owned("trail", trails)?, owned("sample", samples)?);
+    let at = |agent_idx: usize| {
+        boxes.get(agent_idx).map(|b| b.pose.position).ok_or_else(|| {
+            let message = format!("arrow of agent {agent_idx}, but there are {} agents", boxes.len());
+            ConfigError::new_err(message)
+        })
+    };
+    let arrows: Vec<Arrow> = arrows
+        .iter()
+        .map(|(i, j, weight)| Ok(Arrow { from: at(*i)?, to: at(*j)?, weight: *weight }))
+        .collect::<PyResult<_>>()?;
+    let (route, collisions) = (points("route_m", &route_m)?, points("collisions_m", &collisions_m)?);
+    let (width, height) = pixels(size)?;
+    let centre = Point2::new(centre_m.0, centre_m.1);
+    let camera = Camera::over(centre, span_m, width, height).heading_up(up_rad);
+    let image = py.detach(|| {
+        let trails: Vec<Line<'_>> = trails.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
+        let samples: Vec<Line<'_>> = samples.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
+        let picture = Picture {
+            map: None,
+            route: &route,
+            trails: &trails,
+            samples: &samples,
+            boxes: &boxes,
+            arrows: &arrows,
+            collisions: &collisions,
+            caption,
+            scale_bar,
+        };
+        render(&picture, &camera)
+    });
+    to_array(py, image.map_err(from_render)?)
+}
+
+/// Names and colours (red, green, blue) of everything in a picture, drivers first.
+#[pyfunction]
+fn render_legend() -> Vec<(&'static str, (u8, u8, u8))> {
+    palette::legend().into_iter().map(|(name, c)| (name, (c.0, c.1, c.2))).collect()
+}

@@ -1,0 +1,177 @@
+"""Pictures from arrays, and files: pixels against what was asked for, files against Pillow."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from ccdiff_env import render
+from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
+
+CAR = {"heading_rad": [0.0], "size_m": [[4.6, 1.9]]}
+GROUND = render.legend()["ground"]
+
+
+def film(num_frames: int = 6) -> np.ndarray:
+    return np.stack(
+        [
+            render.draw(
+                [[2.0 * t, 0.0]], **CAR, driver="ego", centre_m=(5, 0), span_m=40, size=(121, 81)
+            )
+            for t in range(num_frames)
+        ]
+    )
+
+
+def test_names_and_colours_follow_the_native_table():
+    assert tuple(render.legend())[: len(render.DRIVERS)] == render.DRIVERS
+    assert len(set(render.legend().values())) == len(render.legend())
+
+
+@pytest.mark.parametrize("driver", render.DRIVERS)
+def test_an_agent_has_the_colour_of_its_driver_and_the_ground_is_round_it(driver):
+    picture = render.draw([[7.0, -3.0]], **CAR, driver=driver, size=(200, 100), span_m=20)
+    assert picture.shape == (100, 200, 3)
+    assert picture.dtype == np.uint8
+    assert tuple(picture[50, 100]) == render.legend()[driver]
+    assert tuple(picture[10, 10]) == GROUND
+
+
+def test_the_direction_given_points_to_the_top():
+    two = {"heading_rad": [0, 0], "size_m": [[4, 2], [4, 2]], "driver": ["ego", "idm"]}
+    east_up = render.draw([[0, 0], [20, 0]], **two, up_rad=0.0, size=(200, 200))
+    north_up = render.draw([[0, 0], [20, 0]], **two, size=(200, 200))
+    assert tuple(east_up[60, 100]) == tuple(north_up[100, 140]) == render.legend()["idm"]
+
+
+def test_each_thing_asked_for_changes_the_picture_and_nothing_else_does():
+    base = {
+        "position_m": [[0, 0], [12, 3]],
+        "heading_rad": [0, 1],
+        "size_m": [[4.6, 1.9]] * 2,
+        "size": (160, 160),
+        "span_m": 40,
+    }
+    plain = render.draw(**base)
+    assert np.array_equal(plain, render.draw(**base))
+    line = np.stack([np.linspace(-9, 9, 20), np.full(20, 6.0)], axis=1)
+    for more in (
+        {"route_m": line},
+        {"trails": [(line, "idm")]},
+        {"samples": [(line, "ccdiff")]},
+        {"arrows": [(0, 1, 0.8)]},
+        {"collisions_m": [[-5, -5]]},
+        {"collided": [True, False]},
+        {"kind": "pedestrian"},
+        {"caption": "8.4 m/s"},
+        {"scale_bar": True},
+    ):
+        assert not np.array_equal(plain, render.draw(**base, **more)), more
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "says"),
+    [
+        ({"size": (0, 10)}, ConfigError, "0 x 10"),
+        ({"size": (10, -1)}, ConfigError, "10 x -1"),
+        ({"span_m": math.nan}, ConfigError, "metres_per_pixel"),
+        ({"centre_m": (math.nan, 0.0)}, ConfigError, "centre"),
+        ({"up_rad": math.inf}, ConfigError, "up_rad"),
+        ({"heading_rad": [math.nan]}, ConfigError, "heading of agent 0"),
+        ({"heading_rad": [0.0, 1.0]}, ShapeError, "heading_rad"),
+        ({"size_m": [[4.0, 0.0]]}, ConfigError, "size of agent 0"),
+        ({"size_m": [4.0, 2.0]}, ShapeError, "size_m"),
+        ({"driver": "nobody"}, ConfigError, "nobody"),
+        ({"kind": ["vehicle"] * 2}, ShapeError, "kind"),
+        ({"arrows": [(0, 4, 1.0)]}, ConfigError, "agent 4"),
+        ({"trails": [([[0, 0, 0]], "ego")]}, ShapeError, "trail"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_and_named(change, error, says):
+    with pytest.raises(error, match=says):
+        render.draw([[0.0, 0.0]], **{**CAR, **change})
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.floats(width=32)] * 3), max_size=5),
+    st.floats(width=32),
+    st.tuples(st.integers(-2, 60), st.integers(0, 60)),
+)
+def test_any_numbers_give_a_picture_or_a_config_error(agents, span_m, size):
+    rows = np.array(agents, np.float32).reshape(-1, 3)
+    try:
+        picture = render.draw(
+            rows[:, :2],
+            heading_rad=rows[:, 2],
+            size_m=np.full((len(rows), 2), 2.0),
+            span_m=span_m,
+            size=size,
+        )
+    except ConfigError:
+        return
+    assert picture.shape == (size[1], size[0], 3)
+
+
+def test_a_png_holds_exactly_the_picture(tmp_path):
+    picture = film(1)[0]
+    for frames in (picture, picture[None], [picture]):
+        render.save(frames, tmp_path / "a.png")
+        assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png").convert("RGB")), picture)
+
+
+def test_a_gif_holds_all_pictures_at_their_rate_with_the_ego_in_its_colour(tmp_path):
+    frames = film()
+    render.save(iter(frames), tmp_path / "a.gif", fps=20)
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == len(frames)
+        for t in range(gif.n_frames):
+            gif.seek(t)
+            assert gif.info["duration"] == 50
+            got = np.asarray(gif.convert("RGB")).astype(int)
+            assert np.abs(got - frames[t]).max() < 48
+            assert np.abs(got - frames[t]).mean() < 1.0
+
+
+def test_an_mp4_of_odd_size_holds_all_pictures(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    import imageio.v2 as imageio
+
+    frames = film()
+    render.save(frames, tmp_path / "a.mp4", fps=10)
+    # The reader claims endless length: no list(reader).
+    with imageio.get_reader(tmp_path / "a.mp4") as reader:
+        read = np.stack([frame for frame in reader])  # noqa: C416
+    assert read.shape == (len(frames), 82, 122, 3)
+    assert np.abs(read[:, :81, :121].astype(int) - frames).mean() < 4.0
+
+
+def test_an_mp4_without_its_package_names_the_install_command(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingFeatureError, match=r"imageio\[ffmpeg\]"):
+        render.save(film(), tmp_path / "a.mp4")
+
+
+@pytest.mark.parametrize(
+    ("frames", "name", "fps", "error"),
+    [
+        (np.zeros((2, 4, 4, 3), np.uint8), "a.png", 10, ConfigError),
+        (np.zeros((4, 4, 3), np.uint8), "a.bmp", 10, ConfigError),
+        (np.zeros((4, 4, 3), np.uint8), "a.gif", 0, ConfigError),
+        (np.zeros((4, 4, 3), np.uint8), "a.gif", math.nan, ConfigError),
+        (np.zeros((4, 4, 3), np.float32), "a.png", 10, ShapeError),
+        (np.zeros((4, 4), np.uint8), "a.png", 10, ShapeError),
+        ([], "a.gif", 10, ShapeError),
+        ([np.zeros((4, 4, 3), np.uint8), np.zeros((5, 4, 3), np.uint8)], "a.gif", 10, ShapeError),
+    ],
+)
+def test_frames_and_files_that_do_not_fit_are_refused(tmp_path, frames, name, fps, error):
+    with pytest.raises(error):
+        render.save(frames, tmp_path / name, fps=fps)
+    assert not (tmp_path / name).exists()
