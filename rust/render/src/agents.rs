@@ -1,5 +1,6 @@
 //! Agents: rounded boxes with a heading notch, discs for people, crossed boxes for obstacles.
 
+use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
 use crate::palette::{self, Driver, Rgb};
 use crate::picture::AgentBox;
@@ -10,7 +11,9 @@ const MIN_HALF_PX: f32 = 1.5;
 
 /// Draws all agents: obstacles lowest, then by driver, the ego on top.
 pub(crate) fn draw(canvas: &mut Canvas, boxes: &[AgentBox]) {
-    let mut order: Vec<&AgentBox> = boxes.iter().collect();
+    let view = canvas.view;
+    let in_sight = |b: &&AgentBox| view.sees(&Bounds::of(&[b.pose.position]), b.length_m + b.width_m + 1.0);
+    let mut order: Vec<&AgentBox> = boxes.iter().filter(in_sight).collect();
     order.sort_by_key(|b| match (b.kind, b.driver) {
         (_, Driver::Ego) => 4,
         (AgentKind::Static, _) => 0,

@@ -75,7 +75,11 @@ impl Canvas {
 
     /// Drops the alpha channel: everything was drawn on an opaque ground.
     pub(crate) fn finish(self) -> Image {
-        let rgb = self.pixmap.data().chunks_exact(4).flat_map(|c| [c[0], c[1], c[2]]).collect();
+        let rgba = self.pixmap.data();
+        let mut rgb = vec![0; rgba.len() / 4 * 3];
+        for (to, from) in rgb.chunks_exact_mut(3).zip(rgba.chunks_exact(4)) {
+            to.copy_from_slice(&from[..3]);
+        }
         Image { width: self.pixmap.width(), height: self.pixmap.height(), rgb }
     }
 }

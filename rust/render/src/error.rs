@@ -42,6 +42,22 @@ pub enum RenderError {
         /// The layer.
         layer: &'static str,
     },
+    /// A step that the log does not have.
+    #[error("step {got} of a log of {num_steps} steps, expected 0 to {}", num_steps.saturating_sub(1))]
+    Step {
+        /// The step asked for.
+        got: usize,
+        /// Steps of the log.
+        num_steps: usize,
+    },
+    /// The middle of the picture cannot be found.
+    #[error("centre of the picture is {got}, expected {expected}")]
+    Centre {
+        /// What was asked for.
+        got: String,
+        /// The rule it breaks.
+        expected: &'static str,
+    },
 }
 
 /// Result with [`RenderError`].

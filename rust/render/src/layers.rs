@@ -37,6 +37,7 @@ struct Piece {
 #[derive(Debug, Clone, Default)]
 pub struct MapLayers {
     drivable_area: Vec<Area>,
+    kerbs: Vec<Piece>,
     walkways: Vec<Area>,
     carpark_areas: Vec<Area>,
     ped_crossings: Vec<Area>,
@@ -60,6 +61,7 @@ impl MapLayers {
         let dashed = |lines: &[Vec<Point2>], dash| lines.iter().flat_map(|l| dashes(l, dash)).collect();
         Ok(Self {
             drivable_area: areas(&map.drivable_area),
+            kerbs: map.drivable_area.iter().flat_map(kerbs).collect(),
             walkways: areas(&map.walkways),
             carpark_areas: areas(&map.carpark_areas),
             ped_crossings: areas(&map.ped_crossings),
@@ -82,27 +84,19 @@ impl MapLayers {
         };
         areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
         // All edges first, all surfaces on top: only the edge of the union stays.
-        let kerb_px = canvas.px(0.5, 1.2);
-        let mut visible = Vec::new();
-        for area in self.drivable_area.iter().filter(|a| canvas.view.sees(&a.bounds, 1.0)) {
-            visible.extend(area.outline(canvas).path());
-        }
-        for path in &visible {
-            canvas.stroke_path(path, palette::KERB, 1.0, kerb_px, false);
-        }
-        for path in &visible {
-            canvas.fill_path(path, palette::DRIVABLE, 1.0);
-        }
+        let width = canvas.px(1.0, 2.4);
+        pieces(canvas, &self.kerbs, palette::KERB, width, true);
+        areas(canvas, &self.drivable_area, palette::DRIVABLE, 1.0);
         areas(canvas, &self.carpark_areas, palette::CARPARK, 1.0);
         areas(canvas, &self.ped_crossings, palette::CROSSING, 1.0);
         areas(canvas, &self.stripes, palette::STRIPE, 1.0);
         areas(canvas, &self.stop_lines, palette::STOP, 0.22);
         let width = canvas.px(0.08, 0.6).min(1.2);
-        pieces(canvas, &self.centre_lines, palette::CENTRE_LINE, width);
+        pieces(canvas, &self.centre_lines, palette::CENTRE_LINE, width, false);
         let width = canvas.px(0.16, 0.9);
-        pieces(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width);
+        pieces(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width, false);
         let width = canvas.px(0.2, 1.1);
-        pieces(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width);
+        pieces(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width, false);
     }
 }
 
@@ -129,18 +123,25 @@ impl Piece {
 }
 
 /// Strokes the pieces in sight as one path.
-fn pieces(canvas: &mut Canvas, list: &[Piece], rgb: Rgb, width_px: f32) {
+fn pieces(canvas: &mut Canvas, list: &[Piece], rgb: Rgb, width_px: f32, round: bool) {
     let mut outline = Outline::new();
     for piece in list.iter().filter(|p| canvas.view.sees(&p.bounds, 1.0)) {
         outline.polyline(canvas.view, &piece.points);
     }
-    canvas.stroke(outline, rgb, 1.0, width_px, false);
+    canvas.stroke(outline, rgb, 1.0, width_px, round);
 }
 
 /// Cuts a line into pieces of a few points that share their ends.
 fn chunks(line: &[Point2]) -> Vec<Piece> {
     let starts = (0..line.len().saturating_sub(1)).step_by(CHUNK_POINTS);
     starts.map(|i| Piece::new(line[i..line.len().min(i + CHUNK_POINTS + 1)].to_vec())).collect()
+}
+
+/// The edges of a polygon, in pieces.
+fn kerbs(polygon: &Polygon) -> Vec<Piece> {
+    let rings = std::iter::once(&polygon.exterior).chain(&polygon.holes);
+    let closed = |ring: &Vec<Point2>| ring.iter().chain(ring.first()).copied().collect::<Vec<_>>();
+    rings.flat_map(|ring| chunks(&closed(ring))).collect()
 }
 
 /// Lays dashes along a line.

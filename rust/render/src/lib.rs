@@ -27,6 +27,8 @@ pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
 pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
-pub use log::{driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose};
+pub use log::{
+    Centre, LogShot, driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose, render_log,
+};
 pub use palette::{Driver, Rgb};
 pub use picture::{AgentBox, Arrow, Line, Picture, render};

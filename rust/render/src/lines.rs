@@ -1,5 +1,6 @@
 //! Lines and marks over the map: route, trails, planned samples, causal arrows, collisions.
 
+use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
 use crate::palette;
 use crate::picture::{Arrow, Line};
@@ -18,6 +19,9 @@ pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
 
 /// A line that fades towards its old end.
 pub(crate) fn trail(canvas: &mut Canvas, line: &Line<'_>) {
+    if !canvas.view.sees(&Bounds::of(line.points), 1.0) {
+        return;
+    }
     let segments = line.points.len().saturating_sub(1);
     let parts = FADES.min(segments);
     let width = canvas.px(0.35, 1.6).min(3.5);
@@ -32,6 +36,9 @@ pub(crate) fn trail(canvas: &mut Canvas, line: &Line<'_>) {
 
 /// A thin line in its driver's colour.
 pub(crate) fn sample(canvas: &mut Canvas, line: &Line<'_>) {
+    if !canvas.view.sees(&Bounds::of(line.points), 1.0) {
+        return;
+    }
     let mut outline = Outline::new();
     outline.polyline(canvas.view, line.points);
     canvas.stroke(outline, line.driver.colour(), 0.55, 1.2, true);

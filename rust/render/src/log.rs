@@ -1,9 +1,114 @@
 //! Pictures of a scene's log: what stands where at a step, trails and the ego's route.
 
+use crate::camera::Camera;
+use crate::error::{RenderError, Result};
+use crate::image::Image;
+use crate::layers::MapLayers;
 use crate::palette::Driver;
-use crate::picture::AgentBox;
-use ccdiff_sim::geom::{Point2, Pose2};
-use ccdiff_sim::scene::{EGO_ID, Scene};
+use crate::picture::{AgentBox, Line, Picture, render};
+use ccdiff_sim::geom::{Point2, Pose2, Real};
+use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
+
+/// How far back trails of a log reach, seconds.
+const TRAIL_S: Real = 3.0;
+
+/// What the middle of a picture follows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Centre {
+    /// An agent, by its index in the scene.
+    Agent(usize),
+    /// A fixed point of the scene frame, metres.
+    Point(Point2),
+}
+
+/// A picture of one step of a log.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LogShot {
+    /// Step of the log.
+    pub step_idx: usize,
+    /// What is in the middle.
+    pub centre: Centre,
+    /// Metres across the picture's width.
+    pub span_m: Real,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Whether the heading of the agent in the middle points to the top; else north does.
+    pub heading_up: bool,
+    /// Whether the last three seconds of every agent are drawn.
+    pub trails: bool,
+    /// Whether the rest of the ego's log is drawn as its route.
+    pub route: bool,
+    /// Whether name, time, the ego's speed and a scale bar are written.
+    pub labels: bool,
+}
+
+/// Draws one step of a log.
+///
+/// An agent in the middle that is not logged at the step is looked for at the nearest step that has it.
+///
+/// # Errors
+/// [`RenderError::Step`] past the end, [`RenderError::Centre`] for an agent that does not exist or is never logged,
+/// and for `heading_up` without an agent; and those of [`render`].
+pub fn render_log(scene: &Scene, map: &MapLayers, shot: &LogShot) -> Result<Image> {
+    let step_idx = shot.step_idx;
+    if step_idx >= scene.num_steps {
+        return Err(RenderError::Step { got: step_idx, num_steps: scene.num_steps });
+    }
+    let boxes = logged_boxes(scene, step_idx);
+    let num_back = if shot.trails { (TRAIL_S / scene.dt_s).ceil() as usize + 1 } else { 0 };
+    let movers = (0..scene.num_agents()).filter(|a| scene.agents[*a].kind != AgentKind::Static);
+    let trails: Vec<(Vec<Point2>, Driver)> =
+        movers.map(|a| (logged_trail(scene, a, step_idx, num_back), driver_of(scene, a))).collect();
+    let trails: Vec<Line<'_>> =
+        trails.iter().map(|(points, driver)| Line { points, driver: *driver }).collect();
+    let ego = scene.agent_index(EGO_ID);
+    let route = ego.filter(|_| shot.route).map(|a| logged_future(scene, a, step_idx)).unwrap_or_default();
+    let caption = if shot.labels { caption(scene, step_idx, ego) } else { String::new() };
+    let picture = Picture {
+        map: Some(map),
+        route: &route,
+        trails: &trails,
+        boxes: &boxes,
+        caption: &caption,
+        scale_bar: shot.labels,
+        ..Picture::default()
+    };
+    render(&picture, &camera(scene, shot)?)
+}
+
+fn camera(scene: &Scene, shot: &LogShot) -> Result<Camera> {
+    let over = |centre| Camera::over(centre, shot.span_m, shot.width, shot.height);
+    let fail = |got, expected| Err(RenderError::Centre { got, expected });
+    match shot.centre {
+        Centre::Point(_) if shot.heading_up => {
+            fail("a point".into(), "an agent, for a picture with heading up")
+        }
+        Centre::Point(p) => Ok(over(p)),
+        Centre::Agent(a) if a >= scene.num_agents() => {
+            fail(format!("agent {a}"), "the index of an agent of the scene")
+        }
+        Centre::Agent(a) => match nearest_logged_pose(scene, a, shot.step_idx) {
+            Some(pose) if shot.heading_up => Ok(over(pose.position).heading_up(pose.heading_rad)),
+            Some(pose) => Ok(over(pose.position)),
+            None => fail(format!("agent {:?}", scene.agents[a].id), "an agent that is logged at some step"),
+        },
+    }
+}
+
+/// Name in capitals (the font's small letters are those of units), time and the ego's speed.
+fn caption(scene: &Scene, step_idx: usize, ego: Option<usize>) -> String {
+    let name = scene.name.to_uppercase();
+    let time_s = f64::from(scene.dt_s) * step_idx as f64;
+    match ego.filter(|a| scene.is_valid(*a, step_idx)) {
+        Some(a) => {
+            let speed_mps = scene.tracks.velocity[scene.at(a, step_idx)].norm();
+            format!("{name}  {time_s:.1} s  {speed_mps:.1} m/s")
+        }
+        None => format!("{name}  {time_s:.1} s"),
+    }
+}
 
 /// Boxes of the agents logged at a step: the ego as [`Driver::Ego`], all others as [`Driver::Replay`]. None past
 /// the end.

@@ -1,4 +1,5 @@
 //! A crossroads by hand.
+#![allow(dead_code, reason = "each test file uses its part")]
 
 use ccdiff_render::{AgentBox, Driver};
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real};
