@@ -14,7 +14,7 @@ if _torch.__version__.split("+")[0] != _TORCH:
     )
 
 from ccdiff_env import _native as _native  # noqa: E402
-from ccdiff_env import causal, errors  # noqa: E402
+from ccdiff_env import causal, errors, metrics  # noqa: E402
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "causal", "errors"]
+__all__ = ["__version__", "causal", "errors", "metrics"]

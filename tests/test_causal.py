@@ -86,7 +86,7 @@ def test_rankings_are_those_of_listing_all_cliques_with_networkx(measure, thresh
     assert got == networkx_ranking(measure, threshold, min_size, top, 10)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 0.9))
 def test_rankings_of_larger_graphs_are_those_of_networkx(seed, density):
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 mod causal;
 mod errors;
+mod metrics;
 mod render;
 
 use pyo3::prelude::*;
@@ -9,6 +10,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
+    metrics::register(m)?;
     render::register(m)?;
     Ok(())
 }

@@ -1,0 +1,287 @@
+//! Bindings of `ccdiff_sim::metrics`.
+
+use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
+use ccdiff_sim::SimError;
+use ccdiff_sim::geom::{Point2, Polygon, Region};
+use ccdiff_sim::metrics::{
+    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Rollout,
+    ScoreBounds, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
+    off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
+};
+use ccdiff_sim::state::Body;
+use numpy::{
+    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+
+/// Adds the functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<NativeRollout>()?;
+    module.add_function(wrap_pyfunction!(metrics_scores, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_generational_distance, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_comfort_mean, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_comfort_distance, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_speed_limit, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_total_variation, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_gradient_conflict, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_pearson, module)?)
+}
+
+type PyF32<'py> = PyReadonlyArray2<'py, f32>;
+type Rings = (Vec<[f32; 2]>, Vec<Vec<[f32; 2]>>);
+
+/// One recorded scene: checked copies of its arrays [A, T].
+#[pyclass(frozen, module = "ccdiff_env._native", name = "Rollout")]
+pub(crate) struct NativeRollout {
+    dt_s: f32,
+    num_steps: usize,
+    x_m: Vec<f32>,
+    y_m: Vec<f32>,
+    heading_rad: Vec<f32>,
+    valid: Vec<bool>,
+    bodies: Vec<Body>,
+}
+
+impl NativeRollout {
+    fn view(&self) -> Result<Rollout<'_>, SimError> {
+        Rollout::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
+    }
+}
+
+/// Contacts [N, 3] of step and agents; whether controlled, whether new [N]; name of the first kind per agent; per
+/// variant whether every agent collides and the rate of agents.
+type CollisionParts<'py> =
+    (Bound<'py, PyArray2<u32>>, Vec<bool>, Vec<bool>, Vec<Option<&'static str>>, Vec<Vec<bool>>, Vec<f64>);
+
+#[pymethods]
+impl NativeRollout {
+    #[new]
+    fn new(
+        dt_s: f32,
+        x: PyF32<'_>,
+        y: PyF32<'_>,
+        heading: PyF32<'_>,
+        valid: PyReadonlyArray2<'_, bool>,
+        size: PyF32<'_>,
+    ) -> PyResult<Self> {
+        let bodies = match size.shape() {
+            [_, 2] => size.as_slice()?.chunks_exact(2).map(|s| Body::new(s[0], s[1])).collect(),
+            got => return Err(ShapeError::new_err(format!("size has shape {got:?}, expected [A, 2]"))),
+        };
+        let rollout = Self {
+            dt_s,
+            num_steps: x.shape()[1],
+            x_m: x.as_slice()?.to_vec(),
+            y_m: y.as_slice()?.to_vec(),
+            heading_rad: heading.as_slice()?.to_vec(),
+            valid: valid.as_slice()?.to_vec(),
+            bodies,
+        };
+        rollout.view().map_err(from_sim)?;
+        Ok(rollout)
+    }
+
+    fn collisions<'py>(
+        &self,
+        py: Python<'py>,
+        controlled: PyReadonlyArray1<'_, bool>,
+        log: Option<&Self>,
+    ) -> PyResult<CollisionParts<'py>> {
+        let mask = controlled.as_slice()?;
+        let report = py
+            .detach(|| {
+                let log = log.map(Self::view).transpose()?;
+                CollisionReport::new(&self.view()?, mask, log.as_ref())
+            })
+            .map_err(from_sim)?;
+        let contacts = &report.contacts;
+        let rows = contacts.iter().flat_map(|c| [c.step_idx, c.agents.0, c.agents.1]).collect();
+        Ok((
+            PyArray1::from_vec(py, rows).reshape([contacts.len(), 3])?,
+            contacts.iter().map(|c| c.controlled).collect(),
+            contacts.iter().map(|c| c.new).collect(),
+            report.first_kind.iter().map(|kind| kind.map(|k| k.name())).collect(),
+            CollisionVariant::ALL.iter().map(|v| report.agents(*v)).collect(),
+            CollisionVariant::ALL.iter().map(|v| report.agent_rate(*v)).collect(),
+        ))
+    }
+
+    /// Flags [A, T] of centre and box, then the rates of centre, box and parity.
+    fn off_road<'py>(
+        &self,
+        py: Python<'py>,
+        drivable: Vec<Rings>,
+        counted: PyReadonlyArray1<'_, bool>,
+        replan_steps: usize,
+    ) -> PyResult<(Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3])> {
+        let points = |ring: Vec<[f32; 2]>| ring.into_iter().map(Point2::from).collect();
+        let polygons: Vec<Polygon> = drivable
+            .into_iter()
+            .map(|(exterior, holes)| Polygon {
+                exterior: points(exterior),
+                holes: holes.into_iter().map(points).collect(),
+            })
+            .collect();
+        let region = Region::new(&polygons)
+            .ok_or_else(|| ShapeError::new_err("drivable has no polygon of three or more finite points"))?;
+        let rollout = self.view().map_err(from_sim)?;
+        let report = off_road_report(&rollout, &region, counted.as_slice()?, replan_steps);
+        let shape = [self.bodies.len(), self.num_steps];
+        let centroid = report.flags.iter().map(|f| f.centroid).collect();
+        let corner = report.flags.iter().map(|f| f.corner).collect();
+        Ok((
+            PyArray1::from_vec(py, centroid).reshape(shape)?,
+            PyArray1::from_vec(py, corner).reshape(shape)?,
+            [report.centroid_rate, report.box_rate, report.parity_rate],
+        ))
+    }
+
+    /// ADE and FDE of every agent, metres; not a number where there is none.
+    fn displacement(&self, log: &Self) -> PyResult<(Vec<f64>, Vec<f64>)> {
+        let (rollout, log) = (self.view().map_err(from_sim)?, log.view().map_err(from_sim)?);
+        let result = displacement(&rollout, &log).map_err(from_sim)?;
+        let filled = |errors: Vec<Option<f64>>| errors.into_iter().map(|e| e.unwrap_or(f64::NAN)).collect();
+        Ok((filled(result.ade_m), filled(result.fde_m)))
+    }
+
+    /// Histograms [3, 20] of one scene.
+    fn comfort<'py>(
+        &self,
+        py: Python<'py>,
+        axes: &str,
+        stride: usize,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let axes = match axes {
+            "body" => ComfortAxes::Body,
+            "parity" => ComfortAxes::Parity,
+            _ => {
+                let text = format!("unknown comfort axes {axes:?}, expected \"body\" or \"parity\"");
+                return Err(UnknownNameError::new_err(text));
+            }
+        };
+        let rollout = self.view().map_err(from_sim)?;
+        let found = ComfortHistograms::from_rollout(&rollout, axes, stride).map_err(from_sim)?;
+        histogram_array(py, &found)
+    }
+
+    fn min_ttc(&self, py: Python<'_>) -> PyResult<Vec<f32>> {
+        py.detach(|| Ok(min_ttc_s(&self.view()?))).map_err(from_sim)
+    }
+
+    fn post_encroachment_time(&self, py: Python<'_>) -> PyResult<Vec<f32>> {
+        let found = py.detach(|| Ok(post_encroachment_time_s(&self.view()?))).map_err(from_sim)?;
+        Ok(found.into_iter().map(|t| t.unwrap_or(f32::INFINITY)).collect())
+    }
+
+    fn over_speed(
+        &self,
+        limit_mps: f32,
+        at_least_s: f32,
+        counted: PyReadonlyArray1<'_, bool>,
+    ) -> PyResult<Vec<bool>> {
+        Ok(over_speed(&self.view().map_err(from_sim)?, limit_mps, at_least_s, counted.as_slice()?))
+    }
+}
+
+fn histogram_array<'py>(
+    py: Python<'py>,
+    histograms: &ComfortHistograms,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    PyArray1::from_vec(py, histograms.rows.as_flattened().to_vec()).reshape([3, HISTOGRAM_BINS])
+}
+
+fn histograms(flat: &[f64]) -> ComfortHistograms {
+    let mut rows = [[0.0; HISTOGRAM_BINS]; 3];
+    rows.as_flattened_mut().iter_mut().zip(flat).for_each(|(to, from)| *to = *from);
+    ComfortHistograms { rows }
+}
+
+/// Mean [3, 20] of histograms [S, 3, 20].
+#[pyfunction]
+fn metrics_comfort_mean<'py>(
+    py: Python<'py>,
+    scenes: PyReadonlyArray3<'_, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let all: Vec<_> = scenes.as_slice()?.chunks_exact(3 * HISTOGRAM_BINS).map(histograms).collect();
+    histogram_array(py, &ComfortHistograms::mean(&all))
+}
+
+/// Earth mover's distances of the three rows of [3, 20], and their mean.
+#[pyfunction]
+fn metrics_comfort_distance(
+    one: PyReadonlyArray2<'_, f64>,
+    other: PyReadonlyArray2<'_, f64>,
+) -> PyResult<([f32; 3], f32)> {
+    let found = comfort_distance(&histograms(one.as_slice()?), &histograms(other.as_slice()?));
+    Ok((found.rows, found.mean))
+}
+
+type Range = (f64, f64);
+
+/// CS and RS of flat arrays; bounds in the order SCR, ORR, FDE, CFD.
+#[pyfunction]
+#[pyo3(signature = (scr, orr, fde, cfd, bounds))]
+fn metrics_scores(
+    scr: PyReadonlyArray1<'_, f64>,
+    orr: PyReadonlyArray1<'_, f64>,
+    fde: PyReadonlyArray1<'_, f64>,
+    cfd: PyReadonlyArray1<'_, f64>,
+    bounds: Option<[Option<Range>; 4]>,
+) -> PyResult<(Vec<f64>, Vec<f64>)> {
+    let (scr, orr, fde, cfd) = (scr.as_slice()?, orr.as_slice()?, fde.as_slice()?, cfd.as_slice()?);
+    let bounds = bounds.map(|given| {
+        let one = |range: Option<Range>, values: &[f64]| {
+            range.map_or_else(|| Bounds::of(values), |(min, max)| Bounds { min, max })
+        };
+        ScoreBounds {
+            scr: one(given[0], scr),
+            orr: one(given[1], orr),
+            fde: one(given[2], fde),
+            cfd: one(given[3], cfd),
+        }
+    });
+    scores(scr, orr, fde, cfd, bounds).map_err(from_sim)
+}
+
+/// GD and IGD per method of arrays [methods, columns].
+#[pyfunction]
+fn metrics_generational_distance(
+    cs: PyReadonlyArray2<'_, f64>,
+    rs: PyReadonlyArray2<'_, f64>,
+) -> PyResult<(Vec<f64>, Vec<f64>)> {
+    generational_distance(cs.shape()[0], cs.as_slice()?, rs.as_slice()?).map_err(from_sim)
+}
+
+/// Upper quartile of the speeds above 1 m/s; None where nobody moves.
+#[pyfunction]
+fn metrics_speed_limit(speeds: PyReadonlyArray1<'_, f32>) -> PyResult<Option<f32>> {
+    Ok(speed_limit_mps(speeds.as_slice()?))
+}
+
+/// Total variation per row of means [N, D] with one standard deviation per dimension.
+#[pyfunction]
+fn metrics_total_variation(
+    mean_one: PyF32<'_>,
+    mean_other: PyF32<'_>,
+    std_dev: PyReadonlyArray1<'_, f32>,
+) -> PyResult<Vec<f64>> {
+    let width = std_dev.len().max(1);
+    let rows = mean_one.as_slice()?.chunks(width).zip(mean_other.as_slice()?.chunks(width));
+    let std_dev = std_dev.as_slice()?;
+    rows.map(|(one, other)| total_variation(one, other, std_dev).map_err(from_sim)).collect()
+}
+
+/// Cosine per agent, share of agents in conflict, mean negative cosine.
+#[pyfunction]
+fn metrics_gradient_conflict(realism: PyF32<'_>, guidance: PyF32<'_>) -> PyResult<(Vec<f64>, f64, f64)> {
+    let found =
+        gradient_conflict(realism.shape()[0], realism.as_slice()?, guidance.as_slice()?).map_err(from_sim)?;
+    Ok((found.cosine, found.conflict_share, found.mean_negative_cosine))
+}
+
+/// Pearson's r and its two-sided p value.
+#[pyfunction]
+fn metrics_pearson(x: PyReadonlyArray1<'_, f64>, y: PyReadonlyArray1<'_, f64>) -> PyResult<(f64, f64)> {
+    pearson(x.as_slice()?, y.as_slice()?).map_err(from_sim)
+}

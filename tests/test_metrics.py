@@ -1,0 +1,431 @@
+"""Metrics against the paper's tables, shapely, scipy and plain numpy."""
+
+from __future__ import annotations
+
+import doctest
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from shapely import affinity
+from shapely.geometry import Point, Polygon, box
+
+from ccdiff_env import metrics
+from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.metrics import Rollout
+
+PAPER = json.loads((Path(__file__).parent / "golden/paper_tables.json").read_text())
+RAW = {name: np.array(PAPER[name]) for name in ("scr", "orr", "fde", "cfd")}
+
+
+def test_every_score_of_the_papers_two_tables_follows_from_its_raw_table():
+    cs, rs = metrics.scores(**RAW)
+    printed_cs, printed_rs = np.array(PAPER["cs"]), np.array(PAPER["rs"])
+    assert cs.shape == printed_cs.shape == (6, 11)
+    # both tables print two digits
+    np.testing.assert_allclose(cs, printed_cs, atol=0.0051)
+    np.testing.assert_allclose(rs, printed_rs, atol=0.0051)
+    for ours, again in zip(
+        (cs, rs), metrics.scores(**RAW, bounds=metrics.PAPER_BOUNDS), strict=True
+    ):
+        np.testing.assert_allclose(ours, again, atol=1e-12)
+
+
+def test_given_bounds_keep_scores_of_a_part_on_the_scale_of_the_whole():
+    cs, rs = metrics.scores(**RAW)
+    part = {name: table[1:2, :3] for name, table in RAW.items()}
+    got = metrics.scores(**part, bounds=metrics.PAPER_BOUNDS)
+    np.testing.assert_allclose(got[0], cs[1:2, :3])
+    np.testing.assert_allclose(got[1], rs[1:2, :3])
+    only_scr = metrics.scores(**part, bounds={"scr": (0.31, 0.58)})
+    np.testing.assert_allclose(only_scr[0], cs[1:2, :3])
+    assert not np.allclose(only_scr[1], rs[1:2, :3])
+
+
+@pytest.mark.parametrize(
+    ("columns", "gd", "igd"),
+    [
+        (
+            slice(0, 6),
+            [0.260, 0.336, 0.131, 0.261, 0.089, 0.020],
+            [0.307, 0.327, 0.363, 0.430, 0.344, 0.290],
+        ),
+        (
+            slice(6, 11),
+            [0.199, 0.138, 0.505, 0.317, 0.124, 0.086],
+            [0.433, 0.370, 0.366, 0.348, 0.158, 0.122],
+        ),
+    ],
+)
+def test_generational_distances_are_the_known_ones(columns, gd, igd):
+    # the known values are those of the printed, rounded scores
+    cs, rs = np.array(PAPER["cs"])[:, columns], np.array(PAPER["rs"])[:, columns]
+    got = metrics.generational_distance(cs=cs, rs=rs)
+    np.testing.assert_allclose(got[0], gd, atol=6e-4)
+    np.testing.assert_allclose(got[1], igd, atol=6e-4)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 6))
+def test_generational_distance_is_the_formula(seed, methods, columns):
+    rng = np.random.default_rng(seed)
+    cs, rs = rng.integers(0, 6, (2, methods, columns)) / 5
+    points = np.stack([cs, rs], -1).reshape(-1, 2)
+    beaten = ((points[:, None] <= points).all(-1) & (points[:, None] < points).any(-1)).any(1)
+    front = points[~beaten]
+    gd, igd = metrics.generational_distance(cs=cs, rs=rs)
+    for m in range(methods):
+        d = np.linalg.norm(np.stack([cs[m], rs[m]], -1)[:, None] - front, axis=-1)
+        assert gd[m] == pytest.approx(np.sqrt((d.min(1) ** 2).mean()))
+        assert igd[m] == pytest.approx(np.sqrt((d.min(0) ** 2).mean()))
+
+
+def outline(position, heading, size):
+    body = box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2)
+    return affinity.translate(affinity.rotate(body, heading, (0, 0), use_radians=True), *position)
+
+
+def random_rollout(seed, agents=6, steps=4, spread=7.0):
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(-spread, spread, (agents, steps, 2))
+    heading = rng.uniform(-4, 4, (agents, steps))
+    size = rng.uniform([2, 1], [6, 3], (agents, 2))
+    valid = rng.random((agents, steps)) < 0.8
+    return position, heading, size, valid
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_contacts_are_those_of_shapely_and_variants_filter_them(seed):
+    position, heading, size, valid = random_rollout(seed)
+    agents, steps = valid.shape
+    rng = np.random.default_rng(seed)
+    controlled = rng.random(agents) < 0.3
+    log_position = position + rng.choice([0.0, 3.0], (agents, 1, 1))
+
+    def touching(points):
+        pairs = set()
+        for t in range(steps):
+            shapes = [outline(points[a, t], heading[a, t], size[a]) for a in range(agents)]
+            for a in range(agents):
+                for b in range(a + 1, agents):
+                    if valid[a, t] and valid[b, t] and shapes[a].intersects(shapes[b]):
+                        pairs.add((t, a, b))
+        return pairs
+
+    want, in_log = touching(position), touching(log_position)
+    log = Rollout(log_position, heading, size, valid)
+    got = Rollout(position, heading, size, valid).collisions(controlled=controlled, log=log)
+    assert [tuple(row) for row in got.contacts] == sorted(want)
+    for row, is_controlled, is_new in zip(got.contacts, got.controlled, got.new, strict=True):
+        t, a, b = row
+        assert is_controlled == (controlled[a] or controlled[b])
+        assert is_new == ((0, a, b) not in want and (t, a, b) not in in_log)
+    kept = {
+        "all": np.ones(len(want), bool),
+        "controlled": got.controlled,
+        "new": got.new,
+        "controlled_new": got.controlled & got.new,
+    }
+    for variant, mask in kept.items():
+        hit = np.zeros(agents, bool)
+        hit[got.contacts[mask][:, 1:].ravel()] = True
+        assert got.agents[variant].tolist() == hit.tolist()
+        assert got.any(variant) == mask.any()
+        assert got.matrix(variant).any(0).tolist() == hit.tolist()
+        assert got.agent_rate[variant] == pytest.approx(hit.sum() / valid.any(1).sum())
+
+
+def test_boxes_that_touch_or_hold_each_other_collide():
+    position = np.array([[[0, 0]], [[4, 0]], [[50, 0]], [[50, 0]]], float)
+    size = [[4, 2], [4, 2], [8, 4], [1, 1]]
+    got = Rollout(position, np.zeros((4, 1)), size).collisions()
+    assert got.contacts.tolist() == [[0, 0, 1], [0, 2, 3]]
+    assert not got.any("new")
+    assert not got.any("controlled")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_off_road_flags_are_those_of_shapely(seed):
+    position, heading, size, valid = random_rollout(seed, spread=14.0)
+    outer = [(-12, -8), (11, -9), (13, 7), (0, 12), (-10, 6)]
+    hole = [(-2, -2), (2, -2), (2, 2), (-2, 2)]
+    other = [(20, 20), (9, 5), (9, 9)]
+    area = Polygon(outer, [hole]).union(Polygon(other))
+    got = Rollout(position, heading, size, valid).off_road([(outer, [hole]), (other, [])])
+    for a, t in np.argwhere(valid):
+        shape = outline(position[a, t], heading[a, t], size[a])
+        assert got.centroid[a, t] != area.covers(Point(position[a, t]))
+        corners = [Point(c) for c in shape.exterior.coords]
+        assert got.box[a, t] != all(area.covers(c) for c in corners)
+    assert not got.centroid[~valid].any()
+    count = max(valid.sum(), 1)
+    assert got.centroid_rate == pytest.approx(got.centroid.sum() / count)
+    assert got.box_rate == pytest.approx(got.box.sum() / count)
+    assert got.parity_rate <= 1
+
+
+def test_displacement_is_over_steps_that_both_have():
+    position, heading, size, valid = random_rollout(5)
+    other = position + np.array([3.0, 4.0]) * np.arange(4)[:, None]
+    there = np.random.default_rng(1).random(valid.shape) < 0.7
+    got = Rollout(other, heading, size, there).displacement(Rollout(position, heading, size, valid))
+    for a in range(len(position)):
+        common = np.flatnonzero(valid[a] & there[a])
+        if len(common):
+            assert got.ade[a] == pytest.approx(5 * common.mean(), abs=1e-4)
+            assert got.fde[a] == pytest.approx(5 * common[-1], abs=1e-4)
+        else:
+            assert np.isnan(got.ade[a])
+    ade, fde = got.mean([True] + [False] * 5)
+    assert (ade, fde) == pytest.approx((got.ade[0], got.fde[0]), nan_ok=True)
+    same = Rollout(position, heading, size, valid)
+    assert same.displacement(same).mean()[1] == 0
+
+
+# Check values of the released evaluation: scene-normalised histograms of 100 logged scenes.
+LOGGED = np.array(
+    [
+        [0.0116, 0.00962, 0.01362, 0.02134, 0.02514, 0.03192, 0.04719, 0.06093, 0.08046, 0.29474,
+         0.1283, 0.06628, 0.04835, 0.04294, 0.02584, 0.02104, 0.01994, 0.01384, 0.00941, 0.0075],
+        [0.00616, 0.00714, 0.01093, 0.0176, 0.02618, 0.03091, 0.0358, 0.05131, 0.0685, 0.27572,
+         0.15541, 0.08467, 0.05819, 0.0453, 0.03352, 0.02382, 0.0189, 0.01243, 0.01222, 0.00531],
+        [0.01695, 0.02061, 0.0229, 0.02448, 0.03121, 0.03411, 0.02834, 0.04064, 0.03286, 0.29861,
+         0.09125, 0.05044, 0.05407, 0.04047, 0.03823, 0.03608, 0.03184, 0.02612, 0.03366, 0.02713],
+    ]
+)  # fmt: skip
+
+
+def test_comfort_distances_are_the_known_ones():
+    constant = np.zeros((3, 20))
+    constant[:, 10] = 0.5
+    got = metrics.comfort_distance(constant, LOGGED)
+    # the printed histograms are rounded to 1e-5 per bin
+    assert (got.longitudinal, got.lateral, got.jerk, got.cfd) == pytest.approx(
+        (0.50170, 0.46815, 0.32323, 0.43103), abs=3e-5
+    )
+    uniform = metrics.comfort_distance(np.full((3, 20), 0.05), LOGGED)
+    assert (uniform.longitudinal, uniform.lateral, uniform.jerk, uniform.cfd) == pytest.approx(
+        (0.54179, 0.54828, 0.18916, 0.42641), abs=3e-5
+    )
+    assert metrics.comfort_distance(LOGGED[[1, 0, 2]], LOGGED).longitudinal == pytest.approx(
+        0.06666, abs=1e-5
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_comfort_distance_is_scipys_earth_movers_distance(seed):
+    one, other = np.random.default_rng(seed).random((2, 3, 20))
+    got = metrics.comfort_distance(one, other)
+    for k, (value, width) in enumerate(
+        zip((got.longitudinal, got.lateral, got.jerk), (0.2, 0.2, 0.1), strict=True)
+    ):
+        bins = np.arange(20) * width
+        assert value == pytest.approx(
+            stats.wasserstein_distance(bins, bins, one[k], other[k]), rel=1e-5
+        )
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "parity"]))
+def test_comfort_histograms_are_those_of_numpy(seed, axes):
+    rng = np.random.default_rng(seed)
+    agents, steps = 4, 61
+    acceleration = rng.normal(0, 0.6, (agents, steps, 2)).cumsum(1) * 0.05
+    velocity = rng.normal(0, 3, (agents, 1, 2)) + acceleration.cumsum(1) * 0.1
+    position = (velocity * 0.1).cumsum(1).astype(np.float32).astype(float)
+    heading = rng.uniform(-3, 3, (agents, 1)) + rng.normal(0, 0.05, (agents, steps))
+    heading = heading.astype(np.float32).astype(float)
+    until = rng.integers(2, steps + 1, agents)
+    valid = np.arange(steps) < until[:, None]
+    counts = np.zeros((3, 20))
+    for a in range(agents):
+        p, h = position[a, : until[a] : 5], heading[a, : until[a] : 5]
+        if len(p) < 2:
+            continue
+        v = np.diff(p, axis=0) / 0.5
+        v = np.concatenate([v[:1], v])
+        acc = np.diff(v, axis=0) / 0.5
+        acc = np.concatenate([acc[:1], acc])
+        size = np.linalg.norm(acc, axis=1)
+        jerk = np.diff(size) / 0.5
+        jerk = np.concatenate([jerk[:1], jerk])
+        if np.linalg.norm(v[0]) <= 0.5:
+            continue
+        cos, sin = np.cos(h), np.sin(h)
+        if axes == "body":
+            rows = (acc[:, 0] * cos + acc[:, 1] * sin, -acc[:, 0] * sin + acc[:, 1] * cos, jerk)
+        else:
+            rows = (size * cos, size * sin, jerk)
+        for k, (row, limit) in enumerate(zip(rows, (2, 2, 1), strict=True)):
+            counts[k] += np.histogram(row, 20, (-limit, limit))[0]
+    total = counts.sum(1, keepdims=True)
+    want = np.divide(counts, total, where=total > 0, out=np.zeros_like(counts))
+    got = Rollout(position, heading, [[4.5, 2]] * agents, valid).comfort(axes=axes)
+    # a value within rounding of an edge may fall on either side
+    np.testing.assert_allclose(got, want, atol=2.1 / max(total.min(), 1))
+    assert np.abs(got - want).sum() < 0.2
+
+
+def test_estimated_histograms_are_means_over_scenes():
+    x = np.stack([np.arange(40.0), np.zeros(40)], -1)[None]
+    moving = Rollout(x, np.zeros((1, 40)), [[4, 2]])
+    still = Rollout(np.zeros((1, 40, 2)), np.zeros((1, 40)), [[4, 2]])
+    mean = metrics.estimate_histograms([moving, still])
+    assert mean[:, 10].tolist() == [0.5, 0.5, 0.5]
+    assert metrics.comfort_distance(moving.comfort(), mean).cfd == 0
+    assert metrics.comfort_distance(still.comfort(), mean).cfd == np.inf
+    assert metrics.estimate_histograms([]).sum() == 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_post_encroachment_time_is_the_least_gap_of_overlapping_footprints(seed):
+    rng = np.random.default_rng(seed)
+    agents, steps = 3, 25
+    start, heading = rng.uniform(-15, 15, (agents, 1, 2)), rng.uniform(-3, 3, (agents, 1))
+    speed = rng.uniform(0, 12, (agents, 1, 1))
+    way = np.arange(steps)[:, None] * 0.1 * speed * np.stack([np.cos(heading), np.sin(heading)], -1)
+    position, headings = start + way, np.repeat(heading, steps, 1)
+    size = np.array([[4.5, 2.0]] * agents)
+    shapes = [
+        [outline(position[a, t], headings[a, t], size[a]) for t in range(steps)]
+        for a in range(agents)
+    ]
+    want = np.full(agents, np.inf)
+    for a in range(agents):
+        for b in range(agents):
+            if a != b:
+                gaps = [
+                    abs(t - s) * 0.1
+                    for t in range(steps)
+                    for s in range(steps)
+                    if shapes[a][t].intersects(shapes[b][s])
+                ]
+                want[a] = min([want[a], *gaps])
+    got = Rollout(position, headings, size).post_encroachment_time()
+    np.testing.assert_allclose(got, want, atol=1e-5)
+
+
+def test_least_time_to_contact_is_that_of_the_causal_measures():
+    from ccdiff_env import causal
+
+    position, heading, size, _ = random_rollout(3, agents=5, steps=1, spread=30)
+    speed = np.random.default_rng(3).uniform(0, 10, (5, 1))
+    step = 0.1 * speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+    both = np.concatenate([position, position + step], 1)
+    headings = np.repeat(heading, 2, 1)
+    got = Rollout(both, headings, size).min_ttc()
+    seconds = causal.ttc(
+        both.swapaxes(0, 1), headings.T, np.repeat(speed, 2, 1).T, size, normalised=False
+    )
+    seconds[:, np.arange(5), np.arange(5)] = 20
+    np.testing.assert_allclose(got, seconds.min((0, 2)), atol=2e-2)
+
+
+def test_over_speed_needs_half_a_second_without_a_break():
+    def track(speeds):
+        return np.stack([np.cumsum(speeds) * 0.1, np.zeros(len(speeds))], -1)
+
+    slow, fast = [5.0] * 10, 20.0
+    position = np.stack([track(slow + [fast] * 5 + slow), track(slow + [fast] * 4 + [5.0] + slow)])
+    rollout = Rollout(position, np.zeros((2, 25)), [[4, 2]] * 2)
+    assert rollout.over_speed(15.0).tolist() == [True, False]
+    assert rollout.over_speed(15.0, counted=[False, True]).tolist() == [False, False]
+    speeds = np.array([[0.0, 3.0, np.nan], [7.0, 9.5, 2.0]])
+    assert metrics.speed_limit(speeds) == pytest.approx(np.quantile([3, 7, 9.5, 2], 0.75))
+    assert np.isnan(metrics.speed_limit([0.2]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_total_variation_is_that_of_scipys_normal(seed):
+    rng = np.random.default_rng(seed)
+    one, other = rng.normal(0, 1, (2, 4, 3)).astype(np.float32)
+    sigma = rng.uniform(0.3, 2, 3).astype(np.float32)
+    distance = np.linalg.norm((one - other) / sigma, axis=-1)
+    want = 2 * stats.norm.cdf(distance / 2) - 1
+    np.testing.assert_allclose(metrics.total_variation(one, other, sigma), want, atol=1e-6)
+
+
+def test_total_variation_is_half_the_area_between_the_densities():
+    x = np.linspace(-12, 12, 200_001)
+    gap = np.abs(stats.norm.pdf(x, 0.3, 0.8) - stats.norm.pdf(x, -1.1, 0.8))
+    area = gap.sum() * (x[1] - x[0])
+    assert metrics.total_variation([0.3], [-1.1], 0.8) == pytest.approx(area / 2, abs=1e-6)
+
+
+def test_gradient_conflict_counts_negative_cosines():
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(0, 1, (2, 50, 4, 2))
+    other[7] = 0
+    cosine = (one * other).sum((1, 2)) / np.maximum(
+        np.linalg.norm(one, axis=(1, 2)) * np.linalg.norm(other, axis=(1, 2)), 1e-12
+    )
+    got = metrics.gradient_conflict(one, other)
+    np.testing.assert_allclose(got.cosine, cosine, atol=1e-6)
+    assert got.conflict_share == (cosine < 0).mean()
+    assert got.mean_negative_cosine == pytest.approx(-cosine[cosine < 0].mean(), abs=1e-6)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 300), st.floats(0, 3))
+def test_pearson_is_scipys(seed, n, slope):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(0, 1, n)
+    y = slope * x + rng.normal(0, 1, n)
+    want = stats.pearsonr(x, y)
+    r, p = metrics.pearson(x, y)
+    assert r == pytest.approx(want[0], abs=1e-12)
+    assert p == pytest.approx(want[1], rel=1e-6, abs=1e-300)
+
+
+def test_p_values_of_the_papers_correlations_are_those_of_r():
+    """The p values that the paper prints for 100 scenes fit r, not its square."""
+    x = np.arange(100.0) - 49.5
+    noise = np.random.default_rng(0).normal(0, 1, 100)
+    noise -= noise.mean() + x * (noise @ x) / (x @ x)
+    x, noise = x / np.linalg.norm(x), noise / np.linalg.norm(noise)
+    for r, p in ((0.49, 2.3e-7), (0.13, 0.20)):
+        got = metrics.pearson(x, r * x + np.sqrt(1 - r * r) * noise)
+        assert got == pytest.approx((r, p), rel=0.02)
+
+
+def test_bad_input_is_refused_with_the_offending_part():
+    with pytest.raises(ShapeError, match="cfd"):
+        metrics.scores(scr=[0.1], orr=[0.1], fde=[0.1], cfd=[0.1, 0.2])
+    with pytest.raises(ConfigError, match="scrr"):
+        metrics.scores(scr=[0], orr=[0], fde=[0], cfd=[0], bounds={"scrr": (0, 1)})
+    with pytest.raises(ConfigError, match="bounds of scr"):
+        metrics.scores(scr=[0], orr=[0], fde=[0], cfd=[0], bounds={"scr": (1, 0)})
+    with pytest.raises(ShapeError):
+        metrics.generational_distance(cs=[0.1], rs=[0.1])
+    with pytest.raises(ShapeError, match="heading"):
+        Rollout(np.zeros((2, 3, 2)), np.zeros((2, 4)), [[4, 2]] * 2)
+    with pytest.raises(ConfigError, match="dt_s"):
+        Rollout(np.zeros((1, 3, 2)), np.zeros((1, 3)), [[4, 2]], dt_s=0)
+    one, two = (Rollout(np.zeros((1, n, 2)), np.zeros((1, n)), [[4, 2]]) for n in (3, 4))
+    with pytest.raises(ShapeError, match="log"):
+        one.displacement(two)
+    with pytest.raises(ShapeError, match="controlled"):
+        one.collisions(controlled=[True, False])
+    with pytest.raises(ShapeError, match="drivable"):
+        one.off_road([])
+    with pytest.raises(UnknownNameError, match="axes"):
+        one.comfort(axes="world")
+    with pytest.raises(ConfigError, match="std_dev"):
+        metrics.total_variation([0.0], [1.0], 0.0)
+    with pytest.raises(ConfigError, match="vary"):
+        metrics.pearson([1, 1, 1], [1, 2, 3])
+
+
+def test_examples_in_the_documentation_run():
+    result = doctest.testmod(metrics)
+    assert result.attempted > 0
+    assert result.failed == 0
