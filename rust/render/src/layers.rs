@@ -84,7 +84,7 @@ impl MapLayers {
         };
         areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
         // All edges first, all surfaces on top: only the edge of the union stays.
-        let width = canvas.px(1.0, 2.4);
+        let width = canvas.px(0.5, 1.6);
         pieces(canvas, &self.kerbs, palette::KERB, width, true);
         areas(canvas, &self.drivable_area, palette::DRIVABLE, 1.0);
         areas(canvas, &self.carpark_areas, palette::CARPARK, 1.0);
