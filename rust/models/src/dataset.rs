@@ -5,6 +5,7 @@ use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
 use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::noise::Noise;
+use crate::perturb::Push;
 use crate::raster::MapBitmap;
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use rayon::prelude::*;
@@ -112,9 +113,11 @@ impl Dataset {
     /// The agents are the vehicles within `agents_within_m` of the ego, nearest first, at most `max_agents`. Differs from
     /// the released code, which truncates the list before it filters by distance (method.md 1.4).
     ///
+    /// `noise` pushes some agents off their path (ours); `None` leaves the log as it is.
+    ///
     /// # Errors
     /// [`ModelError::Shape`] for an index out of range.
-    pub fn sample(&self, index: usize) -> Result<(SceneFeatures, Futures)> {
+    pub fn sample(&self, index: usize, noise: Option<Noise>) -> Result<(SceneFeatures, Futures)> {
         let Some(&(scene_idx, step)) = self.samples.get(index) else {
             return Err(ModelError::Shape {
                 what: "sample index",
@@ -133,22 +136,38 @@ impl Dataset {
             present.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b)));
             present.truncate(self.config.max_agents);
         }
-        let window = Window::from_scene(scene, step, &present, self.config.history_steps);
+        let mut window = Window::from_scene(scene, step, &present, self.config.history_steps);
+        let speeds: Vec<f32> = (0..present.len()).map(|a| window.speed_now_mps(a)).collect();
+        let first = index as u64 * self.config.max_agents as u64;
+        let pushes: Vec<Option<Push>> = speeds
+            .iter()
+            .zip(first..)
+            .map(|(speed, slot)| noise.and_then(|n| Push::draw(&n, slot, *speed)))
+            .collect();
+        for (agent, push) in pushes.iter().enumerate() {
+            if let Some(push) = push {
+                push.move_history(&mut window, agent);
+            }
+        }
         let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
-        let futures = features::futures(scene, step, &present, &features, &self.config);
+        let adapt = |row: usize, seconds: f32, pose| match pushes[row] {
+            Some(push) => push.recover(pose, seconds, speeds[row]),
+            None => pose,
+        };
+        let futures = features::futures(scene, step, &present, &features, &self.config, adapt);
         Ok((features, futures))
     }
 
-    fn samples(&self, indices: &[usize]) -> Result<Vec<(SceneFeatures, Futures)>> {
-        indices.par_iter().map(|i| self.sample(*i)).collect()
+    fn samples(&self, indices: &[usize], noise: Option<Noise>) -> Result<Vec<(SceneFeatures, Futures)>> {
+        indices.par_iter().map(|i| self.sample(*i, noise)).collect()
     }
 
-    /// Tensors of some samples.
+    /// Tensors of some samples, with agents pushed off their path by `noise`.
     ///
     /// # Errors
     /// [`ModelError::Shape`] for an index out of range.
-    pub fn batch(&self, indices: &[usize], device: Device) -> Result<(Batch, Targets)> {
-        let samples = self.samples(indices)?;
+    pub fn batch(&self, indices: &[usize], noise: Option<Noise>, device: Device) -> Result<(Batch, Targets)> {
+        let samples = self.samples(indices, noise)?;
         let features: Vec<&SceneFeatures> = samples.iter().map(|s| &s.0).collect();
         let futures: Vec<&Futures> = samples.iter().map(|s| &s.1).collect();
         Ok((Batch::new(&features, &self.config, device)?, Targets::new(&futures, &self.config, device)))
@@ -176,7 +195,7 @@ impl Dataset {
     pub fn estimate_normalisation(&self, count: usize, seed: u64) -> Result<Normalisation> {
         let mut order = Noise::new(seed, u64::MAX / 2).permutation(self.samples.len());
         order.truncate(count.max(1));
-        let samples = self.samples(&order)?;
+        let samples = self.samples(&order, None)?;
         let mut trajectory = [Moments::default(); 6];
         let mut history = [Moments::default(); 5];
         let mut edges = [Moments::default(); 4];

@@ -100,6 +100,11 @@ impl Window {
         Pose2::new(self.x_m[at], self.y_m[at], self.heading_rad[at])
     }
 
+    /// Speed of an agent now.
+    pub(crate) fn speed_now_mps(&self, agent: usize) -> f32 {
+        self.speed_mps[(agent + 1) * self.num_steps - 1]
+    }
+
     fn velocity(&self, agent: usize, step: usize) -> Vector2 {
         let at = agent * self.num_steps + step;
         self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
@@ -329,13 +334,15 @@ fn edge_at(
 
 /// Logged futures of window agents in their frames at the current step.
 ///
-/// `agents` maps window rows to agents of the scene; `step_idx` is the current step.
+/// `agents` maps window rows to agents of the scene; `step_idx` is the current step. `adapt` may move a pose, given its
+/// window row and the seconds since now.
 pub fn futures(
     scene: &Scene,
     step_idx: usize,
     agents: &[usize],
     features: &SceneFeatures,
     config: &ModelConfig,
+    adapt: impl Fn(usize, f32, Pose2) -> Pose2,
 ) -> Futures {
     let steps = config.horizon_steps;
     let mut out = Futures { states: Vec::new(), valid: Vec::new() };
@@ -346,9 +353,12 @@ pub fn futures(
             if !scene.is_valid(agent, step) {
                 break;
             }
-            let entry = scene.at(agent, step);
-            let local = frame.to_local(scene.tracks.position[entry]);
-            poses.push([local.x, local.y, scene.tracks.heading_rad[entry] - frame.heading_rad]);
+            let (entry, ahead) = (scene.at(agent, step), (step - step_idx) as f32);
+            let at = scene.tracks.position[entry];
+            let logged = Pose2::new(at.x, at.y, scene.tracks.heading_rad[entry]);
+            let pose = adapt(features.agents[row], ahead * config.dt_s as f32, logged);
+            let local = frame.to_local(pose.position);
+            poses.push([local.x, local.y, pose.heading_rad - frame.heading_rad]);
         }
         let states = unicycle::states_of_poses(&poses, features.speed_mps[row], config.dt_s as f32);
         out.states.extend(states.iter().flatten());

@@ -18,6 +18,7 @@ pub mod features;
 pub mod grad;
 pub mod noise;
 mod optimiser;
+mod perturb;
 pub mod planner;
 pub mod raster;
 pub mod sampler;

@@ -38,6 +38,9 @@ pub struct TrainConfig {
     pub ema_start: u64,
     /// Probability that a scene's G is replaced by the identity.
     pub drop_graph: f64,
+    /// Whether some agents are pushed off their logged path, with a future that leads back (ours).
+    #[serde(default)]
+    pub perturb: bool,
     /// Largest norm of the gradient.
     pub clip_norm: f64,
     /// Seed of batches, noise and dropping.
@@ -54,6 +57,7 @@ impl TrainConfig {
             ema_decay: 0.995,
             ema_start: 4000,
             drop_graph: 0.1,
+            perturb: false,
             clip_norm: 100.0,
             seed: 0,
         };
@@ -67,6 +71,7 @@ impl TrainConfig {
             ema_decay: 0.995,
             ema_start: 200,
             clip_norm: 1.0,
+            perturb: true,
             ..paper
         }
     }
@@ -235,7 +240,8 @@ impl Trainer {
             for _ in 0..steps {
                 let indices =
                     self.dataset.indices_of_step(self.config.seed, self.step, self.config.batch_scenes);
-                let (batch, targets) = self.dataset.batch(&indices, self.store.device())?;
+                let push = self.config.perturb.then(|| self.draw(3));
+                let (batch, targets) = self.dataset.batch(&indices, push, self.store.device())?;
                 let loss = self.loss(&batch, &targets);
                 let value = loss.double_value(&[]);
                 if !value.is_finite() {
@@ -265,7 +271,7 @@ impl Trainer {
         guarded(false, "validation", || {
             let mut errors = Errors::default();
             for chunk in indices.chunks(32) {
-                let (batch, targets) = held_out.batch(chunk, self.store.device())?;
+                let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
                 let net = &self.average.network;
                 let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options)?;
