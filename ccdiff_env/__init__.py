@@ -15,6 +15,15 @@ if _torch.__version__.split("+")[0] != _TORCH:
 
 from ccdiff_env import _native as _native  # noqa: E402
 from ccdiff_env import causal, errors, metrics  # noqa: E402
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes  # noqa: E402
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "causal", "errors", "metrics"]
+__all__ = [
+    "Scene",
+    "SceneSet",
+    "__version__",
+    "causal",
+    "errors",
+    "load_nuscenes",
+    "metrics",
+]

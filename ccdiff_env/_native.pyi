@@ -1,6 +1,7 @@
 """The compiled extension; arrays are C-contiguous."""
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypedDict, final
 
 import numpy as np
 import numpy.typing as npt
@@ -98,3 +99,149 @@ def metrics_total_variation(mean_one: F32, mean_other: F32, std_dev: F32) -> lis
 def metrics_gradient_conflict(realism: F32, guidance: F32) -> tuple[list[float], float, float]: ...
 def metrics_pearson(x: F64, y: F64) -> tuple[float, float]: ...
 def __getattr__(name: str) -> Any: ...
+
+class Polygon(TypedDict):
+    exterior: F32
+    holes: list[F32]
+
+class Lane(TypedDict):
+    id: str
+    kind: Literal["lane", "connector"]
+    centreline: F32
+    polygon: Polygon
+    successors: list[int]
+    predecessors: list[int]
+    speed_limit_mps: float | None
+
+class MapLayers(TypedDict, total=False):
+    drivable_area: list[Polygon]
+    ped_crossings: list[Polygon]
+    walkways: list[Polygon]
+    stop_lines: list[Polygon]
+    carpark_areas: list[Polygon]
+    road_dividers: list[F32]
+    lane_dividers: list[F32]
+    lanes: list[Lane]
+
+class TrackArrays(TypedDict):
+    position: F32
+    heading: F32
+    velocity: F32
+    valid: Bool
+
+@final
+class Scene:
+    """Logged tracks of A agents over T steps on a map, in the scene's own frame. Immutable."""
+
+    @staticmethod
+    def from_arrays(
+        name: str,
+        *,
+        agent_ids: Sequence[str],
+        agent_types: Sequence[str],
+        sizes: F32,
+        position: F32,
+        heading: F32,
+        velocity: F32,
+        valid: Bool,
+        dt: float = 0.1,
+        agent_categories: Sequence[str] | None = None,
+        token: str = "",
+        location: str = "",
+        source: str = "",
+        origin: tuple[float, float] = (0.0, 0.0),
+        map_layers: MapLayers | None = None,
+    ) -> Scene:
+        """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return."""
+
+    @staticmethod
+    def from_bytes(data: bytes) -> Scene:
+        """Read what ``to_bytes`` wrote."""
+
+    def to_bytes(self) -> bytes:
+        """Return the whole scene as bytes; equal scenes give equal bytes."""
+
+    @property
+    def name(self) -> str:
+        """Name, such as ``scene-0061``."""
+
+    @property
+    def token(self) -> str:
+        """Token of the data set."""
+
+    @property
+    def location(self) -> str:
+        """Map location, such as ``boston-seaport``."""
+
+    @property
+    def source(self) -> str:
+        """Data set and version, or file."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Global x, y of the scene frame's origin, metres: global = origin + scene frame."""
+
+    @property
+    def dt(self) -> float:
+        """Seconds between steps."""
+
+    @property
+    def num_steps(self) -> int:
+        """Logged steps T."""
+
+    @property
+    def num_agents(self) -> int:
+        """Agents A."""
+
+    @property
+    def agent_ids(self) -> list[str]:
+        """Instance tokens; the ego is ``"ego"`` and comes first."""
+
+    @property
+    def agent_types(self) -> list[str]:
+        """``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle`` or ``static`` for each agent."""
+
+    @property
+    def agent_categories(self) -> list[str]:
+        """The data set's own category of each agent."""
+
+    @property
+    def has_lanes(self) -> bool:
+        """Whether the map has lanes."""
+
+    @property
+    def sizes(self) -> F32:
+        """Length, width, height [A, 3], metres."""
+
+    @property
+    def hash(self) -> str:
+        """Content hash, 32 hexadecimal digits, the same on every machine."""
+
+    def tracks(self) -> TrackArrays:
+        """Return new arrays in the scene frame; rows that are not valid are zero.
+
+        position [A, T, 2] m, heading [A, T] rad (unwrapped), velocity [A, T, 2] m/s, valid [A, T].
+        """
+
+    def map_layers(self) -> MapLayers:
+        """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
+    def __eq__(self, other: object) -> bool: ...
+    def __hash__(self) -> int: ...
+
+def load_nuscenes(
+    dataroot: str,
+    version: str,
+    *,
+    names: list[str] | None,
+    exactly: bool,
+    dt: float,
+    interpolation: str,
+    kinds: list[str] | None,
+    categories: list[str] | None,
+    map_margin: float,
+    min_annotations: int,
+    require_map: bool,
+    cache_directory: str | None,
+) -> tuple[list[Scene], str]: ...

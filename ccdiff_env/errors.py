@@ -27,6 +27,10 @@ class DatasetError(CcdiffError, ValueError):
     """A data set or scene file is missing a part, is damaged or contradicts itself."""
 
 
+class DatasetNotFoundError(DatasetError, FileNotFoundError):
+    """A data set, table, map or scene file is not where it should be."""
+
+
 class SceneError(CcdiffError, ValueError):
     """A scene's arrays break a rule (length, finiteness, duplicate ids, sizes)."""
 

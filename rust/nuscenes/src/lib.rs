@@ -1,1 +1,36 @@
-//! nuscenes
+//! nuScenes on disk to [`ccdiff_sim::scene::Scene`]s in memory.
+//!
+//! What flows in: the official tables and the map expansion (v1.3), or any data set written in that schema. What flows
+//! out: scenes in their own frames and a report of what was kept and what was not. Quirks of the data set (tokens,
+//! quaternions, 2 Hz key frames, node lists) stop here.
+//!
+//! - `stream`: a table as a stream of records, parsed in parallel
+//! - `tables`: rows, and their join to the logged facts of each scene
+//! - `resample`: key frames to steps
+//! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
+//! - `build`: one scene
+//! - `cache`: built scenes on disk
+//! - `load`: all of it
+
+mod arcline;
+mod build;
+mod cache;
+mod codec;
+mod crop;
+mod error;
+mod load;
+mod map_file;
+mod options;
+mod report;
+mod resample;
+mod stream;
+mod tables;
+mod token;
+
+pub use codec::{decode_scene, encode_scene, scene_hash};
+pub use error::{NuscenesError, Result};
+pub use load::{Loaded, load};
+pub use options::{
+    BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, LoadOptions, Selection, kind_of_category,
+};
+pub use report::{CacheReport, Dropped, LoadReport, MapReport, SceneReport, Timing};

@@ -1,5 +1,6 @@
 //! From Rust errors to the exception tree of `ccdiff_env.errors`.
 
+use ccdiff_nuscenes::NuscenesError;
 use ccdiff_sim::SimError;
 use pyo3::prelude::*;
 
@@ -9,6 +10,7 @@ pub(crate) mod py {
     pyo3::import_exception!(ccdiff_env.errors, ActionError);
     pyo3::import_exception!(ccdiff_env.errors, ConfigError);
     pyo3::import_exception!(ccdiff_env.errors, DatasetError);
+    pyo3::import_exception!(ccdiff_env.errors, DatasetNotFoundError);
     pyo3::import_exception!(ccdiff_env.errors, ForkError);
     pyo3::import_exception!(ccdiff_env.errors, PolicyError);
     pyo3::import_exception!(ccdiff_env.errors, ResetNeededError);
@@ -31,5 +33,17 @@ pub(crate) fn from_sim(error: SimError) -> PyErr {
         SimError::Snapshot(_) => py::SnapshotError::new_err(message),
         SimError::Policy { .. } => py::PolicyError::new_err(message),
         _ => py::ConfigError::new_err(message),
+    }
+}
+
+/// The Python exception for a loader error.
+pub(crate) fn from_nuscenes(error: NuscenesError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        NuscenesError::Scene(error) => from_sim(error),
+        NuscenesError::Missing { .. } => py::DatasetNotFoundError::new_err(message),
+        NuscenesError::Option { .. } => py::ConfigError::new_err(message),
+        NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
+        _ => py::DatasetError::new_err(message),
     }
 }

@@ -4,6 +4,8 @@ mod causal;
 mod errors;
 mod metrics;
 mod render;
+mod scene;
+mod scene_map;
 
 use pyo3::prelude::*;
 
@@ -12,5 +14,6 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
     metrics::register(m)?;
     render::register(m)?;
+    scene::register(m)?;
     Ok(())
 }

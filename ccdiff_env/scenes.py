@@ -1,0 +1,215 @@
+"""Scenes: loading them, the set they come in, and the report of what was kept."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache as _memoise
+from importlib import resources
+from pathlib import Path
+from typing import Literal, overload
+
+from ccdiff_env import _native
+from ccdiff_env._native import Scene
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.load_report import LoadReport
+
+__all__ = ["LoadReport", "Scene", "SceneSet", "cache_directory", "load_nuscenes", "splits"]
+
+
+class SceneSet(Sequence[Scene]):
+    """An immutable sequence of scenes with the report of their load.
+
+    Parameters
+    ----------
+    scenes
+        The scenes, with names that are unique in the set.
+    report
+        What the load has to say; empty where the scenes were not loaded from files.
+
+    Examples
+    --------
+    ``scenes[0]``, ``scenes[:4]`` (a :class:`SceneSet`), ``scenes["scene-0061"]``,
+    ``"scene-0061" in scenes``.
+    """
+
+    __slots__ = ("_by_name", "_scenes", "report")
+
+    def __init__(self, scenes: Iterable[Scene], report: LoadReport | None = None) -> None:
+        self._scenes = tuple(scenes)
+        self._by_name = {scene.name: index for index, scene in enumerate(self._scenes)}
+        if len(self._by_name) != len(self._scenes):
+            raise ConfigError("two scenes of one name: names must be unique in a SceneSet")
+        self.report = report if report is not None else LoadReport.blank()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the scenes, in order."""
+        return tuple(scene.name for scene in self._scenes)
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def __iter__(self) -> Iterator[Scene]:
+        return iter(self._scenes)
+
+    def __contains__(self, value: object) -> bool:
+        return value in self._by_name if isinstance(value, str) else value in self._scenes
+
+    @overload
+    def __getitem__(self, key: int | str) -> Scene: ...
+    @overload
+    def __getitem__(self, key: slice) -> SceneSet: ...
+    def __getitem__(self, key: int | str | slice) -> Scene | SceneSet:
+        """Return a scene by index or name, or a set by slice (with the whole load's report)."""
+        if isinstance(key, slice):
+            return SceneSet(self._scenes[key], self.report)
+        if isinstance(key, str):
+            if key not in self._by_name:
+                shown = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")
+                raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {shown}")
+            key = self._by_name[key]
+        return self._scenes[key]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SceneSet) and self._scenes == other._scenes
+
+    def __hash__(self) -> int:
+        return hash(self._scenes)
+
+    def __repr__(self) -> str:
+        return (
+            f"SceneSet({len(self)} scenes: {', '.join(self.names[:3])}{', ...' * (len(self) > 3)})"
+        )
+
+
+@_memoise
+def splits() -> dict[str, tuple[str, ...]]:
+    """Return the scene names of every split.
+
+    ``train`` (500) and ``train_val`` (200) are the two parts of the devkit's 700 training
+    scenes, as
+    the prediction challenge and trajdata divide them; ``val`` (150), ``mini_train`` (8) and
+    ``mini_val`` (2) are the devkit's; ``ccdiff100`` are the 100 validation scenes that the CCDiff
+    paper evaluates on.
+    """
+    text = resources.files("ccdiff_env").joinpath("data/splits.json").read_text(encoding="utf-8")
+    return {name: tuple(names) for name, names in json.loads(text).items()}
+
+
+def cache_directory() -> Path:
+    """Return the folder of built scenes: ``CCDIFF_CACHE``, else ``~/.cache/ccdiff_env``."""
+    chosen = os.environ.get("CCDIFF_CACHE")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "ccdiff_env"
+
+
+def _names_of_split(split: str | Sequence[str] | None) -> list[str] | None:
+    """Scene names of one split or several; ``None`` for all scenes."""
+    chosen = [split] if isinstance(split, str) else list(split or ["all"])
+    if "all" in chosen:
+        return None
+    known = splits()
+    names: list[str] = []
+    for name in chosen:
+        if name not in known:
+            raise UnknownNameError(
+                f"unknown split {name!r}, expected one of all, {', '.join(known)}"
+            )
+        names.extend(known[name])
+    return names
+
+
+def load_nuscenes(
+    dataroot: str | os.PathLike[str],
+    version: str = "v1.0-mini",
+    split: str | Sequence[str] | None = None,
+    scenes: Sequence[str] | None = None,
+    *,
+    dt: float = 0.1,
+    interpolation: Literal["linear", "smooth"] = "linear",
+    kinds: Sequence[str] | None = None,
+    categories: Sequence[str] | None = None,
+    map_margin: float = 60.0,
+    min_annotations: int = 2,
+    require_map: bool = False,
+    cache: bool | str | os.PathLike[str] = True,
+) -> SceneSet:
+    """Load scenes of nuScenes, or of any data set written in its schema.
+
+    Parameters
+    ----------
+    dataroot
+        Folder that holds ``<version>/*.json`` and ``maps/expansion/*.json`` (map expansion 1.3).
+    version
+        Folder of the tables.
+    split
+        Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split that
+        the data set does
+        not have are listed in the report.
+    scenes
+        Names or tokens of the scenes to load, in this order, instead of a split; a missing one
+        is an error.
+    dt
+        Seconds between steps; must divide 0.5 s, the key-frame interval.
+    interpolation
+        Between key frames: ``"linear"``, or ``"smooth"`` (cubic Hermite).
+    kinds
+        Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
+        ``static``; all by default.
+        The ego is always kept.
+    categories
+        Categories to keep, by name or dotted prefix (``"vehicle.bus"``); all by default.
+    map_margin
+        How far the map reaches beyond the tracks, metres.
+    min_annotations
+        Tracks with fewer annotations are dropped and reported.
+    require_map
+        Whether a missing map file is an error; otherwise such scenes have an empty map and the
+        report says so.
+    cache
+        ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path names
+        the folder.
+
+    Returns
+    -------
+    SceneSet
+        The scenes, in the order of the scene table (or of ``scenes``), and ``.report``.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        The data set, a table or a required map is missing (also a :class:`FileNotFoundError`).
+    DatasetError
+        A file is damaged or contradicts itself; the message names file, record, field and value.
+    UnknownNameError
+        No such split, scene or kind.
+    ConfigError
+        An option is out of range.
+    """
+    if split is not None and scenes is not None:
+        raise ConfigError("give split or scenes, not both")
+    if isinstance(scenes, str):
+        scenes = [scenes]
+    names = list(scenes) if scenes is not None else _names_of_split(split)
+    folder = cache_directory() if cache is True else None if cache is False else Path(cache)
+    if min_annotations < 1:
+        raise ConfigError(f"min_annotations is {min_annotations}, expected at least 1")
+    loaded, report = _native.load_nuscenes(
+        os.fspath(dataroot),
+        version,
+        names=names,
+        exactly=scenes is not None,
+        dt=dt,
+        interpolation=interpolation,
+        kinds=None if kinds is None else list(kinds),
+        categories=None if categories is None else list(categories),
+        map_margin=map_margin,
+        min_annotations=min_annotations,
+        require_map=require_map,
+        cache_directory=None if folder is None else os.fspath(folder),
+    )
+    return SceneSet(loaded, LoadReport.from_json(report))

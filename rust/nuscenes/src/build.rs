@@ -1,0 +1,173 @@
+//! From the logged facts of one scene to a [`Scene`].
+
+use crate::crop::crop;
+use crate::error::Result;
+use crate::map_file::{Bounds, GlobalMap};
+use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, kind_of_category};
+use crate::report::SceneReport;
+use crate::resample::{Resampled, resample};
+use crate::tables::{LoggedScene, LoggedTrack, SceneEntry};
+use ccdiff_sim::geom::{Point2, Real, Vector2};
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Map, Scene, Tracks};
+use std::sync::Arc;
+
+/// Category of the ego, which has none in the tables.
+const EGO_CATEGORY: &str = "vehicle.ego";
+/// Length, width, height of the recording car, metres (method.md 1.3).
+const EGO_SIZE_M: [Real; 3] = [4.084, 1.730, 1.562];
+/// Key frames further from their nominal distance than this are noted, seconds.
+const JITTER_NOTED_S: f64 = 0.15;
+
+/// Builds a scene and says what was left out; no scene where no agent is left.
+pub(crate) fn build_scene(
+    entry: &SceneEntry,
+    logged: &LoggedScene,
+    map: Option<&GlobalMap>,
+    source: &str,
+    options: &BuildOptions,
+) -> Result<(Option<Scene>, SceneReport)> {
+    let steps_per_key = options.steps_per_key_frame()?;
+    let mut report = SceneReport {
+        name: entry.name.clone(),
+        key_frames: logged.timestamps_us.len(),
+        ego_channel: logged.ego_channel.clone(),
+        ..SceneReport::default()
+    };
+    note_timing(entry, logged, &mut report);
+    let (agents, tracks) = collect(logged, steps_per_key, options, &mut report);
+    let states = || tracks.iter().flat_map(|t| &t.states);
+    if agents.is_empty() {
+        return Ok((None, report));
+    }
+    let origin = match tracks.first().filter(|_| agents[0].id == EGO_ID).and_then(|t| t.states.first()) {
+        Some(ego) => ego.position_m,
+        None => {
+            let count = states().count().max(1) as f64;
+            [0, 1].map(|axis| states().map(|s| s.position_m[axis]).sum::<f64>() / count)
+        }
+    }
+    .map(f64::round);
+    let num_steps = (logged.timestamps_us.len() - 1) * steps_per_key + 1;
+    let scene_map = map.map(|map| {
+        let positions: Vec<[f64; 2]> = states().map(|s| s.position_m).collect();
+        crop(map, origin, &Bounds::of(&positions).grown(options.map_margin_m))
+    });
+    let scene_map = scene_map.unwrap_or_default();
+    count_layers(&scene_map, &mut report);
+    let scene = Scene {
+        name: entry.name.clone(),
+        token: entry.token.clone(),
+        location: entry.location.clone(),
+        source: source.to_owned(),
+        origin,
+        dt_s: options.dt_s as Real,
+        num_steps,
+        agents,
+        tracks: lay_out(&tracks, origin, num_steps),
+        map: Arc::new(scene_map),
+    };
+    Ok((Some(scene.validated()?), report))
+}
+
+fn note_timing(entry: &SceneEntry, logged: &LoggedScene, report: &mut SceneReport) {
+    let found = logged.timestamps_us.len();
+    if let Some(expected) = entry.nbr_samples.filter(|n| *n != found) {
+        report
+            .notes
+            .push(format!("the scene table counts {expected} key frames, the sample table has {found}"));
+    }
+    let intervals = logged.timestamps_us.windows(2).map(|w| (w[1] as f64 - w[0] as f64) * 1e-6);
+    let off = intervals.filter(|s| (s - KEY_FRAME_INTERVAL_S).abs() > JITTER_NOTED_S).count();
+    if off > 0 {
+        report
+            .notes
+            .push(format!("{off} key-frame intervals differ from 0.5 s by more than {JITTER_NOTED_S} s"));
+    }
+}
+
+/// The agents to keep with their resampled tracks, ego first.
+fn collect(
+    logged: &LoggedScene,
+    steps_per_key: usize,
+    options: &BuildOptions,
+    report: &mut SceneReport,
+) -> (Vec<Agent>, Vec<Resampled>) {
+    let (mut agents, mut tracks) = (Vec::new(), Vec::new());
+    let mut keep = |agent: Agent, keys, report: &mut SceneReport| {
+        let track = resample(keys, steps_per_key, options.interpolation);
+        report.filled_gaps += track.filled_gaps;
+        report.filled_key_frames += track.filled_key_frames;
+        *report.tracks.entry(agent.category.clone()).or_default() += 1;
+        agents.push(agent);
+        tracks.push(track);
+    };
+    if !logged.ego.is_empty() {
+        let [length_m, width_m, height_m] = EGO_SIZE_M;
+        let (id, category) = (EGO_ID.to_owned(), EGO_CATEGORY.to_owned());
+        let ego = Agent { id, kind: AgentKind::Vehicle, category, length_m, width_m, height_m };
+        keep(ego, &logged.ego, report);
+    }
+    for track in &logged.tracks {
+        match wanted_kind(track, options) {
+            Ok(kind) => {
+                let [width, length, height] = track.size_m.map(|v| v as Real);
+                let (id, category) = (track.instance.clone(), track.category.clone());
+                let agent = Agent { id, kind, category, length_m: length, width_m: width, height_m: height };
+                report.annotations += track.keys.len();
+                keep(agent, &track.keys, report);
+            }
+            Err(reason) => report.drop_track(&reason, &track.category, track.keys.len()),
+        }
+    }
+    (agents, tracks)
+}
+
+/// The kind of a track that is to be kept, or why it is not.
+fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Result<AgentKind, String> {
+    let kind = kind_of_category(&track.category).ok_or("unknown category")?;
+    if let Some(reason) = options.refuses(kind, &track.category) {
+        return Err(reason.to_owned());
+    }
+    if track.keys.len() < options.min_annotations {
+        return Err(format!("fewer than {} annotations", options.min_annotations));
+    }
+    Ok(kind)
+}
+
+fn count_layers(map: &Map, report: &mut SceneReport) {
+    report.map_layers = [
+        ("drivable_area", map.drivable_area.len()),
+        ("lanes", map.lanes.len()),
+        ("road_dividers", map.road_dividers.len()),
+        ("lane_dividers", map.lane_dividers.len()),
+        ("ped_crossings", map.ped_crossings.len()),
+        ("walkways", map.walkways.len()),
+        ("stop_lines", map.stop_lines.len()),
+        ("carpark_areas", map.carpark_areas.len()),
+    ]
+    .map(|(name, count)| (name.to_owned(), count))
+    .into();
+    report.map_bytes = postcard::experimental::serialized_size(map).unwrap_or(0);
+}
+
+/// Row-major [A, T] arrays in the scene frame.
+fn lay_out(tracks: &[Resampled], origin: [f64; 2], num_steps: usize) -> Tracks {
+    let entries = tracks.len() * num_steps;
+    let mut out = Tracks {
+        position: vec![Point2::origin(); entries],
+        heading_rad: vec![0.0; entries],
+        velocity: vec![Vector2::zeros(); entries],
+        valid: vec![false; entries],
+    };
+    for (agent_idx, track) in tracks.iter().enumerate() {
+        for (i, state) in track.states.iter().enumerate() {
+            let at = agent_idx * num_steps + track.first_step + i;
+            let [x, y] = state.position_m;
+            out.position[at] = Point2::new((x - origin[0]) as Real, (y - origin[1]) as Real);
+            out.heading_rad[at] = state.heading_rad as Real;
+            out.velocity[at] = Vector2::new(state.velocity_mps[0] as Real, state.velocity_mps[1] as Real);
+            out.valid[at] = true;
+        }
+    }
+    out
+}

@@ -1,0 +1,199 @@
+//! Built scenes on disk: one file per scene, named by the content it was built from.
+//!
+//! A scene's key is a hash of the contents of all tables, of its location's map, of the options and of this format's
+//! version, so a changed file or option simply leads to another name. Files are written aside and renamed, carry a
+//! checksum, and can be deleted at any time. To find out whether a table has changed without reading it, its hash is
+//! kept under its path, size and times.
+
+use crate::error::{NuscenesError, Result};
+use crate::report::CacheReport;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use std::fs::{self, File, Metadata};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use xxhash_rust::xxh3::{Xxh3, xxh3_128};
+
+/// Raised whenever scenes are built or encoded differently.
+const FORMAT: u32 = 1;
+const MAGIC: &[u8; 8] = b"ccdscene";
+const CHECKSUM_BYTES: usize = 16;
+
+/// A 128-bit content hash.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Hash(pub(crate) u128);
+
+impl Hash {
+    /// Hash of a value's postcard bytes and this format's version.
+    pub(crate) fn of<T: Serialize>(value: &T) -> Result<Self> {
+        let bytes = postcard::to_stdvec(&(FORMAT, env!("CARGO_PKG_VERSION"), value))
+            .map_err(|e| NuscenesError::Bytes(e.to_string()))?;
+        Ok(Self(xxh3_128(&bytes)))
+    }
+}
+
+/// The cache folder, or nothing at all.
+#[derive(Debug)]
+pub(crate) struct Cache {
+    folder: Option<PathBuf>,
+    files_hashed: AtomicUsize,
+    notes: Mutex<Vec<String>>,
+}
+
+/// A file's hash and the facts under which it holds.
+#[derive(Serialize, Deserialize, PartialEq)]
+struct Memo {
+    path: PathBuf,
+    stamp: Stamp,
+    hash: Hash,
+}
+
+#[derive(Serialize, Deserialize, PartialEq, Clone, Copy)]
+struct Stamp {
+    len: u64,
+    modified_ns: u128,
+    /// Change time and inode where the system has them: they also tell a file that was swapped with its old times.
+    changed: [i64; 3],
+}
+
+impl Stamp {
+    fn of(metadata: &Metadata) -> Self {
+        #[cfg(unix)]
+        let changed = {
+            use std::os::unix::fs::MetadataExt;
+            [metadata.ctime(), metadata.ctime_nsec(), metadata.ino() as i64]
+        };
+        #[cfg(not(unix))]
+        let changed = [0; 3];
+        let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
+        let modified_ns = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+        Self { len: metadata.len(), modified_ns, changed }
+    }
+
+    /// Whether the file is so fresh that another write could leave the same times.
+    fn is_fresh(&self) -> bool {
+        // a whole number of seconds: a file system with coarse times
+        let settled_ms = if self.modified_ns.is_multiple_of(1_000_000_000) { 2100 } else { 100 };
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let settled = Duration::from_millis(settled_ms).as_nanos();
+        now.as_nanos() < self.modified_ns + settled
+    }
+}
+
+impl Cache {
+    pub(crate) fn new(folder: Option<&Path>) -> Self {
+        Self {
+            folder: folder.map(|f| f.join(format!("scenes-{FORMAT}"))),
+            files_hashed: AtomicUsize::new(0),
+            notes: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn is_on(&self) -> bool {
+        self.folder.is_some()
+    }
+
+    fn note(&self, text: String) {
+        if let Ok(mut notes) = self.notes.lock() {
+            notes.push(text);
+        }
+    }
+
+    /// Facts for the report, apart from hits and builds.
+    pub(crate) fn report(&self) -> CacheReport {
+        let mut notes = self.notes.lock().map(|n| n.clone()).unwrap_or_default();
+        notes.sort_unstable();
+        notes.dedup();
+        CacheReport {
+            directory: self.folder.as_ref().map(|f| f.display().to_string()),
+            files_hashed: self.files_hashed.load(Ordering::Relaxed),
+            notes,
+            ..CacheReport::default()
+        }
+    }
+
+    fn file(&self, kind: &str, name: Hash) -> Option<PathBuf> {
+        Some(self.folder.as_ref()?.join(kind).join(format!("{:032x}", name.0)))
+    }
+
+    /// Hash of a file's contents, from the memo where the file has not changed.
+    pub(crate) fn file_hash(&self, path: &Path, what: &str) -> Result<Hash> {
+        let missing = |e| NuscenesError::from_io(path, what, e);
+        let full_path = fs::canonicalize(path).map_err(missing)?;
+        let stamp = Stamp::of(&fs::metadata(path).map_err(missing)?);
+        let name = Hash::of(&full_path.as_os_str().to_string_lossy())?;
+        if let Some(memo) = self.get::<Memo>("memo", name)
+            && memo.path == full_path
+            && memo.stamp == stamp
+        {
+            return Ok(memo.hash);
+        }
+        self.files_hashed.fetch_add(1, Ordering::Relaxed);
+        let hash = hash_contents(path).map_err(missing)?;
+        let unchanged = fs::metadata(path).is_ok_and(|m| Stamp::of(&m) == stamp);
+        if unchanged && !stamp.is_fresh() {
+            self.put("memo", name, &Memo { path: full_path, stamp, hash });
+        }
+        Ok(hash)
+    }
+
+    /// The value of that name; `None` where there is none or where it is damaged (noted).
+    pub(crate) fn get<T: DeserializeOwned>(&self, kind: &str, name: Hash) -> Option<T> {
+        let path = self.file(kind, name)?;
+        let bytes = fs::read(&path).ok()?;
+        let value = unframed(&bytes).and_then(|payload| postcard::from_bytes(payload).ok());
+        if value.is_none() {
+            self.note(format!("damaged file built again: {}", path.display()));
+        }
+        value
+    }
+
+    /// Writes a value under a name. A cache that cannot be written is noted, never an error.
+    pub(crate) fn put<T: Serialize>(&self, kind: &str, name: Hash, value: &T) {
+        let Some(path) = self.file(kind, name) else { return };
+        if let Err(reason) = write_aside(&path, value) {
+            let folder = path.parent().unwrap_or(&path).display();
+            self.note(format!("cannot write to {folder}: {reason}"));
+        }
+    }
+}
+
+fn hash_contents(path: &Path) -> std::io::Result<Hash> {
+    let mut file = File::open(path)?;
+    let mut hasher = Xxh3::new();
+    let mut block = vec![0; 1 << 20];
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(Hash(hasher.digest128())),
+            read => hasher.update(&block[..read]),
+        }
+    }
+}
+
+/// The payload of a cache file whose checksum holds.
+fn unframed(bytes: &[u8]) -> Option<&[u8]> {
+    let (checksum, payload) = bytes.strip_prefix(MAGIC)?.split_at_checked(CHECKSUM_BYTES)?;
+    (checksum == xxh3_128(payload).to_le_bytes()).then_some(payload)
+}
+
+fn write_aside<T: Serialize>(path: &Path, value: &T) -> std::result::Result<(), String> {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    let payload = postcard::to_stdvec(value).map_err(|e| e.to_string())?;
+    let mut bytes = Vec::with_capacity(MAGIC.len() + CHECKSUM_BYTES + payload.len());
+    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(&xxh3_128(&payload).to_le_bytes());
+    bytes.extend_from_slice(&payload);
+    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let aside = path.with_extension(format!("{}-{unique}.part", std::process::id()));
+    let folder = path.parent().ok_or("no folder")?;
+    let written = fs::create_dir_all(folder)
+        .and_then(|()| fs::write(&aside, &bytes))
+        .and_then(|()| fs::rename(&aside, path));
+    written.map_err(|e| {
+        // best effort: what is left of a failed write is never read
+        let _ = fs::remove_file(&aside);
+        e.to_string()
+    })
+}

@@ -1,0 +1,190 @@
+//! The part of a location's map round one scene, in the scene frame.
+
+use crate::map_file::{Bounds, GlobalLane, GlobalLine, GlobalMap, GlobalPolygon};
+use ccdiff_sim::geom::{Point2, Polygon, Real};
+use ccdiff_sim::scene::{Lane, Map};
+
+/// Clipped polygons smaller than this are slivers along the cut, square metres.
+const MIN_AREA_M2: Real = 1e-3;
+
+/// Cuts a map to a rectangle given in the global frame.
+///
+/// Lanes whose bounding box touches the rectangle stay whole, with their links to one another; polygons and lines are
+/// clipped.
+pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds) -> Map {
+    let cutter =
+        Cutter { origin, rect: *rect, min: recentre(origin, &rect.min), max: recentre(origin, &rect.max) };
+    Map {
+        drivable_area: cutter.polygons(&map.drivable_area),
+        lanes: cutter.lanes(&map.lanes),
+        road_dividers: cutter.lines(&map.road_dividers),
+        lane_dividers: cutter.lines(&map.lane_dividers),
+        ped_crossings: cutter.polygons(&map.ped_crossings),
+        walkways: cutter.polygons(&map.walkways),
+        stop_lines: cutter.polygons(&map.stop_lines),
+        carpark_areas: cutter.polygons(&map.carpark_areas),
+    }
+}
+
+fn recentre(origin: [f64; 2], point: &[f64; 2]) -> Point2 {
+    Point2::new((point[0] - origin[0]) as Real, (point[1] - origin[1]) as Real)
+}
+
+struct Cutter {
+    origin: [f64; 2],
+    rect: Bounds,
+    min: Point2,
+    max: Point2,
+}
+
+impl Cutter {
+    fn points(&self, points: &[[f64; 2]]) -> Vec<Point2> {
+        points.iter().map(|p| recentre(self.origin, p)).collect()
+    }
+
+    fn whole(&self, polygon: &GlobalPolygon) -> Polygon {
+        Polygon {
+            exterior: self.points(&polygon.exterior),
+            holes: polygon.holes.iter().map(|h| self.points(h)).collect(),
+        }
+    }
+
+    fn polygons(&self, polygons: &[GlobalPolygon]) -> Vec<Polygon> {
+        let mut cut = Vec::new();
+        for polygon in polygons.iter().filter(|p| p.bounds.touches(&self.rect)) {
+            let whole = self.whole(polygon);
+            if self.rect.holds(&polygon.bounds) {
+                cut.push(whole);
+            } else {
+                cut.extend(whole.clip_to_rect(self.min, self.max).filter(|p| p.area() > MIN_AREA_M2));
+            }
+        }
+        cut
+    }
+
+    fn lines(&self, lines: &[GlobalLine]) -> Vec<Vec<Point2>> {
+        let mut cut = Vec::new();
+        for line in lines.iter().filter(|l| l.bounds.touches(&self.rect)) {
+            let points = self.points(&line.points);
+            if self.rect.holds(&line.bounds) {
+                cut.push(points);
+            } else {
+                clip_line(&points, self.min, self.max, &mut cut);
+            }
+        }
+        cut
+    }
+
+    fn lanes(&self, lanes: &[GlobalLane]) -> Vec<Lane> {
+        let kept: Vec<usize> = (0..lanes.len()).filter(|i| lanes[*i].bounds.touches(&self.rect)).collect();
+        let links = |indices: &[u32]| {
+            let new = |old: &u32| kept.binary_search(&(*old as usize)).ok().map(|i| i as u32);
+            indices.iter().filter_map(new).collect()
+        };
+        let lane = |lane: &GlobalLane| Lane {
+            id: lane.id.clone(),
+            kind: lane.kind,
+            centreline: self.points(&lane.centreline),
+            polygon: lane.polygon.as_ref().map(|p| self.whole(p)).unwrap_or_default(),
+            successors: links(&lane.successors),
+            predecessors: links(&lane.predecessors),
+            speed_limit_mps: None,
+        };
+        kept.iter().map(|i| lane(&lanes[*i])).collect()
+    }
+}
+
+/// Appends the pieces of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
+fn clip_line(points: &[Point2], min: Point2, max: Point2, pieces: &mut Vec<Vec<Point2>>) {
+    let mut piece: Vec<Point2> = Vec::new();
+    let mut close = |piece: &mut Vec<Point2>| {
+        piece.dedup();
+        if piece.len() >= 2 {
+            pieces.push(std::mem::take(piece));
+        }
+        piece.clear();
+    };
+    for pair in points.windows(2) {
+        let Some((from, to)) = clip_segment(pair[0], pair[1], min, max) else {
+            close(&mut piece);
+            continue;
+        };
+        if piece.last() != Some(&from) {
+            close(&mut piece);
+            piece.push(from);
+        }
+        piece.push(to);
+        if to != pair[1] {
+            close(&mut piece);
+        }
+    }
+    close(&mut piece);
+}
+
+fn clip_segment(a: Point2, b: Point2, min: Point2, max: Point2) -> Option<(Point2, Point2)> {
+    let d = b - a;
+    let (mut enter, mut leave) = (0.0_f32, 1.0_f32);
+    for (p, q) in [(-d.x, a.x - min.x), (d.x, max.x - a.x), (-d.y, a.y - min.y), (d.y, max.y - a.y)] {
+        if p == 0.0 {
+            if q < 0.0 {
+                return None;
+            }
+        } else if p < 0.0 {
+            enter = enter.max(q / p);
+        } else {
+            leave = leave.min(q / p);
+        }
+    }
+    let at = |t: Real| {
+        if t <= 0.0 {
+            a
+        } else if t >= 1.0 {
+            b
+        } else {
+            a + d * t
+        }
+    };
+    (enter <= leave).then(|| (at(enter), at(leave)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn length(line: &[Point2]) -> f32 {
+        line.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
+    }
+
+    #[test]
+    fn a_line_that_leaves_and_comes_back_gives_two_pieces() {
+        let points = [[-2.0, 0.5], [0.5, 0.5], [0.5, 3.0], [0.8, 3.0], [0.8, 0.5]];
+        let points = points.map(|[x, y]| Point2::new(x, y));
+        let mut pieces = Vec::new();
+        clip_line(&points, Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), &mut pieces);
+        assert_eq!(pieces.len(), 2);
+        assert_eq!(pieces[0].len(), 3);
+        assert!((length(&pieces[0]) - 1.0).abs() < 1e-6 && (length(&pieces[1]) - 0.5).abs() < 1e-6);
+    }
+
+    proptest! {
+        #[test]
+        fn clipped_lines_stay_inside_and_keep_the_length_that_sampling_finds(
+            xy in proptest::collection::vec((-3.0_f32..3.0, -3.0_f32..3.0), 2..8),
+        ) {
+            let points: Vec<Point2> = xy.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
+            let (min, max) = (Point2::new(-1.0, -1.0), Point2::new(1.0, 1.0));
+            let mut pieces = Vec::new();
+            clip_line(&points, min, max, &mut pieces);
+            let inside = |p: Point2, slack: f32| p.x.abs() <= 1.0 + slack && p.y.abs() <= 1.0 + slack;
+            for piece in &pieces {
+                prop_assert!(piece.len() >= 2 && piece.iter().all(|p| inside(*p, 1e-5)));
+            }
+            let sampled: f32 = points.windows(2).map(|w| {
+                let hits = (0..2000).filter(|i| inside(w[0] + (w[1] - w[0]) * ((*i as f32 + 0.5) / 2000.0), 0.0));
+                (w[1] - w[0]).norm() * hits.count() as f32 / 2000.0
+            }).sum();
+            prop_assert!((pieces.iter().map(|p| length(p)).sum::<f32>() - sampled).abs() < 0.06);
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What can be wrong with a data set, its options or its cache, with the facts needed to mend it.
+
+use ccdiff_sim::SimError;
+use std::path::{Path, PathBuf};
+
+/// Everything the loader refuses.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NuscenesError {
+    /// A table or map that the data set must have is not there.
+    #[error("{what} is missing: {}", path.display())]
+    Missing {
+        /// Which part of the data set.
+        what: String,
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// A file is there but cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file is not the JSON it should be.
+    #[error("invalid JSON at byte {offset}: {message}: {}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// Bytes from its beginning to the record or character at fault.
+        offset: u64,
+        /// What is wrong, with the beginning of the record.
+        message: String,
+    },
+    /// A field holds a value that breaks a rule.
+    #[error("record {token:?}: {field} is {got}, expected {expected}: {}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Token of the record.
+        token: String,
+        /// The field.
+        field: &'static str,
+        /// The value found.
+        got: String,
+        /// The rule it breaks.
+        expected: &'static str,
+    },
+    /// A field names a record that does not exist.
+    #[error("record {token:?}: {field} {got:?} is not in table {table}: {}", path.display())]
+    Dangling {
+        /// The file.
+        path: PathBuf,
+        /// Token of the record.
+        token: String,
+        /// The field.
+        field: &'static str,
+        /// The token it holds.
+        got: String,
+        /// The table it should be in.
+        table: &'static str,
+    },
+    /// Two records claim the same place.
+    #[error("{what} {got:?} is there twice: {}", path.display())]
+    Duplicate {
+        /// The file.
+        path: PathBuf,
+        /// What must be unique.
+        what: &'static str,
+        /// The value found twice.
+        got: String,
+    },
+    /// An option is out of range.
+    #[error("option {field} is {got}, expected {expected}")]
+    Option {
+        /// The option.
+        field: &'static str,
+        /// The value given.
+        got: String,
+        /// The rule it breaks.
+        expected: &'static str,
+    },
+    /// A scene that was asked for by name or token is not in the data set.
+    #[error("scene {name:?} is not among the {known} scenes of {}", path.display())]
+    UnknownScene {
+        /// The name or token.
+        name: String,
+        /// How many scenes there are.
+        known: usize,
+        /// The data set.
+        path: PathBuf,
+    },
+    /// Nothing is left of what was asked for.
+    #[error("no scene to load from {}: {why}", path.display())]
+    Empty {
+        /// The data set.
+        path: PathBuf,
+        /// Which scenes were asked for, and what became of them.
+        why: String,
+    },
+    /// A built scene breaks a rule of the simulator.
+    #[error(transparent)]
+    Scene(#[from] SimError),
+    /// Bytes that should hold a scene do not.
+    #[error("scene bytes: {0}")]
+    Bytes(String),
+}
+
+/// Result with [`NuscenesError`].
+pub type Result<T> = std::result::Result<T, NuscenesError>;
+
+impl NuscenesError {
+    /// A file that could not be opened or read: missing, or the system's own words.
+    pub(crate) fn from_io(path: &Path, what: &str, source: std::io::Error) -> Self {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            Self::Missing { what: what.to_owned(), path: path.to_owned() }
+        } else {
+            Self::Io { path: path.to_owned(), source }
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! A load from beginning to end: choose scenes, take them from the cache, build the others.
+
+use crate::build::build_scene;
+use crate::cache::{Cache, Hash};
+use crate::error::{NuscenesError, Result};
+use crate::map_file::{GlobalMap, map_path, read_map};
+use crate::options::{LoadOptions, Selection};
+use crate::report::{LoadReport, MapReport, SceneReport};
+use crate::tables::{SceneEntry, TABLES, Tables};
+use ccdiff_sim::scene::Scene;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Scenes and what the load has to say about them.
+#[derive(Debug, Clone)]
+pub struct Loaded {
+    /// The scenes, in the order of the selection.
+    pub scenes: Vec<Arc<Scene>>,
+    /// What was kept, what was not, and why.
+    pub report: LoadReport,
+}
+
+/// Loads scenes of `<dataroot>/<version>/*.json` and `<dataroot>/maps/expansion/*.json`.
+///
+/// # Errors
+/// Every way in which the data set, the selection or the options can be wrong: see [`NuscenesError`].
+pub fn load(dataroot: &Path, version: &str, options: &LoadOptions) -> Result<Loaded> {
+    options.build.check()?;
+    let started = Instant::now();
+    let mut load = Load {
+        dataroot,
+        source: format!("nuscenes {version}"),
+        tables: Tables { folder: dataroot.join(version) },
+        cache: Cache::new(options.cache_directory.as_deref()),
+        options,
+        report: LoadReport {
+            dataroot: dataroot.display().to_string(),
+            version: version.to_owned(),
+            ..LoadReport::default()
+        },
+    };
+    for (folder, what) in [(dataroot, "data set"), (&load.tables.folder, "version of the data set")] {
+        if !folder.is_dir() {
+            return Err(NuscenesError::Missing { what: what.to_owned(), path: folder.to_owned() });
+        }
+    }
+    let scenes = load.run()?;
+    let (hits, built) = (load.report.cache.hits, load.report.cache.built);
+    load.report.cache = crate::report::CacheReport { hits, built, ..load.cache.report() };
+    load.report.timing.total_s = started.elapsed().as_secs_f64();
+    Ok(Loaded { scenes, report: load.report })
+}
+
+type Built = (Option<Scene>, SceneReport);
+type Maps = BTreeMap<String, (Option<GlobalMap>, MapReport)>;
+
+struct Load<'a> {
+    dataroot: &'a Path,
+    source: String,
+    tables: Tables,
+    cache: Cache,
+    options: &'a LoadOptions,
+    report: LoadReport,
+}
+
+/// Seconds since the last call.
+struct Lap(Instant);
+
+impl Lap {
+    fn take(&mut self) -> f64 {
+        let now = Instant::now();
+        now.duration_since(std::mem::replace(&mut self.0, now)).as_secs_f64()
+    }
+}
+
+impl Load<'_> {
+    fn run(&mut self) -> Result<Vec<Arc<Scene>>> {
+        let mut lap = Lap(Instant::now());
+        let tables_hash = self.cache.is_on().then(|| self.hash_tables()).transpose()?;
+        let entries = self.entries(tables_hash)?;
+        let wanted = self.select(&entries)?;
+        let keys = tables_hash.map(|hash| self.scene_keys(hash, &entries, &wanted)).transpose()?;
+        self.report.timing.hash_s = lap.take();
+
+        let mut built = self.cached(keys.as_deref(), wanted.len());
+        self.report.cache.hits = built.iter().flatten().count();
+        self.report.timing.cache_s = lap.take();
+
+        let lost: Vec<usize> = (0..wanted.len()).filter(|i| built[*i].is_none()).collect();
+        if !lost.is_empty() {
+            let indices: Vec<usize> = lost.iter().map(|i| wanted[*i]).collect();
+            let (logged, maps) = rayon::join(
+                || self.tables.read_logged(&entries, &indices),
+                || self.read_maps(indices.iter().map(|i| &entries[*i])),
+            );
+            let (logged, maps) = (logged?, maps?);
+            self.report.timing.read_s = lap.take();
+            let build = |(logged, (slot, scene_idx)): (_, (&usize, &usize))| {
+                let entry = &entries[*scene_idx];
+                let map = maps.get(&entry.location).and_then(|(map, _)| map.as_ref());
+                let built = build_scene(entry, logged, map, &self.source, &self.options.build)?;
+                if let Some(keys) = &keys {
+                    self.cache.put("scene", keys[*slot], &built);
+                }
+                Ok((*slot, built))
+            };
+            let fresh: Vec<(usize, Built)> =
+                logged.par_iter().zip(lost.par_iter().zip(&indices)).map(build).collect::<Result<_>>()?;
+            for (slot, scene) in fresh {
+                built[slot] = Some(scene);
+            }
+            self.report.cache.built = lost.len();
+            self.report.maps = maps.into_values().filter_map(|(m, report)| m.map(|_| report)).collect();
+            self.report.timing.build_s = lap.take();
+        }
+        self.note_missing_maps(wanted.iter().map(|i| &entries[*i]));
+        self.finish(built.into_iter().flatten())
+    }
+
+    fn finish(&mut self, built: impl Iterator<Item = Built>) -> Result<Vec<Arc<Scene>>> {
+        let mut scenes = Vec::new();
+        for (scene, report) in built {
+            match scene {
+                Some(scene) => {
+                    scenes.push(Arc::new(scene));
+                    self.report.scenes.push(report);
+                }
+                None => self.report.empty.push(report.name),
+            }
+        }
+        if scenes.is_empty() {
+            let (missing, empty) = (&self.report.missing, &self.report.empty);
+            let why = format!("not in the data set: {missing:?}; without agents: {empty:?}");
+            return Err(NuscenesError::Empty { path: self.tables.folder.clone(), why });
+        }
+        Ok(scenes)
+    }
+
+    fn hash_tables(&self) -> Result<Hash> {
+        let hash = |table: &&str| self.cache.file_hash(&self.tables.path(table), &format!("table {table}"));
+        let hashes: Vec<Hash> = TABLES.par_iter().map(hash).collect::<Result<_>>()?;
+        Hash::of(&(hashes, &self.source))
+    }
+
+    /// The scene table; from the cache where the tables are known.
+    fn entries(&self, tables_hash: Option<Hash>) -> Result<Vec<SceneEntry>> {
+        if let Some(entries) = tables_hash.and_then(|hash| self.cache.get("index", hash)) {
+            return Ok(entries);
+        }
+        let entries = self.tables.read_scenes()?;
+        for entry in &entries {
+            check_location(&self.tables.path("log"), entry)?;
+        }
+        if let Some(hash) = tables_hash {
+            self.cache.put("index", hash, &entries);
+        }
+        Ok(entries)
+    }
+
+    fn select(&mut self, entries: &[SceneEntry]) -> Result<Vec<usize>> {
+        let find = |wanted: &String| entries.iter().position(|e| e.name == *wanted || e.token == *wanted);
+        match &self.options.selection {
+            Selection::All => Ok((0..entries.len()).collect()),
+            Selection::AnyOf(names) => {
+                let mut wanted: Vec<usize> = names.iter().filter_map(find).collect();
+                wanted.sort_unstable();
+                wanted.dedup();
+                self.report.missing = names.iter().filter(|n| find(n).is_none()).cloned().collect();
+                Ok(wanted)
+            }
+            Selection::Exactly(names) => {
+                let mut wanted = Vec::with_capacity(names.len());
+                for name in names {
+                    let index = find(name).ok_or_else(|| NuscenesError::UnknownScene {
+                        name: name.clone(),
+                        known: entries.len(),
+                        path: self.tables.folder.clone(),
+                    })?;
+                    if !wanted.contains(&index) {
+                        wanted.push(index);
+                    }
+                }
+                Ok(wanted)
+            }
+        }
+    }
+
+    fn map_path(&self, location: &str) -> PathBuf {
+        map_path(self.dataroot, location)
+    }
+
+    fn scene_keys(&self, tables: Hash, entries: &[SceneEntry], wanted: &[usize]) -> Result<Vec<Hash>> {
+        let mut maps: BTreeMap<&str, Option<Hash>> = BTreeMap::new();
+        let key = |index: &usize| {
+            let entry = &entries[*index];
+            if !maps.contains_key(entry.location.as_str()) {
+                let path = self.map_path(&entry.location);
+                let hash = match self.cache.file_hash(&path, "map expansion") {
+                    Err(NuscenesError::Missing { .. }) if !self.options.build.require_map => None,
+                    other => Some(other?),
+                };
+                maps.insert(&entry.location, hash);
+            }
+            Hash::of(&(tables, maps.get(entry.location.as_str()), &entry.token, &self.options.build))
+        };
+        wanted.iter().map(key).collect()
+    }
+
+    fn cached(&self, keys: Option<&[Hash]>, count: usize) -> Vec<Option<Built>> {
+        let Some(keys) = keys else { return vec![None; count] };
+        let read = |key: &Hash| {
+            let (scene, report): Built = self.cache.get("scene", *key)?;
+            // the checksum has held: this fails only for a file of another build of the same version
+            Some((scene.map(Scene::validated).transpose().ok()?, report))
+        };
+        keys.par_iter().map(read).collect()
+    }
+
+    /// Maps of the locations, read once each; a missing one is an error only where maps are required.
+    fn read_maps<'e>(&self, entries: impl Iterator<Item = &'e SceneEntry>) -> Result<Maps> {
+        let mut locations: Vec<&str> = entries.map(|e| e.location.as_str()).collect();
+        locations.sort_unstable();
+        locations.dedup();
+        let read = |location: &&str| {
+            let map = match read_map(&self.map_path(location), location) {
+                Err(NuscenesError::Missing { .. }) if !self.options.build.require_map => {
+                    (None, MapReport::default())
+                }
+                other => other.map(|(map, report)| (Some(map), report))?,
+            };
+            Ok(((*location).to_owned(), map))
+        };
+        locations.par_iter().map(read).collect::<Result<Vec<_>>>().map(|maps| maps.into_iter().collect())
+    }
+
+    fn note_missing_maps<'e>(&mut self, entries: impl Iterator<Item = &'e SceneEntry>) {
+        let mut locations: Vec<&str> = entries.map(|e| e.location.as_str()).collect();
+        locations.sort_unstable();
+        locations.dedup();
+        let missing = locations.into_iter().filter(|l| !self.map_path(l).is_file());
+        self.report.missing_maps = missing.map(str::to_owned).collect();
+    }
+}
+
+/// A location becomes part of a path.
+fn check_location(log_table: &Path, entry: &SceneEntry) -> Result<()> {
+    let sound = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b' ' | b'.');
+    if entry.location.bytes().all(sound) && !entry.location.contains("..") {
+        return Ok(());
+    }
+    Err(NuscenesError::Value {
+        path: log_table.to_owned(),
+        token: format!("log of scene {}", entry.name),
+        field: "location",
+        got: format!("{:?}", entry.location),
+        expected: "a name of letters, digits and hyphens",
+    })
+}

@@ -1,0 +1,141 @@
+//! What a user can choose about a load.
+
+use crate::error::{NuscenesError, Result};
+use ccdiff_sim::scene::AgentKind;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Seconds between key frames of nuScenes.
+pub const KEY_FRAME_INTERVAL_S: f64 = 0.5;
+
+/// How states between key frames are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Interpolation {
+    /// Straight lines in position, unwrapped heading and velocity (method.md 1.2).
+    #[default]
+    Linear,
+    /// Cubic Hermite curves through the key frames with their velocities as tangents; velocity is the curve's own.
+    Smooth,
+}
+
+/// How scenes are built from the tables. All of it is part of the cache key.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BuildOptions {
+    /// Time between steps, seconds; must divide 0.5 s.
+    pub dt_s: f64,
+    /// How states between key frames are made.
+    pub interpolation: Interpolation,
+    /// Kinds to keep; `None` keeps all. The ego is always kept.
+    pub kinds: Option<Vec<AgentKind>>,
+    /// Categories to keep, by full name or by a prefix that ends at a dot (`vehicle`, `vehicle.bus`); `None` keeps all.
+    pub categories: Option<Vec<String>>,
+    /// How far the map reaches beyond the tracks, metres.
+    pub map_margin_m: f64,
+    /// Tracks with fewer annotations are dropped.
+    pub min_annotations: usize,
+    /// Whether a missing map file is an error instead of an empty map.
+    pub require_map: bool,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        Self {
+            dt_s: 0.1,
+            interpolation: Interpolation::Linear,
+            kinds: None,
+            categories: None,
+            map_margin_m: 60.0,
+            min_annotations: 2,
+            require_map: false,
+        }
+    }
+}
+
+impl BuildOptions {
+    /// Steps from one key frame to the next.
+    ///
+    /// # Errors
+    /// [`NuscenesError::Option`] where `dt_s` does not divide the key-frame interval.
+    pub fn steps_per_key_frame(&self) -> Result<usize> {
+        let steps = KEY_FRAME_INTERVAL_S / self.dt_s;
+        if !(self.dt_s > 0.0 && (1.0..=1000.0).contains(&steps) && (steps - steps.round()).abs() < 1e-6) {
+            return Err(NuscenesError::Option {
+                field: "dt",
+                got: self.dt_s.to_string(),
+                expected: "a number of seconds that divides 0.5, such as 0.1",
+            });
+        }
+        Ok(steps.round() as usize)
+    }
+
+    pub(crate) fn check(&self) -> Result<()> {
+        self.steps_per_key_frame()?;
+        if !(0.0..=10_000.0).contains(&self.map_margin_m) {
+            let got = self.map_margin_m.to_string();
+            return Err(NuscenesError::Option { field: "map_margin", got, expected: "0 to 10000 metres" });
+        }
+        if self.min_annotations == 0 {
+            return Err(NuscenesError::Option {
+                field: "min_annotations",
+                got: "0".into(),
+                expected: "at least 1",
+            });
+        }
+        Ok(())
+    }
+
+    /// Why a track of this kind and category is not wanted.
+    pub(crate) fn refuses(&self, kind: AgentKind, category: &str) -> Option<&'static str> {
+        if self.kinds.as_ref().is_some_and(|kinds| !kinds.contains(&kind)) {
+            return Some("kind not asked for");
+        }
+        let matches = |wanted: &String| {
+            category
+                .strip_prefix(wanted.as_str())
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        let refused = self.categories.as_ref().is_some_and(|wanted| !wanted.iter().any(matches));
+        refused.then_some("category not asked for")
+    }
+}
+
+/// Which scenes to load.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum Selection {
+    /// All, in the order of the scene table.
+    #[default]
+    All,
+    /// Those of these names that the data set has, in the order of the scene table; the report lists the others.
+    AnyOf(Vec<String>),
+    /// Exactly these, by name or token, in this order; one that is missing is an error.
+    Exactly(Vec<String>),
+}
+
+/// Everything about a load.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LoadOptions {
+    /// Which scenes.
+    pub selection: Selection,
+    /// How they are built.
+    pub build: BuildOptions,
+    /// Folder for built scenes; `None` switches the cache off.
+    pub cache_directory: Option<PathBuf>,
+}
+
+/// The kind of a nuScenes category; `None` for one that is not known.
+///
+/// Bicycles and motorcycles stand apart from other vehicles (method.md 1.3); animals move like pedestrians.
+pub fn kind_of_category(category: &str) -> Option<AgentKind> {
+    match category {
+        "vehicle.bicycle" => return Some(AgentKind::Cyclist),
+        "vehicle.motorcycle" => return Some(AgentKind::Motorcycle),
+        _ => {}
+    }
+    match category.split('.').next()? {
+        "vehicle" => Some(AgentKind::Vehicle),
+        "human" | "animal" => Some(AgentKind::Pedestrian),
+        "movable_object" | "static_object" => Some(AgentKind::Static),
+        _ => None,
+    }
+}

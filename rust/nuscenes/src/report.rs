@@ -1,0 +1,122 @@
+//! What a load did: what was kept, what was left out and why, where time went.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Tracks left out of one scene for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Dropped {
+    /// Why, in words.
+    pub reason: String,
+    /// Category of the data set.
+    pub category: String,
+    /// Number of tracks.
+    pub tracks: usize,
+    /// Number of annotations in them.
+    pub annotations: usize,
+}
+
+/// What became of one scene.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SceneReport {
+    /// Name of the scene.
+    pub name: String,
+    /// Key frames of the data set.
+    pub key_frames: usize,
+    /// Tracks kept per category, the ego included.
+    pub tracks: BTreeMap<String, usize>,
+    /// Annotations in the tracks kept, the ego's poses not counted.
+    pub annotations: usize,
+    /// Tracks left out.
+    pub dropped: Vec<Dropped>,
+    /// Gaps inside tracks that were filled by interpolation.
+    pub filled_gaps: usize,
+    /// Key frames in those gaps.
+    pub filled_key_frames: usize,
+    /// Sensor channel whose key frames carry the ego poses; `None` where the scene has no ego.
+    pub ego_channel: Option<String>,
+    /// Elements per map layer after cropping.
+    pub map_layers: BTreeMap<String, usize>,
+    /// Size of the cropped map in the cache file's encoding, bytes.
+    pub map_bytes: usize,
+    /// Anything else worth knowing.
+    pub notes: Vec<String>,
+}
+
+impl SceneReport {
+    /// Adds one dropped track.
+    pub(crate) fn drop_track(&mut self, reason: &str, category: &str, annotations: usize) {
+        let same = |d: &&mut Dropped| d.reason == reason && d.category == category;
+        if let Some(entry) = self.dropped.iter_mut().find(same) {
+            entry.tracks += 1;
+            entry.annotations += annotations;
+        } else {
+            let (reason, category) = (reason.to_owned(), category.to_owned());
+            self.dropped.push(Dropped { reason, category, tracks: 1, annotations });
+        }
+    }
+}
+
+/// What the map file of one location holds. Only files that were read in this load are listed.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MapReport {
+    /// Location.
+    pub location: String,
+    /// Elements per layer in the whole file.
+    pub layers: BTreeMap<String, usize>,
+    /// Elements that could not be used, and why.
+    pub notes: Vec<String>,
+}
+
+/// What the cache did.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CacheReport {
+    /// Folder; `None` where the cache is off.
+    pub directory: Option<String>,
+    /// Scenes taken from the cache.
+    pub hits: usize,
+    /// Scenes built from the tables.
+    pub built: usize,
+    /// Files whose contents had to be hashed because they are new or have changed.
+    pub files_hashed: usize,
+    /// Damaged files that were built again, and folders that could not be written.
+    pub notes: Vec<String>,
+}
+
+/// Where the time went, seconds.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Finding out whether files have changed.
+    pub hash_s: f64,
+    /// Reading scenes from the cache.
+    pub cache_s: f64,
+    /// Reading tables and maps.
+    pub read_s: f64,
+    /// Building scenes and writing them to the cache.
+    pub build_s: f64,
+    /// All of it.
+    pub total_s: f64,
+}
+
+/// Everything a load has to say.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct LoadReport {
+    /// Root of the data set.
+    pub dataroot: String,
+    /// Version, the name of the folder with the tables.
+    pub version: String,
+    /// One entry per scene, in the order of the scenes.
+    pub scenes: Vec<SceneReport>,
+    /// Scenes that were asked for and are not in the data set.
+    pub missing: Vec<String>,
+    /// Scenes in the data set that have no agent to show and were left out.
+    pub empty: Vec<String>,
+    /// Locations without a map file; their scenes have an empty map.
+    pub missing_maps: Vec<String>,
+    /// Map files read.
+    pub maps: Vec<MapReport>,
+    /// What the cache did.
+    pub cache: CacheReport,
+    /// Where the time went.
+    pub timing: Timing,
+}

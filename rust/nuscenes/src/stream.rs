@@ -1,0 +1,333 @@
+//! Reads a table, a JSON array of objects, as a stream: in blocks, in parallel, never whole.
+//!
+//! One thread reads the next block and finds where its records end while the others parse the records of the block
+//! before. Layout does not matter: pretty-printed or on one line, fields in any order.
+
+use crate::error::{NuscenesError, Result};
+use rayon::prelude::*;
+use serde::Deserialize;
+use std::fs::File;
+use std::io::Read;
+use std::ops::Range;
+use std::path::Path;
+
+/// Bytes read at a time. Two blocks are in memory at once.
+const BLOCK_BYTES: usize = 8 << 20;
+/// A longer record means a string or an object that never ends.
+const MAX_RECORD_BYTES: usize = 16 << 20;
+/// Records parsed by one task.
+const RECORDS_PER_TASK: usize = 512;
+
+/// Parses every record of a table into `Row` and keeps what `keep` makes of it, in the order of the file.
+///
+/// # Errors
+/// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
+pub(crate) fn read_table<Row, Kept, F>(path: &Path, what: &str, keep: F) -> Result<Vec<Kept>>
+where
+    Row: for<'a> Deserialize<'a>,
+    Kept: Send,
+    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+{
+    let file = File::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
+    read_records(file, path, BLOCK_BYTES, &keep)
+}
+
+/// [`read_table`] from any reader; `path` is for messages.
+pub(crate) fn read_records<R, Row, Kept, F>(
+    reader: R,
+    path: &Path,
+    block_bytes: usize,
+    keep: &F,
+) -> Result<Vec<Kept>>
+where
+    R: Read + Send,
+    Row: for<'a> Deserialize<'a>,
+    Kept: Send,
+    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+{
+    let mut blocks = Blocks::new(reader, path, block_bytes);
+    let mut kept = Vec::new();
+    let mut current = blocks.next_block()?;
+    while let Some(block) = current {
+        let (next, parsed) = rayon::join(|| blocks.next_block(), || parse_block(&block, path, keep));
+        // an error in this block comes before one in the next
+        for part in parsed? {
+            kept.extend(part);
+        }
+        current = next?;
+    }
+    Ok(kept)
+}
+
+/// Whole records, and where each of them lies.
+struct Block {
+    bytes: Vec<u8>,
+    /// Offset of `bytes[0]` in the file.
+    offset: u64,
+    records: Vec<Range<usize>>,
+}
+
+fn parse_block<Row, Kept, F>(block: &Block, path: &Path, keep: &F) -> Result<Vec<Vec<Kept>>>
+where
+    Row: for<'a> Deserialize<'a>,
+    Kept: Send,
+    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+{
+    let parse = |records: &[Range<usize>]| {
+        let mut kept = Vec::new();
+        for range in records {
+            let bytes = &block.bytes[range.clone()];
+            let row: Row = serde_json::from_slice(bytes).map_err(|e| NuscenesError::Json {
+                path: path.to_owned(),
+                offset: block.offset + range.start as u64,
+                message: describe(bytes, &e),
+            })?;
+            kept.extend(keep(row)?);
+        }
+        Ok(kept)
+    };
+    block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
+}
+
+/// What a record's error means: the parser's words, the field it stands in, the beginning of the record.
+fn describe(record: &[u8], error: &serde_json::Error) -> String {
+    let line_start = record.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
+    let position = line_start.map(<[u8]>::len).sum::<usize>() + error.column();
+    match field_at(&record[..position.min(record.len())]) {
+        Some(field) => format!("{error} (field {field:?}), in record {}", excerpt(record)),
+        None => format!("{error}, in record {}", excerpt(record)),
+    }
+}
+
+/// Name of the last field that begins in the first bytes of a record.
+fn field_at(bytes: &[u8]) -> Option<String> {
+    let (mut i, mut string, mut field) = (0, None, None);
+    while let Some(byte) = bytes.get(i) {
+        match byte {
+            b'"' => {
+                let start = i + 1;
+                i = start;
+                while bytes.get(i).is_some_and(|b| *b != b'"') {
+                    i += if bytes[i] == b'\\' { 2 } else { 1 };
+                }
+                string = bytes.get(start..i.min(bytes.len()));
+            }
+            b':' => field = string,
+            _ => {}
+        }
+        i += 1;
+    }
+    field.map(|f| String::from_utf8_lossy(f).into_owned())
+}
+
+/// The first bytes of a record, for a message.
+fn excerpt(bytes: &[u8]) -> String {
+    const SHOWN: usize = 80;
+    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(SHOWN)]).replace(['\n', '\r'], " ");
+    if bytes.len() > SHOWN { format!("{text}…") } else { text }
+}
+
+/// Where the scanner stands.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum At {
+    /// Before the opening bracket.
+    Start,
+    /// After the opening bracket, or after a comma (`true`).
+    Item { after_comma: bool },
+    /// In a record, this many brackets deep.
+    Record { depth: usize },
+    /// In a string of a record.
+    String { depth: usize },
+    /// After a record: a comma or the closing bracket follows.
+    Separator,
+    /// After the closing bracket.
+    End,
+}
+
+struct Blocks<'a, R> {
+    reader: R,
+    path: &'a Path,
+    block_bytes: usize,
+    /// Bytes of the record that the last block broke off in.
+    tail: Vec<u8>,
+    /// Offset of `tail[0]` in the file.
+    offset: u64,
+    /// How much of `tail` is scanned.
+    scanned: usize,
+    at: At,
+}
+
+impl<'a, R: Read> Blocks<'a, R> {
+    fn new(reader: R, path: &'a Path, block_bytes: usize) -> Self {
+        Self { reader, path, block_bytes, tail: Vec::new(), offset: 0, scanned: 0, at: At::Start }
+    }
+
+    fn fail(&self, position: usize, message: impl Into<String>) -> NuscenesError {
+        let offset = self.offset + position as u64;
+        NuscenesError::Json { path: self.path.to_owned(), offset, message: message.into() }
+    }
+
+    /// The next block; `None` at the end of a complete array.
+    fn next_block(&mut self) -> Result<Option<Block>> {
+        let mut bytes = std::mem::take(&mut self.tail);
+        let limit = self.block_bytes as u64;
+        bytes.reserve_exact(self.block_bytes + 32);
+        let read = self
+            .reader
+            .by_ref()
+            .take(limit)
+            .read_to_end(&mut bytes)
+            .map_err(|source| NuscenesError::Io { path: self.path.to_owned(), source })?;
+        if read == 0 {
+            return match self.at {
+                At::End => Ok(None),
+                At::Start => Err(self.fail(bytes.len(), "the file is empty")),
+                _ => Err(self.fail(bytes.len(), "the file ends in the middle of the array")),
+            };
+        }
+        let (records, consumed) = self.scan(&bytes)?;
+        if bytes.len() - consumed > MAX_RECORD_BYTES {
+            return Err(self.fail(consumed, "a record longer than 16 MiB"));
+        }
+        self.tail = bytes[consumed..].to_vec();
+        let offset = self.offset;
+        self.offset += consumed as u64;
+        Ok(Some(Block { bytes, offset, records }))
+    }
+
+    /// Finds the records that end in `bytes`, and how many bytes are done with.
+    fn scan(&mut self, bytes: &[u8]) -> Result<(Vec<Range<usize>>, usize)> {
+        let mut records = Vec::with_capacity(bytes.len() / 256);
+        let mut record_start = 0;
+        let mut i = self.scanned;
+        let mut at = self.at;
+        while let Some(&byte) = bytes.get(i) {
+            match at {
+                At::Record { depth } => match byte {
+                    b'"' => at = At::String { depth },
+                    b'{' | b'[' => at = At::Record { depth: depth + 1 },
+                    b'}' | b']' if depth == 1 => {
+                        records.push(record_start..i + 1);
+                        at = At::Separator;
+                    }
+                    b'}' | b']' => at = At::Record { depth: depth - 1 },
+                    _ => {}
+                },
+                At::String { depth } => match memchr::memchr2(b'"', b'\\', &bytes[i..]) {
+                    Some(skip) if bytes[i + skip] == b'"' => {
+                        i += skip;
+                        at = At::Record { depth };
+                    }
+                    // an escape whose second byte is not read yet is scanned again with the next block
+                    Some(skip) if i + skip + 1 >= bytes.len() => {
+                        i += skip;
+                        break;
+                    }
+                    Some(skip) => i += skip + 1,
+                    None => i = bytes.len() - 1,
+                },
+                _ if byte.is_ascii_whitespace() => {}
+                At::Start if byte == b'[' => at = At::Item { after_comma: false },
+                At::Item { .. } if byte == b'{' => {
+                    record_start = i;
+                    at = At::Record { depth: 1 };
+                }
+                At::Item { after_comma: false } if byte == b']' => at = At::End,
+                At::Separator if byte == b',' => at = At::Item { after_comma: true },
+                At::Separator if byte == b']' => at = At::End,
+                _ => return Err(self.fail(i, format!("found {:?}, expected {}", byte as char, at.expects()))),
+            }
+            i += 1;
+        }
+        self.at = at;
+        let in_record = matches!(at, At::Record { .. } | At::String { .. });
+        let consumed = if in_record { record_start } else { bytes.len() };
+        self.scanned = i.min(bytes.len()) - consumed;
+        Ok((records, consumed))
+    }
+}
+
+impl At {
+    fn expects(self) -> &'static str {
+        match self {
+            Self::Start => "an array of records",
+            Self::Item { .. } => "a record",
+            Self::Separator => "a comma or the end of the array",
+            Self::Record { .. } | Self::String { .. } => "a field",
+            Self::End => "nothing after the array",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[derive(Deserialize)]
+    struct Row {
+        a: i64,
+        s: String,
+    }
+
+    fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
+        read_records(text, Path::new("t.json"), block_bytes, &|row: Row| Ok(Some((row.a, row.s))))
+    }
+
+    #[test]
+    fn any_layout_and_any_block_size_give_the_same_rows() {
+        let text = br#" [
+{
+"s": "br{ack}]ets, \"quotes\", \\ and \u00e9",
+"a": 1,
+"extra": [1, {"b": "]"}]
+},{"a":2,"s":""} ]
+"#;
+        let expected = vec![(1, "br{ack}]ets, \"quotes\", \\ and é".to_owned()), (2, String::new())];
+        for block_bytes in 1..=text.len() + 1 {
+            assert_eq!(read(text, block_bytes).unwrap(), expected, "block of {block_bytes}");
+        }
+        assert!(read(b"[]", 1).unwrap().is_empty());
+    }
+
+    #[test]
+    fn damage_is_refused_with_its_byte_offset() {
+        let cases: [(&str, u64, &str); 9] = [
+            ("", 0, "empty"),
+            ("  ", 2, "empty"),
+            ("{}", 0, "an array of records"),
+            ("[{\"a\":1,\"s\":\"\"}", 15, "ends"),
+            ("[{\"a\":1,\"s\":\"\"},]", 16, "expected a record"),
+            ("[{\"a\":1,\"s\":\"\"}{", 15, "comma"),
+            ("[] []", 3, "nothing after"),
+            ("[3]", 1, "a record"),
+            ("[{\"a\":NaN,\"s\":\"\"}]", 1, "expected value"),
+        ];
+        for (text, at, words) in cases {
+            match read(text.as_bytes(), 1 << 20) {
+                Err(NuscenesError::Json { offset, message, .. }) => {
+                    assert!(message.contains(words), "{text}: {message}");
+                    assert_eq!(offset, at, "{text}: {message}");
+                }
+                other => panic!("{text}: {other:?}"),
+            }
+        }
+        let named = read(b"[{\"s\":\"\",\n\"a\": [1, NaN]}]", 99).unwrap_err().to_string();
+        assert!(named.contains("field \"a\"") && named.contains("t.json"), "{named}");
+        assert!(matches!(read(b"[{\"a\":1}]", 9), Err(NuscenesError::Json { offset: 1, .. })));
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic_and_block_size_does_not_matter(
+            bytes in proptest::collection::vec(prop_oneof![
+                Just(b'['), Just(b']'), Just(b'{'), Just(b'}'), Just(b'"'), Just(b'\\'), Just(b','), any::<u8>()
+            ], 0..80),
+            block_bytes in 1_usize..100,
+        ) {
+            let whole = read(&bytes, 1 << 20).map_err(|e| matches!(e, NuscenesError::Json { .. }));
+            let parts = read(&bytes, block_bytes).map_err(|e| matches!(e, NuscenesError::Json { .. }));
+            prop_assert_eq!(whole, parts);
+        }
+    }
+}

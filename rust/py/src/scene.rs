@@ -1,0 +1,309 @@
+//! `Scene`, and the functions that load scenes.
+
+use crate::errors::{from_nuscenes, from_sim, py};
+use crate::scene_map;
+use ccdiff_nuscenes::{
+    BuildOptions, Interpolation, LoadOptions, Selection, decode_scene, encode_scene, load, scene_hash,
+};
+use ccdiff_sim::geom::{Point2, Vector2};
+use ccdiff_sim::scene::{Agent, AgentKind, Scene, Tracks};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+/// Adds the classes and functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyScene>()?;
+    module.add_function(wrap_pyfunction!(load_nuscenes, module)?)
+}
+
+/// A scene: logged tracks of all agents on a map. Immutable.
+#[pyclass(frozen, name = "Scene", module = "ccdiff_env._native")]
+pub(crate) struct PyScene {
+    /// Shared with the worlds that run it.
+    pub(crate) scene: Arc<Scene>,
+    hash: OnceLock<String>,
+}
+
+impl From<Arc<Scene>> for PyScene {
+    fn from(scene: Arc<Scene>) -> Self {
+        Self { scene, hash: OnceLock::new() }
+    }
+}
+
+/// The kind of a name.
+fn kind(name: &str) -> PyResult<AgentKind> {
+    AgentKind::ALL.into_iter().find(|k| k.name() == name).ok_or_else(|| {
+        let known = AgentKind::ALL.map(AgentKind::name).join(", ");
+        py::UnknownNameError::new_err(format!("unknown agent type {name:?}, expected one of {known}"))
+    })
+}
+
+fn expect_shape(what: &str, got: &[usize], expected: &[usize]) -> PyResult<()> {
+    if got == expected {
+        return Ok(());
+    }
+    Err(py::ShapeError::new_err(format!("{what} has shape {got:?}, expected {expected:?}")))
+}
+
+#[pymethods]
+impl PyScene {
+    /// Builds a scene from arrays in the scene frame.
+    #[staticmethod]
+    #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
+        agent_categories=None, token="", location="", source="", origin=(0.0, 0.0), map_layers=None))]
+    fn from_arrays(
+        name: String,
+        agent_ids: Vec<String>,
+        agent_types: Vec<String>,
+        sizes: PyReadonlyArray2<'_, f32>,
+        position: PyReadonlyArray3<'_, f32>,
+        heading: PyReadonlyArray2<'_, f32>,
+        velocity: PyReadonlyArray3<'_, f32>,
+        valid: PyReadonlyArray2<'_, bool>,
+        dt: f32,
+        agent_categories: Option<Vec<String>>,
+        token: &str,
+        location: &str,
+        source: &str,
+        origin: (f64, f64),
+        map_layers: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let (num_agents, num_steps) = (valid.shape()[0], valid.shape()[1]);
+        let categories = agent_categories.unwrap_or_else(|| agent_types.clone());
+        for (what, list) in
+            [("agent_ids", &agent_ids), ("agent_types", &agent_types), ("agent_categories", &categories)]
+        {
+            expect_shape(what, &[list.len()], &[num_agents])?;
+        }
+        expect_shape("sizes", sizes.shape(), &[num_agents, 3])?;
+        expect_shape("position", position.shape(), &[num_agents, num_steps, 2])?;
+        expect_shape("heading", heading.shape(), &[num_agents, num_steps])?;
+        expect_shape("velocity", velocity.shape(), &[num_agents, num_steps, 2])?;
+        let sizes = sizes.as_array();
+        let mut agents = Vec::with_capacity(num_agents);
+        for (i, ((id, kind_name), category)) in
+            agent_ids.into_iter().zip(&agent_types).zip(categories).enumerate()
+        {
+            let [length_m, width_m, height_m] = [sizes[[i, 0]], sizes[[i, 1]], sizes[[i, 2]]];
+            agents.push(Agent { id, kind: kind(kind_name)?, category, length_m, width_m, height_m });
+        }
+        // entries that are not valid are zero, whatever the caller left there
+        let shown = valid.as_array();
+        let masked = |array: ndarray::ArrayView2<'_, f32>| -> Vec<f32> {
+            array.iter().zip(shown.iter()).map(|(v, ok)| if *ok { *v } else { 0.0 }).collect()
+        };
+        let axis =
+            |array: &PyReadonlyArray3<'_, f32>, i| masked(array.as_array().index_axis(ndarray::Axis(2), i));
+        let tracks = Tracks {
+            position: axis(&position, 0)
+                .into_iter()
+                .zip(axis(&position, 1))
+                .map(|(x, y)| Point2::new(x, y))
+                .collect(),
+            heading_rad: masked(heading.as_array()),
+            velocity: axis(&velocity, 0)
+                .into_iter()
+                .zip(axis(&velocity, 1))
+                .map(|(x, y)| Vector2::new(x, y))
+                .collect(),
+            valid: shown.iter().copied().collect(),
+        };
+        let map = map_layers.map(scene_map::from_dict).transpose()?.unwrap_or_default();
+        let scene = Scene {
+            name,
+            token: token.to_owned(),
+            location: location.to_owned(),
+            source: source.to_owned(),
+            origin: [origin.0, origin.1],
+            dt_s: dt,
+            num_steps,
+            agents,
+            tracks,
+            map: Arc::new(map),
+        };
+        Ok(Arc::new(scene.validated().map_err(from_sim)?).into())
+    }
+
+    /// The scene that `to_bytes` wrote.
+    #[staticmethod]
+    fn from_bytes(data: &[u8]) -> PyResult<Self> {
+        Ok(Arc::new(decode_scene(data).map_err(from_nuscenes)?).into())
+    }
+
+    /// The whole scene as bytes; equal scenes give equal bytes.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &encode_scene(&self.scene).map_err(from_nuscenes)?))
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let class = py.get_type::<Self>();
+        Ok((class.getattr("from_bytes")?, (self.to_bytes(py)?,)))
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.scene.name
+    }
+
+    #[getter]
+    fn token(&self) -> &str {
+        &self.scene.token
+    }
+
+    #[getter]
+    fn location(&self) -> &str {
+        &self.scene.location
+    }
+
+    #[getter]
+    fn source(&self) -> &str {
+        &self.scene.source
+    }
+
+    #[getter]
+    fn origin(&self) -> (f64, f64) {
+        (self.scene.origin[0], self.scene.origin[1])
+    }
+
+    #[getter]
+    fn dt(&self) -> f64 {
+        // the shortest decimal that rounds to the stored f32: 0.1, not 0.10000000149
+        self.scene.dt_s.to_string().parse().unwrap_or_else(|_| f64::from(self.scene.dt_s))
+    }
+
+    #[getter]
+    fn num_steps(&self) -> usize {
+        self.scene.num_steps
+    }
+
+    #[getter]
+    fn num_agents(&self) -> usize {
+        self.scene.num_agents()
+    }
+
+    #[getter]
+    fn agent_ids(&self) -> Vec<&str> {
+        self.scene.agents.iter().map(|a| a.id.as_str()).collect()
+    }
+
+    #[getter]
+    fn agent_types(&self) -> Vec<&'static str> {
+        self.scene.agents.iter().map(|a| a.kind.name()).collect()
+    }
+
+    #[getter]
+    fn agent_categories(&self) -> Vec<&str> {
+        self.scene.agents.iter().map(|a| a.category.as_str()).collect()
+    }
+
+    #[getter]
+    fn has_lanes(&self) -> bool {
+        self.scene.map.has_lanes()
+    }
+
+    #[getter]
+    fn sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let flat = self.scene.agents.iter().flat_map(|a| [a.length_m, a.width_m, a.height_m]).collect();
+        PyArray1::from_vec(py, flat).reshape([self.scene.num_agents(), 3])
+    }
+
+    /// Content hash, 32 hexadecimal digits, the same on every machine.
+    #[getter]
+    fn hash(&self) -> PyResult<&str> {
+        if let Some(hash) = self.hash.get() {
+            return Ok(hash);
+        }
+        let hash = scene_hash(&self.scene).map_err(from_nuscenes)?;
+        Ok(self.hash.get_or_init(|| hash))
+    }
+
+    /// Logged states as new arrays in the scene frame; rows that are not valid are zero.
+    fn tracks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let tracks = &self.scene.tracks;
+        let shape = [self.scene.num_agents(), self.scene.num_steps];
+        let pairs = [shape[0], shape[1], 2];
+        let position = tracks.position.iter().flat_map(|p| [p.x, p.y]).collect();
+        let velocity = tracks.velocity.iter().flat_map(|v| [v.x, v.y]).collect();
+        let dict = PyDict::new(py);
+        dict.set_item("position", PyArray1::from_vec(py, position).reshape(pairs)?)?;
+        dict.set_item("heading", PyArray1::from_slice(py, &tracks.heading_rad).reshape(shape)?)?;
+        dict.set_item("velocity", PyArray1::from_vec(py, velocity).reshape(pairs)?)?;
+        dict.set_item("valid", PyArray1::from_slice(py, &tracks.valid).reshape(shape)?)?;
+        Ok(dict)
+    }
+
+    /// Map layers as new arrays in the scene frame.
+    fn map_layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        scene_map::to_dict(py, &self.scene.map)
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|o| {
+            let other = &o.get().scene;
+            Arc::ptr_eq(&self.scene, other) || self.scene == *other
+        })
+    }
+
+    fn __hash__(&self) -> PyResult<u64> {
+        // 16 of the 32 digits
+        Ok(u64::from_str_radix(&self.hash()?[..16], 16).unwrap_or_default())
+    }
+
+    fn __repr__(&self) -> String {
+        let s = &self.scene;
+        let seconds = (s.num_steps - 1) as f32 * s.dt_s;
+        format!("Scene({:?}, location={:?}, agents={}, {seconds:.1} s)", s.name, s.location, s.num_agents())
+    }
+}
+
+/// Loads nuScenes scenes; returns them with the report as JSON.
+#[pyfunction]
+#[pyo3(signature = (dataroot, version, *, names, exactly, dt, interpolation, kinds, categories, map_margin,
+    min_annotations, require_map, cache_directory))]
+fn load_nuscenes(
+    py: Python<'_>,
+    dataroot: PathBuf,
+    version: &str,
+    names: Option<Vec<String>>,
+    exactly: bool,
+    dt: f64,
+    interpolation: &str,
+    kinds: Option<Vec<String>>,
+    categories: Option<Vec<String>>,
+    map_margin: f64,
+    min_annotations: usize,
+    require_map: bool,
+    cache_directory: Option<PathBuf>,
+) -> PyResult<(Vec<PyScene>, String)> {
+    let interpolation = match interpolation {
+        "linear" => Interpolation::Linear,
+        "smooth" => Interpolation::Smooth,
+        other => {
+            let message = format!("interpolation is {other:?}, expected \"linear\" or \"smooth\"");
+            return Err(py::ConfigError::new_err(message));
+        }
+    };
+    let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
+    let selection = match names {
+        None => Selection::All,
+        Some(names) if exactly => Selection::Exactly(names),
+        Some(names) => Selection::AnyOf(names),
+    };
+    let build = BuildOptions {
+        dt_s: dt,
+        interpolation,
+        kinds,
+        categories,
+        map_margin_m: map_margin,
+        min_annotations,
+        require_map,
+    };
+    let options = LoadOptions { selection, build, cache_directory };
+    let loaded = py.detach(|| load(&dataroot, version, &options)).map_err(from_nuscenes)?;
+    let report =
+        serde_json::to_string(&loaded.report).map_err(|e| py::DatasetError::new_err(e.to_string()))?;
+    Ok((loaded.scenes.into_iter().map(PyScene::from).collect(), report))
+}
