@@ -33,7 +33,7 @@ impl Canvas {
         Some(Self { pixmap, view })
     }
 
-    /// Fills a path; holes by the even-odd rule.
+    /// Fills a path by the non-zero rule.
     pub(crate) fn fill(&mut self, outline: Outline, rgb: Rgb, alpha: f32) {
         if let Some(path) = outline.builder.finish() {
             self.fill_path(&path, rgb, alpha);
@@ -42,7 +42,7 @@ impl Canvas {
 
     /// Fills a finished path.
     pub(crate) fn fill_path(&mut self, path: &Path, rgb: Rgb, alpha: f32) {
-        self.pixmap.fill_path(path, &paint(rgb, alpha), FillRule::EvenOdd, Transform::identity(), None);
+        self.pixmap.fill_path(path, &paint(rgb, alpha), FillRule::Winding, Transform::identity(), None);
     }
 
     /// Strokes a path with round joins; `round` ends or flat ones.

@@ -75,15 +75,8 @@ impl MapLayers {
 
     /// Draws what the camera sees.
     pub(crate) fn draw(&self, canvas: &mut Canvas) {
-        let areas = |canvas: &mut Canvas, list: &[Area], rgb: Rgb, alpha: f32| {
-            let view = canvas.view;
-            for area in list.iter().filter(|a| view.sees(&a.bounds, 1.0)) {
-                let outline = area.outline(canvas);
-                canvas.fill(outline, rgb, alpha);
-            }
-        };
         areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
-        // All edges first, all surfaces on top: only the edge of the union stays.
+        // All edges first, the surface on top: only the edge of the union stays.
         let width = canvas.px(0.5, 1.6);
         pieces(canvas, &self.kerbs, palette::KERB, width, true);
         areas(canvas, &self.drivable_area, palette::DRIVABLE, 1.0);
@@ -101,18 +94,34 @@ impl MapLayers {
 }
 
 impl Area {
+    /// Turns outer rings one way and holes the other: filled by the non-zero rule as one path, areas then give
+    /// their union, without seams where they abut.
     fn new(polygon: &Polygon) -> Self {
-        let rings: Vec<_> = std::iter::once(&polygon.exterior).chain(&polygon.holes).cloned().collect();
-        Self { rings, bounds: Bounds::of(&polygon.exterior) }
+        let outer = turned(&polygon.exterior, true);
+        let bounds = Bounds::of(&outer);
+        let holes = polygon.holes.iter().map(|hole| turned(hole, false));
+        Self { rings: std::iter::once(outer).chain(holes).collect(), bounds }
     }
+}
 
-    fn outline(&self, canvas: &Canvas) -> Outline {
-        let mut outline = Outline::new();
-        for ring in &self.rings {
-            outline.ring(canvas.view, ring);
-        }
-        outline
+/// Fills the union of the areas in sight.
+fn areas(canvas: &mut Canvas, list: &[Area], rgb: Rgb, alpha: f32) {
+    let mut outline = Outline::new();
+    for area in list.iter().filter(|a| canvas.view.sees(&a.bounds, 1.0)) {
+        area.rings.iter().for_each(|ring| outline.ring(canvas.view, ring));
     }
+    canvas.fill(outline, rgb, alpha);
+}
+
+/// The ring, counter-clockwise or clockwise.
+fn turned(ring: &[Point2], counter_clockwise: bool) -> Vec<Point2> {
+    let Some(first) = ring.first() else { return Vec::new() };
+    let area: f64 = ring.windows(2).map(|w| f64::from((w[0] - first).perp(&(w[1] - first)))).sum();
+    let mut ring = ring.to_vec();
+    if (area > 0.0) != counter_clockwise {
+        ring.reverse();
+    }
+    ring
 }
 
 impl Piece {
@@ -199,7 +208,7 @@ fn stripes(crossing: &Polygon) -> Vec<Area> {
         .filter_map(|i| {
             let from = start + i as Real * period;
             let cut = clip(&clip(ring, along, from), -along, -(from + STRIPE_M.0));
-            (cut.len() >= 3).then(|| Area { bounds: Bounds::of(&cut), rings: vec![cut] })
+            (cut.len() >= 3).then(|| Area::new(&Polygon { exterior: cut, holes: Vec::new() }))
         })
         .collect()
 }

@@ -59,6 +59,23 @@ fn a_hole_in_the_drivable_area_shows_the_ground_unless_another_polygon_covers_it
 }
 
 #[test]
+fn no_seam_shows_between_areas_that_abut_at_any_angle() {
+    for turn in [0.0, 0.3, 0.7, 1.2] {
+        let at = |x: Real, y: Real| Pose2::new(0.37, 0.11, turn).to_outer(Point2::new(x, y));
+        let half = |from: Real, to: Real| Polygon {
+            exterior: vec![at(from, -30.0), at(to, -30.0), at(to, 30.0), at(from, 30.0)],
+            holes: vec![],
+        };
+        let map = Map { drivable_area: vec![half(-30.0, 0.0), half(0.0, 30.0)], ..Map::default() };
+        let map = MapLayers::new(&map).unwrap();
+        let image = render(&Picture { map: Some(&map), ..Picture::default() }, &north_up(40.0)).unwrap();
+        let Rgb(r, g, b) = palette::DRIVABLE;
+        let off = image.rgb.chunks(3).filter(|c| **c != [r, g, b]).count();
+        assert_eq!(off, 0, "{off} pixels at turn {turn}");
+    }
+}
+
+#[test]
 fn heading_up_turns_the_scene_so_that_what_lies_ahead_is_above() {
     let boxes = [
         car(0.0, 0.0, 0.0, Driver::Ego),
