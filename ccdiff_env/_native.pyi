@@ -48,6 +48,7 @@ def render_arrays(
     driver: U8,
     collided: Bool,
     *,
+    scene: Scene | None,
     size: tuple[int, int],
     span_m: float,
     centre_m: tuple[float, float],
@@ -225,6 +226,53 @@ class Scene:
 
     def map_layers(self) -> MapLayers:
         """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
+
+    def render(
+        self,
+        step: int = 0,
+        *,
+        size: tuple[int, int] = (640, 640),
+        span_m: float = 100.0,
+        centre: str | tuple[float, float] = "ego",
+        heading_up: bool = False,
+        trails: bool = True,
+        route: bool = True,
+        labels: bool = True,
+    ) -> U8:
+        """Draw one step of the log, seen from above.
+
+        Parameters
+        ----------
+        step
+            Step of the log, 0 to ``num_steps`` - 1.
+        size
+            Width and height, pixels.
+        span_m
+            Metres across the width.
+        centre
+            What is in the middle: the id of an agent (where it is logged nearest to the step) or
+            a point of the scene frame, metres.
+        heading_up
+            Turn the picture so that the agent in the middle heads to the top; else north is there.
+        trails
+            Draw the last three seconds of every agent.
+        route
+            Draw the rest of the ego's log as a band.
+        labels
+            Write name, time, the ego's speed and a scale bar.
+
+        Returns
+        -------
+        ndarray
+            Picture [H, W, 3], uint8.
+
+        Raises
+        ------
+        UnknownNameError
+            If the scene has no agent of that id.
+        ConfigError
+            If a number is out of its range.
+        """
 
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
     def __eq__(self, other: object) -> bool: ...

@@ -34,6 +34,7 @@ def legend() -> dict[str, tuple[int, int, int]]:
 def draw(
     position_m: npt.ArrayLike,
     *,
+    scene: _native.Scene | None = None,
     heading_rad: npt.ArrayLike,
     size_m: npt.ArrayLike,
     driver: str | Sequence[str] = "replay",
@@ -51,12 +52,15 @@ def draw(
     caption: str = "",
     scale_bar: bool = False,
 ) -> Image:
-    """Draw agents and lines on bare ground.
+    """Draw agents and lines on the map of a scene, or on bare ground.
 
     Parameters
     ----------
     position_m
         Centres [A, 2], metres.
+    scene
+        Scene whose map lies below; all coordinates are of its frame. Its agents are not drawn:
+        :meth:`Scene.render` draws its log.
     heading_rad
         Headings [A], radians counter-clockwise from +x.
     size_m
@@ -111,6 +115,7 @@ def draw(
         _numbers("kind", kind, KINDS, num_agents),
         _numbers("driver", driver, DRIVERS, num_agents),
         red,
+        scene=scene,
         size=size,
         span_m=span_m,
         centre_m=centre_m,

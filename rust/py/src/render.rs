@@ -1,6 +1,7 @@
 //! Bindings of `ccdiff_render`: pictures from arrays and from the log of a scene.
 
 use crate::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
+use crate::scene::PyScene;
 use ccdiff_render::{
     AgentBox, Arrow, Camera, Centre, Driver, Image, Line, LogShot, MapLayers, Picture, RenderError, palette,
     render, render_log,
@@ -59,7 +60,7 @@ pub(crate) fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
     Ok(layers)
 }
 
-/// What `Scene.render` takes besides the step.
+/// What `Scene.render` puts in the middle.
 #[derive(FromPyObject)]
 pub(crate) enum CentreArg {
     /// Id of an agent.
@@ -72,11 +73,10 @@ pub(crate) enum CentreArg {
 ///
 /// # Errors
 /// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
-#[allow(dead_code, reason = "called by the scene class")]
 pub(crate) fn scene_picture<'py>(
     py: Python<'py>,
     scene: &Arc<Scene>,
-    step_idx: usize,
+    step: isize,
     size: (i64, i64),
     span_m: f32,
     centre: CentreArg,
@@ -92,6 +92,9 @@ pub(crate) fn scene_picture<'py>(
         })?),
     };
     let (width, height) = pixels(size)?;
+    let step_idx = usize::try_from(step).map_err(|_| {
+        ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
+    })?;
     let shot = LogShot { step_idx, centre, span_m, width, height, heading_up, trails, route, labels };
     let layers = layers_of(&scene.map)?;
     let image = py.detach(|| render_log(scene, &layers, &shot)).map_err(from_render)?;
@@ -168,7 +171,7 @@ fn boxes(
 
 /// A picture [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.render.draw`.
 #[pyfunction]
-#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, size, span_m, centre_m, up_rad,
+#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, scene, size, span_m, centre_m, up_rad,
     route_m, trails, samples, arrows, collisions_m, caption, scale_bar))]
 fn render_arrays<'py>(
     py: Python<'py>,
@@ -178,6 +181,7 @@ fn render_arrays<'py>(
     kind: PyReadonlyArray1<'py, u8>,
     driver: PyReadonlyArray1<'py, u8>,
     collided: PyReadonlyArray1<'py, bool>,
+    scene: Option<Bound<'py, PyScene>>,
     size: (i64, i64),
     span_m: f32,
     centre_m: (f32, f32),
@@ -209,11 +213,12 @@ fn render_arrays<'py>(
     let (width, height) = pixels(size)?;
     let centre = Point2::new(centre_m.0, centre_m.1);
     let camera = Camera::over(centre, span_m, width, height).heading_up(up_rad);
+    let layers = scene.map(|s| layers_of(&s.get().scene.map)).transpose()?;
     let image = py.detach(|| {
         let trails: Vec<Line<'_>> = trails.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
         let samples: Vec<Line<'_>> = samples.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
         let picture = Picture {
-            map: None,
+            map: layers.as_deref(),
             route: &route,
             trails: &trails,
             samples: &samples,

@@ -1,13 +1,16 @@
 //! `Scene`, and the functions that load scenes.
 
 use crate::errors::{from_nuscenes, from_sim, py};
+use crate::render::{CentreArg, scene_picture};
 use crate::scene_map;
 use ccdiff_nuscenes::{
     BuildOptions, Interpolation, LoadOptions, Selection, decode_scene, encode_scene, load, scene_hash,
 };
 use ccdiff_sim::geom::{Point2, Vector2};
-use ccdiff_sim::scene::{Agent, AgentKind, Scene, Tracks};
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -238,6 +241,25 @@ impl PyScene {
     /// Map layers as new arrays in the scene frame.
     fn map_layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         scene_map::to_dict(py, &self.scene.map)
+    }
+
+    /// One step of the log as a picture, uint8 [H, W, 3].
+    #[pyo3(signature = (step=0, *, size=(640, 640), span_m=100.0, centre=CentreArg::Id(EGO_ID.to_owned()),
+        heading_up=false, trails=true, route=true, labels=true))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        step: isize,
+        size: (i64, i64),
+        span_m: f32,
+        centre: CentreArg,
+        heading_up: bool,
+        trails: bool,
+        route: bool,
+        labels: bool,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let scene = &self.scene;
+        scene_picture(py, scene, step, size, span_m, centre, heading_up, trails, route, labels)
     }
 
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
