@@ -7,6 +7,7 @@ use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatu
 use crate::noise::Noise;
 use crate::perturb::Push;
 use crate::raster::MapBitmap;
+use crate::smooth::smoothed;
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -22,6 +23,15 @@ struct Prepared {
     /// Indices of the vehicles; the ego (or else the first vehicle) comes first.
     vehicles: Vec<usize>,
     bitmap: Option<MapBitmap>,
+}
+
+/// How scenes become samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SampleConfig {
+    /// Every `stride`-th step is taken.
+    pub stride: usize,
+    /// Whether tracks are smoothed by two moving averages of 0.5 s, as logs of joined key frames need it.
+    pub smooth: bool,
 }
 
 /// Samples of a list of scenes.
@@ -43,12 +53,13 @@ pub fn vehicles(scene: &Scene) -> Vec<usize> {
 }
 
 impl Dataset {
-    /// Prepares scenes. A step is a sample if some vehicle has its whole future logged; every `stride`-th is taken.
+    /// Prepares scenes. A step is a sample if some vehicle has its whole future logged.
     ///
     /// # Errors
     /// [`ModelError::Config`] for another time step than the configuration's or a stride of 0;
     /// [`ModelError::NoSamples`] where no step qualifies.
-    pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, stride: usize) -> Result<Self> {
+    pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, sampling: SampleConfig) -> Result<Self> {
+        let stride = sampling.stride;
         let num_scenes = scenes.len();
         if stride == 0 {
             return Err(ModelError::Config { field: "stride", got: "0".into(), expected: "at least 1" });
@@ -65,7 +76,7 @@ impl Dataset {
             .map(|scene| Prepared {
                 vehicles: vehicles(&scene),
                 bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)),
-                scene,
+                scene: if sampling.smooth { Arc::new(smoothed(&scene)) } else { scene },
             })
             .collect();
         let horizon = config.horizon_steps;

@@ -23,6 +23,7 @@ pub mod planner;
 pub mod raster;
 pub mod sampler;
 pub mod schedule;
+mod smooth;
 pub mod train;
 pub mod unicycle;
 
