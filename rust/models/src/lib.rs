@@ -31,3 +31,17 @@ pub use config::ModelConfig;
 pub use error::{ModelError, Result};
 
 use torch_sys as _;
+
+/// The device of a name.
+///
+/// # Errors
+/// [`ModelError::Config`] for another name than `cpu` and `cuda`, or where there is no such device.
+pub fn device_named(name: &str) -> Result<tch::Device> {
+    let fail = |expected| Err(ModelError::Config { field: "device", got: format!("{name:?}"), expected });
+    match name {
+        "cpu" => Ok(tch::Device::Cpu),
+        "cuda" if tch::Cuda::is_available() => Ok(tch::Device::Cuda(0)),
+        "cuda" => fail("a device that torch finds"),
+        _ => fail("\"cpu\" or \"cuda\""),
+    }
+}

@@ -1,5 +1,7 @@
 //! The network as a whole: sizes, causality of G, training, resume, sampling, weight files.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 mod common;
 
 use ccdiff_models::batch::Batch;
@@ -85,7 +87,7 @@ fn with_the_identity_graph_an_agents_plan_does_not_depend_on_the_others() {
         let (_store, network) = network(&config);
         let near = common::closing_pair();
         let far = common::scene(
-            &[[0.0, 0.0, 0.0, 12.0, -0.5], [28.0, 1.5, 0.1, 2.0, 0.0], [150.0, -4.0, 3.1415, 6.0, 0.0]],
+            &[[0.0, 0.0, 0.0, 12.0, -0.5], [28.0, 1.5, 0.1, 2.0, 0.0], [150.0, -4.0, 3.1, 6.0, 0.0]],
             110,
         );
         let plans = |scene: &Scene, identity: bool| {

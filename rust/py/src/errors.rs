@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 pub(crate) mod py {
     #![allow(missing_docs, reason = "documented in ccdiff_env/errors.py")]
     pyo3::import_exception!(ccdiff_env.errors, ActionError);
+    pyo3::import_exception!(ccdiff_env.errors, CheckpointError);
     pyo3::import_exception!(ccdiff_env.errors, ConfigError);
     pyo3::import_exception!(ccdiff_env.errors, DatasetError);
     pyo3::import_exception!(ccdiff_env.errors, DatasetNotFoundError);

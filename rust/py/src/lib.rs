@@ -3,6 +3,7 @@
 mod causal;
 mod errors;
 mod metrics;
+mod models;
 mod render;
 mod scene;
 mod scene_map;
@@ -13,6 +14,7 @@ use pyo3::prelude::*;
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
     metrics::register(m)?;
+    models::register(m)?;
     render::register(m)?;
     scene::register(m)?;
     Ok(())

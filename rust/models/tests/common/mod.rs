@@ -57,5 +57,5 @@ pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
 
 /// A follower closing in on a braking leader, and a third car far off.
 pub(crate) fn closing_pair() -> Arc<Scene> {
-    scene(&[[0.0, 0.0, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 4.0, 0.3], [150.0, -4.0, 3.1415, 6.0, 0.0]], 110)
+    scene(&[[0.0, 0.0, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 4.0, 0.3], [150.0, -4.0, 3.1, 6.0, 0.0]], 110)
 }

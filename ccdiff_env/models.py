@@ -1,0 +1,395 @@
+"""The CCDiff network: training it, loading it, planning with it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from ccdiff_env import _native
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.scenes import Scene
+
+__all__ = ["Planner", "ScenePlan", "train"]
+
+WEIGHTS = "weights.safetensors"
+STATE = "state.safetensors"
+LICENCE = "CC-BY-NC-SA-4.0"
+_CHUNK = 20
+_COOLDOWN_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """Plans for the vehicles of one scene at one step.
+
+    Attributes
+    ----------
+    agents
+        Indices in the scene of the M planned vehicles, ``[M]``.
+    actions
+        Accelerations (m/s²) and yaw rates (rad/s), ``[N, M, T, 2]``.
+    states
+        x, y (m), speed (m/s), yaw (rad) and the actions, ``[N, M, T, 6]``, each vehicle in its own
+        frame at the step: origin at its centre, +x along its heading.
+    poses
+        x, y (m) and heading (rad) of those frames in the scene, ``[M, 3]``.
+    graph
+        The decision causal graph G, ``[M, M]``; entry (i, j): j may influence i.
+    ttc
+        Times to contact, seconds, ``[M, M]``.
+    """
+
+    agents: npt.NDArray[np.int64]
+    actions: npt.NDArray[np.float32]
+    states: npt.NDArray[np.float32]
+    poses: npt.NDArray[np.float32]
+    graph: npt.NDArray[np.bool_]
+    ttc: npt.NDArray[np.float32]
+
+    def positions(self) -> npt.NDArray[np.float32]:
+        """Return the planned centres in the scene frame, metres, ``[N, M, T, 2]``."""
+        x, y, heading = (self.poses[:, k][None, :, None] for k in range(3))
+        ahead, left = self.states[..., 0], self.states[..., 1]
+        cos, sin = np.cos(heading), np.sin(heading)
+        return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
+
+
+class Planner:
+    """A CCDiff network loaded from a weight file.
+
+    Parameters
+    ----------
+    path
+        A ``.safetensors`` file written by :func:`train`. Every tensor name and shape is checked;
+        nothing is unpickled.
+    device
+        ``"cpu"`` or ``"cuda"``.
+
+    Raises
+    ------
+    CheckpointError
+        The file is damaged or does not fit; the message names the tensor or field.
+    OSError
+        The file cannot be read.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
+        with _own_generator(0):
+            self._native = _native.Planner(os.fspath(path), device)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """The file's header: model and training settings, steps, notes on data and licence."""
+        header: dict[str, Any] = json.loads(self._native.header)
+        return header
+
+    @property
+    def num_parameters(self) -> int:
+        """Numbers in the network."""
+        return self._native.num_parameters
+
+    def plan(
+        self,
+        scenes: Sequence[Scene],
+        steps: Sequence[int],
+        *,
+        seeds: Sequence[int] | None = None,
+        solver_steps: int | None = 5,
+        num_samples: int = 1,
+        guidance_weight: float = 1.0,
+    ) -> list[ScenePlan]:
+        """Plan for all vehicles of some scenes from their logged histories, in one batch.
+
+        Parameters
+        ----------
+        scenes
+            Scenes; one may appear several times.
+        steps
+            The current step in each.
+        seeds
+            Noise seed of each; 0, 1, ... by default. A scene's noise depends on its own seed alone.
+        solver_steps
+            Network evaluations of the DDIM sampler; ``None`` runs DDPM with all steps.
+        num_samples
+            Samples N per plan.
+        guidance_weight
+            w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the unconditional pass.
+        """
+        chosen = list(range(len(scenes))) if seeds is None else list(seeds)
+        plans = self._native.plan_scenes(
+            list(scenes),
+            list(steps),
+            chosen,
+            solver_steps=solver_steps,
+            num_samples=num_samples,
+            guidance_weight=guidance_weight,
+        )
+        return [ScenePlan(**plan) for plan in plans]
+
+
+class _Progress(Protocol):
+    def update(self, n: float) -> object: ...
+    def set_postfix_str(self, s: str) -> object: ...
+    def close(self) -> object: ...
+
+
+class _Silent:
+    """Progress bar that shows nothing."""
+
+    def update(self, n: float) -> None: ...
+    def set_postfix_str(self, s: str) -> None: ...
+    def close(self) -> None: ...
+
+
+def _progress_bar(total: float, unit: str, shown: bool) -> _Progress:
+    if not shown:
+        return _Silent()
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return _Silent()
+    form = "{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}{postfix}]"
+    bar: _Progress = tqdm(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
+    return bar
+
+
+@contextmanager
+def _own_generator(seed: int) -> Iterator[None]:
+    """Seed torch's generator for fresh weights and put the caller's back afterwards."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield
+
+
+class _Curves:
+    """Loss and validation curves: CSV files, and TensorBoard where it is installed."""
+
+    def __init__(self, out: Path, step: int) -> None:
+        self._out = out
+        for name in ("loss.csv", "validation.csv"):
+            _truncate_after(out / name, step)
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            self._board = None
+        else:
+            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step)
+
+    def write(self, name: str, step: int, values: dict[str, float]) -> None:
+        """Append a row to ``<name>.csv``."""
+        path = self._out / f"{name}.csv"
+        fresh = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            if fresh:
+                writer.writerow(["step", *values])
+            writer.writerow([step, *(f"{v:.6g}" for v in values.values())])
+        if self._board is not None:
+            for key, value in values.items():
+                self._board.add_scalar(f"{name}/{key}", value, step)
+
+    def close(self) -> None:
+        """Flush TensorBoard."""
+        if self._board is not None:
+            self._board.close()
+
+
+def _truncate_after(path: Path, step: int) -> None:
+    """Drop rows past a step, which a killed run wrote after its last checkpoint."""
+    if not path.exists():
+        return
+    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [r for r in rows if not r.split(",")[0].isdigit() or int(r.split(",")[0]) <= step]
+    path.write_text("".join(kept), encoding="utf-8")
+
+
+def train(
+    scenes: Sequence[Scene],
+    *,
+    out: str | os.PathLike[str],
+    held_out: Sequence[Scene] = (),
+    preset: str = "fast",
+    steps: int | None = None,
+    minutes: float | None = None,
+    device: str = "cpu",
+    settings: dict[str, Any] | None = None,
+    smooth: bool = True,
+    notes: dict[str, Any] | None = None,
+    checkpoint_minutes: float = 3.0,
+    validation_samples: int = 96,
+    progress: bool = True,
+) -> Path:
+    """Train a CCDiff network and write its weights.
+
+    A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
+    is constant and falls to zero over the last fifth of the steps or minutes.
+
+    Parameters
+    ----------
+    scenes
+        Scenes to train on. Keep every validation scene out.
+    out
+        Folder of the run: ``weights.safetensors`` (moving average, for use), ``state.safetensors``
+        (for resuming), ``loss.csv``, ``validation.csv``, ``tensorboard/``.
+    held_out
+        Scenes for the validation curve.
+    preset
+        ``"fast"`` or ``"paper"``.
+    steps, minutes
+        When to stop; exactly one of them. Minutes count this call alone.
+    device
+        ``"cpu"`` or ``"cuda"``.
+    settings
+        Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
+    smooth
+        Whether tracks are smoothed first, as logs joined from 2 Hz key frames need it.
+    notes
+        Kept in the weight file's header.
+    checkpoint_minutes
+        Time between checkpoints and validations.
+    validation_samples
+        Held-out (scene, step) pairs per validation.
+    progress
+        Whether to show a progress bar (needs tqdm).
+
+    Returns
+    -------
+    Path
+        The weight file.
+
+    Raises
+    ------
+    ConfigError
+        A setting is out of range, or no scene gives a sample.
+    CheckpointError
+        The run in ``out`` is damaged.
+    """
+    if (steps is None) == (minutes is None):
+        raise ConfigError("give steps or minutes, exactly one of them")
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    state = folder / STATE
+    resumed = state.exists()
+    model, training = (
+        _native.training_settings(os.fspath(state)) if resumed else _native.model_preset(preset)
+    )
+    if not resumed:
+        training = json.dumps(_merged(json.loads(training), settings or {}))
+    with _own_generator(int(json.loads(training)["seed"])):
+        run = _native.Trainer(
+            list(scenes),
+            list(held_out),
+            model,
+            training,
+            device=device,
+            stride=1,
+            smooth=smooth,
+            estimate=not resumed,
+        )
+    if resumed:
+        run.resume(os.fspath(state))
+    notes = {"licence": LICENCE, "num_scenes": len(scenes), "smooth": smooth, **(notes or {})}
+    curves = _Curves(folder, run.step)
+    try:
+        _loop(
+            run,
+            folder,
+            curves,
+            steps,
+            minutes,
+            notes,
+            checkpoint_minutes,
+            validation_samples,
+            progress,
+        )
+    finally:
+        curves.close()
+    return folder / WEIGHTS
+
+
+def _merged(training: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
+    unknown = sorted(set(settings) - set(training))
+    if unknown:
+        raise ConfigError(
+            f"unknown training setting {unknown[0]!r}, expected one of {', '.join(training)}"
+        )
+    return {**training, **settings}
+
+
+def _loop(
+    run: _native.Trainer,
+    folder: Path,
+    curves: _Curves,
+    steps: int | None,
+    minutes: float | None,
+    notes: dict[str, Any],
+    checkpoint_minutes: float,
+    validation_samples: int,
+    progress: bool,
+) -> None:
+    begin = last = time.monotonic()
+    first = run.step
+    total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
+    bar = _progress_bar(total, "s" if steps is None else "steps", progress)
+
+    def checkpoint() -> None:
+        run.save(os.fspath(folder / STATE))
+        run.export(os.fspath(folder / WEIGHTS), json.dumps(notes))
+        errors = run.validate(
+            validation_samples, solver_steps=5, num_samples=5, guidance_weight=1.0
+        )
+        if errors is not None:
+            curves.write("validation", run.step, errors)
+            bar.set_postfix_str(
+                f"minADE {errors['min_ade_m']:.2f} m, constant velocity "
+                f"{errors['constant_velocity_ade_m']:.2f} m"
+            )
+
+    try:
+        while True:
+            elapsed = time.monotonic() - begin
+            if steps is not None and run.step >= steps:
+                break
+            if run.cooldown is not None and run.step >= run.cooldown[1]:
+                break
+            if run.cooldown is None:
+                _maybe_cool_down(run, first, steps, None if steps else total, elapsed)
+            count = _CHUNK if steps is None else min(_CHUNK, steps - run.step)
+            if run.cooldown is not None:
+                count = max(min(count, run.cooldown[1] - run.step), 1)
+            losses = run.run(count)
+            now = time.monotonic()
+            bar.update(count if steps is not None else now - begin - elapsed)
+            curves.write(
+                "loss", run.step, {"loss": sum(losses) / len(losses), "seconds": now - begin}
+            )
+            if now - last > checkpoint_minutes * 60.0:
+                checkpoint()
+                last = time.monotonic()
+    finally:
+        # also on Ctrl-C, so that nothing is lost
+        checkpoint()
+        bar.close()
+
+
+def _maybe_cool_down(
+    run: _native.Trainer, first: int, steps: int | None, total_s: float | None, elapsed_s: float
+) -> None:
+    if steps is not None:
+        left = max(round(steps * _COOLDOWN_SHARE), 1)
+        if run.step >= steps - left:
+            run.cool_down(steps - run.step)
+    elif total_s is not None and elapsed_s >= total_s * (1.0 - _COOLDOWN_SHARE):
+        pace = elapsed_s / max(run.step - first, 1) if run.step > first else 1.0
+        run.cool_down(max(int((total_s - elapsed_s) / pace), 1))

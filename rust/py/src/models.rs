@@ -1,0 +1,282 @@
+//! Bindings of `ccdiff_models`: training runs and planners.
+
+use crate::errors::py;
+use crate::scene::PyScene;
+use ccdiff_models::config::ModelConfig;
+use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::features::Window;
+use ccdiff_models::planner::{Plan, Planner, WorldView};
+use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
+use ccdiff_models::{ModelError, device_named};
+use ccdiff_sim::scene::Scene;
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
+use pyo3::exceptions::PyOSError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Adds the classes and functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyTrainer>()?;
+    module.add_class::<PyPlanner>()?;
+    module.add_function(wrap_pyfunction!(model_preset, module)?)?;
+    module.add_function(wrap_pyfunction!(training_settings, module)?)
+}
+
+/// The Python exception for an error of the model crate.
+pub(crate) fn from_model(error: ModelError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        ModelError::Config { .. } | ModelError::NoSamples { .. } => py::ConfigError::new_err(message),
+        ModelError::Shape { .. } => py::ShapeError::new_err(message),
+        ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
+        ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
+        ModelError::Sim(source) => crate::errors::from_sim(source),
+        _ => py::PolicyError::new_err(message),
+    }
+}
+
+fn lock<T>(value: &Mutex<T>) -> MutexGuard<'_, T> {
+    // a failed call leaves weights that are whole, so a poisoned lock is still good
+    value.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn parsed<T: serde::de::DeserializeOwned>(what: &str, text: &str) -> PyResult<T> {
+    serde_json::from_str(text).map_err(|e| py::ConfigError::new_err(format!("{what}: {e}")))
+}
+
+fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
+}
+
+fn arcs(scenes: Vec<PyRef<'_, PyScene>>) -> Vec<Arc<Scene>> {
+    scenes.iter().map(|s| Arc::clone(&s.scene)).collect()
+}
+
+/// DDIM in `steps` evaluations, or DDPM for `None`.
+fn options(steps: Option<usize>, num_samples: usize, guidance_weight: f64) -> SampleOptions {
+    let solver = steps.map_or(Solver::Ddpm, |steps| Solver::Ddim { steps });
+    SampleOptions { solver, num_samples, guidance_weight }
+}
+
+/// Model and training settings of a preset, as JSON.
+#[pyfunction]
+fn model_preset(name: &str) -> PyResult<(String, String)> {
+    let model = ModelConfig::preset(name).map_err(from_model)?;
+    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name))?))
+}
+
+/// Model and training settings of a training state, as JSON.
+#[pyfunction]
+fn training_settings(py: Python<'_>, path: PathBuf) -> PyResult<(String, String)> {
+    let (model, training) = py.detach(|| settings_of(&path)).map_err(from_model)?;
+    Ok((to_json(&model)?, to_json(&training)?))
+}
+
+/// A training run with its data.
+#[pyclass(frozen, name = "Trainer", module = "ccdiff_env._native")]
+struct PyTrainer {
+    run: Mutex<Trainer>,
+    held_out: Option<Dataset>,
+}
+
+#[pymethods]
+impl PyTrainer {
+    /// Fresh weights come from torch's global generator. With `estimate`, the normalisation is taken from the scenes.
+    #[new]
+    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate))]
+    fn new(
+        py: Python<'_>,
+        scenes: Vec<PyRef<'_, PyScene>>,
+        held_out: Vec<PyRef<'_, PyScene>>,
+        model: &str,
+        training: &str,
+        device: &str,
+        stride: usize,
+        smooth: bool,
+        estimate: bool,
+    ) -> PyResult<Self> {
+        let mut model: ModelConfig = parsed("model", model)?;
+        let training: TrainConfig = parsed("training", training)?;
+        let device = device_named(device).map_err(from_model)?;
+        let (scenes, held_out) = (arcs(scenes), arcs(held_out));
+        py.detach(move || {
+            let sampling = SampleConfig { stride, smooth };
+            model = model.validated()?;
+            let mut data = Dataset::new(scenes, &model, sampling)?;
+            if estimate {
+                model.normalisation = data.estimate_normalisation(4000, training.seed)?;
+                data.set_normalisation(&model.normalisation);
+            }
+            let sparse = SampleConfig { stride: 5, ..sampling };
+            let held_out =
+                (!held_out.is_empty()).then(|| Dataset::new(held_out, &model, sparse)).transpose()?;
+            let run = Mutex::new(Trainer::new(model, training, data, device)?);
+            Ok(Self { run, held_out })
+        })
+        .map_err(from_model)
+    }
+
+    /// Takes steps; returns their losses.
+    fn run(&self, py: Python<'_>, steps: usize) -> PyResult<Vec<f64>> {
+        py.detach(|| lock(&self.run).run(steps)).map_err(from_model)
+    }
+
+    /// Open-loop errors on the held-out scenes, as a dictionary; `None` where there are none.
+    #[pyo3(signature = (count, *, solver_steps, num_samples, guidance_weight))]
+    fn validate<'py>(
+        &self,
+        py: Python<'py>,
+        count: usize,
+        solver_steps: Option<usize>,
+        num_samples: usize,
+        guidance_weight: f64,
+    ) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let Some(held_out) = &self.held_out else { return Ok(None) };
+        let options = options(solver_steps, num_samples, guidance_weight);
+        let v = py.detach(|| lock(&self.run).validate(held_out, count, options)).map_err(from_model)?;
+        let dict = PyDict::new(py);
+        dict.set_item("min_ade_m", v.min_ade_m)?;
+        dict.set_item("min_fde_m", v.min_fde_m)?;
+        dict.set_item("ade_m", v.ade_m)?;
+        dict.set_item("fde_m", v.fde_m)?;
+        dict.set_item("constant_velocity_ade_m", v.constant_velocity_ade_m)?;
+        dict.set_item("constant_velocity_fde_m", v.constant_velocity_fde_m)?;
+        dict.set_item("num_agents", v.num_agents)?;
+        Ok(Some(dict))
+    }
+
+    /// Starts the cool-down of the learning rate.
+    fn cool_down(&self, steps: u64) {
+        lock(&self.run).cool_down(steps);
+    }
+
+    /// Steps at which the cool-down starts and ends, once it has begun.
+    #[getter]
+    fn cooldown(&self) -> Option<(u64, u64)> {
+        lock(&self.run).cooldown().map(|c| (c.start, c.start + c.steps))
+    }
+
+    /// Writes the state of the run.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| lock(&self.run).save(&path)).map_err(from_model)
+    }
+
+    /// Continues from a state.
+    fn resume(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| lock(&self.run).resume(&path)).map_err(from_model)
+    }
+
+    /// Writes the averaged weights; `notes` is a JSON object for the header.
+    fn export(&self, py: Python<'_>, path: PathBuf, notes: &str) -> PyResult<()> {
+        let notes: serde_json::Value = parsed("notes", notes)?;
+        py.detach(|| lock(&self.run).export(&path, &notes)).map_err(from_model)
+    }
+
+    #[getter]
+    fn step(&self) -> u64 {
+        lock(&self.run).step()
+    }
+
+    #[getter]
+    fn num_parameters(&self) -> usize {
+        lock(&self.run).num_parameters()
+    }
+
+    #[getter]
+    fn num_samples(&self) -> usize {
+        lock(&self.run).num_samples()
+    }
+}
+
+/// A loaded network that plans for scenes.
+#[pyclass(frozen, name = "Planner", module = "ccdiff_env._native")]
+struct PyPlanner(Mutex<Planner>);
+
+#[pymethods]
+impl PyPlanner {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf, device: &str) -> PyResult<Self> {
+        let device = device_named(device).map_err(from_model)?;
+        let planner = py.detach(|| Planner::load(&path, device)).map_err(from_model)?;
+        Ok(Self(Mutex::new(planner)))
+    }
+
+    /// The file's header as JSON.
+    #[getter]
+    fn header(&self) -> String {
+        lock(&self.0).header().to_string()
+    }
+
+    #[getter]
+    fn num_parameters(&self) -> usize {
+        lock(&self.0).num_parameters()
+    }
+
+    /// Plans from logged histories: one dictionary per (scene, step).
+    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight))]
+    fn plan_scenes<'py>(
+        &self,
+        py: Python<'py>,
+        scenes: Vec<PyRef<'py, PyScene>>,
+        steps: Vec<usize>,
+        seeds: Vec<u64>,
+        solver_steps: Option<usize>,
+        num_samples: usize,
+        guidance_weight: f64,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let scenes = arcs(scenes);
+        if steps.len() != scenes.len() || seeds.len() != scenes.len() {
+            let got = format!("{} steps and {} seeds", steps.len(), seeds.len());
+            return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
+        }
+        let options = options(solver_steps, num_samples, guidance_weight);
+        let plans = py.detach(|| plan_logged(&mut lock(&self.0), &scenes, &steps, &seeds, options));
+        let plans = plans.map_err(from_model)?;
+        scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
+    }
+}
+
+fn plan_logged(
+    planner: &mut Planner,
+    scenes: &[Arc<Scene>],
+    steps: &[usize],
+    seeds: &[u64],
+    options: SampleOptions,
+) -> ccdiff_models::Result<Vec<Plan>> {
+    let history = planner.config().history_steps;
+    let bitmaps: Vec<_> = scenes.iter().map(|s| planner.bitmap(s)).collect();
+    let windows: Vec<Window> = scenes
+        .iter()
+        .zip(steps)
+        .map(|(scene, step)| Window::from_scene(scene, *step, &vehicles(scene), history))
+        .collect();
+    let worlds: Vec<WorldView<'_>> = windows
+        .iter()
+        .zip(&bitmaps)
+        .zip(seeds)
+        .map(|((window, bitmap), seed)| WorldView { window, bitmap: bitmap.as_ref(), seed: *seed })
+        .collect();
+    planner.plan(&worlds, options)
+}
+
+/// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`
+/// [M, M].
+fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
+    let (n, m) = (plan.num_samples, plan.agents.len());
+    let list = vehicles(scene);
+    let agents: Vec<i64> = plan.agents.iter().map(|a| list[*a] as i64).collect();
+    let steps = plan.actions.len() / (n * m * 2).max(1);
+    let poses: Vec<f32> =
+        plan.features.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]).collect();
+    let dict = PyDict::new(py);
+    dict.set_item("agents", PyArray1::from_vec(py, agents))?;
+    dict.set_item("actions", plan.actions.into_pyarray(py).reshape([n, m, steps, 2])?)?;
+    dict.set_item("states", plan.states.into_pyarray(py).reshape([n, m, steps, 6])?)?;
+    dict.set_item("poses", poses.into_pyarray(py).reshape([m, 3])?)?;
+    dict.set_item("graph", plan.features.graph.as_slice().to_vec().into_pyarray(py).reshape([m, m])?)?;
+    dict.set_item("ttc", plan.features.ttc_s.into_pyarray(py).reshape([m, m])?)?;
+    Ok(dict)
+}

@@ -1,0 +1,54 @@
+"""``ccdiff-env train`` on the real mini scenes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from ccdiff_env.cli import main
+from ccdiff_env.models import Planner
+
+
+def dataroot() -> Path:
+    folder = Path(os.environ.get("CCDIFF_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if not (folder / "nuscenes").exists():
+        pytest.skip(f"no real data at {folder}: set CCDIFF_DATA")
+    return folder / "nuscenes"
+
+
+@pytest.mark.nuscenes
+def test_training_on_the_mini_scenes_writes_weights_and_resumes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["train", "--dataroot", str(dataroot()), "--version", "v1.0-mini", "--split",
+               "mini_train", "--out", str(tmp_path), "--batch-scenes", "2", "--quiet",
+               "--hold-out-every", "4"]  # fmt: skip
+    assert main([*command, "--steps", "2"]) == 0
+    assert main([*command, "--steps", "3"]) == 0
+    path = Path(capsys.readouterr().out.splitlines()[-1])
+    header = Planner(path).header
+    assert header["step"] == 3
+    # two of the eight are validation scenes of the full set, one is held out
+    assert header["notes"]["num_scenes"] == 5
+    assert header["model"]["normalisation"]["trajectory_std"][0] > 1.0
+
+
+def test_a_missing_data_set_is_an_error_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [
+        "train",
+        "--dataroot",
+        str(tmp_path / "none"),
+        "--out",
+        str(tmp_path),
+        "--steps",
+        "1",
+    ]
+    assert main(command) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("ccdiff-env train: ")
+    assert "none" in message
+    assert "Traceback" not in message
