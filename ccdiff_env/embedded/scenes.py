@@ -1,0 +1,128 @@
+"""The scenes of the embedded set: each is staged, simulated and checked, and drawn again until it passes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ccdiff_env.embedded.bystanders import add_bystanders
+from ccdiff_env.embedded.checks import (
+    KEY_FRAME_S,
+    DrivableArea,
+    Track,
+    constant_velocity_end,
+    first_off_road,
+    first_overlap,
+)
+from ccdiff_env.embedded.city import City
+from ccdiff_env.embedded.curves import Pose
+from ccdiff_env.embedded.scenarios import KINDS, ScenarioKind
+from ccdiff_env.embedded.stage import Draw, Stage
+from ccdiff_env.embedded.traffic import DT_S, Actor, Simulation
+
+SEED = "ccdiff-town-1"
+DURATION_S = 18.0
+SEEN_M = 80.0
+"""Actors are annotated from when they first come this near to the ego until they last were."""
+ROOM_M = 0.3
+"""Boxes keep at least about this distance."""
+NUM_MOST = 20
+NUM_TRIES = 400
+
+
+@dataclass(frozen=True)
+class LoggedScene:
+    """A finished scene; the first track is the ego."""
+
+    name: str
+    split: str
+    kind: ScenarioKind
+    tracks: list[Track]
+
+    @property
+    def num_frames(self) -> int:
+        """Number of key frames."""
+        return len(self.tracks[0].poses)
+
+
+def build_scenes(city: City) -> Iterator[LoggedScene]:
+    """Yield all scenes of the set."""
+    area = DrivableArea(city)
+    for kind in KINDS:
+        for number in range(kind.train + kind.val):
+            name = f"{kind.name}-{number:02d}"
+            split = "train" if number < kind.train else "val"
+            yield LoggedScene(name, split, kind, _tracks(city, area, kind, name))
+
+
+def _tracks(city: City, area: DrivableArea, kind: ScenarioKind, name: str) -> list[Track]:
+    """Return the tracks of the first draw that passes all checks."""
+    for number in range(NUM_TRIES):
+        draw = Draw(f"{SEED}/{name}/{number}")
+        stage = Stage(city, draw)
+        kind.build(stage)
+        if any(not _is_apart(stage, i) for i in range(len(stage.actors))):
+            continue
+        add_bystanders(stage, draw.whole(13, NUM_MOST))
+        Simulation(stage.actors).run(DURATION_S)
+        if not fault(tracks := _logged(stage.actors), area, kind.hardest_mps2):
+            return tracks
+    raise RuntimeError(f"no draw of {name} passed the checks")
+
+
+def _is_apart(stage: Stage, index: int) -> bool:
+    """Return whether an actor starts clear of those staged before it."""
+    me = stage.actors[index]
+    if me.kind.is_walker or me.path is None:
+        return True
+    place = me.path.at(me.along_m)
+    for other in stage.actors[:index]:
+        if other.path is None or other.kind.is_walker:
+            continue
+        there = other.path.at(other.along_m)
+        across = abs(math.sin(place.yaw) * (there.x - place.x) - math.cos(place.yaw) * (there.y - place.y))
+        if across < 2.5 and math.dist(place.xy, there.xy) < (me.kind.length + other.kind.length) / 2.0 + 1.8:
+            return False
+    return True
+
+
+def _logged(actors: list[Actor]) -> list[Track]:
+    """Return key frames of the ego and of all who come near it."""
+    every = round(KEY_FRAME_S / DT_S)
+    ego = actors[0].poses[::every]
+    out: list[Track] = []
+    for number, actor in enumerate(actors):
+        poses = actor.poses[::every]
+        seen = [
+            i
+            for i, (p, e) in enumerate(zip(poses, ego, strict=True))
+            if p is not None and e is not None and math.dist(p.xy, e.xy) < SEEN_M
+        ]
+        if len(seen) < 4 and number > 0:
+            continue
+        part = [rounded(p) for p in poses[seen[0] : seen[-1] + 1] if p is not None]
+        out.append(Track(f"{number:02d}", actor.kind, seen[0], part, actor.is_parked))
+    return out
+
+
+def rounded(pose: Pose) -> Pose:
+    """Return a pose as it is written."""
+    return Pose(round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 5))
+
+
+def fault(tracks: list[Track], area: DrivableArea, hardest_mps2: float) -> str:
+    """Return what is wrong with a scene, empty if it may go into the set."""
+    ego = tracks[0]
+    if len(ego.poses) != round(DURATION_S / KEY_FRAME_S) + 1:
+        return "the ego leaves the city"
+    if not 6 <= len(tracks) <= NUM_MOST:
+        return "too few or too many actors"
+    if math.dist(ego.poses[0].xy, ego.poses[-1].xy) < 36.0:
+        return "the ego goes nowhere"
+    speeds = [math.dist(a.xy, b.xy) / KEY_FRAME_S for a, b in zip(ego.poses, ego.poses[1:], strict=False)]
+    if max(a - b for a, b in zip(speeds, speeds[1:], strict=False)) > hardest_mps2 * KEY_FRAME_S:
+        return "the ego brakes too hard"
+    if constant_velocity_end(tracks, area) is None:
+        return "keeping the velocity is no mistake"
+    return first_overlap(tracks, DURATION_S, ROOM_M) or first_off_road(tracks, area)
