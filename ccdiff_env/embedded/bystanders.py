@@ -1,8 +1,11 @@
-"""Who else is about in an embedded scene: traffic, cyclists, walkers, parked cars, barriers and cones."""
+"""Who else is about in an embedded scene: traffic, cyclists, walkers, parked cars, barriers and
+cones.
+"""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 from ccdiff_env.embedded.city import PARKING_M, SHOULDER_M, WALKWAY_M, Road
 from ccdiff_env.embedded.curves import Pose
@@ -29,7 +32,7 @@ def add_bystanders(stage: Stage, num_most: int) -> None:
         _stroll(stage)
     if draw.chance(0.4):
         _works(stage)
-    if draw.chance(0.3):
+    if draw.chance(0.7):
         _bus(stage)
     for _ in range(max(spare, 0)):
         if len(stage.actors) < num_most:
@@ -57,7 +60,9 @@ def _traffic(stage: Stage) -> None:
         place = lane.curve.at(along)
         if _is_near(stage, place) and stage.is_free(place, 13.0):
             way = stage.wander(lane.name, 200.0)
-            stage.drive(draw.car(), way, lanes_path(stage.city, way), along, draw.between(7.0, 10.5))
+            stage.drive(
+                draw.car(), way, lanes_path(stage.city, way), along, draw.between(7.0, 10.5)
+            )
             return
 
 
@@ -69,12 +74,12 @@ def _bus(stage: Stage) -> None:
         for lane in stage.city.lanes.values()
         if lane.road.startswith(("avenue", "parade")) and lane.name.endswith("1")
     ]
-    for _ in range(20):
+    for _ in range(60):
         lane = stage.city.lanes[draw.pick(names)]
         along = draw.between(8.0, max(lane.curve.length - 20.0, 9.0))
         place = lane.curve.at(along)
         way = stage.way([lane.name], 0.0, 200.0)
-        turns = [stage.city.lanes.get(f"{a}>{b}") for a, b in zip(way, way[1:], strict=False)]
+        turns = [stage.city.lanes.get(f"{a}>{b}") for a, b in pairwise(way)]
         straight = all(t is None or t.turn == "straight" for t in turns)
         if straight and _is_near(stage, place) and stage.is_free(place, 18.0):
             stage.drive(BUS, way, lanes_path(stage.city, way), along, draw.between(6.5, 8.5))
@@ -108,13 +113,15 @@ def _park(stage: Stage) -> None:
 def _cycle(stage: Stage) -> None:
     """Add a cyclist beside the lane of a street with room at the kerb."""
     draw = stage.draw
-    road, right = draw.pick(_sides(stage))
-    lane = stage.city.lanes[f"{road.name}:{'f' if right else 'b'}0"]
-    path = lanes_path(stage.city, [lane.name], right_m=2.45)
-    along = draw.between(2.0, path.length * 0.5)
-    place = path.at(along)
-    if _is_near(stage, place) and stage.is_free(place, 9.0):
-        stage.drive(BICYCLE, [lane.name], path, along, draw.between(3.2, 5.0)).rank = 9
+    for _ in range(20):
+        road, right = draw.pick(_sides(stage))
+        lane = stage.city.lanes[f"{road.name}:{'f' if right else 'b'}0"]
+        path = lanes_path(stage.city, [lane.name], right_m=2.45)
+        along = draw.between(2.0, path.length * 0.6)
+        place = path.at(along)
+        if _is_near(stage, place) and stage.is_free(place, 9.0):
+            stage.drive(BICYCLE, [lane.name], path, along, draw.between(3.2, 5.0)).rank = 9
+            return
 
 
 def _stroll(stage: Stage) -> None:

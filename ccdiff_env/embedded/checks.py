@@ -1,7 +1,7 @@
 """What a logged scene must satisfy, and what becomes of an ego that keeps its velocity.
 
-A log is what the data set holds: key frames at 2 Hz. It is checked as environments play it, interpolated linearly
-to 10 Hz.
+A log is what the data set holds: key frames at 2 Hz. It is checked as environments play it,
+interpolated linearly to 10 Hz.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Track:
 
 def corners(pose: Pose, length_m: float, width_m: float) -> list[Xy]:
     """Return the corners of a box, counter-clockwise from front left."""
-    l, w = length_m / 2.0, width_m / 2.0
-    return [pose.ahead(u, v).xy for u, v in ((l, w), (-l, w), (-l, -w), (l, -w))]
+    a, b = length_m / 2.0, width_m / 2.0
+    return [pose.ahead(u, v).xy for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))]
 
 
 def boxes_overlap(a: Sequence[Xy], b: Sequence[Xy]) -> bool:
@@ -93,7 +93,11 @@ def first_overlap(tracks: Sequence[Track], duration_s: float, room_m: float) -> 
             for j in range(i):
                 b, q = here[j]
                 far = (a.kind.length + b.kind.length) / 2.0 + 2.0
-                if abs(p.x - q.x) < far and abs(p.y - q.y) < far and boxes_overlap(boxes[i], boxes[j]):
+                if (
+                    abs(p.x - q.x) < far
+                    and abs(p.y - q.y) < far
+                    and boxes_overlap(boxes[i], boxes[j])
+                ):
                     return f"{a.name} and {b.name} at {step * PLAY_S:.1f} s"
     return ""
 
@@ -110,13 +114,12 @@ def first_off_road(tracks: Sequence[Track], area: DrivableArea) -> str:
     return ""
 
 
-def constant_velocity_end(
-    tracks: Sequence[Track], area: DrivableArea
-) -> tuple[str, float] | None:
-    """Return how and when an ego that keeps its velocity from 3.0 s on fails, None if it gets through 10 s.
+def constant_velocity_end(tracks: Sequence[Track], area: DrivableArea) -> tuple[str, float] | None:
+    """Return how and when an ego that keeps its velocity from 3.0 s on fails, None if it gets
+    through 10 s.
 
-    The first track is the ego; the others are replayed. It fails by ``collision`` (boxes touch) or ``off-road``
-    (a corner leaves the drivable area).
+    The first track is the ego; the others are replayed. It fails by ``collision`` (boxes touch) or
+    ``off-road`` (a corner leaves the drivable area).
     """
     ego, others = tracks[0], tracks[1:]
     start, before = ego.at(EGO_START_S), ego.at(EGO_START_S - PLAY_S)

@@ -1,8 +1,10 @@
-"""The embedded city: roads and junctions, and the lanes, connectors, kerbs and crossings that follow from them.
+"""The embedded city: roads and junctions, and the lanes, connectors, kerbs and crossings that
+follow from them.
 
-A road has a reference curve between the centres of two junctions; its lanes are parallels of that curve, to the
-right for traffic along it and to the left for traffic against it (right-hand traffic). Lanes end where a
-junction's arm ends; connectors lead through the junction. Frame: x east, y north, metres.
+A road has a reference curve between the centres of two junctions; its lanes are parallels of that
+curve, to the right for traffic along it and to the left for traffic against it (right-hand
+traffic). Lanes end where a junction's arm ends; connectors lead through the junction. Frame: x
+east, y north, metres.
 """
 
 from __future__ import annotations
@@ -170,7 +172,9 @@ class City:
         return sorted(arms, key=lambda a: a.outward.yaw)
 
     def corner(self, junction: str, index: int) -> tuple[Xy | None, float]:
-        """Return where the kerbs of an arm and the next one (counter-clockwise) cross, and the angle turned there."""
+        """Return where the kerbs of an arm and the next one (counter-clockwise) cross, and the
+        angle turned there.
+        """
         arms = self.arms[junction]
         arm, after = arms[index], arms[(index + 1) % len(arms)]
         inward = arm.outward.ahead(0.0, arm.toward_m).reversed()
@@ -217,9 +221,7 @@ class City:
                 for i, k in self._moves(junction, arm, other, kind):
                     self._connect(junction, arm.toward_lane(i), other.away_lane(k), kind)
 
-    def _moves(
-        self, junction: Junction, arm: Arm, other: Arm, kind: str
-    ) -> list[tuple[int, int]]:
+    def _moves(self, junction: Junction, arm: Arm, other: Arm, kind: str) -> list[tuple[int, int]]:
         """Return which lane of one arm leads to which lane of another."""
         num_in, num_out = arm.toward, other.away
         if num_in == 0 or num_out == 0:
@@ -255,11 +257,21 @@ class City:
                 arm.road.name,
                 middle.ahead(0.0, right).xy,
                 middle.ahead(0.0, left).xy,
-                tuple(p.xy for p in (near.ahead(0, right), far.ahead(0, right), far.ahead(0, left), near.ahead(0, left))),
+                tuple(
+                    p.xy
+                    for p in (
+                        near.ahead(0, right),
+                        far.ahead(0, right),
+                        far.ahead(0, left),
+                        near.ahead(0, left),
+                    )
+                ),
             )
 
     def corner_curve(self, junction: str, index: int, out_m: float = 0.0) -> Curve | None:
-        """Return the kerb from an arm to the next one, moved ``out_m`` away from the road; None at a dead end."""
+        """Return the kerb from an arm to the next one, moved ``out_m`` away from the road; None at
+        a dead end.
+        """
         arms = self.arms[junction]
         if len(arms) == 1:
             return None
@@ -293,7 +305,9 @@ class City:
                 ring += self.kerb(road, along).outline()
                 junction = road.end if along else road.start
                 arms = self.arms[junction]
-                index = next(i for i, a in enumerate(arms) if a.road is road and a.at_start != along)
+                index = next(
+                    i for i, a in enumerate(arms) if a.road is road and a.at_start != along
+                )
                 corner = self.corner_curve(junction, index)
                 ring += corner.outline()[1:-1] if corner is not None else []
                 after = arms[(index + 1) % len(arms)]

@@ -1,7 +1,9 @@
-"""Plane curves made of straight pieces and arcs: what roads, lanes and kerbs of the embedded city are drawn with.
+"""Plane curves made of straight pieces and arcs: what roads, lanes and kerbs of the embedded city
+are drawn with.
 
-Everything here is plain ``float`` arithmetic, so that the generated data set is the same on every machine once
-its numbers are rounded. Frame: the city's (x east, y north, metres); angles counter-clockwise from +x, radians.
+Everything here is plain ``float`` arithmetic, so that the generated data set is the same on every
+machine once its numbers are rounded. Frame: the city's (x east, y north, metres); angles counter-
+clockwise from +x, radians.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 Xy = tuple[float, float]
 """A point (x, y) in metres."""
@@ -130,7 +133,9 @@ class Curve:
         return Curve(tuple(out))
 
     def outline(self, step_rad: float = 0.07) -> list[Xy]:
-        """Return points of the curve, enough for arcs to look round: one per ``step_rad`` of turning."""
+        """Return points of the curve, enough for arcs to look round: one per ``step_rad`` of
+        turning.
+        """
         out = [self.start.xy]
         for piece in self.pieces:
             num = max(1, math.ceil(abs(piece.curvature) * piece.length / step_rad))
@@ -149,10 +154,10 @@ def joined(curves: Iterable[Curve]) -> Curve:
 
 
 def filleted(points: Sequence[Xy], radii: Sequence[float]) -> Curve:
-    """Return the line through ``points`` with its inner corners rounded by arcs of ``radii`` (one a corner)."""
-    yaws = [
-        math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in zip(points, points[1:], strict=False)
-    ]
+    """Return the line through ``points`` with its inner corners rounded by arcs of ``radii`` (one
+    a corner).
+    """
+    yaws = [math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in pairwise(points)]
     pieces: list[Piece] = []
     at = Pose(*points[0], yaws[0])
     for corner, radius, before, after in zip(points[1:-1], radii, yaws, yaws[1:], strict=False):
@@ -180,7 +185,8 @@ def crossing_of(a: Pose, b: Pose) -> Xy | None:
 
 
 def connection(start: Pose, end: Pose, largest_m: float = math.inf) -> Curve:
-    """Return a smooth curve from one pose to another: one arc between straight pieces, or two arcs for a shift.
+    """Return a smooth curve from one pose to another: one arc between straight pieces, or two arcs
+    for a shift.
 
     The arc of the first kind has the largest radius that fits, but none above ``largest_m``.
     """

@@ -25,9 +25,7 @@ def generate() -> dict[str, bytes]:
     """Return the members of the data set by path; the same bytes at every call."""
     city = build_city()
     scenes = list(build_scenes(city))
-    splits = {
-        split: [s.name for s in scenes if s.split == split] for split in ("train", "val")
-    }
+    splits = {split: [s.name for s in scenes if s.split == split] for split in ("train", "val")}
     out = {f"{VERSION}/{name}.json": _rows(rows) for name, rows in write_tables(scenes).items()}
     out[f"maps/expansion/{LOCATION}.json"] = _dump(MapWriter(city).write())
     out[f"maps/{LOCATION}.png"] = mask_png(city)

@@ -18,12 +18,14 @@ def _road(
     lanes: tuple[int, int] = (1, 1),
     parking: tuple[bool, bool] = (False, False),
 ) -> Road:
-    """Return a road through ``points``; lanes along and against it, parking right and left of it."""
+    """Return a road through ``points``; with lanes along and against it, parking right and left."""
     return Road(name, *ends, filleted(points, radii), *lanes, *parking)
 
 
 def build_city() -> City:
-    """Return the city: an avenue from west to east, one from the middle to the north, and a ring of streets."""
+    """Return the city: an avenue from west to east, one from the middle to the north, and a ring
+    of streets.
+    """
     at: dict[str, Xy] = {
         "border-west": (15, 300), "merge-west": (130, 300), "west": (270, 300),
         "tee-west": (385, 300), "centre": (500, 300), "tee-east": (615, 310), "east": (730, 320),
@@ -31,18 +33,20 @@ def build_city() -> City:
         "merge-north": (490, 620), "border-north": (490, 725), "south": (510, 100),
         "tee-north": (385, 520), "tee-south": (615, 100),
     }  # fmt: skip
-    crossing = {"signals": False, "crossings": True}
     junctions = [
-        Junction("west", at["west"], **crossing),
+        Junction("west", at["west"], crossings=True),
         Junction("centre", at["centre"], signals=True, crossings=True),
         Junction("east", at["east"], signals=True, crossings=True),
-        Junction("north", at["north"], **crossing),
-        Junction("south", at["south"], **crossing),
+        Junction("north", at["north"], crossings=True),
+        Junction("south", at["south"], crossings=True),
         Junction("tee-west", at["tee-west"], double_left=frozenset({"stem-west"})),
         Junction("tee-east", at["tee-east"], double_left=frozenset({"stem-east"})),
         Junction("tee-north", at["tee-north"]),
-        Junction("tee-south", at["tee-south"], **crossing),
-        *(Junction(f"merge-{side}", at[f"merge-{side}"], reach_m=24.0) for side in ("west", "east", "north")),
+        Junction("tee-south", at["tee-south"], crossings=True),
+        *(
+            Junction(f"merge-{side}", at[f"merge-{side}"], reach_m=24.0)
+            for side in ("west", "east", "north")
+        ),
         *(Junction(f"border-{side}", at[f"border-{side}"]) for side in ("west", "east", "north")),
     ]
 
@@ -64,7 +68,8 @@ def build_city() -> City:
         avenue("parade-top", "north", "merge-north"),
         avenue("exit-north", "merge-north", "border-north", (1, 1)),
         _road("ring-southwest", ("west", "south"),
-              [at["west"], (270, 190), (330, 120), (400, 100), at["south"]], [45, 40, 60], parking=both),
+              [at["west"], (270, 190), (330, 120), (400, 100), at["south"]], [45, 40, 60],
+              parking=both),
         _road("ring-south", ("south", "tee-south"), [at["south"], at["tee-south"]], []),
         _road("ring-southeast", ("tee-south", "east"),
               [at["tee-south"], (715, 100), (785, 160), (770, 235), at["east"]], [38, 30, 60],

@@ -19,13 +19,26 @@ METRES_PER_PIXEL = 2.0
 STRAIGHT_RADIUS_M = 999.999
 """What nuScenes writes as the radius of a path that is straight."""
 LAYERS = (
-    "polygon", "line", "node", "drivable_area", "road_segment", "road_block", "lane", "ped_crossing", "walkway",
-    "stop_line", "carpark_area", "road_divider", "lane_divider", "traffic_light", "lane_connector",
-)  # fmt: skip
+    "polygon",
+    "line",
+    "node",
+    "drivable_area",
+    "road_segment",
+    "road_block",
+    "lane",
+    "ped_crossing",
+    "walkway",
+    "stop_line",
+    "carpark_area",
+    "road_divider",
+    "lane_divider",
+    "traffic_light",
+    "lane_connector",
+)
 
 
 class MapWriter:
-    """Collects the records of a map expansion; tokens are the layer's number and a running number."""
+    """Collects the records of a map expansion; tokens are layer number and running number."""
 
     def __init__(self, city: City) -> None:
         self.city = city
@@ -46,7 +59,9 @@ class MapWriter:
         self._walkways()
         crossings = {
             (c.junction, c.road): self._add(
-                "ped_crossing", polygon_token=self._polygon(c.polygon), road_segment_token=segments[c.road]
+                "ped_crossing",
+                polygon_token=self._polygon(c.polygon),
+                road_segment_token=segments[c.road],
             )
             for c in self.city.crossings
         }
@@ -65,7 +80,8 @@ class MapWriter:
             },
         }
 
-    # --- geometry -------------------------------------------------------------------------------------------
+    # --- geometry
+    # -------------------------------------------------------------------------------------------
 
     def _add(self, layer: str, **fields: Any) -> str:
         records = self.layers[layer]
@@ -93,7 +109,8 @@ class MapWriter:
         """Return the outline between two parallels of a curve, counter-clockwise."""
         return curve.offset(-right_m).outline() + curve.offset(left_m).outline()[::-1]
 
-    # --- layers ---------------------------------------------------------------------------------------------
+    # --- layers
+    # ---------------------------------------------------------------------------------------------
 
     def _drivable_area(self) -> None:
         polygon = self._polygon(self.city.drivable_exterior, self.city.drivable_holes)
@@ -111,7 +128,9 @@ class MapWriter:
             self._add(
                 "road_block",
                 polygon_token=self._polygon(self._strip(curve, 0.0, width)),
-                from_edge_line_token=self._line([curve.start.xy, curve.start.ahead(0.0, -width).xy]),
+                from_edge_line_token=self._line(
+                    [curve.start.xy, curve.start.ahead(0.0, -width).xy]
+                ),
                 to_edge_line_token=self._line([curve.end.xy, curve.end.ahead(0.0, -width).xy]),
                 road_segment_token=segment,
             )
@@ -128,7 +147,9 @@ class MapWriter:
                 "lane",
                 polygon_token=polygon,
                 lane_type="CAR",
-                from_edge_line_token=self._line([start.ahead(0.0, half).xy, start.ahead(0.0, -half).xy]),
+                from_edge_line_token=self._line(
+                    [start.ahead(0.0, half).xy, start.ahead(0.0, -half).xy]
+                ),
                 to_edge_line_token=self._line([end.ahead(0.0, half).xy, end.ahead(0.0, -half).xy]),
                 left_lane_divider_segments=self._divider_segments(lane.curve.offset(half)),
                 right_lane_divider_segments=self._divider_segments(lane.curve.offset(-half)),
@@ -146,8 +167,12 @@ class MapWriter:
         for sign, num in ((-1.0, road.forward), (1.0, road.backward)):
             for i in range(1, num):
                 points = middle.offset(sign * i * LANE_WIDTH_M).outline()
-                nodes = [{"node_token": self._node(p), "segment_type": "DASHED_WHITE"} for p in points]
-                self._add("lane_divider", line_token=self._line(points), lane_divider_segments=nodes)
+                nodes = [
+                    {"node_token": self._node(p), "segment_type": "DASHED_WHITE"} for p in points
+                ]
+                self._add(
+                    "lane_divider", line_token=self._line(points), lane_divider_segments=nodes
+                )
 
     def _car_parks(self, road: Road) -> None:
         for right, has_room in ((True, road.parking_right), (False, road.parking_left)):
@@ -175,10 +200,18 @@ class MapWriter:
                     self._add("walkway", polygon_token=self._polygon(ring))
 
     def _stop_lines(self, crossings: dict[tuple[str, str], str]) -> None:
-        """Add a stop line across the lanes that lead to a junction with signals, crossings or a stem."""
+        """Add a stop line across the lanes that lead to a junction with signals, crossings or a
+        stem.
+        """
         for name, junction in self.city.junctions.items():
             for arm in self.city.arms[name]:
-                kind = "TRAFFIC_LIGHT" if junction.signals else "PED_CROSSING" if junction.crossings else "YIELD"
+                kind = (
+                    "TRAFFIC_LIGHT"
+                    if junction.signals
+                    else "PED_CROSSING"
+                    if junction.crossings
+                    else "YIELD"
+                )
                 if kind == "YIELD" and not arm.road.name.startswith("stem"):
                     continue
                 width = arm.toward * LANE_WIDTH_M
@@ -190,8 +223,12 @@ class MapWriter:
                     "stop_line",
                     polygon_token=self._polygon(ring),
                     stop_line_type=kind,
-                    ped_crossing_tokens=[crossings[(name, arm.road.name)]] if kind == "PED_CROSSING" else [],
-                    traffic_light_tokens=[self._traffic_light(line, near.yaw)] if kind == "TRAFFIC_LIGHT" else [],
+                    ped_crossing_tokens=[crossings[(name, arm.road.name)]]
+                    if kind == "PED_CROSSING"
+                    else [],
+                    traffic_light_tokens=[self._traffic_light(line, near.yaw)]
+                    if kind == "TRAFFIC_LIGHT"
+                    else [],
                     road_block_token="",
                 )
 
@@ -200,9 +237,14 @@ class MapWriter:
         pose = {"tx": round(place[0], 3), "ty": round(place[1], 3), "tz": 4.0, "rx": 0.0, "ry": 0.0}
         colours = ("RED", "YELLOW", "GREEN")
         items = [
-            {"color": c, "shape": "CIRCLE", "rel_pos": {"tx": 0.0, "ty": 0.0, "tz": -0.3 * i, "rx": 0.0, "ry": 0.0, "rz": 0.0}, "to_road_block_tokens": []}
+            {
+                "color": c,
+                "shape": "CIRCLE",
+                "rel_pos": {"tx": 0.0, "ty": 0.0, "tz": -0.3 * i, "rx": 0.0, "ry": 0.0, "rz": 0.0},
+                "to_road_block_tokens": [],
+            }
             for i, c in enumerate(colours)
-        ]  # fmt: skip
+        ]
         return self._add(
             "traffic_light",
             line_token=self._line(line),
@@ -222,7 +264,9 @@ def _arcline(piece: Piece) -> Record:
         "end_pose": [round(end.x, 4), round(end.y, 4), round(end.yaw, 6)],
         "shape": "LSL" if straight or piece.curvature > 0.0 else "RSR",
         "radius": STRAIGHT_RADIUS_M if straight else round(1.0 / abs(piece.curvature), 4),
-        "segment_length": [0.0, round(piece.length, 4), 0.0] if straight else [round(piece.length, 4), 0.0, 0.0],
+        "segment_length": [0.0, round(piece.length, 4), 0.0]
+        if straight
+        else [round(piece.length, 4), 0.0, 0.0],
     }
 
 
@@ -233,11 +277,13 @@ def mask_png(city: City) -> bytes:
     """
     columns, rows = (math.ceil(edge / METRES_PER_PIXEL) for edge in city.canvas)
     middles = (np.arange(columns) + 0.5) * METRES_PER_PIXEL
-    edges = np.array([
-        (*p, *q)
-        for ring in (city.drivable_exterior, *city.drivable_holes)
-        for p, q in zip(ring, ring[1:] + ring[:1], strict=True)
-    ])  # fmt: skip
+    edges = np.array(
+        [
+            (*p, *q)
+            for ring in (city.drivable_exterior, *city.drivable_holes)
+            for p, q in zip(ring, ring[1:] + ring[:1], strict=True)
+        ]
+    )
     ax, ay, bx, by = edges.T
     lines = []
     for row in range(rows):

@@ -1,9 +1,12 @@
-"""Paths that the embedded traffic drives or walks: lanes in order, lane changes, dense points with arc length."""
+"""Paths that the embedded traffic drives or walks: lanes in order, lane changes, dense points with
+arc length.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +37,7 @@ class Path:
             if math.dist(pose.xy, kept[-1].xy) > 0.05:
                 kept.append(pose)
         s, yaw = [0.0], [kept[0].yaw]
-        for a, b in zip(kept, kept[1:], strict=False):
+        for a, b in pairwise(kept):
             s.append(s[-1] + math.dist(a.xy, b.xy))
             yaw.append(yaw[-1] + wrap(b.yaw - yaw[-1]))
         self.s: Floats = np.array(s)
@@ -78,7 +81,9 @@ class Path:
         return float(np.interp(along_m, self.s, self.speed))
 
     def ahead(self, along_m: float, reach_m: float) -> slice:
-        """Return the indices of the points from ``along_m`` on, at most ``reach_m`` metres, every second one."""
+        """Return the indices of the points from ``along_m`` on, at most ``reach_m`` metres, every
+        second one.
+        """
         first, last = np.searchsorted(self.s, (along_m, along_m + reach_m))
         return slice(int(first), int(last), 2)
 
@@ -97,11 +102,12 @@ def lanes_path(
     city
         Where the lanes are.
     lanes
-        Names of lanes in driving order. The connector between two of them is added; where there is none, the
-        second must be a neighbour of the first on a straight road, and the path changes lanes.
+        Names of lanes in driving order. The connector between two of them is added; where there is
+        none, the second must be a neighbour of the first on a straight road, and the path changes
+        lanes.
     changes
-        For a lane that is left by a lane change: distance from its start at which the change begins, and its
-        length, in metres.
+        For a lane that is left by a lane change: distance from its start at which the change
+        begins, and its length, in metres.
     right_m
         Shift of the whole path to the right (cyclists beside the lane).
     """
@@ -125,7 +131,9 @@ def lanes_path(
 
 
 def _lane_change(before: Curve, after: Curve, at_m: float, over_m: float) -> list[Pose]:
-    """Return poses that drift from one straight lane to its neighbour, smooth to the second derivative."""
+    """Return poses that drift from one straight lane to its neighbour, smooth to the second
+    derivative.
+    """
     a, b = before.at(at_m), after.at(at_m)
     left = -math.sin(a.yaw) * (b.x - a.x) + math.cos(a.yaw) * (b.y - a.y)
     out = []
@@ -141,7 +149,7 @@ def _lane_change(before: Curve, after: Curve, at_m: float, over_m: float) -> lis
 def walk_path(points: Sequence[Xy]) -> Path:
     """Return the path of a pedestrian through points, at least two."""
     poses = []
-    for a, b in zip(points, points[1:], strict=False):
+    for a, b in pairwise(points):
         yaw = math.atan2(b[1] - a[1], b[0] - a[0])
         num = max(1, math.ceil(math.dist(a, b) / STEP_M))
         for i in range(num + 1):

@@ -1,7 +1,7 @@
 """The kinds of scene of the embedded set: who is on the stage, and what makes it one of its kind.
 
-Each function puts the ego first and then the others that the kind is about; :func:`ccdiff_env.embedded.scenes`
-adds bystanders. Numbers are drawn anew for each scene.
+Each function puts the ego first and then the others that the kind is about;
+:func:`ccdiff_env.embedded.scenes` adds bystanders. Numbers are drawn anew for each scene.
 """
 
 from __future__ import annotations
@@ -22,18 +22,26 @@ def _oncoming(stage: Stage, approach: str) -> Lanes:
     junction = next(c.road for c in map(city.lanes.__getitem__, city.lanes[approach].outgoing))
     straight = [c for c in city.lanes.values() if c.road == junction and c.turn == "straight"]
     ahead = next(c for c in straight if c.incoming == [approach]).outgoing[0].split(":")[0]
-    lanes = [(c.incoming[0], c.outgoing[0]) for c in straight if c.incoming[0].startswith(ahead + ":")]
+    lanes = [
+        (c.incoming[0], c.outgoing[0]) for c in straight if c.incoming[0].startswith(ahead + ":")
+    ]
     return stage.draw.pick(lanes)
 
 
 LEFT_TURNS: list[Lanes] = [
-    ("avenue-1:f0", "ring-northwest:b0"), ("avenue-2:b0", "ring-southwest:f0"),
-    ("avenue-3:f0", "parade-north:f0"), ("avenue-4:b0", "parade-south:b0"),
-    ("parade-south:f0", "avenue-3:b0"), ("parade-north:b0", "avenue-4:f0"),
-    ("avenue-5:f0", "ring-northeast:f0"), ("parade-north:f0", "ring-north:f0"),
-    ("ring-southwest:f0", "parade-south:f0"), ("ring-south:f0", "stem-east:f0"),
-    ("avenue-2:f0", "stem-west:b0"), ("avenue-5:b0", "stem-east:b0"),
-]  # fmt: skip
+    ("avenue-1:f0", "ring-northwest:b0"),
+    ("avenue-2:b0", "ring-southwest:f0"),
+    ("avenue-3:f0", "parade-north:f0"),
+    ("avenue-4:b0", "parade-south:b0"),
+    ("parade-south:f0", "avenue-3:b0"),
+    ("parade-north:b0", "avenue-4:f0"),
+    ("avenue-5:f0", "ring-northeast:f0"),
+    ("parade-north:f0", "ring-north:f0"),
+    ("ring-southwest:f0", "parade-south:f0"),
+    ("ring-south:f0", "stem-east:f0"),
+    ("avenue-2:f0", "stem-west:b0"),
+    ("avenue-5:b0", "stem-east:b0"),
+]
 
 
 def left_turn(stage: Stage) -> None:
@@ -55,14 +63,39 @@ def left_turn(stage: Stage) -> None:
 
 
 TEES: list[tuple[Lanes, list[Lanes]]] = [
-    (("stem-west:f0", "avenue-3:f0"), [("avenue-2:f0", "avenue-3:f0"), ("avenue-3:b0", "avenue-2:b0"), ("avenue-3:b1", "avenue-2:b1")]),
-    (("stem-west:f1", "avenue-2:b1"), [("avenue-3:b1", "avenue-2:b1"), ("avenue-2:f1", "avenue-3:f1")]),
-    (("stem-west:b0", "ring-northwest:f0"), [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")]),
-    (("stem-west:b0", "ring-north:b0"), [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")]),
-    (("stem-east:b0", "ring-southeast:f0"), [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")]),
-    (("stem-east:b0", "ring-south:b0"), [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")]),
-    (("parade-south:b0", "ring-south:f0"), [("ring-southwest:f0", "ring-south:f0"), ("ring-south:b0", "ring-southwest:b0")]),
-]  # fmt: skip
+    (
+        ("stem-west:f0", "avenue-3:f0"),
+        [
+            ("avenue-2:f0", "avenue-3:f0"),
+            ("avenue-3:b0", "avenue-2:b0"),
+            ("avenue-3:b1", "avenue-2:b1"),
+        ],
+    ),
+    (
+        ("stem-west:f1", "avenue-2:b1"),
+        [("avenue-3:b1", "avenue-2:b1"), ("avenue-2:f1", "avenue-3:f1")],
+    ),
+    (
+        ("stem-west:b0", "ring-northwest:f0"),
+        [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")],
+    ),
+    (
+        ("stem-west:b0", "ring-north:b0"),
+        [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")],
+    ),
+    (
+        ("stem-east:b0", "ring-southeast:f0"),
+        [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")],
+    ),
+    (
+        ("stem-east:b0", "ring-south:b0"),
+        [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")],
+    ),
+    (
+        ("parade-south:b0", "ring-south:f0"),
+        [("ring-southwest:f0", "ring-south:f0"), ("ring-south:b0", "ring-southwest:b0")],
+    ),
+]
 
 
 def tee_crossing(stage: Stage) -> None:
@@ -102,10 +135,19 @@ def cut_in(stage: Stage) -> None:
 
 
 BRAKING_LANES = [
-    "parade-south:f0", "parade-south:f1", "parade-north:b0", "parade-north:b1", "parade-north:f1",
-    "ring-southwest:f0", "ring-southwest:b0", "ring-northeast:f0", "ring-northwest:f0", "ring-southeast:b0",
-    "stem-west:f0", "stem-east:b0",
-]  # fmt: skip
+    "parade-south:f0",
+    "parade-south:f1",
+    "parade-north:b0",
+    "parade-north:b1",
+    "parade-north:f1",
+    "ring-southwest:f0",
+    "ring-southwest:b0",
+    "ring-northeast:f0",
+    "ring-northwest:f0",
+    "ring-southeast:b0",
+    "stem-west:f0",
+    "stem-east:b0",
+]
 
 
 def hard_brake(stage: Stage) -> None:
@@ -123,9 +165,19 @@ def hard_brake(stage: Stage) -> None:
 
 
 QUEUES = [
-    "avenue-3:f0", "avenue-3:f1", "avenue-4:b0", "avenue-4:b1", "parade-south:f0", "parade-south:f1",
-    "parade-north:b0", "parade-north:b1", "avenue-5:f0", "avenue-5:f1", "avenue-6:b0", "ring-northeast:b0",
-]  # fmt: skip
+    "avenue-3:f0",
+    "avenue-3:f1",
+    "avenue-4:b0",
+    "avenue-4:b1",
+    "parade-south:f0",
+    "parade-south:f1",
+    "parade-north:b0",
+    "parade-north:b1",
+    "avenue-5:f0",
+    "avenue-5:f1",
+    "avenue-6:b0",
+    "ring-northeast:b0",
+]
 
 
 def queue(stage: Stage) -> None:
@@ -164,14 +216,20 @@ def double_left(stage: Stage) -> None:
     stage.through((f"{stem}{own}", f"{target}{own}"), before, speed, kind=EGO_KIND)
     beside = 1 - own
     stage.through((f"{stem}{beside}", f"{target}{beside}"), before + draw.between(-6.0, 7.0), speed)
-    stage.through((f"{stem}{beside}", f"{target}{beside}"), before + draw.between(16.0, 24.0), speed)
+    stage.through(
+        (f"{stem}{beside}", f"{target}{beside}"), before + draw.between(16.0, 24.0), speed
+    )
     arrival = before / speed - draw.between(0.0, 1.5)
     for lanes in main[: draw.whole(1, 2)]:
         stage.through(lanes, arrival * 9.0, draw.between(8.0, 9.5))
         arrival += draw.between(0.5, 1.5)
 
 
-MERGES = [("avenue-6:f", "exit-east:f0"), ("avenue-1:b", "entry-west:b0"), ("parade-top:f", "exit-north:f0")]
+MERGES = [
+    ("avenue-6:f", "exit-east:f0"),
+    ("avenue-1:b", "entry-west:b0"),
+    ("parade-top:f", "exit-north:f0"),
+]
 
 
 def merge_in(stage: Stage) -> None:
@@ -192,10 +250,17 @@ def merge_in(stage: Stage) -> None:
 
 
 CURVES: list[tuple[str, float]] = [
-    ("ring-southwest:f0", 8.0), ("ring-southwest:b0", 50.0), ("ring-northeast:f0", 20.0),
-    ("ring-northeast:b0", 20.0), ("ring-northwest:f0", 30.0), ("ring-northwest:b0", 15.0),
-    ("ring-southeast:f0", 15.0), ("ring-southeast:b0", 8.0), ("stem-west:f0", 8.0), ("stem-east:b0", 8.0),
-]  # fmt: skip
+    ("ring-southwest:f0", 8.0),
+    ("ring-southwest:b0", 50.0),
+    ("ring-northeast:f0", 20.0),
+    ("ring-northeast:b0", 20.0),
+    ("ring-northwest:f0", 30.0),
+    ("ring-northwest:b0", 15.0),
+    ("ring-southeast:f0", 15.0),
+    ("ring-southeast:b0", 8.0),
+    ("stem-west:f0", 8.0),
+    ("stem-east:b0", 8.0),
+]
 
 
 def free_curve(stage: Stage) -> None:
@@ -212,12 +277,18 @@ def free_curve(stage: Stage) -> None:
 
 
 WALKED: list[Lanes] = [
-    ("avenue-1:f1", "avenue-2:f1"), ("avenue-2:b1", "avenue-1:b1"), ("avenue-2:b0", "avenue-1:b0"),
-    ("ring-southwest:b0", "ring-northwest:b0"), ("ring-northwest:f0", "ring-southwest:f0"),
-    ("ring-southwest:f0", "ring-south:f0"), ("ring-south:f0", "ring-southeast:f0"),
-    ("ring-southeast:b0", "ring-south:b0"), ("parade-north:f1", "parade-top:f1"),
-    ("ring-north:b0", "ring-northeast:b0"), ("ring-northeast:f0", "ring-north:f0"),
-]  # fmt: skip
+    ("avenue-1:f1", "avenue-2:f1"),
+    ("avenue-2:b1", "avenue-1:b1"),
+    ("avenue-2:b0", "avenue-1:b0"),
+    ("ring-southwest:b0", "ring-northwest:b0"),
+    ("ring-northwest:f0", "ring-southwest:f0"),
+    ("ring-southwest:f0", "ring-south:f0"),
+    ("ring-south:f0", "ring-southeast:f0"),
+    ("ring-southeast:b0", "ring-south:b0"),
+    ("parade-north:f1", "parade-top:f1"),
+    ("ring-north:b0", "ring-northeast:b0"),
+    ("ring-northeast:f0", "ring-north:f0"),
+]
 
 
 def pedestrians(stage: Stage) -> None:
@@ -230,7 +301,9 @@ def pedestrians(stage: Stage) -> None:
     stage.through(lanes, before, speed, kind=EGO_KIND)
     connector = stage.city.lanes[f"{lanes[0]}>{lanes[1]}"]
     road = lanes[0].split(":")[0]
-    crossing = next(c for c in stage.city.crossings if (c.junction, c.road) == (connector.road, road))
+    crossing = next(
+        c for c in stage.city.crossings if (c.junction, c.road) == (connector.road, road)
+    )
     meets = before / speed
     back = draw.chance(0.5)
     for _ in range(draw.whole(2, 4)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TypeVar
 
 from ccdiff_env.embedded.city import City, Crossing
@@ -79,7 +80,8 @@ class Stage:
                 until = draw.pick([FOREVER_S, draw.between(4.0, 15.0)])
                 self.green[junction.name] = (axis, until)
 
-    # --- ways -----------------------------------------------------------------------------------------------
+    # --- ways ------------------------------------------------------------------------------------
+    # -----------
 
     def way(self, lanes: Sequence[str], before_m: float, after_m: float) -> list[str]:
         """Return lanes, with what leads there and on from there, straight on where possible."""
@@ -105,27 +107,35 @@ class Stage:
         return out
 
     def rank(self, lanes: Sequence[str]) -> int:
-        """Return who goes first: avenues before the ring before the stems, straight on before turns."""
+        """Return who goes first: avenues before the ring before the stems, straight on before
+        turns.
+        """
         road = lanes[0].split(":")[0]
         level = 6 if road.startswith("stem") else 3 if road.startswith("ring") else 0
         turns = {
             self.city.lanes[f"{a}>{b}"].turn
-            for a, b in zip(lanes, lanes[1:], strict=False)
+            for a, b in pairwise(lanes)
             if f"{a}>{b}" in self.city.lanes
         }
         return level + (2 if "left" in turns else 1 if "right" in turns else 0)
 
-    # --- actors ---------------------------------------------------------------------------------------------
+    # --- actors
+    # ---------------------------------------------------------------------------------------------
 
     def drive(
         self, kind: Kind, lanes: Sequence[str], path: Path, along_m: float, speed_mps: float
     ) -> Actor:
         """Add a driver who wants to keep its first speed."""
         actor = Actor(
-            kind, path, along_m=along_m, speed_mps=speed_mps, wanted_mps=speed_mps, rank=self.rank(lanes)
+            kind,
+            path,
+            along_m=along_m,
+            speed_mps=speed_mps,
+            wanted_mps=speed_mps,
+            rank=self.rank(lanes),
         )
         actor.red_lights = self._red_lights(lanes, path)
-        for before, after in zip(lanes, lanes[1:], strict=False):
+        for before, after in pairwise(lanes):
             if before.startswith("stem") and f"{before}>{after}" in self.city.lanes:
                 at = nearest(path, self.city.lanes[before].curve.end)
                 path.slow_to(at, YIELD_MPS)
@@ -141,7 +151,9 @@ class Stage:
         kind: Kind | None = None,
         after_m: float = 190.0,
     ) -> Actor:
-        """Add a driver who is ``before_m`` ahead of the end of the first of ``lanes`` and goes on along them."""
+        """Add a driver who is ``before_m`` ahead of the end of the first of ``lanes`` and goes on
+        along them.
+        """
         length = self.city.lanes[lanes[0]].curve.length
         way = self.way(lanes, before_m - length + 8.0, after_m)
         path = lanes_path(self.city, way)
@@ -153,7 +165,7 @@ class Stage:
         self, lanes: Sequence[str], path: Path
     ) -> tuple[tuple[float, float, float], ...]:
         out = []
-        for before, after in zip(lanes, lanes[1:], strict=False):
+        for before, after in pairwise(lanes):
             connector = self.city.lanes.get(f"{before}>{after}")
             if connector is None or connector.road not in self.green:
                 continue
@@ -165,8 +177,10 @@ class Stage:
             out.append((at, *red))
         return tuple(out)
 
-    def walk_over(self, crossing: Crossing, departs_s: float, speed_mps: float, *, back: bool = False) -> Actor:
-        """Add a pedestrian who waits beside a crossing, goes over it and stays on the other side."""
+    def walk_over(
+        self, crossing: Crossing, departs_s: float, speed_mps: float, *, back: bool = False
+    ) -> Actor:
+        """Add a pedestrian who waits beside a crossing, then goes over it and stays there."""
         a, b = (crossing.end, crossing.start) if back else (crossing.start, crossing.end)
         yaw = math.atan2(b[1] - a[1], b[0] - a[0])
         aside = self.draw.between(-1.2, 1.2)

@@ -1,6 +1,7 @@
 """The embedded scenes as tables of the official nuScenes schema.
 
-Tokens are readable numbers instead of hashes (table, scene, track, key frame), which keeps the shipped file small.
+Tokens are readable numbers instead of hashes (table, scene, track, key frame), which keeps the
+shipped file small.
 """
 
 from __future__ import annotations
@@ -18,18 +19,42 @@ Record = dict[str, Any]
 
 VERSION = "v1.0-embedded"
 TABLES = (
-    "category", "attribute", "visibility", "instance", "sensor", "calibrated_sensor", "ego_pose", "log", "scene",
-    "sample", "sample_data", "sample_annotation", "map",
-)  # fmt: skip
+    "category",
+    "attribute",
+    "visibility",
+    "instance",
+    "sensor",
+    "calibrated_sensor",
+    "ego_pose",
+    "log",
+    "scene",
+    "sample",
+    "sample_data",
+    "sample_annotation",
+    "map",
+)
 CATEGORIES = (
-    "human.pedestrian.adult", "human.pedestrian.child", "vehicle.car", "vehicle.motorcycle", "vehicle.bicycle",
-    "vehicle.bus.rigid", "vehicle.truck", "vehicle.construction", "movable_object.barrier",
+    "human.pedestrian.adult",
+    "human.pedestrian.child",
+    "vehicle.car",
+    "vehicle.motorcycle",
+    "vehicle.bicycle",
+    "vehicle.bus.rigid",
+    "vehicle.truck",
+    "vehicle.construction",
+    "movable_object.barrier",
     "movable_object.trafficcone",
-)  # fmt: skip
+)
 ATTRIBUTES = (
-    "vehicle.moving", "vehicle.stopped", "vehicle.parked", "cycle.with_rider", "cycle.without_rider",
-    "pedestrian.sitting_lying_down", "pedestrian.standing", "pedestrian.moving",
-)  # fmt: skip
+    "vehicle.moving",
+    "vehicle.stopped",
+    "vehicle.parked",
+    "cycle.with_rider",
+    "cycle.without_rider",
+    "pedestrian.sitting_lying_down",
+    "pedestrian.standing",
+    "pedestrian.moving",
+)
 VISIBILITIES = ("v0-40", "v40-60", "v60-80", "v80-100")
 FIRST_TIMESTAMP_US = 1_600_000_000_000_000
 SCENE_APART_US = 100_000_000
@@ -50,7 +75,8 @@ def write_tables(scenes: Sequence[LoggedScene]) -> dict[str, list[Record]]:
             {"token": token(table, i), "name": n, "description": ""} for i, n in enumerate(names)
         ]
     out["visibility"] = [
-        {"token": str(i + 1), "level": level, "description": ""} for i, level in enumerate(VISIBILITIES)
+        {"token": str(i + 1), "level": level, "description": ""}
+        for i, level in enumerate(VISIBILITIES)
     ]
     out["sensor"] = [{"token": token("sensor"), "channel": "LIDAR_TOP", "modality": "lidar"}]
     out["calibrated_sensor"] = [
@@ -166,7 +192,9 @@ def _add_track(out: dict[str, list[Record]], scene: int, number: int, track: Tra
                 "sample_token": token("sample", scene, key[2]),
                 "instance_token": instance,
                 "visibility_token": "4",
-                "attribute_tokens": [token("attribute", ATTRIBUTES.index(attribute))] if attribute else [],
+                "attribute_tokens": [token("attribute", ATTRIBUTES.index(attribute))]
+                if attribute
+                else [],
                 "translation": [pose.x, pose.y, round(kind.height / 2.0, 3)],
                 "size": [kind.width, kind.length, kind.height],
                 "rotation": _rotation(pose.yaw),
@@ -186,10 +214,18 @@ def _attribute(track: Track, index: int) -> str:
     if track.kind.is_walker:
         return "pedestrian.moving" if is_moving else "pedestrian.standing"
     if track.kind.is_driven:
-        return "vehicle.parked" if track.is_parked else "vehicle.moving" if is_moving else "vehicle.stopped"
+        return (
+            "vehicle.parked"
+            if track.is_parked
+            else "vehicle.moving"
+            if is_moving
+            else "vehicle.stopped"
+        )
     return ""
 
 
 def _speed_mps(poses: Sequence[Pose], index: int) -> float:
     a, b = poses[max(index - 1, 0)], poses[min(index + 1, len(poses) - 1)]
-    return math.dist(a.xy, b.xy) / (KEY_FRAME_S * max(1, min(index + 1, len(poses) - 1) - max(index - 1, 0)))
+    return math.dist(a.xy, b.xy) / (
+        KEY_FRAME_S * max(1, min(index + 1, len(poses) - 1) - max(index - 1, 0))
+    )

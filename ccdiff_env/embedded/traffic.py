@@ -1,15 +1,15 @@
 """Traffic of the embedded city: drivers that follow paths, keep distance, stop at red and give way.
 
-Longitudinal control is the intelligent driver model (Treiber, Hennecke, Helbing 2000) towards the nearest thing
-in the way: a box ahead on the path, a red light, or the place where a path with the right of way crosses. Steering
-is not simulated: a box sits on its path with the path's direction. Step 0.1 s, plain ``float`` and element-wise
-numpy only, no randomness.
+Longitudinal control is the intelligent driver model (Treiber, Hennecke, Helbing 2000) towards the
+nearest thing in the way: a box ahead on the path, a red light, or the place where a path with the
+right of way crosses. Steering is not simulated: a box sits on its path with the path's direction.
+Step 0.1 s, plain ``float`` and element-wise numpy only, no randomness.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -111,7 +111,9 @@ class Simulation:
         self.v = [a.speed_mps for a in actors]
         self.a = [0.0] * len(actors)
         self.committed: set[tuple[int, int]] = set()
-        self.conflicts: list[list[tuple[int, Conflict]]] = [self._conflicts_of(i) for i in range(len(actors))]
+        self.conflicts: list[list[tuple[int, Conflict]]] = [
+            self._conflicts_of(i) for i in range(len(actors))
+        ]
         self.pose: list[Pose | None] = [self._pose(i) for i in range(len(actors))]
 
     def run(self, duration_s: float) -> None:
@@ -146,13 +148,15 @@ class Simulation:
             self.pose[i] = self._pose(i)
 
     def _box_points(self) -> tuple[Floats, Floats]:
-        """Return x and y of eight points round each actor's box, shape [A, 8]; absent actors are far away."""
+        """Return x and y of eight points round each actor's box, shape [A, 8]; absent actors are
+        far away.
+        """
         x, y = np.full((len(self.actors), 8), 1e6), np.full((len(self.actors), 8), 1e6)
         for i, (actor, pose) in enumerate(zip(self.actors, self.pose, strict=True)):
             if pose is None:
                 continue
-            l, w = actor.kind.length / 2.0, actor.kind.width / 2.0
-            corners = ((l, w), (l, 0.0), (l, -w), (0.0, -w), (-l, -w), (-l, 0.0), (-l, w), (0.0, w))
+            a, b = actor.kind.length / 2.0, actor.kind.width / 2.0
+            corners = ((a, b), (a, 0.0), (a, -b), (0.0, -b), (-a, -b), (-a, 0.0), (-a, b), (0.0, b))
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
             x[i] = [pose.x + c * u - s * v for u, v in corners]
             y[i] = [pose.y + s * u + c * v for u, v in corners]
@@ -173,7 +177,11 @@ class Simulation:
             if time_s < braking.at_s + stop_s + braking.hold_s:
                 return -braking.deceleration_mps2
         out = self._free(i, wanted)
-        for gap, speed in [self._leader(i, points), *self._red(i, time_s), *self._giving_way(i, time_s)]:
+        for gap, speed in [
+            self._leader(i, points),
+            *self._red(i, time_s),
+            *self._giving_way(i, time_s),
+        ]:
             out = min(out, _follow(self.v[i], gap, speed))
         return out
 
@@ -193,26 +201,35 @@ class Simulation:
         return ACCELERATION_MPS2 * (1.0 - (v / max(limit, 0.1)) ** 4)
 
     def _leader(self, i: int, points: tuple[Floats, Floats]) -> tuple[float, float]:
-        """Return gap to and speed of the nearest box on the path ahead, (inf, 0) if the path is free."""
+        """Return gap to and speed of the nearest box on the path ahead, (inf, 0) if the path is
+        free.
+        """
         actor, path = self.actors[i], self.actors[i].path
         assert path is not None
         near = path.ahead(self.s[i] + 0.3 * actor.kind.length, LOOK_AHEAD_M)
         s, px, py, c, sn = (v[near, None] for v in (path.s, path.x, path.y, path.cos, path.sin))
         if len(s) == 0:
             return math.inf, 0.0
-        x, y = points[0].reshape(1, -1), points[1].reshape(1, -1)
+        x, y = points
+        room = actor.kind.width / 2.0 + 1.0
+        near_x = (x.max(axis=1) > px.min() - room) & (x.min(axis=1) < px.max() + room)
+        near_y = (y.max(axis=1) > py.min() - room) & (y.min(axis=1) < py.max() + room)
+        others = np.flatnonzero(near_x & near_y)
+        others = others[others != i]
+        if len(others) == 0:
+            return math.inf, 0.0
+        x, y = x[others].reshape(1, -1), y[others].reshape(1, -1)
         dx, dy = x - px, y - py
         along, aside = c * dx + sn * dy, np.abs(c * dy - sn * dx)
         hit = (np.abs(along) < 0.6) & (aside < actor.kind.width / 2.0 + SIDE_ROOM_M)
         gaps = np.where(hit, s + along, np.inf).min(axis=0).reshape(-1, 8).min(axis=1)
         best = (math.inf, 0.0)
         front = self.s[i] + actor.kind.length / 2.0
-        for j in np.flatnonzero(gaps < np.inf):
-            if j == i:
-                continue
-            gap = float(gaps[j]) - front
-            speed = self._speed_along(int(j), path, float(gaps[j]))
-            if not self._will_clear(i, int(j), gap, speed) and gap < best[0]:
+        for k in np.flatnonzero(gaps < np.inf):
+            j = int(others[k])
+            gap = float(gaps[k]) - front
+            speed = self._speed_along(j, path, float(gaps[k]))
+            if not self._will_clear(i, j, gap, speed) and gap < best[0]:
                 best = (gap, max(speed, 0.0))
         return best
 
@@ -244,10 +261,24 @@ class Simulation:
         for j, conflict in self.conflicts[i]:
             if self.pose[j] is None or (i, j) in self.committed:
                 continue
-            wait = self._merge(i, j, conflict) if conflict.is_merge else self._cross(i, j, conflict, time_s)
+            if self._is_held(j, conflict.theirs[0], time_s):
+                continue
+            wait = (
+                self._merge(i, j, conflict)
+                if conflict.is_merge
+                else self._cross(i, j, conflict, time_s)
+            )
             if wait is not None:
                 out.append(wait)
         return out
+
+    def _is_held(self, j: int, entry_m: float, time_s: float) -> bool:
+        """Return whether an actor stands at a red light before a place on its path."""
+        front = self.s[j] + self.actors[j].kind.length / 2.0
+        return self.v[j] < 1.0 and any(
+            start <= time_s < until and front <= at + 0.5 and at < entry_m + 1.0
+            for at, start, until in self.actors[j].red_lights
+        )
 
     def _merge(self, i: int, j: int, conflict: Conflict) -> tuple[float, float] | None:
         me, other = self.actors[i].kind, self.actors[j].kind
@@ -263,8 +294,8 @@ class Simulation:
         behind = theirs - mine - (me.length + other.length) / 2.0
         if behind > 3.0 + max(self.v[j], 2.0) * 1.1 and self.v[i] > self.v[j] - 2.0:
             return None
-        if self.v[i] < self.v[j] - 2.0:
-            return mine + me.length, 0.7 * self.v[j]
+        if self.v[j] < 3.0 or self.v[i] < self.v[j] - 2.0:
+            return mine - me.length / 2.0 + STANDSTILL_M, 0.7 * self.v[j]
         # side by side: fall back gently, as if it were just ahead and a little slower
         return STANDSTILL_M + 0.8 * HEADWAY_S * self.v[i], max(self.v[j] - 1.5, 0.0)
 
@@ -319,7 +350,8 @@ def _follow(v: float, gap: float, lead_mps: float) -> float:
     model = ACCELERATION_MPS2 * (1.0 - (wanted / max(gap, 0.1)) ** 2)
     if gap < 2.0:
         return model
-    # the model overreacts to a small gap at equal speeds (someone cuts in); no more than the situation asks for
+    # the model overreacts to a small gap at equal speeds (someone cuts in); no more than the
+    # situation asks for
     needed = max(v - lead_mps, 0.0) ** 2 / (2.0 * max(gap - 1.0, 0.3))
     return max(model, -1.8 * needed - 2.6)
 
@@ -334,9 +366,16 @@ def _time_to(distance_m: float, v: float, actor: Actor) -> float:
 
 
 def _conflict(me: Actor, mine_path: Path, other: Actor, their_path: Path) -> Conflict | None:
-    """Return where two actors' paths, from where they start on, come too close; None for one behind the other."""
+    """Return where two actors' paths, from where they start on, come too close; None for one
+    behind the other.
+    """
     room = (me.kind.width + other.kind.width) / 2.0 + (0.9 if other.kind.is_walker else 0.5)
     a, b = mine_path.ahead(me.along_m, math.inf), their_path.ahead(other.along_m, math.inf)
+    if not (
+        _spans_meet(mine_path.x[a], their_path.x[b], room)
+        and _spans_meet(mine_path.y[a], their_path.y[b], room)
+    ):
+        return None
     dx = mine_path.x[a, None] - their_path.x[None, b]
     dy = mine_path.y[a, None] - their_path.y[None, b]
     close = dx * dx + dy * dy < room * room
@@ -350,7 +389,15 @@ def _conflict(me: Actor, mine_path: Path, other: Actor, their_path: Path) -> Con
     ends = float(mine[rows[-1]]), float(theirs[columns[-1]])
     if merges and not aligned:
         # a turn into the other's lane: from its end on they follow each other
-        ends = min(ends[0], float(mine[rows[0]]) + 14.0), min(ends[1], float(theirs[columns[0]]) + 14.0)
+        ends = (
+            min(ends[0], float(mine[rows[0]]) + 14.0),
+            min(ends[1], float(theirs[columns[0]]) + 14.0),
+        )
     return Conflict(
         (float(mine[rows[0]]), ends[0]), (float(theirs[columns[0]]), ends[1]), merges and aligned
     )
+
+
+def _spans_meet(a: Floats, b: Floats, room_m: float) -> bool:
+    """Return whether the ranges of two arrays come within a distance."""
+    return bool(a.max() + room_m > b.min() and b.max() + room_m > a.min())

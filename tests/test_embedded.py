@@ -1,0 +1,465 @@
+"""The embedded data set, against the devkit, shapely, networkx and its own generator."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from itertools import pairwise
+
+import networkx
+import numpy as np
+import pytest
+from nuscenes.map_expansion.arcline_path_utils import discretize_lane, length_of_lane
+from nuscenes.nuscenes import NuScenes
+from pyquaternion import Quaternion
+from shapely import Polygon, STRtree
+from shapely.affinity import rotate, translate
+from shapely.geometry import LineString, Point
+from shapely.geometry import box as shapely_box
+from shapely.prepared import prep
+
+import ccdiff_env
+from ccdiff_env.embedded import embedded_splits
+from ccdiff_env.embedded.checks import (
+    DrivableArea,
+    Track,
+    boxes_overlap,
+    constant_velocity_end,
+    corners,
+)
+from ccdiff_env.embedded.city import signed_area
+from ccdiff_env.embedded.curves import Pose, connection, filleted
+from ccdiff_env.embedded.dataset import generate, shipped, unpack
+from ccdiff_env.embedded.layout import LOCATION, build_city
+from ccdiff_env.embedded.scenarios import KINDS
+from ccdiff_env.embedded.stage import EGO_KIND
+from ccdiff_env.embedded.tables import VERSION
+from ccdiff_env.embedded.traffic import Kind
+from ccdiff_env.errors import UnknownNameError
+
+
+@pytest.fixture(scope="module")
+def dataroot(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("embedded")
+    unpack(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def devkit(dataroot):
+    return NuScenes(VERSION, str(dataroot), verbose=False)
+
+
+@pytest.fixture(scope="module")
+def expansion(dataroot):
+    return json.loads((dataroot / f"maps/expansion/{LOCATION}.json").read_text())
+
+
+def _ring(expansion, tokens):
+    nodes = {n["token"]: (n["x"], n["y"]) for n in expansion["node"]}
+    return [nodes[t] for t in tokens]
+
+
+@pytest.fixture(scope="module")
+def drivable(expansion):
+    polygons = {p["token"]: p for p in expansion["polygon"]}
+    (token,) = expansion["drivable_area"][0]["polygon_tokens"]
+    holes = [_ring(expansion, h["node_tokens"]) for h in polygons[token]["holes"]]
+    return Polygon(_ring(expansion, polygons[token]["exterior_node_tokens"]), holes)
+
+
+@pytest.fixture(scope="module")
+def frames(devkit):
+    """Boxes of each key frame: scene, time (s), instance, category, shapely box, yaw, centre."""
+    out = []
+    for scene in devkit.scene:
+        token, number = scene["first_sample_token"], 0
+        while token:
+            sample = devkit.get("sample", token)
+            data = devkit.get("sample_data", sample["data"]["LIDAR_TOP"])
+            ego = devkit.get("ego_pose", data["ego_pose_token"])
+            size = (EGO_KIND.width, EGO_KIND.length)
+            rows = [("ego", "vehicle.ego", size, ego)]
+            for name in sample["anns"]:
+                record = devkit.get("sample_annotation", name)
+                rows.append(
+                    (record["instance_token"], record["category_name"], record["size"][:2], record)
+                )
+            boxes = []
+            for instance, category, (width, length), record in rows:
+                x, y = record["translation"][:2]
+                yaw = Quaternion(record["rotation"]).yaw_pitch_roll[0]
+                flat = shapely_box(-length / 2, -width / 2, length / 2, width / 2)
+                shape = translate(rotate(flat, yaw, origin=(0, 0), use_radians=True), x, y)
+                boxes.append((instance, category, shape, yaw, (x, y)))
+            out.append((scene["name"], number * 0.5, boxes))
+            token, number = sample["next"], number + 1
+    return out
+
+
+def _tracks(frames):
+    """Rows (scene, instance) -> list of (time, category, yaw, centre)."""
+    out = {}
+    for scene, time, boxes in frames:
+        for instance, category, _, yaw, centre in boxes:
+            out.setdefault((scene, instance), []).append((time, category, yaw, centre))
+    return out
+
+
+# --- generation and loading --------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_generation_gives_the_shipped_members_byte_for_byte():
+    made, held = generate(), shipped()
+    assert sorted(made) == sorted(held)
+    assert [name for name in made if made[name] != held[name]] == []
+
+
+def test_scenes_load_without_losses_and_only_once():
+    scenes = ccdiff_env.embedded_scenes()
+    assert len(scenes) >= 32
+    assert scenes is ccdiff_env.embedded_scenes()
+    assert "tracks dropped                   0" in str(scenes.report)
+    splits = embedded_splits()
+    assert set(splits) == {"train", "val"}
+    assert not set(splits["train"]) & set(splits["val"])
+    for split, names in splits.items():
+        assert ccdiff_env.embedded_scenes(split).names == names
+        assert {n.rsplit("-", 1)[0] for n in names} == {k.name for k in KINDS}
+
+
+def test_an_unknown_split_is_refused():
+    with pytest.raises(UnknownNameError, match="expected one of train, val"):
+        ccdiff_env.embedded_scenes("test")
+
+
+def test_loaded_tracks_are_those_of_the_devkit(frames):
+    scenes = ccdiff_env.embedded_scenes()
+    for scene, time, boxes in frames[::7]:
+        loaded = scenes[scene]
+        tracks, index = loaded.tracks(), {name: i for i, name in enumerate(loaded.agent_ids)}
+        for instance, _, _, yaw, centre in boxes:
+            row, step = index[instance], round(time * 10)
+            assert tracks["valid"][row, step]
+            at = tracks["position"][row, step] + np.asarray(loaded.origin)
+            assert np.allclose(at, centre, atol=2e-3)
+            turn = (tracks["heading"][row, step] - yaw + math.pi) % (2 * math.pi) - math.pi
+            assert abs(turn) < 1e-3
+
+
+# --- the schema, by the devkit -----------------------------------------------------------------
+
+
+def test_every_chain_and_link_of_the_tables_is_whole(devkit):
+    for scene in devkit.scene:
+        seen, token = [], scene["first_sample_token"]
+        while token:
+            sample = devkit.get("sample", token)
+            assert sample["prev"] == (seen[-1] if seen else "")
+            assert sample["scene_token"] == scene["token"]
+            assert set(sample["data"]) == {"LIDAR_TOP"}
+            seen.append(token)
+            token = sample["next"]
+        assert seen[-1] == scene["last_sample_token"]
+        assert len(seen) == scene["nbr_samples"]
+        assert devkit.get("log", scene["log_token"])["location"] == LOCATION
+        times = [devkit.get("sample", t)["timestamp"] for t in seen]
+        assert set(np.diff(times)) == {500_000}
+    chained = 0
+    for instance in devkit.instance:
+        seen, token = [], instance["first_annotation_token"]
+        while token:
+            record = devkit.get("sample_annotation", token)
+            assert record["prev"] == (seen[-1] if seen else "")
+            assert record["instance_token"] == instance["token"]
+            assert abs(Quaternion(record["rotation"]).norm - 1.0) < 1e-5
+            seen.append(token)
+            token = record["next"]
+        assert seen[-1] == instance["last_annotation_token"]
+        assert len(seen) == instance["nbr_annotations"]
+        chained += len(seen)
+    assert chained == len(devkit.sample_annotation)
+
+
+def test_tokens_are_unique_in_every_table(devkit):
+    for name in devkit.table_names:
+        tokens = [row["token"] for row in getattr(devkit, name)]
+        assert len(set(tokens)) == len(tokens)
+
+
+def test_scene_contents_are_as_varied_as_promised(devkit):
+    per_scene = {}
+    for instance in devkit.instance:
+        first = devkit.get("sample_annotation", instance["first_annotation_token"])
+        scene = devkit.get("sample", first["sample_token"])["scene_token"]
+        per_scene[scene] = per_scene.get(scene, 0) + 1
+    assert min(per_scene.values()) >= 5
+    assert max(per_scene.values()) <= 19
+    categories = {devkit.get("category", i["category_token"])["name"] for i in devkit.instance}
+    assert categories >= {
+        "vehicle.car",
+        "vehicle.truck",
+        "vehicle.bus.rigid",
+        "vehicle.motorcycle",
+        "vehicle.bicycle",
+        "human.pedestrian.adult",
+        "movable_object.barrier",
+        "movable_object.trafficcone",
+    }
+    attributes = {
+        devkit.get("attribute", a)["name"]
+        for r in devkit.sample_annotation
+        for a in r["attribute_tokens"]
+    }
+    assert attributes >= {"vehicle.parked", "vehicle.moving", "vehicle.stopped"}
+
+
+def test_the_devkits_map_class_opens_the_map_once_it_knows_the_name(dataroot, monkeypatch):
+    from nuscenes.map_expansion import map_api
+
+    with pytest.raises(AssertionError, match="Unknown map name"):
+        map_api.NuScenesMap(str(dataroot), LOCATION)
+    monkeypatch.setattr(map_api, "locations", [*map_api.locations, LOCATION])
+    opened = map_api.NuScenesMap(str(dataroot), LOCATION)
+    city = build_city()
+    for lane in list(city.lanes.values())[::5]:
+        x, y = lane.curve.at(lane.curve.length / 2).xy
+        layers = opened.layers_on_point(x, y)
+        assert layers["drivable_area"]
+        assert lane.is_connector or layers["lane"]
+        assert opened.get_closest_lane(x, y, radius=3.0)
+    for layer in ("ped_crossing", "walkway", "stop_line", "road_block", "carpark_area"):
+        record = getattr(opened, layer)[0]
+        assert opened.extract_polygon(record["polygon_token"]).is_valid
+
+
+# --- the map, by shapely, networkx and the devkit's arc lines ------------------------------------
+
+
+def test_all_polygons_of_the_map_are_valid_and_no_token_dangles(expansion):
+    nodes = {n["token"] for n in expansion["node"]}
+    polygons = {p["token"] for p in expansion["polygon"]}
+    lines = {line["token"] for line in expansion["line"]}
+    for polygon in expansion["polygon"]:
+        shape = Polygon(
+            _ring(expansion, polygon["exterior_node_tokens"]),
+            [_ring(expansion, h["node_tokens"]) for h in polygon["holes"]],
+        )
+        assert shape.is_valid
+        assert shape.area > 0.5
+    assert all(set(line["node_tokens"]) <= nodes for line in expansion["line"])
+    for layer in ("lane", "lane_connector", "road_segment", "road_block", "walkway", "stop_line"):
+        assert expansion[layer]
+        assert all(r["polygon_token"] in polygons for r in expansion[layer])
+    for lane in expansion["lane"]:
+        assert {lane["from_edge_line_token"], lane["to_edge_line_token"]} <= lines
+    for layer in ("road_divider", "lane_divider", "traffic_light"):
+        assert all(r["line_token"] in lines for r in expansion[layer])
+
+
+def test_lanes_join_where_the_connectivity_says_so(expansion):
+    paths, links = expansion["arcline_path_3"], expansion["connectivity"]
+    graph = networkx.DiGraph()
+    for token, link in links.items():
+        for after in link["outgoing"]:
+            assert token in links[after]["incoming"]
+            graph.add_edge(token, after)
+            end, start = paths[token][-1]["end_pose"], paths[after][0]["start_pose"]
+            assert math.dist(end[:2], start[:2]) < 1e-3
+            assert abs(math.sin(end[2] - start[2])) < 1e-3
+    assert set(graph) == set(links)
+    assert networkx.is_weakly_connected(graph)
+    # only the three roads out of town begin and end anywhere
+    assert sum(degree == 0 for _, degree in graph.in_degree) == 3
+    assert sum(degree == 0 for _, degree in graph.out_degree) == 3
+    town = max(networkx.strongly_connected_components(graph), key=len)
+    assert len(town) > 100
+
+
+def test_arc_lines_as_the_devkit_draws_them_stay_on_their_lane_and_the_road(expansion, drivable):
+    polygons = {p["token"]: p for p in expansion["polygon"]}
+    records = {r["token"]: r for r in expansion["lane"] + expansion["lane_connector"]}
+    inner = prep(drivable.buffer(1e-3))
+    for token, path in expansion["arcline_path_3"].items():
+        points = np.array(discretize_lane(path, resolution_meters=1.0))[:, :2]
+        line = LineString(points)
+        assert abs(line.length - length_of_lane(path)) < 0.05 + 0.01 * line.length
+        ring = _ring(expansion, polygons[records[token]["polygon_token"]]["exterior_node_tokens"])
+        assert Polygon(ring).buffer(0.1).covers(line)
+        assert inner.covers(line)
+        for piece in path:
+            assert math.dist(discretize_lane([piece], 0.5)[-1][:2], piece["end_pose"][:2]) < 0.02
+
+
+# --- the traffic, by shapely ---------------------------------------------------------------------
+
+
+def test_no_two_boxes_overlap_at_any_key_frame(frames):
+    for scene, time, boxes in frames:
+        shapes = [shape for _, _, shape, _, _ in boxes]
+        pairs = STRtree(shapes).query(shapes, predicate="intersects").T
+        assert [(scene, time, i, j) for i, j in pairs if i != j] == []
+
+
+def test_all_vehicles_stay_in_the_drivable_area(frames, drivable):
+    area = prep(drivable.buffer(0.02))
+    outside = [
+        (scene, time, instance)
+        for scene, time, boxes in frames
+        for instance, category, shape, _, _ in boxes
+        if category.startswith("vehicle.") and not area.covers(shape)
+    ]
+    assert outside == []
+
+
+def test_moving_agents_head_where_they_go(frames):
+    off = []
+    for rows in _tracks(frames).values():
+        for (_, category, yaw, p), (_, _, after, q) in pairwise(rows):
+            if math.dist(p, q) > 1.0 and category.startswith("vehicle."):
+                turn = (after - yaw + math.pi) % (2 * math.pi) - math.pi
+                moved = math.atan2(q[1] - p[1], q[0] - p[0])
+                off.append(abs(math.sin(moved - yaw - turn / 2)))
+    assert len(off) > 3000
+    assert np.median(off) < math.sin(math.radians(0.2))
+    assert max(off) < math.sin(math.radians(6.0))
+
+
+def test_moving_cars_follow_a_lane_on_the_right_side(frames, expansion):
+    lines = [
+        LineString(np.array(discretize_lane(path, 1.0))[:, :2]).simplify(1e-3)
+        for path in expansion["arcline_path_3"].values()
+    ]
+    tree, near, along = STRtree(lines), 0, 0
+    for rows in list(_tracks(frames).values()):
+        for (_, category, yaw, p), (_, _, _, q) in pairwise(rows):
+            if not category.startswith("vehicle.") or math.dist(p, q) < 1.0:
+                continue
+            here, agrees = Point(p), False
+            for index in tree.query(here.buffer(1.0)):
+                line = lines[index]
+                if line.distance(here) < 0.4 or category == "vehicle.bicycle":
+                    s = line.project(here)
+                    a, b = line.interpolate(s - 0.5), line.interpolate(s + 0.5)
+                    agrees |= math.cos(math.atan2(b.y - a.y, b.x - a.x) - yaw) > 0.98
+            near += 1
+            along += agrees
+    # the rest change lanes, or ride a bicycle beside one
+    assert along / near > 0.97
+
+
+def test_speeds_are_smooth_and_match_the_positions(frames):
+    changes = []
+    for (_, instance), rows in _tracks(frames).items():
+        if not rows[0][1].startswith("vehicle."):
+            continue
+        speeds = np.array([math.dist(a[3], b[3]) for a, b in pairwise(rows)]) / 0.5
+        assert speeds.max(initial=0.0) < 14.0, instance
+        changes.extend(np.diff(speeds) / 0.5)
+    changes = np.array(changes)
+    assert changes.max() < 2.0
+    assert changes.min() > -8.0
+    assert np.mean(changes < -4.2) < 0.01
+
+
+def test_the_ego_brakes_no_harder_than_its_kind_of_scene_allows(frames):
+    hardest = {k.name: k.hardest_mps2 for k in KINDS}
+    for (scene, instance), rows in _tracks(frames).items():
+        if instance == "ego":
+            speeds = [math.dist(a[3], b[3]) / 0.5 for a, b in pairwise(rows)]
+            assert max(-np.diff(speeds) / 0.5) <= hardest[scene.rsplit("-", 1)[0]] + 1e-6
+            assert math.dist(rows[0][3], rows[-1][3]) > 30.0
+
+
+def test_an_ego_that_keeps_its_velocity_fails_in_most_scenes_and_braking_would_help():
+    """Oracle: shapely on the loaded 10 Hz tracks."""
+    scenes, failed, city = ccdiff_env.embedded_scenes(), {}, build_city()
+    area = prep(Polygon(city.drivable_exterior, city.drivable_holes))
+    for scene in scenes:
+        tracks, sizes = scene.tracks(), scene.sizes[:, :2]
+        position, heading = tracks["position"], tracks["heading"]
+        row = scene.agent_ids.index("ego")
+        start, yaw = position[row, 30], float(heading[row, 30])
+        velocity = position[row, 30] - position[row, 29]
+        for step in range(1, 101):
+            centre = start + step * velocity
+            ego = _shape(centre, yaw, sizes[row])
+            hit = any(
+                tracks["valid"][i, 30 + step]
+                and math.dist(position[i, 30 + step], centre) < 12.0
+                and ego.intersects(_shape(position[i, 30 + step], heading[i, 30 + step], sizes[i]))
+                for i in range(len(sizes))
+                if i != row
+            )
+            world = translate(ego, *scene.origin)
+            if hit or not area.covers(world):
+                failed[scene.name] = "collision" if hit else "off-road", 0.1 * step
+                break
+    logging.getLogger(__name__).info("constant velocity: %s", failed)
+    assert len(failed) >= 0.9 * len(scenes)
+    # nobody is lost at once: there is time to react
+    assert min(seconds for _, seconds in failed.values()) > 0.5
+    assert np.median([seconds for _, seconds in failed.values()]) > 1.5
+
+
+def _shape(centre, yaw, size):
+    length, width = float(size[0]), float(size[1])
+    flat = shapely_box(-length / 2, -width / 2, length / 2, width / 2)
+    turned = rotate(flat, float(yaw), origin=(0, 0), use_radians=True)
+    return translate(turned, float(centre[0]), float(centre[1]))
+
+
+# --- the generator's own geometry, by shapely ------------------------------------------------
+
+
+def test_generator_geometry_agrees_with_shapely():
+    city = build_city()
+    area, polygon = DrivableArea(city), Polygon(city.drivable_exterior, city.drivable_holes)
+    assert polygon.is_valid
+    exterior = Polygon(city.drivable_exterior)
+    assert exterior.exterior.is_ccw
+    assert signed_area(city.drivable_exterior) == pytest.approx(exterior.area)
+    random = np.random.default_rng(1)
+    inside = 0
+    for x, y in random.uniform((0, 0), city.canvas, (3000, 2)):
+        assert area.contains([(x, y)]) == polygon.contains(Point(x, y))
+        inside += polygon.contains(Point(x, y))
+    assert inside > 100
+    for _ in range(300):
+        a, b = (Pose(*random.uniform(-4, 4, 2), random.uniform(-3, 3)) for _ in range(2))
+        p, q = corners(a, 4.5, 1.9), corners(b, 2.0, 0.8)
+        assert boxes_overlap(p, q) == Polygon(p).intersects(Polygon(q))
+
+
+def test_connections_meet_both_poses_and_have_no_kinks():
+    random = np.random.default_rng(2)
+    for _ in range(200):
+        turn = random.uniform(-1.8, 1.8)
+        start = Pose(*random.uniform(-50, 50, 2), random.uniform(-3, 3))
+        middle = start.ahead(random.uniform(15, 30))
+        end = Pose(middle.x, middle.y, start.yaw + turn).ahead(random.uniform(15, 30))
+        curve = connection(start, end)
+        assert math.dist(curve.end.xy, end.xy) < 1e-6
+        assert abs(math.sin(curve.end.yaw - end.yaw)) < 1e-6
+        for a, b in pairwise(curve.pieces):
+            assert math.dist(a.end.xy, b.start.xy) < 1e-6
+            assert abs(math.sin(a.end.yaw - b.start.yaw)) < 1e-6
+
+
+def test_a_corner_without_room_is_refused():
+    with pytest.raises(ValueError, match="no room for a corner"):
+        filleted([(0, 0), (5, 0), (5, 5)], [20.0])
+
+
+def test_constant_velocity_tells_collision_from_leaving_the_road():
+    city = build_city()
+    area, lane = DrivableArea(city), city.lanes["parade-south:f0"].curve
+    ego = Track("ego", EGO_KIND, 0, [lane.at(10.0 + 2.0 * i) for i in range(37)])
+    ahead = Track("car", Kind("vehicle.car", 4.5, 1.9, 1.6), 0, [lane.at(60.0)] * 37)
+    assert constant_velocity_end([ego, ahead], area)[0] == "collision"
+    assert constant_velocity_end([ego], area) is None
+    bend = city.lanes["ring-southwest:f0"].curve
+    curving = Track("ego", EGO_KIND, 0, [bend.at(30.0 + 4.0 * i) for i in range(37)])
+    assert constant_velocity_end([curving], area)[0] == "off-road"
