@@ -16,7 +16,7 @@ if _torch.__version__.split("+")[0] != _TORCH:
 from ccdiff_env import _native as _native  # noqa: E402
 from ccdiff_env import causal, errors, metrics  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes  # noqa: E402
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
 
 __version__ = "0.1.0"
 __all__ = [
@@ -27,5 +27,6 @@ __all__ = [
     "embedded_scenes",
     "errors",
     "load_nuscenes",
+    "load_scenarionet",
     "metrics",
 ]

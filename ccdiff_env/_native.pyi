@@ -1,10 +1,12 @@
 """The compiled extension; arrays are C-contiguous."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, TypedDict, final
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
+
+from ccdiff_env.scene_types import MapLayers, TrackArrays
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -100,35 +102,6 @@ def metrics_total_variation(mean_one: F32, mean_other: F32, std_dev: F32) -> lis
 def metrics_gradient_conflict(realism: F32, guidance: F32) -> tuple[list[float], float, float]: ...
 def metrics_pearson(x: F64, y: F64) -> tuple[float, float]: ...
 def __getattr__(name: str) -> Any: ...
-
-class Polygon(TypedDict):
-    exterior: F32
-    holes: list[F32]
-
-class Lane(TypedDict):
-    id: str
-    kind: Literal["lane", "connector"]
-    centreline: F32
-    polygon: Polygon
-    successors: list[int]
-    predecessors: list[int]
-    speed_limit_mps: float | None
-
-class MapLayers(TypedDict, total=False):
-    drivable_area: list[Polygon]
-    ped_crossings: list[Polygon]
-    walkways: list[Polygon]
-    stop_lines: list[Polygon]
-    carpark_areas: list[Polygon]
-    road_dividers: list[F32]
-    lane_dividers: list[F32]
-    lanes: list[Lane]
-
-class TrackArrays(TypedDict):
-    position: F32
-    heading: F32
-    velocity: F32
-    valid: Bool
 
 @final
 class Scene:

@@ -217,7 +217,7 @@ def _lines(report: LoadReport) -> list[str]:
     if report.missing_maps:
         rows.append(("maps missing", _some(report.missing_maps)))
     rows += [("layer empty", f"{name} in {n} scenes") for name, n in report.missing_layers.items()]
-    if scenes:
+    if any(s.map_bytes for s in scenes):
         kib = sum(s.map_bytes for s in scenes) / len(scenes) / 1024
         rows.append(("map per scene", f"{kib:.0f} KiB on average"))
     rows += [(f"map {m.location}", note) for m in report.maps for note in m.notes]

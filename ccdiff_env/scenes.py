@@ -15,7 +15,15 @@ from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.load_report import LoadReport
 
-__all__ = ["LoadReport", "Scene", "SceneSet", "cache_directory", "load_nuscenes", "splits"]
+__all__ = [
+    "LoadReport",
+    "Scene",
+    "SceneSet",
+    "cache_directory",
+    "load_nuscenes",
+    "load_scenarionet",
+    "splits",
+]
 
 
 class SceneSet(Sequence[Scene]):
@@ -213,3 +221,36 @@ def load_nuscenes(
         cache_directory=None if folder is None else os.fspath(folder),
     )
     return SceneSet(loaded, LoadReport.from_json(report))
+
+
+def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
+    """Load ScenarioNet scenario descriptions: exports of nuScenes, Waymo, nuPlan, Argoverse 2.
+
+    The pickles are read with an unpickler that builds numpy arrays and plain containers only. The
+    time step is the data's own. Yellow lines become road dividers, other lines lane dividers,
+    sidewalks walkways; the polygons of lanes become the drivable area where all lanes have one.
+
+    Parameters
+    ----------
+    path
+        One ``.pkl`` file, or a folder that is searched for them.
+
+    Returns
+    -------
+    SceneSet
+        The scenes in the order of the file names, and ``.report``; the track of ``sdc_id`` is
+        ``"ego"`` and comes first.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        No such file or folder.
+    DatasetError
+        A file is damaged, asks for another global than the allowed ones, or breaks a rule; the
+        message names file, field and value.
+    """
+    # imported here: reading pickles is not needed to import the package
+    from ccdiff_env.scenarionet import read_scenarios
+
+    scenes, report = read_scenarios(path)
+    return SceneSet(scenes, report)

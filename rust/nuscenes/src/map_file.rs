@@ -175,6 +175,11 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
 }
 
 pub(crate) fn parse_map(bytes: &[u8], path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
+    // serde would take an array as a map without layers
+    if let Some(at) = bytes.iter().position(|b| !b.is_ascii_whitespace()).filter(|at| bytes[*at] != b'{') {
+        let message = format!("found {:?}, expected an object of layers", bytes[at] as char);
+        return Err(NuscenesError::Json { path: path.to_owned(), offset: at as u64, message });
+    }
     let rows: MapRows = serde_json::from_slice(bytes).map_err(|e| {
         let lines = bytes.split_inclusive(|b| *b == b'\n').take(e.line().saturating_sub(1));
         let offset = (lines.map(<[u8]>::len).sum::<usize>() + e.column()) as u64;
@@ -228,7 +233,7 @@ impl<'a> Assembler<'a> {
                 path: path.to_owned(),
                 token: bad.token.to_string(),
                 field: "node x, y",
-                got: format!("{}, {}", bad.x, bad.y),
+                got: format!("{:?}, {:?}", bad.x, bad.y),
                 expected: "metres within 1000 km",
             });
         }

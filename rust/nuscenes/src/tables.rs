@@ -106,7 +106,7 @@ impl Tables {
     }
 
     fn sorted<T: Send>(&self, table: &str, mut rows: Vec<(Token, T)>) -> Result<Vec<(Token, T)>> {
-        rows.par_sort_by_key(|(token, _)| *token);
+        rows.par_sort_unstable_by_key(|(token, _)| *token);
         match rows.windows(2).find(|w| w[0].0 == w[1].0) {
             Some(pair) => Err(self.duplicate(table, "token", pair[0].0.to_string())),
             None => Ok(rows),

@@ -13,22 +13,36 @@ pub(crate) struct Token(pub(crate) u128);
 
 impl Token {
     pub(crate) fn from_text(text: &str) -> Self {
-        Self(hex_value(text.as_bytes()).unwrap_or_else(|| xxh3_128(text.as_bytes())))
+        Self::from_bytes(text.as_bytes())
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Self {
+        Self(hex_value(bytes).unwrap_or_else(|| xxh3_128(bytes)))
     }
 }
 
-fn hex_value(bytes: &[u8]) -> Option<u128> {
-    if bytes.len() != 32 {
-        return None;
+/// Values of lower-case hexadecimal digits; 255 for other bytes.
+const DIGITS: [u8; 256] = {
+    let mut digits = [255; 256];
+    let mut value = 0;
+    while value < 16 {
+        digits[b"0123456789abcdef"[value] as usize] = value as u8;
+        value += 1;
     }
-    bytes.iter().try_fold(0_u128, |value, byte| {
-        let digit = match byte {
-            b'0'..=b'9' => byte - b'0',
-            b'a'..=b'f' => byte - b'a' + 10,
-            _ => return None,
-        };
-        Some(value << 4 | u128::from(digit))
-    })
+    digits
+};
+
+fn hex_value(bytes: &[u8]) -> Option<u128> {
+    let bytes: &[u8; 32] = bytes.try_into().ok()?;
+    let (mut halves, mut seen) = ([0_u64; 2], 0);
+    for (half, digits) in halves.iter_mut().zip(bytes.as_chunks::<16>().0) {
+        for byte in digits {
+            let digit = DIGITS[*byte as usize];
+            seen |= digit;
+            *half = *half << 4 | u64::from(digit & 15);
+        }
+    }
+    (seen < 16).then_some(u128::from(halves[0]) << 64 | u128::from(halves[1]))
 }
 
 /// For messages: the digits of an official token; of any other only its hash is known.
@@ -46,11 +60,12 @@ impl<'de> Deserialize<'de> for Token {
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("a token (string)")
             }
-            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Token, E> {
-                Ok(Token::from_text(text))
+            fn visit_bytes<E: serde::de::Error>(self, bytes: &[u8]) -> Result<Token, E> {
+                Ok(Token::from_bytes(bytes))
             }
         }
-        deserializer.deserialize_str(TokenVisitor)
+        // bytes, not text: UTF-8 need not be checked to tell tokens apart
+        deserializer.deserialize_bytes(TokenVisitor)
     }
 }
 

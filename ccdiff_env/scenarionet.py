@@ -1,0 +1,475 @@
+"""Import of ScenarioNet scenario descriptions: nuScenes, Waymo, nuPlan and Argoverse exports.
+
+A scenario description is a pickled dictionary of plain containers and numpy arrays. Pickles can
+run code, so they are read with an unpickler that builds those and nothing else.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import time
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env._native import Scene
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
+from ccdiff_env.scene_types import Lane, MapLayers, Polygon
+
+F64 = npt.NDArray[np.float64]
+
+#: Globals a scenario may name: what numpy arrays, scalars and plain containers are rebuilt with.
+_ALLOWED = frozenset(
+    {
+        ("numpy", "ndarray"),
+        ("numpy", "dtype"),
+        ("numpy.core.multiarray", "_reconstruct"),
+        ("numpy._core.multiarray", "_reconstruct"),
+        ("numpy.core.multiarray", "scalar"),
+        ("numpy._core.multiarray", "scalar"),
+        ("numpy.core.numeric", "_frombuffer"),
+        ("numpy._core.numeric", "_frombuffer"),
+        ("collections", "OrderedDict"),
+        ("collections", "defaultdict"),
+        ("builtins", "dict"),
+        ("builtins", "float"),
+        ("builtins", "frozenset"),
+        ("builtins", "int"),
+        ("builtins", "list"),
+        ("builtins", "set"),
+        ("builtins", "str"),
+        ("_codecs", "encode"),
+    }
+)
+
+#: Type and kind. The category tells motorcycles and bicycles apart where the data has one.
+_KINDS = {
+    "VEHICLE": "vehicle",
+    "PEDESTRIAN": "pedestrian",
+    "CYCLIST": "cyclist",
+    "MOTORCYCLIST": "motorcycle",
+    "TRAFFIC_CONE": "static",
+    "TRAFFIC_BARRIER": "static",
+}
+_KINDS_OF_CATEGORIES = {"vehicle.motorcycle": "motorcycle", "vehicle.bicycle": "cyclist"}
+
+_EGO_ID = "ego"
+_INDEX_FILES = ("dataset_summary.pkl", "dataset_mapping.pkl")
+_CENTRELINE_SPACING_M = 1.0
+
+
+class _Unpickler(pickle.Unpickler):
+    """Builds numpy arrays and plain containers; refuses any other global by name."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return an allowed global."""
+        if (module, name) not in _ALLOWED:
+            raise DatasetError(
+                f"the pickle asks for {module}.{name}, expected numpy arrays and containers only"
+            )
+        if module.startswith(("numpy.core", "numpy._core")):
+            # numpy 2 has moved these; either name is read with either numpy
+            module = "numpy._core" if int(np.__version__.split(".")[0]) >= 2 else "numpy.core"
+            module += ".numeric" if name == "_frombuffer" else ".multiarray"
+        return super().find_class(module, name)
+
+
+def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a scenario description without running code from it.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        There is no such file.
+    DatasetError
+        The file is damaged, or its pickle asks for anything but numpy arrays and plain containers.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetNotFoundError(f"no scenario file at {path}") from error
+    try:
+        scenario = _Unpickler(io.BytesIO(data)).load()
+    except DatasetError as error:
+        raise DatasetError(f"{error}: {path}") from None
+    except Exception as error:
+        raise DatasetError(
+            f"not a readable pickle ({type(error).__name__}: {error}): {path}"
+        ) from error
+    if not isinstance(scenario, dict):
+        raise DatasetError(f"a {type(scenario).__name__}, expected a dictionary: {path}")
+    return scenario
+
+
+@dataclass
+class _Import:
+    """One file on its way to a scene."""
+
+    path: Path
+    data: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    dropped: Counter[tuple[str, str]] = field(default_factory=Counter)
+
+    def part(self, name: str) -> dict[Any, Any]:
+        """Return a dictionary of the description."""
+        value = self.data.get(name)
+        if not isinstance(value, dict):
+            raise self.fault(name, type(value).__name__, "a dictionary")
+        return value
+
+    def fault(self, field_name: str, got: object, expected: str) -> DatasetError:
+        """Return the error for a field that breaks a rule."""
+        return DatasetError(f"{field_name} is {got}, expected {expected}: {self.path}")
+
+    def array(self, value: object, name: str, *, columns: int | None = None) -> F64:
+        """Return numbers as an array: [N] where ``columns`` is None, else [N, >= columns]."""
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise self.fault(name, type(value).__name__, "an array of numbers") from error
+        if columns is None:
+            array = array.reshape(-1) if array.ndim == 2 and array.shape[1] == 1 else array
+            if array.ndim != 1:
+                raise self.fault(f"shape of {name}", array.shape, "[T]")
+        elif array.ndim != 2 or array.shape[1] < columns:
+            raise self.fault(f"shape of {name}", array.shape, f"[N, {columns}] or more columns")
+        return array
+
+
+@dataclass
+class _Track:
+    """One agent in the global frame."""
+
+    id: str
+    kind: str
+    category: str
+    size: tuple[float, float, float]
+    position: F64
+    heading: F64
+    velocity: F64
+    valid: npt.NDArray[np.bool_]
+
+
+def _kind_of(type_name: str, category: str) -> str | None:
+    return _KINDS_OF_CATEGORIES.get(category) or _KINDS.get(type_name)
+
+
+def _states(source: _Import, key: str, track: Mapping[str, Any], num_steps: int) -> _Track | None:
+    """One track, or ``None`` (counted) where there is nothing to show."""
+    state = track.get("state")
+    if not isinstance(state, dict):
+        raise source.fault(f"tracks[{key!r}].state", type(state).__name__, "a dictionary")
+    metadata = track.get("metadata") or {}
+    type_name = str(track.get("type"))
+    category = str(metadata.get("type") or type_name)
+    kind = _kind_of(type_name, category)
+    if kind is None:
+        source.dropped["unknown type", category] += 1
+        return None
+
+    def values(name: str, columns: int | None = None) -> F64:
+        if name not in state:
+            raise source.fault(
+                f"tracks[{key!r}].state", sorted(map(str, state)), f"an entry {name!r}"
+            )
+        array = source.array(state[name], f"tracks[{key!r}].state.{name}", columns=columns)
+        if len(array) != num_steps:
+            raise source.fault(
+                f"length of tracks[{key!r}].state.{name}", len(array), f"{num_steps}"
+            )
+        return array
+
+    valid = values("valid") != 0
+    if valid.sum() < 2:
+        source.dropped["fewer than 2 steps", category] += 1
+        return None
+    sizes = []
+    for name in ("length", "width", "height"):
+        shown = values(name)[valid] if name in state else np.zeros(1)
+        known = shown[np.isfinite(shown) & (shown > 0)]
+        sizes.append(float(known[0]) if len(known) else 0.0)
+    if min(sizes[:2]) <= 0:
+        raise source.fault(f"size of tracks[{key!r}]", sizes, "a positive length and width")
+    heading = values("heading").copy()
+    heading[valid] = np.unwrap(heading[valid])
+    position, velocity = values("position", 2)[:, :2], values("velocity", 2)[:, :2]
+    for name, array in (("position", position), ("heading", heading), ("velocity", velocity)):
+        bad = valid & ~np.isfinite(array.reshape(num_steps, -1)).all(axis=1)
+        if bad.any():
+            where = f"tracks[{key!r}].state.{name} at step {int(bad.argmax())}"
+            raise source.fault(where, array[bad][0], "finite numbers where valid")
+    size = (sizes[0], sizes[1], sizes[2])
+    return _Track(key, kind, category, size, position, heading, velocity, valid)
+
+
+def _time_step(source: _Import, metadata: Mapping[str, Any]) -> float:
+    """Seconds between steps, from the time stamps or the sample rate."""
+    stamps = metadata.get("ts", metadata.get("timestep"))
+    if stamps is not None and len(np.atleast_1d(stamps)) > 1:
+        steps = np.diff(source.array(stamps, "metadata.ts"))
+        dt = float(np.median(steps))
+        if not (np.isfinite(steps).all() and dt > 0):
+            raise source.fault("metadata.ts", steps[:3], "times in seconds that increase")
+        off = int((np.abs(steps - dt) > 0.2 * dt).sum())
+        if off:
+            source.notes.append(f"{off} time steps differ from {dt:.3f} s by more than a fifth")
+        return round(dt, 3)
+    rate = metadata.get("sample_rate", 0.1)
+    if not (isinstance(rate, (int, float)) and 0 < rate <= 10):
+        raise source.fault("metadata.sample_rate", rate, "seconds between steps")
+    return float(rate)
+
+
+def _resampled(points: F64) -> F64:
+    """A line with points about a metre apart; empty where it has no length."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    points = points[np.concatenate([[True], steps > 1e-6])]
+    if len(points) < 2:
+        return points[:0]
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    count = max(int(np.ceil(along[-1] / _CENTRELINE_SPACING_M)), 1) + 1
+    at = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(at, along, points[:, i]) for i in range(2)], axis=1)
+
+
+class _Features:
+    """Sorts map features into our layers."""
+
+    def __init__(self, source: _Import, origin: F64) -> None:
+        self._source = source
+        self._origin = origin
+        self._unused: Counter[str] = Counter()
+        self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
+        self.layers: MapLayers = {
+            "drivable_area": [],
+            "ped_crossings": [],
+            "walkways": [],
+            "stop_lines": [],
+            "carpark_areas": [],
+            "road_dividers": [],
+            "lane_dividers": [],
+            "lanes": [],
+        }
+        features = source.part("map_features")
+        lanes: dict[str, tuple[Lane, Mapping[str, Any]]] = {}
+        for key, feature in features.items():
+            if not isinstance(feature, dict):
+                raise source.fault(f"map_features[{key!r}]", type(feature).__name__, "a dictionary")
+            self._sort(str(key), feature, lanes)
+        self._link(lanes)
+        self._drivable_area()
+        for name, count in sorted(self._unused.items()):
+            source.notes.append(f"{count} map features of type {name} have no layer here")
+
+    def _points(self, key: str, feature: Mapping[str, Any], name: str) -> F64:
+        value = feature.get(name)
+        if value is None or len(value) == 0:
+            return np.zeros((0, 2))
+        points = self._source.array(value, f"map_features[{key!r}].{name}", columns=2)[:, :2]
+        if not np.isfinite(points).all():
+            raise self._source.fault(
+                f"map_features[{key!r}].{name}", "not finite", "finite numbers"
+            )
+        points = points - self._origin
+        return points
+
+    def _polygon(self, key: str, feature: Mapping[str, Any]) -> Polygon:
+        ring = self._points(key, feature, "polygon")
+        if len(ring) > 1 and np.allclose(ring[0], ring[-1]):
+            ring = ring[:-1]
+        return {"exterior": ring.astype(np.float32), "holes": []}
+
+    def _sort(
+        self, key: str, feature: Mapping[str, Any], lanes: dict[str, tuple[Lane, Mapping[str, Any]]]
+    ) -> None:
+        kind = str(feature.get("type"))
+        layers = self.layers
+        if kind.startswith("LANE_") and "BIKE" not in kind:
+            line = _resampled(self._points(key, feature, "polyline"))
+            if len(line) < 2:
+                self._unused[f"{kind} without length"] += 1
+                return
+            limit = feature.get("speed_limit_kmh") if self._speed_limits else None
+            lane: Lane = {
+                "id": key,
+                "kind": "connector" if kind == "LANE_SURFACE_UNSTRUCTURE" else "lane",
+                "centreline": line.astype(np.float32),
+                "polygon": self._polygon(key, feature),
+                "successors": [],
+                "predecessors": [],
+                "speed_limit_mps": float(limit) / 3.6 if isinstance(limit, (int, float)) else None,
+            }
+            lanes[key] = (lane, feature)
+        elif kind.startswith("ROAD_LINE_"):
+            divider = self._points(key, feature, "polyline").astype(np.float32)
+            # yellow lines part the directions of traffic
+            layer = layers["road_dividers"] if "YELLOW" in kind else layers["lane_dividers"]
+            if len(divider) >= 2:
+                layer.append(divider)
+        elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK"):
+            polygon = self._polygon(key, feature)
+            layer_of = layers["ped_crossings"] if kind == "CROSSWALK" else layers["walkways"]
+            if len(polygon["exterior"]) >= 3:
+                layer_of.append(polygon)
+            else:
+                self._unused[f"{kind} without an area"] += 1
+        else:
+            self._unused[kind] += 1
+
+    def _link(self, lanes: Mapping[str, tuple[Lane, Mapping[str, Any]]]) -> None:
+        index = {key: i for i, key in enumerate(lanes)}
+        edges: set[tuple[int, int]] = set()
+        for key, (_, feature) in lanes.items():
+            here = index[key]
+            exits = (index.get(str(other)) for other in feature.get("exit_lanes") or ())
+            entries = (index.get(str(other)) for other in feature.get("entry_lanes") or ())
+            edges.update((here, other) for other in exits if other is not None)
+            edges.update((other, here) for other in entries if other is not None)
+        listed = [lane for lane, _ in lanes.values()]
+        for start, end in sorted(edges):
+            listed[start]["successors"].append(end)
+            listed[end]["predecessors"].append(start)
+        self.layers["lanes"] = listed
+
+    def _drivable_area(self) -> None:
+        """Lane surfaces, where all lanes have one; with gaps they would call agents off-road."""
+        surfaces = [lane["polygon"] for lane in self.layers["lanes"]]
+        if surfaces and all(len(surface["exterior"]) >= 3 for surface in surfaces):
+            self.layers["drivable_area"] = surfaces
+            self._source.notes.append("the drivable area is made of the lanes' polygons")
+        elif surfaces:
+            self._source.notes.append("no drivable area: not all lanes have a polygon")
+
+
+def _tracks(source: _Import, num_steps: int, ego: str | None) -> list[_Track]:
+    tracks = source.part("tracks")
+    if ego is not None and ego not in map(str, tracks):
+        raise source.fault("metadata.sdc_id", repr(ego), "the id of a track")
+    found = []
+    for key, track in tracks.items():
+        if not isinstance(track, dict):
+            raise source.fault(f"tracks[{key!r}]", type(track).__name__, "a dictionary")
+        states = _states(source, str(key), track, num_steps)
+        if states is not None:
+            found.append(states)
+    found.sort(key=lambda track: track.id != ego)
+    if found and found[0].id == ego:
+        found[0].id = _EGO_ID
+    return found
+
+
+def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneReport]:
+    source = _Import(path, load_scenario_dict(path))
+    metadata = source.part("metadata")
+    num_steps = source.data.get("length")
+    if not (isinstance(num_steps, (int, np.integer)) and num_steps > 0):
+        raise source.fault("length", num_steps, "a positive number of steps")
+    num_steps = int(num_steps)
+    name = str(metadata.get("scenario_id") or source.data.get("id") or path.stem)
+    if name in taken:
+        source.notes.append(f"another scenario is called {name}: the file's name is added")
+        name = f"{name} ({path.stem})"
+    sdc_id = metadata.get("sdc_id")
+    tracks = _tracks(source, num_steps, None if sdc_id is None else str(sdc_id))
+    scene: Scene | None = None
+    layers: dict[str, int] = {}
+    if tracks:
+        scene, layers = _assembled(source, name, num_steps, tracks)
+    counts = Counter(track.category for track in tracks)
+    report = SceneReport(
+        name=name,
+        key_frames=num_steps,
+        tracks=dict(sorted(counts.items())),
+        annotations=int(sum(track.valid.sum() for track in tracks)),
+        dropped=tuple(Dropped(*key, count, 0) for key, count in sorted(source.dropped.items())),
+        filled_gaps=0,
+        filled_key_frames=0,
+        ego_channel=None if sdc_id is None else "sdc",
+        map_layers=layers,
+        map_bytes=0,
+        notes=tuple(source.notes),
+    )
+    return scene, report
+
+
+def _assembled(
+    source: _Import, name: str, num_steps: int, tracks: Sequence[_Track]
+) -> tuple[Scene, dict[str, int]]:
+    metadata = source.part("metadata")
+    valid = np.stack([track.valid for track in tracks])
+    position = np.stack([track.position for track in tracks])
+    reference = (
+        position[0][valid[0]][0] if tracks[0].id == _EGO_ID else position[valid].mean(axis=0)
+    )
+    origin = np.round(reference)
+    features = _Features(source, origin)
+    scene = Scene.from_arrays(
+        name,
+        agent_ids=[track.id for track in tracks],
+        agent_types=[track.kind for track in tracks],
+        agent_categories=[track.category for track in tracks],
+        sizes=np.array([track.size for track in tracks], dtype=np.float32),
+        position=np.where(valid[..., None], position - origin, 0.0).astype(np.float32),
+        heading=np.stack([track.heading for track in tracks]).astype(np.float32),
+        velocity=np.stack([track.velocity for track in tracks]).astype(np.float32),
+        valid=valid,
+        dt=_time_step(source, metadata),
+        token=str(metadata.get("scenario_token") or source.data.get("id") or name),
+        location=str(metadata.get("map") or ""),
+        source=f"scenarionet {metadata.get('dataset', 'unknown')}",
+        origin=(float(origin[0]), float(origin[1])),
+        map_layers=features.layers,
+    )
+    counts = {
+        layer: len(items) for layer, items in features.layers.items() if isinstance(items, list)
+    }
+    return scene, counts
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+    elif path.is_dir():
+        yield from sorted(p for p in path.rglob("*.pkl") if p.name not in _INDEX_FILES)
+    else:
+        raise DatasetNotFoundError(f"no scenario file or folder at {path}")
+
+
+def read_scenarios(path: str | os.PathLike[str]) -> tuple[list[Scene], LoadReport]:
+    """Import a scenario file, or all of a folder; see :func:`ccdiff_env.load_scenarionet`."""
+    started = time.perf_counter()
+    scenes: list[Scene] = []
+    reports: list[SceneReport] = []
+    empty: list[str] = []
+    taken: set[str] = set()
+    for file in _files(Path(path)):
+        scene, report = _scene(file, taken)
+        if scene is None:
+            empty.append(report.name)
+            continue
+        taken.add(scene.name)
+        scenes.append(scene)
+        reports.append(report)
+    if not scenes:
+        raise DatasetError(f"no scenario with agents in {path}; without agents: {empty}")
+    seconds = time.perf_counter() - started
+    report_of_all = LoadReport(
+        dataroot=os.fspath(path),
+        version="scenarionet",
+        scenes=tuple(reports),
+        missing=(),
+        empty=tuple(empty),
+        missing_maps=(),
+        maps=(),
+        cache=CacheReport(None, 0, len(scenes), 0, ()),
+        timing=Timing(0.0, 0.0, 0.0, seconds, seconds),
+    )
+    return scenes, report_of_all

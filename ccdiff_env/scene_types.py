@@ -1,0 +1,66 @@
+"""Shapes of the dictionaries that scenes give and take."""
+
+from __future__ import annotations
+
+from typing import Literal, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+F32 = npt.NDArray[np.float32]
+
+
+class Polygon(TypedDict):
+    """A polygon with holes; rings are not closed."""
+
+    exterior: F32
+    """Outer ring [P, 2], metres."""
+    holes: list[F32]
+    """Inner rings [P, 2] each."""
+
+
+class Lane(TypedDict):
+    """A lane or lane connector."""
+
+    id: str
+    """Token of the data set."""
+    kind: Literal["lane", "connector"]
+    """A marked lane, or a path through an intersection."""
+    centreline: F32
+    """Points [P, 2] in driving direction, about a metre apart."""
+    polygon: Polygon
+    """Surface; empty exterior where the data has none."""
+    successors: list[int]
+    """Indices of the lanes that follow."""
+    predecessors: list[int]
+    """Indices of the lanes that lead here."""
+    speed_limit_mps: float | None
+    """Posted limit where the data has one."""
+
+
+class MapLayers(TypedDict, total=False):
+    """The map round a scene, in the scene frame."""
+
+    drivable_area: list[Polygon]
+    ped_crossings: list[Polygon]
+    walkways: list[Polygon]
+    stop_lines: list[Polygon]
+    carpark_areas: list[Polygon]
+    road_dividers: list[F32]
+    """Lines [P, 2] between directions of traffic."""
+    lane_dividers: list[F32]
+    """Lines [P, 2] between lanes of one direction."""
+    lanes: list[Lane]
+
+
+class TrackArrays(TypedDict):
+    """Logged states of A agents over T steps, in the scene frame."""
+
+    position: F32
+    """Centre of the box [A, T, 2], metres."""
+    heading: F32
+    """Radians [A, T], unwrapped along each track."""
+    velocity: F32
+    """Metres per second [A, T, 2]."""
+    valid: npt.NDArray[np.bool_]
+    """Whether the agent is present [A, T]."""

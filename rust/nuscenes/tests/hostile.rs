@@ -1,0 +1,208 @@
+//! Damaged data sets: each gives a typed error that names file, record, field and value; nothing panics.
+
+#![allow(clippy::unwrap_used, reason = "a set-up that fails fails the test")]
+
+mod common;
+
+use ccdiff_nuscenes::{LoadOptions, NuscenesError, load};
+use common::{DataSet, VERSION, token};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+fn error_of(data: &DataSet) -> NuscenesError {
+    load(&data.written().0, VERSION, &LoadOptions::default()).unwrap_err()
+}
+
+/// The error after one field of one record is replaced.
+fn error_with(table: &'static str, row: usize, field: &str, value: Value) -> String {
+    let mut data = DataSet::new();
+    data.tables.get_mut(table).unwrap()[row][field] = value;
+    error_of(&data).to_string()
+}
+
+fn assert_names(message: &str, words: &[&str]) {
+    for word in words {
+        assert!(message.contains(word), "{word:?} is not in: {message}");
+    }
+}
+
+#[test]
+fn a_missing_table_is_named() {
+    for table in DataSet::new().tables.into_keys() {
+        let folder = DataSet::new().written();
+        std::fs::remove_file(folder.0.join(VERSION).join(format!("{table}.json"))).unwrap();
+        let error = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err();
+        assert!(matches!(error, NuscenesError::Missing { .. }), "{error}");
+        assert_names(&error.to_string(), &[table, ".json"]);
+    }
+    let folder = DataSet::new().written();
+    let error = load(&folder.0, "v9", &LoadOptions::default()).unwrap_err();
+    assert_names(&error.to_string(), &["version", "v9"]);
+}
+
+#[test]
+fn truncated_tables_are_refused() {
+    for table in DataSet::new().tables.into_keys() {
+        let folder = DataSet::new().written();
+        let path = folder.0.join(VERSION).join(format!("{table}.json"));
+        let bytes = std::fs::read(&path).unwrap();
+        for cut in [0, 1, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let error = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err();
+            assert!(matches!(error, NuscenesError::Json { .. }), "{table} {cut}: {error}");
+            assert_names(&error.to_string(), &[table, "byte"]);
+        }
+    }
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused_by_field() {
+    let folder = DataSet::new().written();
+    for (table, field) in
+        [("sample_annotation", "translation"), ("ego_pose", "translation"), ("ego_pose", "rotation")]
+    {
+        let path = folder.0.join(VERSION).join(format!("{table}.json"));
+        let text = std::fs::read_to_string(&path).unwrap();
+        let at = text.find(&format!("\"{field}\":[")).unwrap() + field.len() + 4;
+        let end = at + text[at..].find(',').unwrap();
+        for bad in ["NaN", "Infinity", "-Infinity", "1e999", "null", "\"1\""] {
+            std::fs::write(&path, format!("{}{bad}{}", &text[..at], &text[end..])).unwrap();
+            let message = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err().to_string();
+            assert_names(&message, &[table, field]);
+        }
+        std::fs::write(&path, text).unwrap();
+    }
+    let message = error_with("sample_annotation", 0, "translation", json!([1e300, 0, 0]));
+    assert_names(&message, &["sample_annotation.json", "translation", "1e300", "finite"]);
+    let message = error_with("sample_annotation", 0, "rotation", json!([0, 0, 0, 0]));
+    assert_names(&message, &["sample_annotation.json", "rotation", "[0.0, 0.0, 0.0, 0.0]"]);
+}
+
+#[test]
+fn sizes_must_be_positive() {
+    for size in [json!([0.0, 4.5, 1.6]), json!([1.9, -4.5, 1.6]), json!([1.9, 1e30, 1.6])] {
+        let message = error_with("sample_annotation", 0, "size", size);
+        assert_names(&message, &["sample_annotation.json", "size", "positive"]);
+    }
+}
+
+#[test]
+fn dangling_tokens_name_both_tables() {
+    let lost = token("nobody", 7);
+    for (table, field, target) in [
+        ("scene", "log_token", "log"),
+        ("sample", "scene_token", "scene"),
+        ("sample_annotation", "sample_token", "sample"),
+        ("sample_annotation", "instance_token", "instance"),
+        ("instance", "category_token", "category"),
+        ("sample_data", "sample_token", "sample"),
+        ("sample_data", "ego_pose_token", "ego_pose"),
+        ("sample_data", "calibrated_sensor_token", "calibrated_sensor"),
+        ("calibrated_sensor", "sensor_token", "sensor"),
+    ] {
+        let message = error_with(table, 0, field, json!(lost));
+        assert_names(&message, &[&format!("{table}.json"), field, &lost, &format!("table {target}")]);
+    }
+}
+
+#[test]
+fn duplicates_are_refused() {
+    for table in DataSet::new().tables.into_keys() {
+        let mut data = DataSet::new();
+        let rows = data.tables.get_mut(table).unwrap();
+        rows.push(rows[0].clone());
+        if table == "sample_data" {
+            // two equal rows lead to one and the same ego pose
+            load(&data.written().0, VERSION, &LoadOptions::default()).unwrap();
+            continue;
+        }
+        let error = error_of(&data);
+        assert!(matches!(error, NuscenesError::Duplicate { .. }), "{table}: {error}");
+    }
+    let mut data = DataSet::new();
+    let rows = data.tables.get_mut("sample_annotation").unwrap();
+    let mut twin = rows[0].clone();
+    twin["token"] = json!(token("twin", 0));
+    rows.push(twin);
+    assert_names(&error_of(&data).to_string(), &["annotation of instance", "frame 0", "twice"]);
+    let time = DataSet::new().tables["sample"][1]["timestamp"].clone();
+    assert_names(&error_with("sample", 0, "timestamp", time), &["timestamp", "sample.json", "twice"]);
+}
+
+#[test]
+fn fields_that_are_missing_or_of_another_type_are_named() {
+    let mut data = DataSet::new();
+    data.tables.get_mut("sample_annotation").unwrap()[3].as_object_mut().unwrap().remove("rotation");
+    assert_names(&error_of(&data).to_string(), &["sample_annotation.json", "rotation", "missing"]);
+    assert_names(&error_with("sample", 0, "token", json!(5)), &["sample.json", "token"]);
+    assert_names(&error_with("sample", 0, "timestamp", json!("now")), &["sample.json", "timestamp"]);
+}
+
+#[test]
+fn a_location_cannot_lead_out_of_the_data_set() {
+    for location in ["../secret", "/etc/passwd", "a\\b"] {
+        assert_names(&error_with("log", 0, "location", json!(location)), &["log.json", "location"]);
+    }
+}
+
+#[test]
+fn damaged_maps_are_refused() {
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut data = DataSet::new();
+        change(&mut data.map);
+        error_of(&data).to_string()
+    };
+    let words = with(&|m| m["polygon"][0]["exterior_node_tokens"][1] = json!("gone"));
+    assert_names(&words, &["town.json", "node_tokens", "table node"]);
+    let words = with(&|m| m["lane"][0]["polygon_token"] = json!("gone"));
+    assert_names(&words, &["town.json", "polygon_token", "table polygon"]);
+    let words = with(&|m| m["road_divider"][0]["line_token"] = json!("gone"));
+    assert_names(&words, &["town.json", "line_token", "table line"]);
+    let words = with(&|m| m["arcline_path_3"]["a"][0]["radius"] = json!(0));
+    assert_names(&words, &["town.json", "\"a\"", "radius", "positive"]);
+    let words = with(&|m| m["arcline_path_3"]["a"][0]["shape"] = json!("LXL"));
+    assert_names(&words, &["town.json", "\"a\"", "shape", "LXL"]);
+    let words = with(&|m| m["node"][0]["x"] = json!(1e30));
+    assert_names(&words, &["town.json", "node x, y", "1e30"]);
+    let words = with(&|m| m["lane_connector"][0]["token"] = json!("a"));
+    assert_names(&words, &["town.json", "lane token", "twice"]);
+    let words = with(&|m| *m = json!([]));
+    assert_names(&words, &["town.json", "byte"]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Whatever bytes are flipped, inserted or cut in whatever file: an error or scenes, never a panic.
+    #[test]
+    fn mutated_files_never_panic(
+        file in 0_usize..11,
+        edits in proptest::collection::vec((any::<prop::sample::Index>(), 0_u8..4, any::<u8>()), 1..6),
+    ) {
+        let folder = DataSet::new().written();
+        let path = match DataSet::new().tables.keys().nth(file) {
+            Some(table) => folder.0.join(VERSION).join(format!("{table}.json")),
+            None => folder.0.join("maps/expansion/town.json"),
+        };
+        let mut bytes = std::fs::read(&path).unwrap();
+        for (place, edit, byte) in edits {
+            if bytes.is_empty() {
+                break;
+            }
+            let at = place.index(bytes.len());
+            match edit {
+                0 => bytes[at] = byte,
+                // a digit for a digit keeps the JSON whole and changes what it says
+                1 => bytes[at] = if bytes[at].is_ascii_digit() { b'0' + byte % 10 } else { bytes[at] },
+                2 => drop(bytes.drain(at..(at + usize::from(byte)).min(bytes.len()))),
+                _ => bytes.insert(at, byte),
+            }
+        }
+        std::fs::write(&path, bytes).unwrap();
+        if let Ok(loaded) = load(&folder.0, VERSION, &LoadOptions::default()) {
+            for scene in loaded.scenes {
+                prop_assert!(scene.as_ref().clone().validated().is_ok());
+            }
+        }
+    }
+}

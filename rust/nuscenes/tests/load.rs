@@ -1,0 +1,309 @@
+//! Loads of a tiny data set: what is kept, what is reported, what the cache does.
+
+#![allow(clippy::unwrap_used, reason = "a set-up that fails fails the test")]
+
+mod common;
+
+use ccdiff_nuscenes::{
+    BuildOptions, Interpolation, LoadOptions, NuscenesError, Selection, decode_scene, encode_scene, load,
+    scene_hash,
+};
+use ccdiff_sim::scene::AgentKind;
+use common::{DataSet, Folder, VERSION};
+use proptest::prelude::*;
+use serde_json::json;
+
+#[test]
+fn layout_of_the_files_does_not_matter() {
+    let data = DataSet::new();
+    let (compact, pretty) = (data.written(), Folder::new());
+    data.write(&pretty.0, true);
+    let a = load(&compact.0, VERSION, &LoadOptions::default()).unwrap();
+    let b = load(&pretty.0, VERSION, &LoadOptions::default()).unwrap();
+    assert_eq!(a.scenes, b.scenes);
+    assert_eq!(a.scenes.len(), 2);
+}
+
+#[test]
+fn agents_come_ego_first_then_by_first_appearance_and_nothing_is_lost_silently() {
+    let folder = DataSet::new().written();
+    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let scene = &loaded.scenes[0];
+    assert_eq!((scene.num_steps, scene.dt_s), (26, 0.1));
+    let kinds: Vec<AgentKind> = scene.agents.iter().map(|a| a.kind).collect();
+    use AgentKind::{Cyclist, Pedestrian, Static, Vehicle};
+    assert_eq!(kinds, [Vehicle, Vehicle, Static, Pedestrian, Cyclist]);
+    assert_eq!((scene.agents[0].id.as_str(), scene.origin), ("ego", [100.0, 200.0]));
+    assert_eq!((scene.agents[1].length_m, scene.agents[1].width_m), (4.5, 1.9));
+    // the ego drives at 10 m/s, the car at 4 m/s with one key frame missing
+    assert!((scene.tracks.velocity[scene.at(0, 13)].x - 10.0).abs() < 1e-4);
+    assert!((scene.tracks.velocity[scene.at(1, 15)].x - 4.0).abs() < 1e-4);
+    assert!((scene.tracks.position[scene.at(0, 0)].x - 0.25).abs() < 1e-6);
+    let report = &loaded.report.scenes[0];
+    assert_eq!((report.filled_gaps, report.filled_key_frames), (1, 1));
+    assert_eq!(report.ego_channel.as_deref(), Some("LIDAR_TOP"));
+    let dropped: Vec<(&str, &str, usize)> =
+        report.dropped.iter().map(|d| (d.category.as_str(), d.reason.as_str(), d.annotations)).collect();
+    assert_eq!(
+        dropped,
+        [("spaceship", "unknown category", 6), ("human.pedestrian.adult", "fewer than 2 annotations", 1)]
+    );
+    assert_eq!(loaded.report.missing_maps, ["nowhere"]);
+    assert!(loaded.scenes[1].map.lanes.is_empty());
+    assert_eq!(loaded.report.maps[0].notes.len(), 2, "{:?}", loaded.report.maps);
+}
+
+#[test]
+fn the_map_is_cropped_round_the_tracks_and_keeps_holes_and_links() {
+    let folder = DataSet::new().written();
+    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let map = &loaded.scenes[0].map;
+    // tracks span x 100.25..125.25 and y 200..215, the margin is 60
+    let area = &map.drivable_area[0];
+    let (min, max) = area.bounds().unwrap();
+    assert!((min.x - -59.75).abs() < 1e-3 && (max.x - 85.25).abs() < 1e-3, "{min} {max}");
+    assert!((min.y - -60.0).abs() < 1e-3 && (max.y - 75.0).abs() < 1e-3, "{min} {max}");
+    assert_eq!(area.holes.len(), 1);
+    assert_eq!(
+        (map.lanes[0].successors.as_slice(), map.lanes[1].predecessors.as_slice()),
+        (&[1][..], &[0][..])
+    );
+    assert_eq!(map.lanes[0].centreline.len(), 31);
+    assert!(map.road_dividers.is_empty(), "the divider is far away");
+}
+
+#[test]
+fn options_select_kinds_categories_and_step_lengths() {
+    let folder = DataSet::new().written();
+    let with = |build: BuildOptions| {
+        load(&folder.0, VERSION, &LoadOptions { build, ..LoadOptions::default() })
+            .map(|l| l.scenes[0].clone())
+    };
+    let vehicles = BuildOptions { kinds: Some(vec![AgentKind::Vehicle]), ..BuildOptions::default() };
+    assert_eq!(with(vehicles).unwrap().num_agents(), 2);
+    let by_prefix = BuildOptions { categories: Some(vec!["vehicle".into()]), ..BuildOptions::default() };
+    assert_eq!(with(by_prefix).unwrap().num_agents(), 3);
+    let no_prefix = BuildOptions { categories: Some(vec!["vehi".into()]), ..BuildOptions::default() };
+    assert_eq!(with(no_prefix).unwrap().num_agents(), 1);
+    let all = BuildOptions { min_annotations: 1, dt_s: 0.05, ..BuildOptions::default() };
+    let scene = with(all).unwrap();
+    assert_eq!((scene.num_agents(), scene.num_steps), (6, 51));
+    for dt_s in [0.3, 0.0, -0.1, f64::NAN, 0.7] {
+        let error = with(BuildOptions { dt_s, ..BuildOptions::default() }).unwrap_err();
+        assert!(matches!(error, NuscenesError::Option { field: "dt", .. }), "{dt_s}: {error}");
+    }
+    let strict = BuildOptions { require_map: true, ..BuildOptions::default() };
+    assert!(matches!(with(strict).unwrap_err(), NuscenesError::Missing { .. }));
+}
+
+#[test]
+fn selections_keep_their_order_and_say_what_is_missing() {
+    let folder = DataSet::new().written();
+    let names = |list: &[&str]| list.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+    let with = |selection| load(&folder.0, VERSION, &LoadOptions { selection, ..LoadOptions::default() });
+    let any = with(Selection::AnyOf(names(&["scene-0001", "scene-0009", "scene-0000"]))).unwrap();
+    assert_eq!(any.scenes.iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["scene-0000", "scene-0001"]);
+    assert_eq!(any.report.missing, ["scene-0009"]);
+    let exact = with(Selection::Exactly(names(&["scene-0001", &common::token("scene", 0)]))).unwrap();
+    assert_eq!(
+        exact.scenes.iter().map(|s| s.name.as_str()).collect::<Vec<_>>(),
+        ["scene-0001", "scene-0000"]
+    );
+    let unknown = with(Selection::Exactly(names(&["scene-0009"]))).unwrap_err();
+    assert!(matches!(unknown, NuscenesError::UnknownScene { .. }));
+    assert!(matches!(with(Selection::AnyOf(names(&["x"]))).unwrap_err(), NuscenesError::Empty { .. }));
+}
+
+#[test]
+fn the_channel_that_covers_most_key_frames_carries_the_ego() {
+    let mut data = DataSet::new();
+    let lidar = |row: &serde_json::Value| row["calibrated_sensor_token"] == "c0";
+    let rows = data.tables.get_mut("sample_data").unwrap();
+    let first = rows.iter().position(|r| lidar(r) && r["is_key_frame"] == true).unwrap();
+    rows.remove(first);
+    let folder = data.written();
+    let report = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().report;
+    assert_eq!(report.scenes[0].ego_channel.as_deref(), Some("CAM_FRONT"));
+    assert_eq!(report.scenes[1].ego_channel.as_deref(), Some("LIDAR_TOP"));
+    data.tables.insert("sample_data", vec![]);
+    let folder = data.written();
+    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    assert_eq!(loaded.report.scenes[0].ego_channel, None);
+    assert_ne!(loaded.scenes[0].agents[0].id, "ego");
+}
+
+#[test]
+fn a_scene_without_agents_is_left_out_and_named() {
+    let mut data = DataSet::new();
+    data.tables.insert("sample_data", vec![]);
+    data.tables
+        .get_mut("sample_annotation")
+        .unwrap()
+        .retain(|a| a["instance_token"] != common::token("instance", 1000));
+    let folder = data.written();
+    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    assert_eq!((loaded.scenes.len(), loaded.report.empty.as_slice()), (1, &["scene-0001".to_owned()][..]));
+}
+
+#[test]
+fn five_hundred_agents_are_no_trouble() {
+    let mut data = DataSet::new();
+    for i in 0..500 {
+        let mut row = data.tables["sample_annotation"][0].clone();
+        let instance = common::token("crowd", i);
+        row["instance_token"] = json!(instance);
+        for frame in 0..2 {
+            row["token"] = json!(common::token("crowdbox", 2 * i + frame));
+            row["sample_token"] = json!(common::token("sample", frame));
+            data.tables.get_mut("sample_annotation").unwrap().push(row.clone());
+        }
+        let category = common::token("category", 0);
+        data.tables.get_mut("instance").unwrap().push(json!({"token": instance, "category_token": category}));
+    }
+    let folder = data.written();
+    let scene = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes[0].clone();
+    assert_eq!(scene.num_agents(), 505);
+    assert_eq!(scene.tracks.valid.iter().filter(|v| **v).count(), 26 * 5 + 500 * 6);
+}
+
+#[test]
+fn scenes_survive_bytes_and_hashes_tell_them_apart() {
+    let folder = DataSet::new().written();
+    let scenes = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes;
+    let bytes = encode_scene(&scenes[0]).unwrap();
+    assert_eq!(decode_scene(&bytes).unwrap(), *scenes[0]);
+    assert_ne!(scene_hash(&scenes[0]).unwrap(), scene_hash(&scenes[1]).unwrap());
+    for cut in 0..bytes.len() {
+        assert!(decode_scene(&bytes[..cut]).is_err());
+    }
+}
+
+fn cached(cache: &Folder) -> LoadOptions {
+    LoadOptions { cache_directory: Some(cache.0.clone()), ..LoadOptions::default() }
+}
+
+fn files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if path.is_dir() { found.extend(files(&path)) } else { found.push(path) }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn the_cache_gives_the_same_scenes_and_report_without_reading_a_table() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    // older than the time in which a file may still be written to
+    std::thread::sleep(std::time::Duration::from_millis(150));
+    let options = cached(&cache);
+    let plain = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let first = load(&folder.0, VERSION, &options).unwrap();
+    let second = load(&folder.0, VERSION, &options).unwrap();
+    assert_eq!((first.report.cache.built, first.report.cache.hits), (2, 0));
+    assert_eq!((second.report.cache.built, second.report.cache.hits), (0, 2));
+    assert_eq!((first.report.cache.files_hashed, second.report.cache.files_hashed), (11, 0));
+    assert_eq!(plain.scenes, first.scenes);
+    assert_eq!(plain.scenes, second.scenes);
+    assert_eq!(plain.report.scenes, second.report.scenes);
+    assert_eq!(first.report.missing_maps, second.report.missing_maps);
+}
+
+#[test]
+fn another_option_or_another_content_is_another_entry() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    let options = cached(&cache);
+    load(&folder.0, VERSION, &options).unwrap();
+    let smooth = BuildOptions { interpolation: Interpolation::Smooth, ..BuildOptions::default() };
+    let other = load(&folder.0, VERSION, &LoadOptions { build: smooth, ..options.clone() }).unwrap();
+    assert_eq!(other.report.cache.built, 2);
+    let mut data = DataSet::new();
+    data.tables.get_mut("sample_annotation").unwrap()[0]["translation"] = json!([111.0, 204.0, 0.0]);
+    data.write(&folder.0, false);
+    let changed = load(&folder.0, VERSION, &options).unwrap();
+    assert_eq!(changed.report.cache.built, 2);
+    assert_eq!(changed.scenes, load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes);
+    // a new map rebuilds the scenes of its location only
+    data.map["walkway"] = json!([]);
+    data.write(&folder.0, false);
+    let remapped = load(&folder.0, VERSION, &options).unwrap();
+    assert_eq!((remapped.report.cache.built, remapped.report.cache.hits), (1, 1));
+}
+
+#[test]
+fn damaged_or_deleted_cache_files_are_built_again() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    let options = cached(&cache);
+    let scenes = load(&folder.0, VERSION, &options).unwrap().scenes;
+    for damage in 0..4 {
+        for path in files(&cache.0) {
+            let mut bytes = std::fs::read(&path).unwrap();
+            match damage {
+                0 => bytes.truncate(bytes.len() / 2),
+                1 => bytes.iter_mut().skip(30).step_by(7).for_each(|b| *b ^= 0x55),
+                2 => bytes.clear(),
+                _ => {}
+            }
+            std::fs::write(&path, bytes).unwrap();
+            if damage == 3 {
+                std::fs::remove_file(&path).unwrap();
+            }
+        }
+        let again = load(&folder.0, VERSION, &options).unwrap();
+        assert_eq!(again.scenes, scenes);
+        assert_eq!(again.report.cache.built, 2);
+        assert_eq!(again.report.cache.notes.is_empty(), damage == 3, "{:?}", again.report.cache.notes);
+    }
+    assert_eq!(load(&folder.0, VERSION, &options).unwrap().report.cache.hits, 2);
+}
+
+#[test]
+fn concurrent_loads_share_a_cache() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    let options = cached(&cache);
+    let expected = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes;
+    std::thread::scope(|scope| {
+        let handles: Vec<_> =
+            (0..8).map(|_| scope.spawn(|| load(&folder.0, VERSION, &options).unwrap())).collect();
+        for handle in handles {
+            assert_eq!(handle.join().unwrap().scenes, expected);
+        }
+    });
+    assert!(files(&cache.0).iter().all(|p| p.extension().is_none()), "no half-written files are left");
+}
+
+#[test]
+fn a_cache_that_cannot_be_written_is_noted() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    let blocked = cache.0.join("file");
+    std::fs::write(&blocked, "").unwrap();
+    let options = LoadOptions { cache_directory: Some(blocked), ..LoadOptions::default() };
+    let loaded = load(&folder.0, VERSION, &options).unwrap();
+    assert_eq!(loaded.scenes.len(), 2);
+    assert!(!loaded.report.cache.notes.is_empty());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn order_of_records_does_not_matter_but_for_ties(seed in any::<u64>()) {
+        let mut data = DataSet::new();
+        let mut state = seed | 1;
+        for (table, rows) in &mut data.tables {
+            // ties of first appearance are broken by the place in the file, scenes keep their order
+            if matches!(*table, "sample_annotation" | "scene") {
+                continue;
+            }
+            for i in (1..rows.len()).rev() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                rows.swap(i, (state >> 33) as usize % (i + 1));
+            }
+        }
+        let shuffled = data.written();
+        let plain = DataSet::new().written();
+        let a = load(&shuffled.0, VERSION, &LoadOptions::default()).unwrap();
+        let b = load(&plain.0, VERSION, &LoadOptions::default()).unwrap();
+        prop_assert_eq!(a.scenes, b.scenes);
+    }
+}

@@ -1,0 +1,273 @@
+"""Loading scenes from Python: the set, the report, arrays, pickling, errors."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import errors
+from ccdiff_env.scenes import Scene, SceneSet, cache_directory
+
+VERSION = "v1.0-tiny"
+START_US = 1_531_883_530_000_000
+
+
+def tables(num_scenes: int = 2, num_frames: int = 5) -> dict[str, list[dict]]:
+    """A data set in the official schema: an ego at 10 m/s and a car at 4 m/s in each scene."""
+    rows = {name: [] for name in ("scene", "sample", "sample_annotation", "instance", "log")}
+    rows |= {"sample_data": [], "ego_pose": []}
+    rows["sensor"] = [{"token": "s", "channel": "LIDAR_TOP", "modality": "lidar"}]
+    rows["calibrated_sensor"] = [{"token": "c", "sensor_token": "s"}]
+    rows["category"] = [{"token": "cat", "name": "vehicle.car"}]
+    for s in range(num_scenes):
+        rows["log"].append({"token": f"log{s}", "location": "town"})
+        name = f"scene-000{s}"
+        rows["scene"].append({"token": f"t{s}", "name": name, "log_token": f"log{s}"})
+        rows["instance"].append({"token": f"car{s}", "category_token": "cat"})
+        for k in range(num_frames):
+            sample, time = f"sample{s}-{k}", START_US + 500_000 * k
+            yaw = 3.1 + 0.05 * k
+            turned = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+            rows["sample"].append({"token": sample, "timestamp": time, "scene_token": f"t{s}"})
+            rows["sample_data"].append(
+                {
+                    "token": f"data{s}-{k}",
+                    "sample_token": sample,
+                    "ego_pose_token": f"pose{s}-{k}",
+                    "calibrated_sensor_token": "c",
+                    "is_key_frame": True,
+                }
+            )
+            rows["ego_pose"].append(
+                {
+                    "token": f"pose{s}-{k}",
+                    "timestamp": time,
+                    "translation": [1000.0 + 5 * k, 500.0, 0.0],
+                    "rotation": [1.0, 0.0, 0.0, 0.0],
+                }
+            )
+            rows["sample_annotation"].append(
+                {
+                    "token": f"box{s}-{k}",
+                    "sample_token": sample,
+                    "instance_token": f"car{s}",
+                    "translation": [1010.0, 500.0 + 2 * k, 1.0],
+                    "size": [1.9, 4.5, 1.6],
+                    "rotation": turned,
+                }
+            )
+    return rows
+
+
+def write(root, rows):
+    folder = root / VERSION
+    folder.mkdir(exist_ok=True)
+    for name, records in rows.items():
+        (folder / f"{name}.json").write_text(json.dumps(records))
+    return root
+
+
+@pytest.fixture
+def root(tmp_path):
+    return write(tmp_path, tables())
+
+
+@pytest.fixture
+def scenes(root):
+    return ccdiff_env.load_nuscenes(root, VERSION, cache=False)
+
+
+def test_scene_gives_arrays_in_its_own_frame(scenes):
+    scene = scenes[0]
+    assert (scene.name, scene.token, scene.location) == ("scene-0000", "t0", "town")
+    assert scene.source == "nuscenes v1.0-tiny"
+    assert (scene.dt, scene.num_steps, scene.origin) == (0.1, 21, (1000.0, 500.0))
+    assert scene.agent_ids == ["ego", "car0"]
+    assert scene.agent_types == ["vehicle", "vehicle"]
+    assert scene.agent_categories == ["vehicle.ego", "vehicle.car"]
+    assert scene.sizes.shape == (2, 3)
+    assert np.allclose(scene.sizes[1], [4.5, 1.9, 1.6])
+    tracks = scene.tracks()
+    assert {k: (v.shape, v.dtype.name) for k, v in tracks.items()} == {
+        "position": ((2, 21, 2), "float32"),
+        "heading": ((2, 21), "float32"),
+        "velocity": ((2, 21, 2), "float32"),
+        "valid": ((2, 21), "bool"),
+    }
+    assert np.allclose(tracks["position"][0, :, 0], np.arange(21))
+    assert np.allclose(tracks["velocity"][1], [0, 4], atol=1e-4)
+    # past half a turn without a jump
+    assert np.allclose(tracks["heading"][1], 3.1 + 0.01 * np.arange(21), atol=1e-5)
+    tracks["position"][:] = 77
+    assert not (scene.tracks()["position"] == 77).any(), "arrays are copies"
+
+
+def test_set_is_a_sequence_with_names(scenes):
+    assert len(scenes) == 2
+    assert scenes.names == ("scene-0000", "scene-0001")
+    assert scenes["scene-0001"] is scenes[1] or scenes["scene-0001"] == scenes[1]
+    assert isinstance(scenes[1:], SceneSet)
+    assert scenes[1:].names == ("scene-0001",)
+    assert "scene-0000" in scenes
+    assert "scene-9" not in scenes
+    assert [s.name for s in reversed(scenes)] == ["scene-0001", "scene-0000"]
+    with pytest.raises(errors.UnknownNameError, match="scene-9"):
+        scenes["scene-9"]
+    with pytest.raises(IndexError):
+        scenes[2]
+    with pytest.raises(errors.ConfigError, match="unique"):
+        SceneSet([scenes[0], scenes[0]])
+
+
+def test_report_can_be_read_tested_and_printed(scenes):
+    report = scenes.report
+    assert report.num_tracks == 4
+    assert report.tracks == {"vehicle.car": 2, "vehicle.ego": 2}
+    assert report.num_annotations == 10
+    assert report.missing_maps == ("town",)
+    assert report.dropped == ()
+    json.dumps(report.to_dict())
+    text = str(report)
+    for words in ("tracks kept", "vehicle.car", "maps missing", "town", "LIDAR_TOP in 2 scenes"):
+        assert words in text
+
+
+def test_scene_is_pickled_compared_and_hashed_by_content(scenes, root):
+    again = ccdiff_env.load_nuscenes(root, VERSION, cache=False)
+    copy = pickle.loads(pickle.dumps(scenes[0]))
+    assert copy == scenes[0] == again[0]
+    assert hash(copy) == hash(again[0])
+    assert scenes[0] != scenes[1]
+    assert len(scenes[0].hash) == 32
+    assert copy.hash == scenes[0].hash != scenes[1].hash
+    assert Scene.from_bytes(scenes[0].to_bytes()) == scenes[0]
+    with pytest.raises(errors.DatasetError):
+        Scene.from_bytes(scenes[0].to_bytes()[:40])
+
+
+def test_arrays_make_the_same_scene_again(scenes):
+    scene = scenes[0]
+    layers = {
+        "drivable_area": [
+            {
+                "exterior": np.array([[0, 0], [9, 0], [9, 9]], np.float32),
+                "holes": [np.array([[1, 1], [2, 1], [2, 2]], np.float32)],
+            }
+        ],
+        "lane_dividers": [np.array([[0, 0], [5, 5]], np.float32)],
+        "lanes": [
+            {
+                "id": lane,
+                "kind": kind,
+                "centreline": np.array([[0, i], [1, i]], np.float32),
+                "successors": [1] if i == 0 else [],
+                "predecessors": [0] if i == 1 else [],
+                "speed_limit_mps": 13.5 if i else None,
+            }
+            for i, (lane, kind) in enumerate([("a", "lane"), ("b", "connector")])
+        ],
+    }
+    options = {
+        "token": scene.token,
+        "location": scene.location,
+        "source": scene.source,
+        "origin": scene.origin,
+        "agent_ids": scene.agent_ids,
+        "agent_types": scene.agent_types,
+        "agent_categories": scene.agent_categories,
+        "sizes": scene.sizes,
+        **scene.tracks(),
+    }
+    assert Scene.from_arrays(scene.name, **options) == scene
+    mapped = Scene.from_arrays(scene.name, **options, map_layers=layers)
+    back = mapped.map_layers()
+    assert back["lanes"][1]["speed_limit_mps"] == 13.5
+    assert back["lanes"][0]["successors"] == [1]
+    assert back["drivable_area"][0]["holes"][0].shape == (3, 2)
+    assert Scene.from_arrays(scene.name, **options, map_layers=back) == mapped
+    assert mapped.has_lanes
+    with pytest.raises(errors.ShapeError, match="position"):
+        Scene.from_arrays("x", **{**options, "position": np.zeros((2, 20, 2), np.float32)})
+    with pytest.raises(errors.UnknownNameError, match="tram"):
+        Scene.from_arrays("x", **{**options, "agent_types": ["vehicle", "tram"]})
+    with pytest.raises(errors.SceneError, match="twice"):
+        Scene.from_arrays("x", **{**options, "agent_ids": ["a", "a"]})
+    bad = scene.tracks()["position"]
+    bad[0, 3] = np.nan
+    with pytest.raises(errors.SceneError, match="step 3"):
+        Scene.from_arrays("x", **{**options, "position": bad})
+    with pytest.raises(errors.UnknownNameError, match="rivers"):
+        Scene.from_arrays("x", **options, map_layers={"rivers": []})
+    dangling = {"lanes": [{**layers["lanes"][0], "successors": [5]}]}
+    with pytest.raises(errors.SceneError, match="lanes"):
+        Scene.from_arrays("x", **options, map_layers=dangling)
+
+
+def test_mistakes_have_their_own_exceptions(root):
+    def load(*args, **options):
+        return ccdiff_env.load_nuscenes(root, VERSION, *args, cache=False, **options)
+
+    with pytest.raises(FileNotFoundError, match="elsewhere"):
+        ccdiff_env.load_nuscenes(root / "elsewhere", VERSION)
+    with pytest.raises(errors.DatasetNotFoundError, match=r"v7"):
+        ccdiff_env.load_nuscenes(root, "v7")
+    with pytest.raises(errors.UnknownNameError, match="ccdiff100"):
+        load("tests")
+    with pytest.raises(errors.UnknownNameError, match="scene-0007"):
+        load(scenes=["scene-0007"])
+    with pytest.raises(errors.DatasetError, match="no scene to load"):
+        load("val")
+    with pytest.raises(errors.ConfigError, match="both"):
+        load("val", scenes=["scene-0000"])
+    with pytest.raises(errors.ConfigError, match="divides"):
+        load(dt=0.3)
+    with pytest.raises(errors.ConfigError, match="linear"):
+        load(interpolation="cubic")
+    with pytest.raises(errors.UnknownNameError, match="tram"):
+        load(kinds=["tram"])
+    with pytest.raises(errors.ConfigError, match="min_annotations"):
+        load(min_annotations=0)
+    with pytest.raises(errors.ConfigError, match="map_margin"):
+        load(map_margin=-1.0)
+    with pytest.raises(FileNotFoundError, match=r"town\.json"):
+        load(require_map=True)
+    rows = tables()
+    rows["sample_annotation"][3]["size"] = [0.0, 4.5, 1.6]
+    rows["sample_annotation"][0]["size"] = [0.0, 4.5, 1.6]
+    write(root, rows)
+    with pytest.raises(
+        errors.DatasetError, match=r"size is \[0\.0, 4\.5, 1\.6\].*sample_annotation"
+    ):
+        load()
+
+
+def test_cache_goes_where_the_environment_says_and_can_be_deleted(root, tmp_path, monkeypatch):
+    monkeypatch.setenv("CCDIFF_CACHE", str(tmp_path / "cache"))
+    assert cache_directory() == tmp_path / "cache"
+    first = ccdiff_env.load_nuscenes(root, VERSION)
+    second = ccdiff_env.load_nuscenes(root, VERSION, scenes=["scene-0001"])
+    assert (first.report.cache.built, second.report.cache.hits) == (2, 1)
+    assert second[0] == first[1]
+    for path in sorted((tmp_path / "cache").rglob("*"), reverse=True):
+        if path.is_file():
+            path.unlink()
+        else:
+            path.rmdir()
+    assert ccdiff_env.load_nuscenes(root, VERSION).report.cache.built == 2
+    other = ccdiff_env.load_nuscenes(root, VERSION, cache=tmp_path / "other")
+    assert other.report.cache.directory.startswith(str(tmp_path / "other"))
+    monkeypatch.delenv("CCDIFF_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/x")
+    assert str(cache_directory()) == "/x/ccdiff_env"
+
+
+def test_threads_load_at_once(root):
+    with ThreadPoolExecutor(4) as pool:
+        sets = list(pool.map(lambda _: ccdiff_env.load_nuscenes(root, VERSION), range(8)))
+    assert all(s == sets[0] for s in sets)

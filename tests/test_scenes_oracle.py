@@ -1,0 +1,247 @@
+"""Loaded scenes against nuscenes-devkit and shapely, on the real data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env.scenes import splits
+
+pytestmark = pytest.mark.nuscenes
+MINI = "v1.0-mini"
+
+
+@pytest.fixture(scope="module")
+def devkit(data_root):
+    from nuscenes.nuscenes import NuScenes
+
+    return NuScenes(MINI, str(data_root / "nuscenes"), verbose=False)
+
+
+@pytest.fixture(scope="module")
+def mini(data_root):
+    return ccdiff_env.load_nuscenes(data_root / "nuscenes", MINI, min_annotations=1)
+
+
+def key_frames(devkit, scene):
+    record = devkit.get("scene", scene.token)
+    token, samples = record["first_sample_token"], []
+    while token:
+        samples.append(devkit.get("sample", token))
+        token = samples[-1]["next"]
+    return samples
+
+
+def test_every_box_of_the_devkit_is_there_with_its_pose_size_and_velocity(devkit, mini):
+    from nuscenes.eval.common.utils import quaternion_yaw
+    from pyquaternion import Quaternion
+
+    assert mini.names == tuple(s["name"] for s in devkit.scene)
+    for scene in mini:
+        tracks, origin = scene.tracks(), np.array(scene.origin)
+        index = {agent: i for i, agent in enumerate(scene.agent_ids)}
+        sizes, first_seen = scene.sizes, {}
+        expected_valid = np.zeros(tracks["valid"].shape, bool)
+        samples = key_frames(devkit, scene)
+        assert scene.num_steps == (len(samples) - 1) * 5 + 1
+        for k, sample in enumerate(samples):
+            for token in sample["anns"]:
+                box = devkit.get("sample_annotation", token)
+                i = index[box["instance_token"]]
+                position = tracks["position"][i, 5 * k] + origin
+                assert np.allclose(position, box["translation"][:2], atol=2e-4)
+                yaw = quaternion_yaw(Quaternion(box["rotation"]))
+                assert abs(np.angle(np.exp(1j * (tracks["heading"][i, 5 * k] - yaw)))) < 1e-5
+                velocity = devkit.box_velocity(token)[:2]
+                if np.isfinite(velocity).all():
+                    assert np.allclose(tracks["velocity"][i, 5 * k], velocity, atol=1e-4)
+                if box["instance_token"] not in first_seen:
+                    first_seen[box["instance_token"]] = 5 * k
+                    width, length, height = box["size"]
+                    assert np.allclose(sizes[i], [length, width, height], rtol=1e-6)
+                    assert scene.agent_categories[i] == box["category_name"]
+                expected_valid[i, first_seen[box["instance_token"]] : 5 * k + 1] = True
+        assert set(first_seen) | {"ego"} == set(index)
+        # order of first appearance
+        assert scene.agent_ids == ["ego", *first_seen]
+        expected_valid[0] = True
+        assert (tracks["valid"] == expected_valid).all()
+
+
+def test_ego_follows_the_lidar_poses(devkit, mini):
+    from nuscenes.eval.common.utils import quaternion_yaw
+    from pyquaternion import Quaternion
+
+    for scene in mini:
+        tracks = scene.tracks()
+        assert scene.agent_ids[0] == "ego"
+        assert np.allclose(scene.sizes[0], [4.084, 1.730, 1.562])
+        for k, sample in enumerate(key_frames(devkit, scene)):
+            data = devkit.get("sample_data", sample["data"]["LIDAR_TOP"])
+            pose = devkit.get("ego_pose", data["ego_pose_token"])
+            position = tracks["position"][0, 5 * k] + np.array(scene.origin)
+            assert np.allclose(position, pose["translation"][:2], atol=2e-4)
+            yaw = quaternion_yaw(Quaternion(pose["rotation"]))
+            assert abs(np.angle(np.exp(1j * (tracks["heading"][0, 5 * k] - yaw)))) < 1e-5
+        assert np.abs(tracks["position"][0, 0]).max() <= 0.5 + 1e-6
+        log = devkit.get("log", devkit.get("scene", scene.token)["log_token"])
+        assert scene.location == log["location"]
+
+
+def test_steps_between_key_frames_are_linear_and_smooth_ones_pass_through_them(data_root, mini):
+    root = data_root / "nuscenes"
+    smooth = ccdiff_env.load_nuscenes(
+        root, MINI, scenes=["scene-0061"], interpolation="smooth", min_annotations=1
+    )[0]
+    linear = mini["scene-0061"]
+    a, b = linear.tracks(), smooth.tracks()
+    for name in ("position", "heading", "velocity"):
+        assert np.allclose(a[name][:, ::5], b[name][:, ::5], atol=1e-4)
+        left, right = a[name][:, 0:-1:5], a[name][:, 5::5]
+        both = a["valid"][:, 0:-1:5] & a["valid"][:, 5::5]
+        for step in range(1, 5):
+            expected = left + (right - left) * (step / 5)
+            got = a[name][:, step::5]
+            assert np.allclose(got[both], expected[both], atol=1e-4)
+    # a smooth position's finite difference is its velocity
+    valid = a["valid"][:, 2:] & a["valid"][:, :-2]
+    numeric = (b["position"][:, 2:] - b["position"][:, :-2]) / 0.2
+    assert np.median(np.abs(numeric - b["velocity"][:, 1:-1])[valid]) < 0.02
+
+
+def test_headings_are_unwrapped(mini):
+    for scene in mini:
+        tracks = scene.tracks()
+        both = tracks["valid"][:, 1:] & tracks["valid"][:, :-1]
+        assert np.abs(np.diff(tracks["heading"], axis=1))[both].max() < np.pi
+
+
+def test_splits_are_the_devkits():
+    from nuscenes.utils import splits as official
+
+    ours = splits()
+    assert set(ours["train"]) | set(ours["train_val"]) == set(official.train)
+    assert list(ours["train_val"]) == official.train[:200]
+    assert {k: len(v) for k, v in ours.items()} == {
+        "train": 500,
+        "train_val": 200,
+        "val": 150,
+        "mini_train": 8,
+        "mini_val": 2,
+        "ccdiff100": 100,
+    }
+    for name in ("val", "mini_train", "mini_val"):
+        assert list(ours[name]) == getattr(official, name)
+    assert set(ours["ccdiff100"]) < set(ours["val"])
+
+
+def test_split_of_the_paper_lists_the_scenes_that_are_missing(data_root):
+    loaded = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-trainval", "ccdiff100")
+    assert len(loaded) + len(loaded.report.missing) == 100
+    assert set(loaded.names) | set(loaded.report.missing) == set(splits()["ccdiff100"])
+    assert len(loaded) == 93
+
+
+@pytest.fixture(scope="module")
+def map_scenes(data_root, mini):
+    """One scene per location, with the devkit's map."""
+    from nuscenes.map_expansion.map_api import NuScenesMap
+
+    by_location = {scene.location: scene for scene in mini}
+    root = str(data_root / "nuscenes")
+    return [(scene, NuScenesMap(root, location)) for location, scene in by_location.items()]
+
+
+def test_centre_lines_and_links_are_the_devkits(map_scenes):
+    from nuscenes.map_expansion import arcline_path_utils
+    from shapely.geometry import LineString
+
+    compared = 0
+    for scene, nusc_map in map_scenes:
+        lanes = scene.map_layers()["lanes"]
+        here = {lane["id"] for lane in lanes}
+        for lane in lanes:
+            path = nusc_map.get_arcline_path(lane["id"])
+            poses = np.array(arcline_path_utils.discretize_lane(path, 1.0))[:, :2]
+            ours = lane["centreline"].astype(float) + np.array(scene.origin)
+            # same points, joints once
+            far = np.linalg.norm(poses[:, None] - ours[None], axis=2)
+            assert far.min(axis=1).max() < 1.1e-2
+            assert far.min(axis=0).max() < 1e-3
+            line = LineString(poses)
+            assert line.hausdorff_distance(LineString(ours)) < 1.1e-2
+            length = arcline_path_utils.length_of_lane(path)
+            assert LineString(ours).length == pytest.approx(length, rel=5e-3, abs=0.05)
+            outgoing = {lanes[i]["id"] for i in lane["successors"]}
+            incoming = {lanes[i]["id"] for i in lane["predecessors"]}
+            assert outgoing == set(nusc_map.get_outgoing_lane_ids(lane["id"])) & here
+            assert incoming == set(nusc_map.get_incoming_lane_ids(lane["id"])) & here
+            kind = "lane" if lane["id"] in {x["token"] for x in nusc_map.lane} else "connector"
+            assert lane["kind"] == kind
+            compared += 1
+    assert compared > 100
+
+
+def shape(polygon):
+    from shapely.geometry import Polygon
+
+    return Polygon(polygon["exterior"], polygon["holes"]).buffer(0)
+
+
+def test_cropped_areas_cover_what_shapely_finds(map_scenes):
+    from shapely.affinity import translate
+    from shapely.geometry import MultiPolygon, box
+    from shapely.ops import unary_union
+
+    layers = {
+        "drivable_area": "drivable_area",
+        "ped_crossings": "ped_crossing",
+        "walkways": "walkway",
+    }
+    for scene, nusc_map in map_scenes:
+        tracks = scene.tracks()
+        points = tracks["position"][tracks["valid"]]
+        crop = box(*(points.min(axis=0) - 60), *(points.max(axis=0) + 60))
+        shift = (-scene.origin[0], -scene.origin[1])
+        ours = scene.map_layers()
+        for name, table in layers.items():
+            tokens = []
+            for record in getattr(nusc_map, table):
+                tokens += record.get("polygon_tokens") or [record["polygon_token"]]
+            whole = [translate(nusc_map.extract_polygon(t), *shift).buffer(0) for t in tokens]
+            expected = unary_union([p.intersection(crop) for p in whole if p.intersects(crop)])
+            got = unary_union([shape(p) for p in ours[name]] or [MultiPolygon()])
+            assert got.symmetric_difference(expected).area < 1e-4 * expected.area + 0.5, name
+
+
+def test_cropped_dividers_have_the_length_shapely_finds(map_scenes):
+    from shapely.affinity import translate
+    from shapely.geometry import LineString, box
+
+    for scene, nusc_map in map_scenes:
+        tracks = scene.tracks()
+        points = tracks["position"][tracks["valid"]]
+        crop = box(*(points.min(axis=0) - 60), *(points.max(axis=0) + 60))
+        shift = (-scene.origin[0], -scene.origin[1])
+        ours = scene.map_layers()
+        for name, table in (("road_dividers", "road_divider"), ("lane_dividers", "lane_divider")):
+            lines = [nusc_map.extract_line(r["line_token"]) for r in getattr(nusc_map, table)]
+            expected = sum(translate(li, *shift).intersection(crop).length for li in lines)
+            got = sum(LineString(line).length for line in ours[name])
+            assert got == pytest.approx(expected, rel=1e-4, abs=0.1)
+
+
+def test_both_versions_agree_on_the_scenes_they_share(data_root, mini):
+    root = data_root / "nuscenes"
+    large = ccdiff_env.load_nuscenes(root, "v1.0-trainval", "all")
+    shared = set(large.names) & set(mini.names)
+    assert len(shared) >= 7
+    for name in shared:
+        a, b = large[name], mini[name]
+        position = (a.tracks()["position"][0] + a.origin, b.tracks()["position"][0] + b.origin)
+        assert np.allclose(*position, atol=2e-3)
+    report = large.report
+    assert report.num_tracks == 3974 + len(large)
+    assert report.num_annotations == 100_871
+    assert sum(s.key_frames for s in report.scenes) == 29_455
