@@ -4,6 +4,7 @@
 //! checked for collisions and road departures, rewarded and observed. Background agents are not counted. Resets of
 //! ended episodes are included (SAME_STEP). One thread.
 
+use ccdiff_sim::observe::ObservationConfig;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{
@@ -102,6 +103,21 @@ fn default_config(traffic: Driver) -> WorldConfig {
     WorldConfig { traffic, autoreset: Autoreset::SameStep, ..WorldConfig::default() }
 }
 
+fn comparison_row() -> ObservationConfig {
+    let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
+    ObservationConfig {
+        num_agents: 63,
+        num_route_points: 0,
+        num_map_pieces: 200,
+        radius_m: 200.0,
+        masks: false,
+        ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),
+        agent_columns: names(&["x", "y", "cos", "sin", "speed", "length", "width"]),
+        map_columns: names(&["x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"]),
+        ..ObservationConfig::default()
+    }
+}
+
 /// All agents controlled, observations of 7 + 63 x 7 + 200 x 7 = 1,848 floats, nothing ends but by the horizon.
 fn equal_work(num_agents: usize) -> WorldConfig {
     WorldConfig {
@@ -111,6 +127,7 @@ fn equal_work(num_agents: usize) -> WorldConfig {
         on_off_road: Consequence::Ignore,
         terminate_at_goal: false,
         horizon_steps: 91,
+        observation: comparison_row(),
         ..default_config(Driver::Replay)
     }
 }
@@ -150,7 +167,7 @@ fn main() {
         report("ego in IDM traffic", &city(32, 3), &default_config(Driver::Idm), envs);
     }
     for envs in [1, 16, 64] {
-        report("all controlled, 1,848 floats", &city(32, 3), &equal_work(32), envs);
+        report("all controlled, 1,848 floats", &city(64, 3), &equal_work(64), envs);
     }
     for agents in [8, 64, 256] {
         report("agents per scene", &city(agents, 5), &equal_work(agents), 4);

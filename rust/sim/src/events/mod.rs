@@ -6,7 +6,9 @@
 mod collision;
 mod lane_facts;
 mod off_road;
+mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
 pub use lane_facts::{LaneFacts, WRONG_WAY_CLEARANCE_M, lane_facts};
 pub use off_road::{OffRoad, off_road};
+pub use ttc::time_to_contact;

@@ -2,7 +2,7 @@
 
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
-use crate::events::{Collisions, Contact, ContactKind, lane_facts, off_road};
+use crate::events::{Collisions, Contact, ContactKind, lane_facts, off_road, time_to_contact};
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
 use crate::observe::{EgoFacts, Observer, View};
 use crate::policy::{Motion, WorldView};
@@ -468,31 +468,9 @@ fn road_and_lane(
 
 /// Least time to contact of an agent with any other one at constant velocities, seconds.
 fn least_ttc(states: &AgentStates, scene: &PreparedScene, a: usize) -> Real {
-    let own = states.oriented_box(a, &scene.bodies[a]);
-    let velocity = states.velocity(a);
-    let mut best = TTC_HORIZON_S;
-    for j in 0..states.len() {
-        if j == a || !states.active[j] {
-            continue;
-        }
-        let d = states.position(j) - own.centre;
-        let w = states.velocity(j) - velocity;
-        let reach = scene.bodies[a].radius_m + scene.bodies[j].radius_m;
-        // the circles round the boxes touch when |d + w t| = reach: never, or not before `best`, for most pairs
-        let (dd, dw, ww) = (d.norm_squared(), d.dot(&w), w.norm_squared());
-        let gap = dd - reach * reach;
-        if gap > 0.0 {
-            let discriminant = dw * dw - ww * gap;
-            if dw >= 0.0 || discriminant < 0.0 || -dw - discriminant.sqrt() > best * ww {
-                continue;
-            }
-        }
-        let other = states.oriented_box(j, &scene.bodies[j]);
-        if let Some(t) = own.time_to_contact(velocity, &other, states.velocity(j), best) {
-            best = best.min(t);
-        }
-    }
-    best
+    (0..states.len())
+        .filter(|j| *j != a && states.active[*j])
+        .fold(TTC_HORIZON_S, |best, j| time_to_contact(states, &scene.bodies, a, j, best).unwrap_or(best))
 }
 
 fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {

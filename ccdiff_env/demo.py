@@ -1,0 +1,217 @@
+"""The project's main job in one command: train an ego, compare it, draw it.
+
+``python -m ccdiff_env.demo`` trains a stable-baselines3 PPO ego in reactive traffic on training scenes, drives it on
+held-out scenes beside constant velocity, IDM and log replay under the same rules, and leaves a table, a learning curve
+and an animation. Without a data set it uses the embedded scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ccdiff_env
+
+#: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
+FIGURES = (
+    ("success", "is_success"),
+    ("collision", "collision"),
+    ("at fault", "at_fault"),
+    ("off road", "off_road"),
+    ("route", "route_completion"),
+)
+#: Options that training and evaluation share.
+RULES: dict[str, Any] = {"traffic": "idm"}
+NUM_ENVS = 32
+
+Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
+
+
+def scenes_of(args: argparse.Namespace) -> tuple[Any, Any, str]:
+    """Training scenes, held-out scenes, and their name."""
+    if args.dataroot is None:
+        train, test = ccdiff_env.embedded_scenes("train"), ccdiff_env.embedded_scenes("val")
+        return train, test, "embedded scenes"
+    splits = ("mini_train", "mini_val") if "mini" in args.version else ("train", "val")
+    train, test = (
+        ccdiff_env.load_nuscenes(args.dataroot, args.version, split=split) for split in splits
+    )
+    return train, test, f"nuScenes {args.version}"
+
+
+def evaluate(scenes: Any, *, act: Act | None = None, driver: str = "external") -> list[dict[str, Any]]:
+    """Drive every scene once and return the figures of each episode.
+
+    Parameters
+    ----------
+    scenes : SceneSet
+        N scenes.
+    act : callable, optional
+        Actions [N, 2] from observations [N, D]; for ``driver="external"``.
+    driver : str
+        Who drives the ego.
+    """
+    env = ccdiff_env.make_vec(len(scenes), scenes=scenes, driver=driver, **RULES)
+    obs, _ = env.reset(seed=0, options={"scene": list(range(len(scenes)))})
+    results: list[dict[str, Any]] = [{} for _ in scenes]
+    open_worlds = np.ones(len(scenes), dtype=bool)
+    collided = np.zeros(len(scenes), dtype=bool)
+    actions = np.zeros(env.action_space.shape, dtype=np.float32)
+    while open_worlds.any():
+        if act is not None:
+            actions = act(obs)
+        obs, _, terminated, truncated, infos = env.step(actions)
+        collided |= infos["collision"].astype(bool) & open_worlds
+        for i in np.flatnonzero((terminated | truncated) & open_worlds):
+            results[i] = {key: float(infos[key][i]) for _, key in FIGURES}
+            results[i] |= {"scene": scenes[i].name, "collision": float(collided[i])}
+        open_worlds &= ~(terminated | truncated)
+    env.close()
+    return results
+
+
+def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
+    """Train PPO and write its learning curve; returns the model."""
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
+
+    from ccdiff_env.envs.sb3 import SB3VecEnv
+
+    class Curve(BaseCallback):
+        """Collects finished episodes."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.rows: list[tuple[int, float, float]] = []
+
+        def _on_step(self) -> bool:
+            for info in self.locals["infos"]:
+                if "episode" in info:
+                    row = (self.num_timesteps, info["episode"]["r"], float(info["is_success"]))
+                    self.rows.append(row)
+            return True
+
+    torch.set_num_threads(2)
+    env = SB3VecEnv(
+        ccdiff_env.make_vec(NUM_ENVS, scenes=scenes, autoreset_mode="same_step", **RULES)
+    )
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=128,
+        batch_size=1024,
+        n_epochs=6,
+        learning_rate=5e-4,
+        gamma=0.98,
+        gae_lambda=0.95,
+        ent_coef=0.0,
+        policy_kwargs={"net_arch": [128, 128], "log_std_init": -1.0},
+        seed=seed,
+        device="cpu",
+    )
+    model.set_logger(configure(str(out / "log"), ["csv"]))
+    curve = Curve()
+    model.learn(steps, callback=curve, progress_bar=True)
+    model.save(out / "ego_ppo.zip")
+    draw_curve(curve.rows, out / "learning_curve.png")
+    env.close()
+    return model
+
+
+def draw_curve(rows: list[tuple[int, float, float]], path: Path) -> None:
+    """Return and success rate of training episodes against steps, in windows of 200 episodes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    window = max(1, min(200, len(rows) // 10))
+    data = np.array(rows, dtype=float).reshape(-1, 3)
+    kernel = np.ones(window) / window
+    smooth = [np.convolve(data[:, k], kernel, mode="valid") for k in (1, 2)]
+    steps = data[window - 1 :, 0]
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), constrained_layout=True)
+    for axis, values, label in zip(axes, smooth, ("return", "success rate"), strict=True):
+        axis.plot(steps, values, color="#1f77b4")
+        axis.set_xlabel("environment steps")
+        axis.set_ylabel(f"{label}, mean of {window} episodes")
+        axis.grid(alpha=0.3)
+    axes[1].set_ylim(0, 1)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def draw_episode(scenes: Any, index: int, act: Act, path: Path) -> None:
+    """Animate one episode of a scene."""
+    from ccdiff_env.render import save
+
+    env = ccdiff_env.make_vec(1, scenes=scenes, render_mode="rgb_array", **RULES)
+    obs, _ = env.reset(seed=0, options={"scene": [index]})
+    frames = [env.render()[0]]
+    done = False
+    while not done:
+        obs, _, terminated, truncated, _ = env.step(act(obs))
+        done = bool(terminated[0] or truncated[0])
+        frames.append(env.render()[0])
+    env.close()
+    save(frames, path, fps=10)
+
+
+def table(results: dict[str, list[dict[str, Any]]]) -> str:
+    """Markdown table: one row per ego, mean over scenes in percent."""
+    head = "| ego | " + " | ".join(f"{name} %" for name, _ in FIGURES) + " |"
+    lines = [head, "|---|" + "---:|" * len(FIGURES)]
+    for ego, rows in results.items():
+        cells = [f"{100 * np.mean([r[key] for r in rows]):.0f}" for _, key in FIGURES]
+        lines.append(f"| {ego} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the demo."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dataroot", help="a nuScenes copy; embedded scenes without it")
+    parser.add_argument("--version", default="v1.0-mini", help="version of the nuScenes copy")
+    parser.add_argument("--steps", type=int, default=250_000, help="environment steps of training")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("runs/demo"))
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+
+    start = time.time()
+    train_scenes, test_scenes, name = scenes_of(args)
+    print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
+    print(f"training PPO for {args.steps:,} steps in {RULES['traffic']} traffic")
+    model = train(train_scenes, args.steps, args.seed, args.out)
+
+    def ppo(obs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return np.asarray(model.predict(obs, deterministic=True)[0])
+
+    results = {"PPO": evaluate(test_scenes, act=ppo)}
+    for driver in ("constant_velocity", "idm", "replay"):
+        results[driver.replace("_", " ")] = evaluate(test_scenes, driver=driver)
+    text = table(results)
+    (args.out / "table.md").write_text(text + "\n")
+    with (args.out / "episodes.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, ["ego", "scene", *(key for _, key in FIGURES)])
+        writer.writeheader()
+        for ego, rows in results.items():
+            writer.writerows({"ego": ego, **row} for row in rows)
+    draw_episode(test_scenes, 0, ppo, args.out / "episode.gif")
+    summary = {"scenes": name, "steps": args.steps, "seed": args.seed, "seconds": time.time() - start}
+    (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print(f"\n{len(test_scenes)} held-out scenes, {RULES['traffic']} traffic:\n\n{text}\n")
+    print(f"results in {args.out}/: table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""stable-baselines3's ``VecEnv`` over the native vector environment: no subprocess, no per-environment Python."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from ccdiff_env.envs.vector import EgoVectorEnv
+from ccdiff_env.errors import ConfigError
+
+
+class SB3VecEnv(VecEnv):
+    """The worlds of an :class:`EgoVectorEnv` as stable-baselines3 wants them.
+
+    Done worlds are reset within the step. Their info holds ``terminal_observation``, ``TimeLimit.truncated``
+    (truncated and not terminated), ``episode`` (``r``, ``l``, ``t`` as ``VecMonitor`` writes them), ``is_success`` and
+    the figures of the last step; the infos of the others hold ``TimeLimit.truncated`` alone.
+
+    Parameters
+    ----------
+    env : EgoVectorEnv
+        In ``SAME_STEP`` autoreset mode.
+
+    Raises
+    ------
+    ConfigError
+        If the environment is in another autoreset mode.
+    """
+
+    def __init__(self, env: EgoVectorEnv) -> None:
+        if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
+            raise ConfigError(
+                f"autoreset_mode is {env.metadata['autoreset_mode']}, expected SAME_STEP: "
+                'make_vec(..., autoreset_mode="same_step")'
+            )
+        self.env = env
+        self.render_mode = env.render_mode
+        self._actions: np.ndarray[Any, Any] | None = None
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
+        self._start = time.time()
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> Any:
+        """Reset all worlds, with the seeds and options that :meth:`seed` and ``set_options`` left."""
+        seeds = [None if s is None else int(s) for s in self._seeds]
+        options: dict[str, Any] = {}
+        scenes = [o.get("scene") if isinstance(o, dict) else None for o in self._options]
+        if any(s is not None for s in scenes):
+            options["scene"] = scenes
+        obs, infos = self.env.reset(seed=seeds, options=options or None)
+        self.reset_infos = [self._info_of(infos, i) for i in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return obs
+
+    def step_async(self, actions: np.ndarray[Any, Any]) -> None:
+        """Remember the actions [E, ...] of the coming :meth:`step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> Any:
+        """Step all worlds; observations [E, ...], rewards [E], dones [E], infos."""
+        assert self._actions is not None, "step_async comes first"
+        obs, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        dones = np.logical_or(terminated, truncated)
+        self._returns += rewards
+        self._lengths += 1
+        out: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(dones):
+            info = self._info_of(infos.get("final_info", {}), i)
+            info["terminal_observation"] = infos["final_obs"][i]
+            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+            info["episode"] = {
+                "r": round(float(self._returns[i]), 6),
+                "l": int(self._lengths[i]),
+                "t": round(time.time() - self._start, 6),
+            }
+            self.reset_infos[i] = self._info_of(infos, i)
+            out[i] = info
+        self._returns[dones] = 0.0
+        self._lengths[dones] = 0
+        return obs, np.asarray(rewards, dtype=np.float32), dones, out
+
+    @staticmethod
+    def _info_of(infos: dict[str, Any], i: int) -> dict[str, Any]:
+        """Entry i of Gymnasium's dict of arrays, where its mask says that there is one."""
+        info: dict[str, Any] = {}
+        for key, values in infos.items():
+            if key.startswith("_") or key in ("final_obs", "final_info"):
+                continue
+            mask = infos.get(f"_{key}")
+            if isinstance(values, dict):
+                info[key] = SB3VecEnv._info_of(values, i)
+            elif mask is None or mask[i]:
+                value = values[i]
+                info[key] = value.item() if isinstance(value, np.generic) else value
+        return info
+
+    def close(self) -> None:
+        """Close the worlds."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[np.ndarray[Any, Any] | None]:
+        """Picture of every world, uint8 [H, W, 3]."""
+        frames = self.env.render()
+        return [None] * self.num_envs if frames is None else list(frames)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Attribute of the environment, once for each index."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the environment, which all worlds share."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the environment once for each index.
+
+        Methods that take the index of a world as first argument are not filled in: pass it.
+        """
+        method = getattr(self.env, method_name)
+        return [method(*args, **kwargs) for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Whether each world is wrapped: episodes are monitored natively, so ``Monitor`` counts as present."""
+        from stable_baselines3.common.monitor import Monitor
+
+        return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]

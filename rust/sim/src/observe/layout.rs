@@ -1,0 +1,289 @@
+//! The schema of an observation row.
+
+use crate::error::{Result, SimError};
+use crate::geom::Real;
+use crate::observe::map_pieces::MAX_PIECES;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
+
+/// Choice of rows and columns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ObservationConfig {
+    /// Nearest agents, K rows.
+    pub num_agents: usize,
+    /// Points of the route ahead, P rows.
+    pub num_route_points: usize,
+    /// Metres from one route point to the next.
+    pub route_spacing_m: Real,
+    /// Nearest pieces of map lines, N rows.
+    pub num_map_pieces: usize,
+    /// Agents farther than this are not seen, metres.
+    pub radius_m: Real,
+    /// Whether masks are part of the row.
+    pub masks: bool,
+    /// Columns of `ego`; all if absent.
+    pub ego_columns: Option<Vec<String>>,
+    /// Columns of `agents`; all if absent.
+    pub agent_columns: Option<Vec<String>>,
+    /// Columns of `map`; all if absent.
+    pub map_columns: Option<Vec<String>>,
+}
+
+impl Default for ObservationConfig {
+    fn default() -> Self {
+        Self {
+            num_agents: 16,
+            num_route_points: 20,
+            route_spacing_m: 2.0,
+            num_map_pieces: 64,
+            radius_m: 60.0,
+            masks: true,
+            ego_columns: None,
+            agent_columns: None,
+            map_columns: None,
+        }
+    }
+}
+
+/// One number of a row: what it is, and value = clip(quantity / scale, low, high).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Column {
+    /// Name.
+    pub name: &'static str,
+    /// Unit of the quantity.
+    pub unit: &'static str,
+    /// Divisor.
+    pub scale: Real,
+    /// Least value.
+    pub low: Real,
+    /// Greatest value.
+    pub high: Real,
+    /// What it is.
+    pub doc: &'static str,
+}
+
+/// Whether an entry holds quantities or tells which rows are there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EntryKind {
+    /// Scaled quantities.
+    Values,
+    /// 1 where the row of the entry before it is there, else 0.
+    Mask,
+}
+
+/// A part of the row.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Entry {
+    /// Key in the dictionary form.
+    pub name: &'static str,
+    /// Shape in the dictionary form.
+    pub shape: Vec<usize>,
+    /// First float in the flat row.
+    pub offset: usize,
+    /// Values or mask.
+    pub kind: EntryKind,
+    /// Columns, the last axis of values; empty for masks.
+    pub columns: Vec<Column>,
+}
+
+/// The schema: entries one after the other, `size` floats in all.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Layout {
+    /// Entries in the order of the row.
+    pub entries: Vec<Entry>,
+    /// Floats of a row, D.
+    pub size: usize,
+    #[serde(skip)]
+    pub(crate) config: ObservationConfig,
+    /// Chosen columns of `ego`, `agents` and `map` as indices of the full lists.
+    #[serde(skip)]
+    pub(crate) chosen: [Vec<usize>; 3],
+}
+
+/// Time to contact counts up to here, seconds.
+pub(crate) const TTC_SCALE_S: Real = 10.0;
+
+const fn column(
+    name: &'static str,
+    unit: &'static str,
+    scale: Real,
+    low: Real,
+    high: Real,
+    doc: &'static str,
+) -> Column {
+    Column { name, unit, scale, low, high, doc }
+}
+
+pub(crate) const EGO: [Column; 17] = [
+    column("speed", "m/s", 20.0, -1.0, 1.0, "along the heading"),
+    column("acceleration", "m/s2", 10.0, -1.0, 1.0, "change of speed over the last step"),
+    column("yaw_rate", "rad/s", 1.0, -1.0, 1.0, "change of heading over the last step"),
+    column("length", "m", 10.0, 0.0, 1.0, "of the box"),
+    column("width", "m", 4.0, 0.0, 1.0, "of the box"),
+    column("last_action_0", "", 1.0, -1.0, 1.0, "first column of the last normalised action"),
+    column("last_action_1", "", 1.0, -1.0, 1.0, "second column of the last normalised action"),
+    column("speed_limit", "m/s", 20.0, 0.0, 1.0, "of the lane, else the configured one"),
+    column("route_distance", "m", 5.0, -1.0, 1.0, "signed distance from the route, left positive"),
+    column("route_sin", "", 1.0, -1.0, 1.0, "sine of the heading against the route"),
+    column("route_cos", "", 1.0, -1.0, 1.0, "cosine of the heading against the route"),
+    column("has_lane", "", 1.0, 0.0, 1.0, "1 if a lane is near"),
+    column("lane_distance", "m", 5.0, 0.0, 1.0, "distance to the nearest lane centre, 0 without one"),
+    column("off_road", "", 1.0, 0.0, 1.0, "1 if a corner of the box is off the road"),
+    column("collided", "", 1.0, 0.0, 1.0, "1 while touching another agent"),
+    column("route_remaining", "m", 100.0, 0.0, 1.0, "along the route to the goal"),
+    column("time_remaining", "", 1.0, 0.0, 1.0, "share of the episode that is left"),
+];
+
+const ROUTE: [Column; 4] = [
+    column("x", "m", 60.0, -1.0, 1.0, "ahead"),
+    column("y", "m", 60.0, -1.0, 1.0, "to the left"),
+    column("cos", "", 1.0, -1.0, 1.0, "cosine of the direction"),
+    column("sin", "", 1.0, -1.0, 1.0, "sine of the direction"),
+];
+
+pub(crate) const AGENT: [Column; 16] = [
+    column("x", "m", 60.0, -1.0, 1.0, "centre, ahead"),
+    column("y", "m", 60.0, -1.0, 1.0, "centre, to the left"),
+    column("cos", "", 1.0, -1.0, 1.0, "cosine of the heading"),
+    column("sin", "", 1.0, -1.0, 1.0, "sine of the heading"),
+    column("velocity_x", "m/s", 20.0, -1.0, 1.0, "velocity relative to the observer's, ahead"),
+    column("velocity_y", "m/s", 20.0, -1.0, 1.0, "velocity relative to the observer's, to the left"),
+    column("speed", "m/s", 20.0, -1.0, 1.0, "along its own heading"),
+    column("length", "m", 10.0, 0.0, 1.0, "of the box"),
+    column("width", "m", 4.0, 0.0, 1.0, "of the box"),
+    column("distance", "m", 60.0, 0.0, 1.0, "between centres"),
+    column("ttc", "s", TTC_SCALE_S, 0.0, 1.0, "time to contact at constant velocities, 1: none"),
+    column("is_vehicle", "", 1.0, 0.0, 1.0, "kind"),
+    column("is_pedestrian", "", 1.0, 0.0, 1.0, "kind"),
+    column("is_cyclist", "", 1.0, 0.0, 1.0, "kind"),
+    column("is_motorcycle", "", 1.0, 0.0, 1.0, "kind"),
+    column("is_static", "", 1.0, 0.0, 1.0, "kind"),
+];
+
+pub(crate) const MAP: [Column; 13] = [
+    column("x", "m", 60.0, -1.0, 1.0, "middle of the piece, ahead"),
+    column("y", "m", 60.0, -1.0, 1.0, "middle of the piece, to the left"),
+    column("cos", "", 1.0, -1.0, 1.0, "cosine of its direction"),
+    column("sin", "", 1.0, -1.0, 1.0, "sine of its direction"),
+    column("half_length", "m", 5.0, 0.0, 1.0, "half its length"),
+    column("is_lane", "", 1.0, 0.0, 1.0, "centre line of a lane"),
+    column("is_connector", "", 1.0, 0.0, 1.0, "centre line of a lane connector"),
+    column("is_road_divider", "", 1.0, 0.0, 1.0, "line between directions"),
+    column("is_lane_divider", "", 1.0, 0.0, 1.0, "line between lanes"),
+    column("is_road_edge", "", 1.0, 0.0, 1.0, "edge of the drivable area"),
+    column("is_crossing", "", 1.0, 0.0, 1.0, "edge of a pedestrian crossing"),
+    column("is_stop_line", "", 1.0, 0.0, 1.0, "edge of a stop line area"),
+    column("is_walkway", "", 1.0, 0.0, 1.0, "edge of a walkway"),
+];
+
+fn choose(field: &'static str, all: &[Column], names: Option<&Vec<String>>) -> Result<Vec<usize>> {
+    let Some(names) = names else { return Ok((0..all.len()).collect()) };
+    let index = |name: &String| {
+        all.iter().position(|c| c.name == name).ok_or_else(|| SimError::Config {
+            field,
+            got: format!("{name:?}"),
+            expected: format!("some of {:?}", all.iter().map(|c| c.name).collect::<Vec<_>>()),
+        })
+    };
+    names.iter().map(index).collect()
+}
+
+impl Layout {
+    /// Schema of a configuration.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] for counts, distances and column names out of range.
+    pub fn new(config: &ObservationConfig) -> Result<Self> {
+        let c = config;
+        let limit = |field, got: usize, most: usize| {
+            let expected = format!("at most {most}");
+            if got <= most { Ok(()) } else { Err(SimError::Config { field, got: got.to_string(), expected }) }
+        };
+        limit("observation.num_agents", c.num_agents, 512)?;
+        limit("observation.num_route_points", c.num_route_points, 256)?;
+        limit("observation.num_map_pieces", c.num_map_pieces, MAX_PIECES)?;
+        for (field, value) in
+            [("observation.route_spacing_m", c.route_spacing_m), ("observation.radius_m", c.radius_m)]
+        {
+            if !(value > 0.0 && value <= 1000.0) {
+                let expected = "metres in (0, 1000]".into();
+                return Err(SimError::Config { field, got: value.to_string(), expected });
+            }
+        }
+        let chosen = [
+            choose("observation.ego_columns", &EGO, c.ego_columns.as_ref())?,
+            choose("observation.agent_columns", &AGENT, c.agent_columns.as_ref())?,
+            choose("observation.map_columns", &MAP, c.map_columns.as_ref())?,
+        ];
+        let pick = |all: &[Column], which: &[usize]| which.iter().map(|i| all[*i].clone()).collect();
+        let mut layout =
+            Self { entries: Vec::new(), size: 0, config: config.clone(), chosen: chosen.clone() };
+        layout.push("ego", None, pick(&EGO, &chosen[0]));
+        layout.push("route", Some(("route_mask", c.num_route_points)), ROUTE.to_vec());
+        layout.push("agents", Some(("agents_mask", c.num_agents)), pick(&AGENT, &chosen[1]));
+        layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&MAP, &chosen[2]));
+        if layout.size == 0 {
+            let expected = "at least one number".into();
+            return Err(SimError::Config { field: "observation", got: "nothing".into(), expected });
+        }
+        Ok(layout)
+    }
+
+    fn push(&mut self, name: &'static str, rows: Option<(&'static str, usize)>, columns: Vec<Column>) {
+        let width = columns.len();
+        let shape = rows.map_or_else(|| vec![width], |(_, n)| vec![n, width]);
+        let size: usize = shape.iter().product();
+        if size == 0 {
+            return;
+        }
+        self.entries.push(Entry { name, shape, offset: self.size, kind: EntryKind::Values, columns });
+        self.size += size;
+        if let Some((mask, n)) = rows.filter(|_| self.config.masks) {
+            let entry = Entry {
+                name: mask,
+                shape: vec![n],
+                offset: self.size,
+                kind: EntryKind::Mask,
+                columns: Vec::new(),
+            };
+            self.entries.push(entry);
+            self.size += n;
+        }
+    }
+
+    /// The entry of a name.
+    pub fn entry(&self, name: &str) -> Option<&Entry> {
+        self.entries.iter().find(|e| e.name == name)
+    }
+
+    /// The page `docs/observation.md`.
+    pub fn to_markdown(&self) -> String {
+        let mut text = String::from(
+            "# Observation\n\n<!-- written by `cargo run -p ccdiff-sim --example observation_page` from the layout; do not edit -->\n\n\
+             Everything is in the frame of the observing agent: x ahead, y to the left, metres. Each number is\n\
+             `clip(quantity / scale, low, high)`. Rows for what is not there are zero, and their mask is 0.\n\
+             In the flat form the entries follow one another; in the dictionary form each is an array of its own.\n",
+        );
+        // writing to a String cannot fail
+        let _ = writeln!(text, "\nDefault configuration: {} floats.", self.size);
+        for entry in &self.entries {
+            let _ = writeln!(text, "\n## `{}` {:?}, from float {}\n", entry.name, entry.shape, entry.offset);
+            if entry.kind == EntryKind::Mask {
+                let _ = writeln!(text, "1 where the row is there, else 0.");
+                continue;
+            }
+            let _ =
+                writeln!(text, "| column | unit | scale | low | high | what |\n|---|---|---:|---:|---:|---|");
+            for c in &entry.columns {
+                let _ = writeln!(
+                    text,
+                    "| {} | {} | {} | {} | {} | {} |",
+                    c.name, c.unit, c.scale, c.low, c.high, c.doc
+                );
+            }
+        }
+        text
+    }
+}

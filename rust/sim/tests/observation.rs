@@ -1,0 +1,181 @@
+//! Observation rows: bounds, frames, masks, order.
+
+mod common;
+
+use ccdiff_sim::geom::{Point2, Pose2, Vector2};
+use ccdiff_sim::observe::{EntryKind, Layout, MapPieces, ObservationConfig};
+use ccdiff_sim::scene::synthetic::GridCity;
+use ccdiff_sim::scene::{Map, Scene};
+use ccdiff_sim::world::{Autoreset, Driver, WorldConfig};
+use common::{Batch, actions, city};
+use proptest::prelude::*;
+use std::sync::Arc;
+
+fn config() -> WorldConfig {
+    WorldConfig { autoreset: Autoreset::SameStep, traffic: Driver::Idm, ..WorldConfig::default() }
+}
+
+#[test]
+fn entries_follow_one_another_without_gaps() {
+    let layout = Layout::new(&ObservationConfig::default()).unwrap();
+    let mut offset = 0;
+    for entry in &layout.entries {
+        assert_eq!(entry.offset, offset);
+        offset += entry.shape.iter().product::<usize>();
+        let columns = if entry.kind == EntryKind::Mask { 0 } else { *entry.shape.last().unwrap() };
+        assert_eq!(entry.columns.len(), columns);
+    }
+    assert_eq!(layout.size, offset);
+}
+
+#[test]
+fn every_number_lies_within_the_bounds_of_its_column() {
+    let mut batch = Batch::new(vec![city(40), city(3)], config(), 8, 1);
+    batch.reset_all(1);
+    let layout = batch.world.layout().clone();
+    for t in 0..150 {
+        batch.step(&actions(t, 16)).unwrap();
+        for row in batch.obs.chunks_exact(layout.size) {
+            for entry in &layout.entries {
+                let values = &row[entry.offset..entry.offset + entry.shape.iter().product::<usize>()];
+                for (i, v) in values.iter().enumerate() {
+                    match entry.kind {
+                        EntryKind::Mask => assert!(*v == 0.0 || *v == 1.0),
+                        EntryKind::Values => {
+                            let c = &entry.columns[i % entry.columns.len()];
+                            assert!(*v >= c.low && *v <= c.high, "{} {} = {v}", entry.name, c.name);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn nearest_agents_agree_with_a_slow_search() {
+    let observation = ObservationConfig { num_agents: 5, ..ObservationConfig::default() };
+    let mut batch = Batch::new(vec![city(30)], WorldConfig { observation, ..config() }, 1, 1);
+    batch.reset_all(1);
+    let agents = batch.world.layout().entry("agents").unwrap().clone();
+    let mask = batch.world.layout().entry("agents_mask").unwrap().offset;
+    for t in 0..60 {
+        batch.step(&actions(t, 2)).unwrap();
+        let status = batch.world.status(0).unwrap();
+        let (s, ego) = (status.states, status.states.pose(0));
+        let mut others: Vec<(f32, usize)> = (1..s.len())
+            .filter(|j| s.active[*j])
+            .map(|j| ((s.position(j) - ego.position).norm(), j))
+            .filter(|(d, _)| *d <= 60.0)
+            .collect();
+        others.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for k in 0..5 {
+            let row = &batch.obs[agents.offset + k * agents.shape[1]..][..agents.shape[1]];
+            let Some((distance, j)) = others.get(k) else {
+                assert!(row.iter().all(|v| *v == 0.0) && batch.obs[mask + k] == 0.0);
+                continue;
+            };
+            assert_eq!(batch.obs[mask + k], 1.0);
+            let local = ego.to_local(s.position(*j));
+            assert!((row[0] * 60.0 - local.x).abs() < 1e-3 && (row[1] * 60.0 - local.y).abs() < 1e-3);
+            assert!((row[9] * 60.0 - distance).abs() < 1e-3);
+        }
+    }
+}
+
+/// The scene turned by an angle and moved.
+fn moved(scene: &Scene, by: Pose2) -> Scene {
+    let mut out = scene.clone();
+    let point = |p: &Point2| by.to_outer(*p);
+    for p in &mut out.tracks.position {
+        *p = point(p);
+    }
+    for h in &mut out.tracks.heading_rad {
+        *h += by.heading_rad;
+    }
+    for v in &mut out.tracks.velocity {
+        *v = by.rotate(Vector2::new(v.x, v.y));
+    }
+    let mut map = Map::clone(&out.map);
+    for lane in &mut map.lanes {
+        lane.centreline.iter_mut().chain(&mut lane.polygon.exterior).for_each(|p| *p = point(p));
+    }
+    map.drivable_area.iter_mut().flat_map(|p| &mut p.exterior).for_each(|p| *p = point(p));
+    map.road_dividers.iter_mut().flatten().for_each(|p| *p = point(p));
+    out.map = Arc::new(map);
+    out
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn moving_the_whole_scene_changes_nothing_but_the_choice_of_map_rows(
+        x in -300f32..300., y in -300f32..300., turn in -3f32..3.,
+    ) {
+        let scene = GridCity { num_agents: 20, ..GridCity::default() }.scene();
+        let there = moved(&scene, Pose2::new(x, y, turn));
+        let run = |scene: Scene| {
+            let scene = Arc::new(scene.validated().unwrap());
+            let mut batch = Batch::new(vec![scene], config(), 1, 1);
+            batch.reset_all(4);
+            for t in 0..10 {
+                batch.step(&actions(t, 2)).unwrap();
+            }
+            (batch.obs[..batch.world.layout().entry("map").unwrap().offset].to_vec(), batch.reward[0])
+        };
+        let ((a, ra), (b, rb)) = (run(scene), run(there));
+        for (i, (u, v)) in a.iter().zip(&b).enumerate() {
+            prop_assert!((u - v).abs() < 5e-3, "float {} is {} and {}", i, u, v);
+        }
+        prop_assert!((ra - rb).abs() < 5e-3);
+    }
+}
+
+#[test]
+fn map_pieces_cover_their_lines_and_the_cut_is_left_out() {
+    let scene = GridCity { num_roads: 1, ..GridCity::default() }.scene();
+    let pieces = MapPieces::new(&scene.map);
+    let total: f32 = pieces.half_length_m.iter().sum::<f32>() * 2.0;
+    // two roads of 80 m: two lanes and a divider each; the edges of the crossing roads but for the ends, which lie on
+    // the rectangle of the crop
+    let expected = 2.0 * 80.0 * 3.0 + 2.0 * 2.0 * 80.0;
+    assert!((total - expected).abs() < 1.0, "{total} against {expected}");
+    assert!(pieces.half_length_m.iter().all(|h| *h <= 2.51));
+    let near = pieces.nearest(Point2::new(3.0, -2.0));
+    let distance = |k: u32| {
+        let (dx, dy) = (pieces.x[k as usize] - 3.0, pieces.y[k as usize] + 2.0);
+        dx.hypot(dy)
+    };
+    assert!(near.windows(2).all(|w| distance(w[0]) <= distance(w[1]) + 5.7));
+    let best = (0..pieces.len() as u32).map(distance).fold(f32::MAX, f32::min);
+    assert!(distance(near[0]) <= best + 5.7);
+}
+
+#[test]
+fn chosen_columns_make_the_row_of_the_comparison() {
+    let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
+    let observation = ObservationConfig {
+        num_agents: 63,
+        num_route_points: 0,
+        num_map_pieces: 200,
+        masks: false,
+        ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),
+        agent_columns: names(&["x", "y", "cos", "sin", "speed", "length", "width"]),
+        map_columns: names(&["x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"]),
+        ..ObservationConfig::default()
+    };
+    assert_eq!(Layout::new(&observation).unwrap().size, 7 + 63 * 7 + 200 * 7);
+    let mut batch = Batch::new(vec![city(64)], WorldConfig { observation, ..config() }, 1, 1);
+    batch.reset_all(0);
+    assert!(batch.obs.iter().any(|v| *v != 0.0));
+    let bad = ObservationConfig { map_columns: names(&["colour"]), ..ObservationConfig::default() };
+    assert!(Layout::new(&bad).is_err());
+}
+
+#[test]
+fn the_observation_page_is_up_to_date() {
+    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/observation.md");
+    let text = std::fs::read_to_string(page).unwrap();
+    let layout = Layout::new(&ObservationConfig::default()).unwrap();
+    assert!(text == layout.to_markdown(), "run: cargo run -p ccdiff-sim --example observation_page");
+}
