@@ -7,17 +7,17 @@ use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{Autoreset, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::sync::Arc;
 
-pub struct Batch {
-    pub world: VecWorld,
-    pub obs: Vec<f32>,
-    pub reward: Vec<f32>,
-    pub terminated: Vec<bool>,
-    pub truncated: Vec<bool>,
-    pub alive: Vec<bool>,
-    pub columns: Vec<f32>,
-    pub done: Vec<bool>,
-    pub was_reset: Vec<bool>,
-    pub final_obs: Vec<f32>,
+pub(crate) struct Batch {
+    pub(crate) world: VecWorld,
+    pub(crate) obs: Vec<f32>,
+    pub(crate) reward: Vec<f32>,
+    pub(crate) terminated: Vec<bool>,
+    pub(crate) truncated: Vec<bool>,
+    pub(crate) alive: Vec<bool>,
+    pub(crate) columns: Vec<f32>,
+    pub(crate) done: Vec<bool>,
+    pub(crate) was_reset: Vec<bool>,
+    pub(crate) final_obs: Vec<f32>,
 }
 
 macro_rules! buffers {
@@ -36,12 +36,12 @@ macro_rules! buffers {
     };
 }
 
-pub fn city(num_agents: usize) -> Arc<Scene> {
+pub(crate) fn city(num_agents: usize) -> Arc<Scene> {
     Arc::new(GridCity { num_agents, ..GridCity::default() }.scene().validated().unwrap())
 }
 
 impl Batch {
-    pub fn new(scenes: Vec<Arc<Scene>>, config: WorldConfig, envs: usize, threads: usize) -> Self {
+    pub(crate) fn new(scenes: Vec<Arc<Scene>>, config: WorldConfig, envs: usize, threads: usize) -> Self {
         let slots = envs * config.num_slots;
         let same_step = config.autoreset == Autoreset::SameStep;
         let world = VecWorld::new(scenes, config, envs, threads, None).unwrap();
@@ -60,29 +60,29 @@ impl Batch {
         }
     }
 
-    pub fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
+    pub(crate) fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
         let request = ResetRequest { seeds, scenes, mask: None };
         self.world.reset(&request, buffers!(self))
     }
 
-    pub fn reset_all(&mut self, seed: u64) {
+    pub(crate) fn reset_all(&mut self, seed: u64) {
         let n = self.world.num_worlds();
         let seeds: Vec<_> = (0..n as u64).map(|i| Some(seed + i)).collect();
         self.reset(&seeds, &vec![None; n]).unwrap();
     }
 
-    pub fn reset_masked(&mut self, mask: &[bool]) -> Result<()> {
+    pub(crate) fn reset_masked(&mut self, mask: &[bool]) -> Result<()> {
         let n = self.world.num_worlds();
         let request = ResetRequest { seeds: &vec![None; n], scenes: &vec![None; n], mask: Some(mask) };
         self.world.reset(&request, buffers!(self))
     }
 
-    pub fn step(&mut self, actions: &[f32]) -> Result<()> {
+    pub(crate) fn step(&mut self, actions: &[f32]) -> Result<()> {
         self.world.step(actions, buffers!(self))
     }
 
     /// All bits that a step gives out.
-    pub fn bits(&self) -> Vec<u32> {
+    pub(crate) fn bits(&self) -> Vec<u32> {
         let reals = self.obs.iter().chain(&self.reward).chain(&self.columns);
         let flags = self.terminated.iter().chain(&self.truncated).chain(&self.alive);
         let worlds = self.done.iter().chain(&self.was_reset);
@@ -91,7 +91,7 @@ impl Batch {
 }
 
 /// Actions in [-1, 1] that look random, from a linear congruence.
-pub fn actions(step: usize, n: usize) -> Vec<f32> {
+pub(crate) fn actions(step: usize, n: usize) -> Vec<f32> {
     (0..n)
         .map(|i| {
             let x = (step as u32).wrapping_mul(2654435761).wrapping_add((i as u32).wrapping_mul(40503));
