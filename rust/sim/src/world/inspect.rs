@@ -193,6 +193,20 @@ impl VecWorld {
         Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())
     }
 
+    /// Writes the present observations [C, D] of one world once more.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`], and [`SimError::Length`] for a buffer of another size.
+    pub fn observe(&mut self, world_idx: usize, obs: &mut [Real]) -> Result<()> {
+        self.begun(world_idx)?;
+        let expected = self.config.num_slots * self.layout.size;
+        if obs.len() != expected {
+            return Err(SimError::Length { what: "obs", got: obs.len(), expected });
+        }
+        self.worlds[world_idx].observe(&self.config, obs, self.layout.size);
+        Ok(())
+    }
+
     /// Names of the phases that [`VecWorld::step_in_phases`] reports.
     pub fn phase_names() -> [&'static str; TickPhase::ALL.len()] {
         ["decide", "move", "events", "reward", "observe"]

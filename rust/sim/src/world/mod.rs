@@ -29,6 +29,7 @@ pub use config::{
     WorldConfig,
 };
 pub use history::{History, PastState};
+pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;
 pub use rng::Rng;
 pub use route::Route;

@@ -316,7 +316,7 @@ impl World {
 
     /// Writes the observations of all slots: of agents that go on, and of those whose episode ended in this very
     /// step. Rows of the others are zero.
-    fn observe(&mut self, config: &WorldConfig, obs: &mut [Real], row: usize) {
+    pub(crate) fn observe(&mut self, config: &WorldConfig, obs: &mut [Real], row: usize) {
         let e = &self.episode;
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * row..(c + 1) * row];
