@@ -1,7 +1,7 @@
 """The compiled extension; arrays are C-contiguous."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, final
+from typing import Any, TypedDict, final
 
 import numpy as np
 import numpy.typing as npt
@@ -316,3 +316,120 @@ class Planner:
 
 def model_preset(name: str) -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
+
+class StateArrays(TypedDict):
+    position: F32
+    heading: F32
+    velocity: F32
+    speed: F32
+    acceleration: F32
+    yaw_rate: F32
+    active: Bool
+
+_Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None]
+
+@final
+class VecWorld:
+    """E worlds over scenes; one thread at a time, never in a forked child."""
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        config: str,
+        num_worlds: int,
+        num_threads: int,
+        trail_steps: int = 0,
+    ) -> None: ...
+    def reset(
+        self,
+        seeds: Sequence[int | None],
+        scenes: Sequence[int | None],
+        mask: Sequence[bool] | None,
+        out: _Arrays,
+    ) -> None:
+        """Begin episodes. ``out``: obs [E, C, D], reward, terminated, truncated, alive [E, C],
+        columns [E, C, M], done, was_reset [E], final_obs [E, C, D] (SAME_STEP) or None.
+        """
+
+    def step(self, actions: F32, out: _Arrays) -> None:
+        """Advance all worlds by one step; actions [E, C, W]."""
+
+    def observe(self, world_idx: int, obs: F32) -> None:
+        """Write the present observations [C, D] of a world."""
+
+    @property
+    def config_json(self) -> str:
+        """Configuration, defaults filled in."""
+
+    @property
+    def layout_json(self) -> str:
+        """Schema of the observation row."""
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds E."""
+
+    @property
+    def action_width(self) -> int:
+        """Numbers per action W."""
+
+    @property
+    def num_actions(self) -> int | None:
+        """Number of discrete actions, None for continuous ones."""
+
+    @property
+    def action_bounds(self) -> list[tuple[str, float, float]]:
+        """Name with unit, and physical values at -1 and +1, of each quantity of an action."""
+
+    def snapshot(self, world_idx: int) -> bytes:
+        """Return everything that the future of a world depends on."""
+
+    def restore(self, world_idx: int, snapshot: bytes) -> None:
+        """Put a world into the state of a snapshot."""
+
+    def digest(self, world_idx: int) -> int:
+        """Return a digest of everything that the future of a world depends on."""
+
+    def begun(self, world_idx: int) -> bool:
+        """Whether a world was ever reset."""
+
+    def status(self, world_idx: int) -> tuple[int, int, int, int, int]:
+        """Return scene index, seed, number of the episode (from 1), step of the log, elapsed."""
+
+    def states(self, world_idx: int) -> StateArrays:
+        """Return present states [A]; zero where an agent is not active."""
+
+    def drivers(self, world_idx: int) -> list[str]:
+        """Return who drives each agent."""
+
+    def slot_agents(self, world_idx: int) -> list[int | None]:
+        """Return the agent of each slot."""
+
+    def route(self, world_idx: int, slot_idx: int) -> tuple[F32, tuple[float, float]] | None:
+        """Return the route [P, 2] of a slot's agent, and its goal."""
+
+    def contacts(self, world_idx: int) -> list[tuple[int, int, str, float, bool]]:
+        """Return who touches whom: agent, partner, side hit, closing speed m/s, at fault."""
+
+    def off_road(self, world_idx: int) -> tuple[Bool, Bool]:
+        """Return agents [A] with a corner, and with the centre, off the road."""
+
+    def expert_actions(self, world_idx: int) -> F32:
+        """Return actions [C, W] towards each slot's next logged state."""
+
+    def render(
+        self,
+        world_idx: int,
+        *,
+        size: tuple[int, int],
+        span_m: float,
+        centre: str | tuple[float, float] | None,
+        heading_up: bool,
+        trails: bool,
+        route: bool,
+        labels: bool,
+    ) -> U8:
+        """Return a picture [H, W, 3]."""
+
+def default_world_config() -> str: ...
+def columns_json() -> str: ...

@@ -86,6 +86,9 @@ class SceneSet(Sequence[Scene]):
     def __hash__(self) -> int:
         return hash(self._scenes)
 
+    def __deepcopy__(self, memo: object) -> SceneSet:
+        return self  # it never changes
+
     def __repr__(self) -> str:
         return (
             f"SceneSet({len(self)} scenes: {', '.join(self.names[:3])}{', ...' * (len(self) > 3)})"

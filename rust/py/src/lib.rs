@@ -1,12 +1,16 @@
 //! The Python module `ccdiff_env._native`: a translation, no arithmetic.
 
 mod causal;
+mod enter;
 mod errors;
 mod metrics;
 mod models;
 mod render;
 mod scene;
 mod scene_map;
+mod world;
+mod world_picture;
+mod world_state;
 
 use pyo3::prelude::*;
 
@@ -17,5 +21,6 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     models::register(m)?;
     render::register(m)?;
     scene::register(m)?;
+    world::register(m)?;
     Ok(())
 }

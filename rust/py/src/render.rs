@@ -102,7 +102,7 @@ pub(crate) fn scene_picture<'py>(
 }
 
 /// Width and height as the camera counts them.
-fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
+pub(crate) fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(w), Ok(h)) => Ok((w, h)),
         _ => Err(ConfigError::new_err(format!(

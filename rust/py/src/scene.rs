@@ -262,6 +262,16 @@ impl PyScene {
         scene_picture(py, scene, step, size, span_m, centre, heading_up, trails, route, labels)
     }
 
+    /// The scene itself: it never changes.
+    fn __copy__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    /// The scene itself: it never changes.
+    fn __deepcopy__<'py>(slf: PyRef<'py, Self>, _memo: &Bound<'py, PyAny>) -> PyRef<'py, Self> {
+        slf
+    }
+
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
         other.cast::<Self>().is_ok_and(|o| {
             let other = &o.get().scene;

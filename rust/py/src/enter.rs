@@ -1,0 +1,54 @@
+//! Entering Rust with an object that owns threads: fork check, GIL release, and panics as exceptions.
+
+use crate::errors::py;
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// The process in which an object was made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Home(u32);
+
+impl Home {
+    /// This process.
+    pub(crate) fn here() -> Self {
+        Self(std::process::id())
+    }
+
+    /// Whether this is still the process of the object.
+    pub(crate) fn is_here(self) -> bool {
+        self == Self::here()
+    }
+
+    /// Refuses a forked child: its copies of the worker threads do not run.
+    ///
+    /// # Errors
+    /// `ForkError`.
+    pub(crate) fn check(self) -> PyResult<()> {
+        if self.is_here() {
+            return Ok(());
+        }
+        Err(py::ForkError::new_err(format!(
+            "made in process {}, used in its forked child {}: worker threads do not survive a fork. Use the \
+             \"spawn\" start method, or one vector environment instead of one environment per process",
+            self.0,
+            std::process::id()
+        )))
+    }
+}
+
+/// Runs a call without the GIL; a panic becomes a `RuntimeError`.
+///
+/// # Errors
+/// The call's own error, or `RuntimeError` for a panic.
+pub(crate) fn enter<T, F>(python: Python<'_>, call: F) -> PyResult<T>
+where
+    T: Send,
+    F: FnOnce() -> PyResult<T> + Send,
+{
+    python.detach(|| catch_unwind(AssertUnwindSafe(call))).unwrap_or_else(|cause| {
+        let text = cause.downcast_ref::<&str>().map(ToString::to_string);
+        let text = text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default();
+        Err(PyRuntimeError::new_err(format!("internal fault, please report it: {text}")))
+    })
+}

@@ -1,0 +1,356 @@
+//! `VecWorld`: many worlds stepped as one batch, writing into the caller's arrays.
+
+use crate::enter::{Home, enter};
+use crate::errors::{from_sim, py};
+use crate::render::CentreArg;
+use crate::scene::PyScene;
+use crate::world_picture::{self, Shot, Trails};
+use crate::world_state;
+use ccdiff_sim::world::{COLUMNS, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use numpy::{Element, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::sync::Arc;
+
+/// Adds the classes and functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyVecWorld>()?;
+    module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
+    module.add_function(wrap_pyfunction!(columns_json, module)?)
+}
+
+fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
+}
+
+/// The default configuration as JSON.
+#[pyfunction]
+fn default_world_config() -> PyResult<String> {
+    to_json(&WorldConfig::default())
+}
+
+/// The schema of the figures of a step as JSON: name, unit and meaning of each column.
+#[pyfunction]
+fn columns_json() -> PyResult<String> {
+    to_json(&COLUMNS)
+}
+
+/// Worlds that play scenes. One thread at a time: a second one gets `RuntimeError`.
+#[pyclass(name = "VecWorld", module = "ccdiff_env._native")]
+pub(crate) struct PyVecWorld {
+    world: VecWorld,
+    trails: Option<Trails>,
+    home: Home,
+    /// Actions of the present step.
+    actions: Vec<f32>,
+}
+
+/// An array of a dtype and shape in C order.
+fn typed<'a, 'py, T: Element>(
+    what: &str,
+    array: &'a Bound<'py, PyAny>,
+    shape: &[usize],
+) -> PyResult<&'a Bound<'py, PyArrayDyn<T>>> {
+    let fail = |got: String| {
+        let dtype = numpy::dtype::<T>(array.py());
+        Err(py::ShapeError::new_err(format!(
+            "{what} is {got}, expected a C-contiguous {dtype} array of shape {shape:?}"
+        )))
+    };
+    let Ok(typed) = array.cast::<PyArrayDyn<T>>() else {
+        return match array.cast::<numpy::PyUntypedArray>() {
+            Ok(other) => fail(format!("{} {:?}", other.dtype(), other.shape())),
+            Err(_) => fail(array.get_type().name().map_or_else(|_| "no array".into(), |n| n.to_string())),
+        };
+    };
+    if typed.shape() != shape || !typed.is_c_contiguous() {
+        let layout = if typed.is_c_contiguous() { "" } else { ", not C-contiguous" };
+        return fail(format!("{} {:?}{layout}", typed.dtype(), typed.shape()));
+    }
+    Ok(typed)
+}
+
+/// An array that Rust writes, checked for dtype, shape and layout.
+fn writable<'py, T: Element>(
+    what: &str,
+    array: &Bound<'py, PyAny>,
+    shape: &[usize],
+) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
+    typed(what, array, shape)?.try_readwrite().map_err(|_| {
+        py::ShapeError::new_err(format!(
+            "{what} is read-only, or given twice, expected a writable array of its own"
+        ))
+    })
+}
+
+/// The arrays of one call.
+struct Outputs<'py> {
+    obs: PyReadwriteArrayDyn<'py, f32>,
+    reward: PyReadwriteArrayDyn<'py, f32>,
+    terminated: PyReadwriteArrayDyn<'py, bool>,
+    truncated: PyReadwriteArrayDyn<'py, bool>,
+    alive: PyReadwriteArrayDyn<'py, bool>,
+    columns: PyReadwriteArrayDyn<'py, f32>,
+    done: PyReadwriteArrayDyn<'py, bool>,
+    was_reset: PyReadwriteArrayDyn<'py, bool>,
+    final_obs: Option<PyReadwriteArrayDyn<'py, f32>>,
+}
+
+/// The arguments of a call as Python gives them: obs, reward, terminated, truncated, alive, columns, done, was_reset,
+/// final_obs.
+type Given<'py> = (
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Bound<'py, PyAny>,
+    Option<Bound<'py, PyAny>>,
+);
+
+impl<'py> Outputs<'py> {
+    fn check(given: &Given<'py>, world: &VecWorld) -> PyResult<Self> {
+        let (e, c) = (world.num_worlds(), world.config().num_slots);
+        let row = world.layout().size;
+        let slots = [e, c];
+        Ok(Self {
+            obs: writable("obs", &given.0, &[e, c, row])?,
+            reward: writable("reward", &given.1, &slots)?,
+            terminated: writable("terminated", &given.2, &slots)?,
+            truncated: writable("truncated", &given.3, &slots)?,
+            alive: writable("alive", &given.4, &slots)?,
+            columns: writable("columns", &given.5, &[e, c, NUM_COLUMNS])?,
+            done: writable("done", &given.6, &[e])?,
+            was_reset: writable("was_reset", &given.7, &[e])?,
+            final_obs: given.8.as_ref().map(|a| writable("final_obs", a, &[e, c, row])).transpose()?,
+        })
+    }
+
+    fn buffers(&mut self) -> PyResult<StepBuffers<'_>> {
+        let final_obs: &mut [f32] = match &mut self.final_obs {
+            Some(array) => array.as_slice_mut()?,
+            None => &mut [],
+        };
+        Ok(StepBuffers {
+            obs: self.obs.as_slice_mut()?,
+            reward: self.reward.as_slice_mut()?,
+            terminated: self.terminated.as_slice_mut()?,
+            truncated: self.truncated.as_slice_mut()?,
+            alive: self.alive.as_slice_mut()?,
+            columns: self.columns.as_slice_mut()?,
+            done: self.done.as_slice_mut()?,
+            was_reset: self.was_reset.as_slice_mut()?,
+            final_obs,
+        })
+    }
+}
+
+#[pymethods]
+impl PyVecWorld {
+    /// Worlds over scenes; `trail_steps` past positions are kept for pictures.
+    #[new]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0))]
+    fn new(
+        py: Python<'_>,
+        scenes: Vec<PyRef<'_, PyScene>>,
+        config: &str,
+        num_worlds: usize,
+        num_threads: usize,
+        trail_steps: usize,
+    ) -> PyResult<Self> {
+        let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
+        let config = WorldConfig::from_json(config).map_err(from_sim)?;
+        let build = || VecWorld::new(scenes, config, num_worlds, num_threads, None).map_err(from_sim);
+        let world = enter(py, build)?;
+        let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
+        Ok(Self { world, trails, home: Home::here(), actions: Vec::new() })
+    }
+
+    /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
+    fn reset<'py>(
+        &mut self,
+        py: Python<'py>,
+        seeds: Vec<Option<u64>>,
+        scenes: Vec<Option<usize>>,
+        mask: Option<Vec<bool>>,
+        out: Given<'py>,
+    ) -> PyResult<()> {
+        self.home.check()?;
+        let mut out = Outputs::check(&out, &self.world)?;
+        let buffers = out.buffers()?;
+        let world = &mut self.world;
+        let request = ResetRequest { seeds: &seeds, scenes: &scenes, mask: mask.as_deref() };
+        enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
+        if let Some(trails) = &mut self.trails {
+            for i in (0..self.world.num_worlds()).filter(|i| mask.as_ref().is_none_or(|m| m[*i])) {
+                trails.restart(&self.world, i).map_err(from_sim)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// One step of all worlds; actions [E, C, W] float32.
+    fn step<'py>(&mut self, py: Python<'py>, actions: &Bound<'py, PyAny>, out: Given<'py>) -> PyResult<()> {
+        self.home.check()?;
+        let world = &mut self.world;
+        let shape = [world.num_worlds(), world.config().num_slots, world.decoder().width()];
+        // copied, so that nobody changes them while the GIL is released
+        self.actions.clear();
+        self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
+        let actions = &self.actions;
+        let mut out = Outputs::check(&out, world)?;
+        let buffers = out.buffers()?;
+        enter(py, || world.step(actions, buffers).map_err(from_sim))?;
+        if let Some(trails) = &mut self.trails {
+            trails.follow(&self.world, out.was_reset.as_slice()?).map_err(from_sim)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the present observations [C, D] of one world.
+    fn observe<'py>(&mut self, world_idx: usize, obs: &Bound<'py, PyAny>) -> PyResult<()> {
+        self.home.check()?;
+        let shape = [self.world.config().num_slots, self.world.layout().size];
+        let mut obs = writable::<f32>("obs", obs, &shape)?;
+        self.world.observe(world_idx, obs.as_slice_mut()?).map_err(from_sim)
+    }
+
+    /// The configuration as JSON, defaults filled in.
+    #[getter]
+    fn config_json(&self) -> PyResult<String> {
+        to_json(self.world.config())
+    }
+
+    /// The schema of the observation row as JSON.
+    #[getter]
+    fn layout_json(&self) -> PyResult<String> {
+        to_json(self.world.layout())
+    }
+
+    #[getter]
+    fn num_worlds(&self) -> usize {
+        self.world.num_worlds()
+    }
+
+    /// Numbers per action.
+    #[getter]
+    fn action_width(&self) -> usize {
+        self.world.decoder().width()
+    }
+
+    /// Number of discrete actions, `None` for continuous ones.
+    #[getter]
+    fn num_actions(&self) -> Option<usize> {
+        self.world.decoder().num_actions()
+    }
+
+    /// Names and units of the physical quantities of an action, and their values at -1 and +1.
+    #[getter]
+    fn action_bounds(&self) -> Vec<(&'static str, f32, f32)> {
+        let decoder = self.world.decoder();
+        let (low, high) = decoder.physical_bounds();
+        let names = decoder.dynamics().columns().iter();
+        names.zip(low.into_iter().zip(high)).map(|(name, (low, high))| (*name, low, high)).collect()
+    }
+
+    /// Everything that the future of a world depends on.
+    fn snapshot<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyBytes>> {
+        self.home.check()?;
+        Ok(PyBytes::new(py, &self.world.snapshot(world_idx).map_err(from_sim)?))
+    }
+
+    /// Puts a world into the state of a snapshot.
+    fn restore(&mut self, py: Python<'_>, world_idx: usize, snapshot: &[u8]) -> PyResult<()> {
+        self.home.check()?;
+        let world = &mut self.world;
+        enter(py, || world.restore(world_idx, snapshot).map_err(from_sim))?;
+        if let Some(trails) = &mut self.trails {
+            trails.forget(world_idx);
+        }
+        Ok(())
+    }
+
+    /// Digest of everything that the future of a world depends on.
+    fn digest(&self, world_idx: usize) -> PyResult<u64> {
+        self.world.digest(world_idx).map_err(from_sim)
+    }
+
+    /// Whether a world was ever reset.
+    fn begun(&self, world_idx: usize) -> bool {
+        self.world.status(world_idx).is_ok()
+    }
+
+    /// Index of the scene, seed, episode, step of the log, elapsed steps.
+    fn status(&self, world_idx: usize) -> PyResult<(usize, u64, u64, usize, usize)> {
+        let s = self.world.status(world_idx).map_err(from_sim)?;
+        Ok((s.scene_idx, s.seed, s.episode, s.step_idx, s.elapsed_steps))
+    }
+
+    /// Present states of the agents as new arrays; entries of agents that are not active are zero.
+    fn states<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyDict>> {
+        world_state::states(py, &self.world.status(world_idx).map_err(from_sim)?)
+    }
+
+    /// Name of the driver of each agent.
+    fn drivers(&self, world_idx: usize) -> PyResult<Vec<&'static str>> {
+        let status = self.world.status(world_idx).map_err(from_sim)?;
+        Ok(status.drivers.iter().map(|d| d.name()).collect())
+    }
+
+    /// Agent of each slot.
+    fn slot_agents(&self, world_idx: usize) -> PyResult<Vec<Option<usize>>> {
+        self.world.slot_agents(world_idx).map_err(from_sim)
+    }
+
+    /// Route [P, 2] of a slot's agent and its goal [2].
+    fn route<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        slot_idx: usize,
+    ) -> PyResult<world_state::Route<'py>> {
+        world_state::route(py, self.world.slot_route(world_idx, slot_idx).map_err(from_sim)?)
+    }
+
+    /// Pairs of agents that touch: (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
+    fn contacts(&self, world_idx: usize) -> PyResult<Vec<world_state::Touch>> {
+        Ok(world_state::contacts(&self.world.contacts(world_idx).map_err(from_sim)?))
+    }
+
+    /// Agents with a corner, and with the centre, off the road [A] each.
+    fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<world_state::OffRoadArrays<'py>> {
+        Ok(world_state::off_road(py, &self.world.off_road(world_idx).map_err(from_sim)?))
+    }
+
+    /// Actions [C, W] that bring each slot's agent towards its next logged state.
+    fn expert_actions<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+    ) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
+        let actions = self.world.expert_actions(world_idx).map_err(from_sim)?;
+        world_state::actions(py, &actions, self.world.decoder().width())
+    }
+
+    /// Picture [H, W, 3] of a world.
+    #[pyo3(signature = (world_idx, *, size, span_m, centre, heading_up, trails, route, labels))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        size: (i64, i64),
+        span_m: f32,
+        centre: Option<CentreArg>,
+        heading_up: bool,
+        trails: bool,
+        route: bool,
+        labels: bool,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        self.home.check()?;
+        let shot = Shot { size, span_m, centre, heading_up, route, labels };
+        let trails = self.trails.as_ref().filter(|_| trails).map(|t| t.of(world_idx));
+        world_picture::draw(py, &self.world, world_idx, trails, shot)
+    }
+}
