@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-# torch comes first: it loads libtorch into the process, and the extension's libraries then resolve to
-# those by name. No rpath or LD_LIBRARY_PATH is needed.
+# torch comes first: it loads libtorch into the process, and the extension's libraries then
+# resolve to those by name. No rpath or LD_LIBRARY_PATH is needed.
 import torch as _torch
 
 _TORCH = "2.11.0"
@@ -14,19 +14,31 @@ if _torch.__version__.split("+")[0] != _TORCH:
     )
 
 from ccdiff_env import _native as _native  # noqa: E402
-from ccdiff_env import causal, errors, metrics  # noqa: E402
+from ccdiff_env import causal, config, errors, metrics  # noqa: E402
+from ccdiff_env.certificate import Certificate, replay  # noqa: E402
+from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
+from ccdiff_env.envs import EgoEnv, EgoVectorEnv, make_vec, register  # noqa: E402
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
 
 __version__ = "0.1.0"
 __all__ = [
+    "Certificate",
+    "EgoEnv",
+    "EgoVectorEnv",
     "Scene",
     "SceneSet",
+    "WorldConfig",
     "__version__",
     "causal",
+    "config",
     "embedded_scenes",
     "errors",
     "load_nuscenes",
     "load_scenarionet",
+    "make_vec",
     "metrics",
+    "replay",
 ]
+
+register()

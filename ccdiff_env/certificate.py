@@ -1,0 +1,244 @@
+"""Replay certificates: small files from which an episode is simulated again, bit for bit."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import dataclasses
+import hashlib
+import json
+import os
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import SnapshotError
+
+if TYPE_CHECKING:
+    from ccdiff_env.envs.single import EgoEnv
+    from ccdiff_env.envs.tally import Tally
+    from ccdiff_env.envs.worlds import Scenes, Worlds
+
+__all__ = ["Certificate", "Replay", "replay"]
+
+FORMAT = "ccdiff-env certificate 1"
+
+
+def _schema_digest(worlds: Worlds) -> str:
+    """Digest of what observations and figures mean."""
+    text = worlds.native.layout_json + _native.columns_json()
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def _state_digest(worlds: Worlds, tally: Tally) -> str:
+    """Digest of the bits of all present states and of the sums over the episode's steps."""
+    hasher = hashlib.blake2b(digest_size=16)
+    for _, array in sorted(dict[str, Any](worlds.native.states(0)).items()):
+        hasher.update(array.tobytes())
+    _, seed, episode, step_idx, elapsed = worlds.native.status(0)
+    hasher.update(struct.pack("<4Q", seed, episode, step_idx, elapsed))
+    hasher.update(tally.save(0))
+    return hasher.hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """Everything that one episode follows from, and a digest of how it came out.
+
+    Parameters
+    ----------
+    package, schema
+        Version of the package, and digest of what observations and figures mean.
+    scene, scene_hash
+        Name and content hash of the scene.
+    config
+        Configuration.
+    seed, episode_idx
+        Seed of the world, and number of the episode since then.
+    actions
+        Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
+    digest
+        Digest of the final states and of all rewards and figures.
+    """
+
+    package: str
+    schema: str
+    scene: str
+    scene_hash: str
+    config: WorldConfig
+    seed: int
+    episode_idx: int
+    actions: npt.NDArray[np.float32] = field(repr=False)
+    digest: str
+
+    @classmethod
+    def of(cls, worlds: Worlds, actions: bytes, tally: Tally) -> Certificate:
+        """Return the certificate of the present episode of a single world."""
+        from ccdiff_env import __version__
+
+        scene_idx, seed, episode, _, _ = worlds.native.status(0)
+        scene = worlds.scenes[scene_idx]
+        rows = np.frombuffer(actions, np.float32).reshape(-1, worlds.native.action_width)
+        return cls(
+            package=__version__,
+            schema=_schema_digest(worlds),
+            scene=scene.name,
+            scene_hash=scene.hash,
+            config=worlds.config,
+            seed=seed,
+            episode_idx=episode - 1,
+            actions=rows,
+            digest=_state_digest(worlds, tally),
+        )
+
+    def to_json(self) -> str:
+        """Return the certificate as JSON."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        fields["config"] = json.loads(self.config.to_json())
+        fields["actions"] = {
+            "shape": list(self.actions.shape),
+            "float32": base64.b64encode(self.actions.astype("<f4").tobytes()).decode(),
+        }
+        return json.dumps({"format": FORMAT, **fields}, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Certificate:
+        """Read what :meth:`to_json` wrote.
+
+        Raises
+        ------
+        SnapshotError
+            If the text is damaged or of another format.
+        """
+        try:
+            fields: dict[str, Any] = json.loads(text)
+            found = fields.pop("format")
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise SnapshotError(f"certificate: damaged ({error})") from None
+        if found != FORMAT:
+            raise SnapshotError(f"certificate: format {found!r}, this release reads {FORMAT!r}")
+        try:
+            packed = fields["actions"]
+            data = base64.b64decode(packed["float32"], validate=True)
+            fields["actions"] = np.frombuffer(data, "<f4").reshape(packed["shape"])
+            fields["config"] = WorldConfig.from_json(json.dumps(fields["config"]))
+            for name, kind in (
+                ("seed", int),
+                ("episode_idx", int),
+                ("scene", str),
+                ("digest", str),
+            ):
+                if type(fields[name]) is not kind:
+                    raise SnapshotError(f"certificate: {name} is {fields[name]!r}")
+            return cls(**fields)
+        except SnapshotError:
+            raise
+        except (ValueError, KeyError, TypeError, binascii.Error) as error:
+            raise SnapshotError(f"certificate: damaged ({error})") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the certificate to a file."""
+        Path(path).write_text(self.to_json(), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Certificate:
+        """Read a file that :meth:`save` wrote."""
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except UnicodeDecodeError as error:
+            raise SnapshotError(f"certificate: damaged ({error}), {path}") from None
+        return cls.from_json(text)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A certified episode, simulated again.
+
+    Parameters
+    ----------
+    env
+        The environment at the end of the episode.
+    rewards
+        Rewards [T].
+    frames
+        Pictures [T + 1] of the steps, if asked for.
+    """
+
+    env: EgoEnv
+    rewards: npt.NDArray[np.float64]
+    frames: list[npt.NDArray[np.uint8]]
+
+
+def replay(
+    certificate: Certificate | str | os.PathLike[str],
+    scenes: Scenes = None,
+    *,
+    render_mode: str | None = None,
+    **picture: Any,
+) -> Replay:
+    """Simulate a certified episode again and check that it comes out the same, bit for bit.
+
+    Parameters
+    ----------
+    certificate
+        A certificate, or the path of its file.
+    scenes
+        Scenes among which the certified one is; by default the embedded ones.
+    render_mode
+        ``"rgb_array"`` keeps a picture of every step.
+    **picture
+        Options of pictures, as for :class:`EgoEnv`.
+
+    Returns
+    -------
+    Replay
+        The environment at the end of the episode, the rewards, the pictures.
+
+    Raises
+    ------
+    SnapshotError
+        If the scene, the schema or the outcome is another one.
+    """
+    from ccdiff_env.envs.single import EgoEnv
+    from ccdiff_env.envs.worlds import scene_set
+
+    if not isinstance(certificate, Certificate):
+        certificate = Certificate.load(certificate)
+    known = scene_set("all" if scenes is None else scenes)
+    if certificate.scene not in known:
+        raise SnapshotError(
+            f"certificate: scene {certificate.scene!r} is not among the scenes given"
+        )
+    scene = known[certificate.scene]
+    if scene.hash != certificate.scene_hash:
+        raise SnapshotError(
+            f"certificate: scene {scene.name!r} has hash {scene.hash}, "
+            f"expected {certificate.scene_hash}"
+        )
+    env = EgoEnv(
+        scenes=[scene], config=certificate.config, render_mode=render_mode, picture=picture
+    )
+    if _schema_digest(env.worlds) != certificate.schema:
+        raise SnapshotError(
+            f"certificate: made by version {certificate.package}, whose observations or figures "
+            "differ from this one's"
+        )
+    env.reset(seed=certificate.seed)
+    for _ in range(certificate.episode_idx):
+        env.reset()
+    frames = [env.render() if render_mode == "rgb_array" else None]
+    rewards = []
+    shape = env.action_space.shape or ()
+    for row in certificate.actions:
+        action = row.reshape(shape) if shape else np.int64(row[0])
+        rewards.append(env.step(action)[1])
+        frames.append(env.render() if render_mode == "rgb_array" else None)
+    if env.certificate().digest != certificate.digest:
+        raise SnapshotError("certificate: the episode came out differently")
+    return Replay(env, np.array(rewards), [frame for frame in frames if frame is not None])

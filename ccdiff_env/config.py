@@ -1,0 +1,416 @@
+"""Everything that can be chosen about a world, as frozen dataclasses.
+
+Rust checks the ranges; a test holds that the defaults here and there are the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias, TypeVar
+
+from ccdiff_env.errors import ConfigError
+
+__all__ = [
+    "ActionConfig",
+    "ActionGrid",
+    "BicycleLimits",
+    "DeltaPoseLimits",
+    "IdmConfig",
+    "ObservationConfig",
+    "RewardConfig",
+    "UnicycleLimits",
+    "WorldConfig",
+]
+
+Driver: TypeAlias = Literal["external", "replay", "constant_velocity", "idm", "planned"]
+Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
+Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
+SceneOrder: TypeAlias = Literal["random", "sequential"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnicycleLimits:
+    """Limits of the unicycle: actions are acceleration (m/s²) and yaw rate (rad/s)."""
+
+    #: Lowest and highest acceleration, m/s².
+    acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
+    #: Lowest and highest speed, m/s. Vehicles brake to a stop and do not reverse.
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+    #: Yaw rate that is allowed at any speed, rad/s, > 0.
+    min_yaw_rate_radps: float = 0.1
+    #: Highest yaw rate per speed, 1/m, > 0.
+    max_curvature_1pm: float = 0.5
+    #: Highest yaw rate times speed, m/s², > 0.
+    max_lateral_acceleration_mps2: float = 6.2831855
+
+
+@dataclass(frozen=True, kw_only=True)
+class BicycleLimits:
+    """Limits of the kinematic bicycle: actions are acceleration (m/s²) and steering angle (rad)."""
+
+    #: Lowest and highest acceleration, m/s².
+    acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
+    #: Lowest and highest speed, m/s. Vehicles brake to a stop and do not reverse.
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+    #: Largest steering angle of the front wheel, rad, below π/2.
+    max_steering_rad: float = 0.6
+    #: Highest yaw rate times speed, m/s², > 0.
+    max_lateral_acceleration_mps2: float = 6.2831855
+    #: Wheelbase as a share of the length.
+    wheelbase_share: float = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeltaPoseLimits:
+    """Limits of one step of the delta-pose model: actions are dx, dy (m) and turn (rad)."""
+
+    #: Least and most way forward per step, m.
+    dx_m: tuple[float, float] = (-1.0, 4.0)
+    #: Least and most way to the left per step, m.
+    dy_m: tuple[float, float] = (-1.0, 1.0)
+    #: Least and most turn to the left per step, rad.
+    dheading_rad: tuple[float, float] = (-0.5, 0.5)
+
+
+Dynamics: TypeAlias = UnicycleLimits | BicycleLimits | DeltaPoseLimits
+
+DYNAMICS: dict[str, type[Dynamics]] = {
+    "unicycle": UnicycleLimits,
+    "bicycle": BicycleLimits,
+    "delta_pose": DeltaPoseLimits,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionGrid:
+    """Physical actions to choose from: every value of one axis with every value of the other.
+
+    The action of an index is ``first[index // len(second)]``, ``second[index % len(second)]``.
+    """
+
+    #: Accelerations, m/s² (delta pose: dx, m).
+    first: tuple[float, ...]
+    #: Yaw rates, rad/s (bicycle: steering angles, rad; delta pose: turns, rad).
+    second: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionConfig:
+    """Actions. Continuous ones are normalised: each column lies in [-1, 1], and zero means zero."""
+
+    #: Model of motion with its limits; also by name or as ``{name: limits}``.
+    dynamics: Dynamics = field(default_factory=UnicycleLimits)
+    #: Whether actions are indices of ``grid``, not numbers.
+    discrete: bool = False
+    #: Physical actions to choose from; the dynamics' default 7 x 9 grid if ``None``.
+    grid: ActionGrid | None = None
+    #: Acceleration at +1, m/s², > 0.
+    max_acceleration_mps2: float = 4.0
+    #: Deceleration at -1, m/s², > 0.
+    max_deceleration_mps2: float = 8.0
+    #: Unicycle: yaw rate at +1, rad/s, > 0.
+    max_yaw_rate_radps: float = 1.0
+    #: Bicycle: front wheel angle at +1, rad, in (0, 1.5).
+    max_steering_rad: float = 0.5
+    #: Delta pose: displacement at +1, m per step, > 0.
+    max_displacement_m: float = 3.0
+    #: Delta pose: turn at +1, rad per step, > 0.
+    max_turn_rad: float = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationConfig:
+    """Choice of rows and columns of the observation."""
+
+    #: Nearest agents, K rows, at most 512.
+    num_agents: int = 16
+    #: Points of the route ahead, P rows, at most 256.
+    num_route_points: int = 20
+    #: Metres from one route point to the next, in (0, 1000].
+    route_spacing_m: float = 2.0
+    #: Nearest pieces of map lines, N rows.
+    num_map_pieces: int = 64
+    #: Agents farther than this are not seen, metres, in (0, 1000].
+    radius_m: float = 60.0
+    #: Whether masks are part of the row.
+    masks: bool = True
+    #: Columns of ``ego``; all if ``None``.
+    ego_columns: tuple[str, ...] | None = None
+    #: Columns of ``agents``; all if ``None``.
+    agent_columns: tuple[str, ...] | None = None
+    #: Columns of ``map``; all if ``None``.
+    map_columns: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardConfig:
+    """Weights of the reward components; the reward is their weighted sum. Finite, at most 1e6."""
+
+    #: Per metre of new progress along the route.
+    progress: float = 0.1
+    #: At the step of a collision.
+    collision: float = -10.0
+    #: At each step with a corner off the road.
+    off_road: float = -1.0
+    #: Per unit of discomfort (see docs/architecture.md), at most 3, per step.
+    comfort: float = -0.02
+    #: Per m/s above the speed limit, per step.
+    speed_limit: float = -0.05
+    #: Per metre of distance from the route, at most 3, per step.
+    lane_keeping: float = -0.02
+    #: When the goal is reached.
+    goal: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdmConfig:
+    """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
+
+    #: Time headway, s, > 0.
+    headway_s: float = 1.2
+    #: Gap at standstill, m, >= 0.
+    min_gap_m: float = 2.0
+    #: Greatest acceleration, m/s², > 0.
+    acceleration_mps2: float = 1.5
+    #: Comfortable deceleration, m/s², > 0.
+    deceleration_mps2: float = 2.5
+    #: Hardest braking, m/s², > 0.
+    max_braking_mps2: float = 8.0
+    #: Acceleration exponent, > 0.
+    exponent: float = 4.0
+    #: Others are also looked for where they will be after this time, s, >= 0.
+    anticipation_s: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldConfig:
+    """Configuration of worlds.
+
+    Examples
+    --------
+    ``WorldConfig(traffic="idm", reward=RewardConfig(goal=5.0))``, or from plain keywords with
+    near-miss messages: ``WorldConfig().with_options(traffic="idm", reward={"goal": 5.0})``.
+    """
+
+    #: Step, s, in (0, 1]; must equal the scenes' own.
+    dt_s: float = 0.1
+    #: Logged steps before the first free one; episodes start at this step of the log.
+    history_steps: int = 30
+    #: Steps of an episode at most, >= 1.
+    horizon_steps: int = 100
+    #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), or ids.
+    controlled: Literal["ego", "vehicles"] | tuple[str, ...] = "ego"
+    #: Slots per world, 1 to 512.
+    num_slots: int = 1
+    #: Who drives the agents that have a slot.
+    driver: Driver = "external"
+    #: Who drives the other vehicles; pedestrians, cyclists, motorcycles, obstacles follow the log.
+    traffic: Driver = "replay"
+    #: Whether agents that the log brings later enter (once their place is free).
+    late_arrivals: bool = True
+    #: Whether background agents leave when the log has them no more; else they drive on.
+    vanish_with_log: bool = False
+    #: Whether the episode is truncated where the log ends.
+    truncate_at_log_end: bool = True
+    #: Consequence of a collision for a controlled agent.
+    on_collision: Consequence = "terminate"
+    #: Consequence of a box corner off the road for a controlled agent.
+    on_off_road: Consequence = "terminate"
+    #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.
+    terminate_at_goal: bool = True
+    #: Speed limit where the map has none, m/s, > 0.
+    speed_limit_mps: float = 15.0
+    #: Actions.
+    action: ActionConfig = field(default_factory=ActionConfig)
+    #: Observations.
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    #: Rewards.
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    #: Intelligent driver model.
+    idm: IdmConfig = field(default_factory=IdmConfig)
+    #: What happens to a world whose episode has ended.
+    autoreset: Autoreset = "next_step"
+    #: How the scene of an episode is chosen when the reset names none; sequential: world i of E
+    #: plays scenes i, i + E, i + 2E ... and round again.
+    scene_order: SceneOrder = "random"
+
+    def with_options(self, **options: Any) -> WorldConfig:
+        """Return a copy with some fields replaced.
+
+        Parameters
+        ----------
+        **options
+            Fields by name. Nested configurations may be dataclasses, or dictionaries of the fields
+            to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``.
+
+        Raises
+        ------
+        ConfigError
+            If a name is unknown (the message names near ones) or a value has the wrong type.
+        """
+        shortcuts: dict[str, Any] = {
+            k: options.pop(k) for k in ("dynamics", "discrete", "grid") if k in options
+        }
+        config = _replaced(self, options, "")
+        if shortcuts:
+            action = _replaced(config.action, shortcuts, "action.")
+            config = dataclasses.replace(config, action=action)
+        return config
+
+    def to_json(self) -> str:
+        """Return the configuration as JSON, as Rust reads it."""
+        return json.dumps(_plain(self), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> WorldConfig:
+        """Read what :meth:`to_json`, or Rust, wrote; absent fields take their defaults.
+
+        Raises
+        ------
+        ConfigError
+            If the text is no JSON object, or a field is unknown or of the wrong type.
+        """
+        try:
+            fields = json.loads(text)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"config: not JSON ({error})") from None
+        if not isinstance(fields, dict):
+            raise ConfigError(f"config: {type(fields).__name__}, expected an object")
+        return _replaced(cls(), fields, "")
+
+
+_C = TypeVar("_C")
+
+
+def unknown(what: str, name: str, known: typing.Iterable[str]) -> ConfigError:
+    """Return the error for a name that does not exist, with the names that come near it."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    hint = (
+        f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
+    )
+    return ConfigError(f"unknown {what} {name!r}; {hint}")
+
+
+def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
+    """Copy of a dataclass with fields replaced, each checked against its annotation."""
+    hints = typing.get_type_hints(type(config))
+    changes = {}
+    for name, value in options.items():
+        if name not in hints:
+            raise unknown("option", path + str(name), (path + n for n in hints))
+        changes[name] = _fitting(path + name, value, hints[name], getattr(config, name))
+    return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
+    """Value in the form that an annotation asks for."""
+    if hint == Dynamics:
+        return _dynamics(path, value, old)
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin is types.UnionType or origin is typing.Union:
+        if value is None and type(None) in args:
+            return None
+        if isinstance(value, Mapping) and set(value) == {"ids"}:
+            value = value["ids"]
+        literal = next((a for a in args if typing.get_origin(a) is Literal), None)
+        if isinstance(value, str) and literal is not None:
+            return _fitting(path, value, literal, old)
+        chosen = next(a for a in args if a is not type(None) and a is not literal)
+        return _fitting(path, value, chosen, old)
+    if origin is Literal:
+        if value not in args or not isinstance(value, str):
+            raise ConfigError(f"config: {path} is {value!r}, expected one of {', '.join(args)}")
+        return value
+    if origin is tuple:
+        return _tuple(path, value, args)
+    if dataclasses.is_dataclass(hint):
+        return _nested(path, value, typing.cast("type[Any]", hint), old)
+    return _scalar(path, value, hint)
+
+
+def _dynamics(path: str, value: Any, old: Any) -> Dynamics:
+    limits: Any = {}
+    if isinstance(value, Mapping) and len(value) == 1:
+        ((value, limits),) = value.items()
+    if isinstance(value, str):
+        if value not in DYNAMICS:
+            raise unknown(path, value, DYNAMICS)
+        if isinstance(limits, DYNAMICS[value]):
+            return limits
+        return _nested(f"{path}.{value}", limits, DYNAMICS[value], old)
+    if isinstance(value, tuple(DYNAMICS.values())):
+        return typing.cast("Dynamics", value)
+    raise ConfigError(
+        f"config: {path} is {value!r}, expected one of {', '.join(DYNAMICS)}, limits, "
+        "or {name: limits}"
+    )
+
+
+def _nested(path: str, value: Any, kind: type[_C], old: Any) -> _C:
+    if isinstance(value, kind):
+        return value
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"config: {path} is {value!r}, expected {kind.__name__} or a dictionary")
+    if isinstance(old, kind):
+        return _replaced(old, value, path + ".")
+    try:
+        return _replaced(kind(), value, path + ".")
+    except TypeError:  # a dataclass with fields that have no default
+        hints = typing.get_type_hints(kind)
+        for name in value:
+            if name not in hints:
+                raise unknown("option", f"{path}.{name}", (f"{path}.{n}" for n in hints)) from None
+        for name in hints:
+            if name not in value:
+                raise ConfigError(f"config: {path}.{name} is missing") from None
+        return kind(**{n: _fitting(f"{path}.{n}", v, hints[n], None) for n, v in value.items()})
+
+
+def _tuple(path: str, value: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
+    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
+        raise ConfigError(f"config: {path} is {value!r}, expected a sequence")
+    values = list(value)
+    if args[-1] is not Ellipsis and len(values) != len(args):
+        raise ConfigError(f"config: {path} has {len(values)} entries, expected {len(args)}")
+    return tuple(_scalar(f"{path}[{i}]", v, args[0]) for i, v in enumerate(values))
+
+
+def _scalar(path: str, value: Any, kind: Any) -> Any:
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
+        value = value.item()
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value) if -3.4e38 < value < 3.4e38 else math.inf
+    if type(value) is not kind:
+        raise ConfigError(
+            f"config: {path} is {value!r} ({type(value).__name__}), expected {kind.__name__}"
+        )
+    if kind is float and not -3.4e38 < value < 3.4e38:
+        raise ConfigError(f"config: {path} is {value}, expected a finite number")
+    if kind is int and not 0 <= value < 2**63:
+        raise ConfigError(f"config: {path} is {value}, expected a count")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """Form of a value in JSON."""
+    if isinstance(value, WorldConfig):
+        fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if not isinstance(value.controlled, str):
+            fields["controlled"] = {"ids": list(value.controlled)}
+        return fields
+    for name, kind in DYNAMICS.items():
+        if isinstance(value, kind):
+            return {
+                name: {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+            }
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,302 @@
+"""One world with the ego as its controlled agent, as a plain Gymnasium environment."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.certificate import Certificate
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
+from ccdiff_env.envs.snapshot import Snapshot
+from ccdiff_env.envs.tally import Tally
+from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
+from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed, scene_set, world_config
+from ccdiff_env.errors import SnapshotError
+from ccdiff_env.scenes import Scene, SceneSet
+
+F32 = npt.NDArray[np.float32]
+
+
+class EgoEnv(gymnasium.Env[Any, Any]):
+    """One world in Rust; the ego is driven by the actions.
+
+    Parameters
+    ----------
+    scenes
+        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+    config
+        Configuration to start from.
+    observation
+        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+    info
+        ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
+        ``"none"``: only scene and seed at resets.
+    render_mode
+        ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
+    picture
+        Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
+        ``route``, ``labels``.
+    **options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
+        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``.
+
+    Notes
+    -----
+    Environments can be pickled and deep-copied in the middle of an episode.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+
+    def __init__(
+        self,
+        *,
+        scenes: Scenes = None,
+        config: WorldConfig | None = None,
+        observation: Literal["flat", "dict"] = "flat",
+        info: InfoLevel = "full",
+        render_mode: str | None = None,
+        picture: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        check_choices(observation, info)
+        check_ego(options, config)
+        check_render_mode(render_mode, ("human", "rgb_array"))
+        self._picture = picture_options(picture)
+        chosen = scene_set(scenes)
+        settled = world_config(chosen, config, options).with_options(autoreset="disabled")
+        self.worlds = Worlds(
+            chosen, settled, num_worlds=1, num_threads=1, trails=render_mode is not None
+        )
+        self.render_mode = render_mode
+        layout = self.worlds.layout
+        self._as_dict = observation == "dict"
+        self.observation_space: gymnasium.Space[Any] = (
+            layout.dict_space() if self._as_dict else layout.flat_space()
+        )
+        self.action_space: gymnasium.Space[Any] = self.worlds.action_space
+        self._info: InfoLevel = info
+        self._tally = Tally(self.worlds.column_names, 1)
+        self._actions: list[bytes] | None = []
+        self._seeded = False
+        self._begun = False
+        self._window: Window | None = None
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the world."""
+        return self.worlds.config
+
+    @property
+    def scenes(self) -> SceneSet:
+        """Scenes that the environment plays."""
+        return self.worlds.scenes
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the present episode."""
+        return self.worlds.scenes[self.worlds.native.status(0)[0]]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin a new episode.
+
+        Parameters
+        ----------
+        seed
+            Any integer; ``None`` goes on with the world's generator.
+        options
+            ``scene``: name or index of the scene.
+
+        Returns
+        -------
+        obs, info
+            First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``.
+        """
+        for name in options or {}:
+            if name != "scene":
+                raise unknown("reset option", str(name), ("scene",))
+        scene_idx = self.worlds.scene_index((options or {}).get("scene"))
+        folded = None if seed is None else fold_seed(seed)
+        super().reset(seed=folded)
+        if folded is None and not self._seeded:
+            folded = int(self.np_random.integers(2**63))
+        self._seeded = self._begun = True
+        out = self.worlds.arrays()
+        self.worlds.native.reset([folded], [scene_idx], None, out)
+        self._tally.clear(slice(None))
+        self._actions = []
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(out.obs[0, 0]), self.worlds.reset_info(0)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advance by one step.
+
+        Parameters
+        ----------
+        action
+            Numbers [W] in [-1, 1] (beyond, they are clipped), or an index of the grid.
+
+        Returns
+        -------
+        obs, reward, terminated, truncated, info
+            ``info`` holds the figures of the step and, at the end of an episode, ``metrics``.
+
+        Raises
+        ------
+        ShapeError, ActionError
+            If the action does not fit; nothing has moved then.
+        ResetNeededError
+            Before the first reset and after the end of an episode.
+        """
+        checked = self.worlds.actions(action, self.action_space.shape or ())
+        out = self.worlds.arrays()
+        self.worlds.native.step(checked, out)
+        if self._actions is not None:
+            self._actions.append(checked.tobytes())
+        columns = out.columns[0]
+        self._tally.add(columns, out.reward[0])
+        info: dict[str, Any] = {}
+        done = bool(out.done[0])
+        if self._info == "full" or (self._info == "end" and done):
+            info.update(zip(self.worlds.column_names, columns[0].tolist(), strict=True))
+        if done and self._info != "none":
+            metrics = self._tally.metrics(columns)
+            info["metrics"] = {name: float(value[0]) for name, value in metrics.items()}
+        if self.render_mode == "human":
+            self.render()
+        reward = float(out.reward[0, 0])
+        terminated, truncated = bool(out.terminated[0, 0]), bool(out.truncated[0, 0])
+        return self._observation(out.obs[0, 0]), reward, terminated, truncated, info
+
+    def _observation(self, row: F32) -> Any:
+        return self.worlds.layout.split(row) if self._as_dict else row
+
+    def observation(self) -> Any:
+        """Return the present observation once more, as a new array."""
+        return self._observation(self.worlds.observation(0)[0])
+
+    def expert_action(self) -> Any:
+        """Return the action that leads from here towards the ego's next logged state."""
+        action: F32 = self.worlds.native.expert_actions(0)[0]
+        if isinstance(self.action_space, gymnasium.spaces.Discrete):
+            return np.int64(action[0])
+        return action
+
+    def render(self) -> Image | None:
+        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called without a render mode: make the environment with "
+                'render_mode="rgb_array" or "human".'
+            )
+            return None
+        image: Image = self.worlds.native.render(0, **self._picture)
+        if self.render_mode == "rgb_array":
+            return image
+        if self._window is None:
+            self._window = Window("ccdiff_env/Ego")
+        self._window.show(image)
+        return None
+
+    def snapshot(self) -> bytes:
+        """Return everything that the environment's future depends on."""
+        actions = None if self._actions is None else b"".join(self._actions)
+        return Snapshot(self.worlds.native.snapshot(0), self._tally.save(0), actions).to_bytes()
+
+    def restore(self, snapshot: bytes) -> Any:
+        """Return to the state of a snapshot, bit for bit.
+
+        Parameters
+        ----------
+        snapshot
+            What :meth:`snapshot` of an environment of the same configuration and scenes gave.
+
+        Returns
+        -------
+        obs
+            The observation of that moment; ``None`` if it was before the first reset.
+
+        Raises
+        ------
+        SnapshotError
+            If the bytes are damaged, or belong to another configuration or other scenes; nothing
+            has changed then.
+        """
+        saved = Snapshot.from_bytes(snapshot)
+        row_bytes = 4 * self.worlds.native.action_width
+        actions: list[bytes] | None = None
+        if saved.actions is not None:
+            if len(saved.actions) % row_bytes:
+                raise SnapshotError("snapshot: actions do not fit")
+            starts = range(0, len(saved.actions), row_bytes)
+            actions = [saved.actions[i : i + row_bytes] for i in starts]
+        before = self._tally.save(0)
+        if not self._tally.load(0, saved.tally):
+            raise SnapshotError("snapshot: running sums do not fit")
+        try:
+            self.worlds.native.restore(0, saved.world)
+        except BaseException:
+            self._tally.load(0, before)
+            raise
+        self._actions = actions
+        self._seeded = self._begun = self.worlds.native.begun(0)
+        return self.observation() if self._begun else None
+
+    def fork(self) -> EgoEnv:
+        """Return an independent environment in the same state."""
+        return copy.deepcopy(self)
+
+    def certificate(self) -> Certificate:
+        """Return the certificate of the episode so far: from it, it can be simulated again.
+
+        Raises
+        ------
+        SnapshotError
+            If the environment was restored from a snapshot that does not hold the actions.
+        ResetNeededError
+            Before the first reset.
+        """
+        if self._actions is None:
+            raise SnapshotError("certificate: the actions before the restored snapshot are unknown")
+        return Certificate.of(self.worlds, b"".join(self._actions), self._tally)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds; a window is not part of it."""
+        return {
+            "scenes": self.worlds.scenes,
+            "config": self.config,
+            "observation": "dict" if self._as_dict else "flat",
+            "info": self._info,
+            "render_mode": self.render_mode,
+            "picture": self._picture,
+            "snapshot": self.snapshot(),
+            "seeded": self._seeded,
+            "np_random": self._np_random,
+            "np_random_seed": self._np_random_seed,
+            "spec": self.spec,
+            "spaces": (self.observation_space, self.action_space),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Rebuild the environment."""
+        keys = ("scenes", "config", "observation", "info", "render_mode", "picture")
+        EgoEnv.__init__(self, **{key: state[key] for key in keys})
+        self.restore(state["snapshot"])
+        self._seeded = state["seeded"]
+        self._np_random, self._np_random_seed = state["np_random"], state["np_random_seed"]
+        self.spec = state["spec"]
+        self.observation_space, self.action_space = state["spaces"]  # with their generators

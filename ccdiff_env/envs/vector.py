@@ -1,0 +1,405 @@
+"""The native vector environment: E worlds, each with the ego as its one controlled agent."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, cast
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
+from ccdiff_env.envs.snapshot import Snapshot
+from ccdiff_env.envs.tally import Tally
+from ccdiff_env.envs.worlds import (
+    SceneChoice,
+    Scenes,
+    StepArrays,
+    Worlds,
+    fold_seed,
+    scene_set,
+    world_config,
+)
+from ccdiff_env.errors import ConfigError, ShapeError, SnapshotError
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+Info = dict[str, Any]
+InfoLevel = Literal["full", "end", "none"]
+
+_AUTORESET = {
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.SAME_STEP: "same_step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return a mode given by name, in Gymnasium's spelling or in snake case."""
+    for known, name in _AUTORESET.items():
+        if mode in (known, known.value, name):
+            return known
+    names = ", ".join(_AUTORESET.values())
+    raise ConfigError(f"autoreset_mode is {mode!r}, expected one of {names}")
+
+
+def check_choices(observation: str, info: str) -> None:
+    """Refuse a form of observation, or a level of info, that does not exist."""
+    if observation not in ("flat", "dict"):
+        raise unknown("observation form", str(observation), ("flat", "dict"))
+    if info not in ("full", "end", "none"):
+        raise unknown("info level", str(info), ("full", "end", "none"))
+
+
+def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
+    """Refuse options that environments with one ego per world set themselves."""
+    for name in ("controlled", "num_slots", "autoreset"):
+        if name in options:
+            raise ConfigError(f"{name} is not an option of environments with one ego per world")
+    if config is not None and (config.controlled != "ego" or config.num_slots != 1):
+        raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego'")
+
+
+class EgoVectorEnv(VectorEnv[Any, Any, Any]):
+    """E worlds in Rust, the ego of each driven by one row of actions.
+
+    Parameters
+    ----------
+    num_envs
+        Number of worlds E.
+    scenes
+        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+    config
+        Configuration to start from.
+    autoreset_mode
+        When an ended world begins anew: ``"next_step"``, ``"same_step"`` or ``"disabled"``
+        (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's ``AutoresetMode``.
+    observation
+        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+    info
+        ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
+        ``"none"``: only scene and seed at resets.
+    copy
+        Whether every call returns arrays of its own. Without, observations, rewards, flags and
+        figures of the step before are overwritten.
+    num_threads
+        Worker threads; by default all processors from 64 worlds on, else the calling thread.
+        Results do not depend on it.
+    render_mode
+        ``None`` or ``"rgb_array"``.
+    picture
+        Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
+        ``route``, ``labels``.
+    **options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
+        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``.
+
+    Notes
+    -----
+    World i of ``reset(seed=n)`` gets the seed n + i and then runs exactly as
+    ``EgoEnv.reset(seed=n + i)`` would. ``reset(options={"scene": ...})`` chooses scenes by name or
+    index, one for all worlds or a list with one entry per world (``None``: no choice).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        scenes: Scenes = None,
+        config: WorldConfig | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        observation: Literal["flat", "dict"] = "flat",
+        info: InfoLevel = "full",
+        copy: bool = True,
+        num_threads: int | None = None,
+        render_mode: str | None = None,
+        picture: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        mode = _mode(autoreset_mode)
+        check_choices(observation, info)
+        check_ego(options, config)
+        check_render_mode(render_mode, ("rgb_array",))
+        self._picture = picture_options(picture)
+        chosen = scene_set(scenes)
+        settled = world_config(chosen, config, options).with_options(autoreset=_AUTORESET[mode])
+        self.worlds = Worlds(
+            chosen,
+            settled,
+            num_worlds=num_envs,
+            num_threads=num_threads,
+            trails=render_mode is not None,
+        )
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "autoreset_mode": mode}
+        layout = self.worlds.layout
+        self._as_dict = observation == "dict"
+        self.single_observation_space: gymnasium.Space[Any] = (
+            layout.dict_space() if self._as_dict else layout.flat_space()
+        )
+        self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        shape = self.single_action_space.shape
+        self._action_shape = (num_envs, *(shape or ()))
+        self._mode = mode
+        self._info = info
+        self._copy = copy
+        # Partial resets leave rows of the others as they were: DISABLED keeps one set of arrays.
+        keep = not copy or mode is AutoresetMode.DISABLED
+        self._kept: StepArrays | None = self.worlds.arrays() if keep else None
+        self._tally = Tally(self.worlds.column_names, num_envs)
+        self._begun = np.zeros(num_envs, np.bool_)
+        self._seeded = False
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the worlds."""
+        return self.worlds.config
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, Info]:
+        """Begin new episodes.
+
+        Parameters
+        ----------
+        seed
+            Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with their
+            generators).
+        options
+            ``scene``: name or index, or one per world; ``reset_mask``: worlds [E] to reset.
+
+        Returns
+        -------
+        obs
+            Observations [E, ...].
+        infos
+            ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were reset.
+        """
+        options = options or {}
+        for name in options:
+            if name not in ("scene", "reset_mask"):
+                raise unknown("reset option", str(name), ("scene", "reset_mask"))
+        seeds = self._seeds(seed)
+        scenes = self._scenes(options.get("scene"))
+        mask = self._mask(options.get("reset_mask"))
+        arrays = self._kept or self.worlds.arrays()
+        if mask is not None and self._kept is None:
+            for i in np.flatnonzero(~mask):
+                arrays.obs[i] = self.worlds.observation(int(i))
+        listed = None if mask is None else mask.tolist()
+        self.worlds.native.reset(seeds, scenes, listed, arrays)
+        rows = slice(None) if mask is None else mask
+        self._tally.clear(rows)
+        self._begun[rows] = True
+        done = np.ones(self.num_envs, np.bool_) if mask is None else mask
+        return self._observation(arrays.obs), self._reset_infos({}, done)
+
+    def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
+        """Advance all worlds by one step.
+
+        Parameters
+        ----------
+        actions
+            Actions [E, W] in [-1, 1] (beyond, they are clipped), or indices [E] of the grid.
+
+        Returns
+        -------
+        obs, rewards, terminations, truncations, infos
+            Arrays [E, ...], and a dictionary of arrays with ``_key`` masks: the figures of the
+            step; ``metrics`` of episodes that end; scene and seed of those that begin; in SAME_STEP
+            mode ``final_obs`` and ``final_info``.
+
+        Raises
+        ------
+        ShapeError, ActionError
+            If the actions do not fit; nothing has moved then.
+        ResetNeededError
+            Before the first reset, and in DISABLED mode for ended worlds.
+        """
+        checked = self.worlds.actions(actions, self._action_shape)
+        out = self._kept or self.worlds.arrays()
+        self.worlds.native.step(checked, out)
+        columns, reward = out.columns[:, 0], out.reward[:, 0]
+        terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
+        infos = self._step_infos(out, columns, reward)
+        if self._copy and self._kept is not None:
+            reward, terminated, truncated = reward.copy(), terminated.copy(), truncated.copy()
+        return self._observation(out.obs), reward, terminated, truncated, infos
+
+    def _step_infos(self, out: StepArrays, columns: F32, reward: F32) -> Info:
+        same_step = out.final_obs is not None
+        any_done, any_reset = bool(out.done.any()), bool(out.was_reset.any())
+        counted = None if same_step or not any_reset else ~out.was_reset
+        self._tally.add(columns, reward, counted)
+        done = out.done
+        infos: Info = {}
+        if same_step and any_done:
+            infos["final_obs"], infos["_final_obs"] = self._final_obs(out), done.copy()
+            infos["final_info"] = self._final_info(columns, done)
+            infos["_final_info"] = done.copy()
+        if self._info == "full":
+            running = ~out.was_reset if any_reset else np.ones(self.num_envs, np.bool_)
+            if not any_reset or running.any():
+                _put(infos, self.worlds.column_names, columns, running, any_reset)
+        if self._info != "none" and any_done and not same_step:
+            if self._info == "end":
+                _put(infos, self.worlds.column_names, columns, done, True)
+            infos["metrics"] = self._metrics(columns, done)
+            infos["_metrics"] = done.copy()
+        if any_reset:
+            self._tally.clear(out.was_reset)
+            self._reset_infos(infos, out.was_reset.copy())
+        return infos
+
+    def _final_info(self, columns: F32, done: Bool) -> Info:
+        info: Info = {}
+        if self._info != "none":
+            _put(info, self.worlds.column_names, columns, done, True)
+            info["metrics"], info["_metrics"] = self._metrics(columns, done), done.copy()
+        return info
+
+    def _metrics(self, columns: F32, done: Bool) -> Info:
+        metrics: Info = {}
+        for name, values in self._tally.metrics(columns).items():
+            metrics[name], metrics[f"_{name}"] = np.where(done, values, 0.0), done.copy()
+        return metrics
+
+    def _final_obs(self, out: StepArrays) -> npt.NDArray[np.object_]:
+        assert out.final_obs is not None
+        final = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(out.done):
+            row = out.final_obs[i, 0].copy()
+            final[i] = self.worlds.layout.split(row) if self._as_dict else row
+        return final
+
+    def _reset_infos(self, infos: Info, which: Bool) -> Info:
+        rows = np.flatnonzero(which)
+        for i in rows:
+            for name, value in self.worlds.reset_info(int(i)).items():
+                if name not in infos:
+                    kind = object if isinstance(value, str) else np.int64
+                    empty = None if kind is object else 0
+                    infos[name] = np.full(self.num_envs, empty, dtype=kind)
+                    infos[f"_{name}"] = which.copy()
+                infos[name][i] = value
+        return infos
+
+    def _observation(self, obs: F32) -> Any:
+        rows = obs[:, 0]
+        if self._copy and self._kept is not None:
+            rows = rows.copy()
+        return self.worlds.layout.split(rows) if self._as_dict else rows
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+            if not self._seeded:
+                seeds = [int(n) for n in self.np_random.integers(2**63, size=self.num_envs)]
+        elif isinstance(seed, (list, tuple, np.ndarray)):
+            if len(seed) != self.num_envs:
+                raise ConfigError(
+                    f"seed has {len(seed)} entries, expected num_envs={self.num_envs}"
+                )
+            seeds = [None if s is None else fold_seed(s) for s in seed]
+            if not self._seeded:
+                fresh = self.np_random.integers(2**63, size=self.num_envs)
+                pairs = zip(seeds, fresh, strict=True)
+                seeds = [int(new) if given is None else given for given, new in pairs]
+        else:
+            first = fold_seed(seed)
+            super().reset(seed=first)
+            seeds = [fold_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)]
+        self._seeded = True
+        return seeds
+
+    def _scenes(self, choice: SceneChoice | Sequence[SceneChoice]) -> list[int | None]:
+        if isinstance(choice, (list, tuple)) or (isinstance(choice, np.ndarray) and choice.ndim):
+            if len(choice) != self.num_envs:
+                raise ConfigError(
+                    f"options['scene'] has {len(choice)} entries, expected num_envs={self.num_envs}"
+                )
+            return [self.worlds.scene_index(one) for one in choice]
+        return [self.worlds.scene_index(choice)] * self.num_envs  # type: ignore[arg-type]
+
+    def _mask(self, mask: Any) -> Bool | None:
+        if mask is None:
+            return None
+        shape = (self.num_envs,)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
+            raise ShapeError(f"reset_mask is {mask!r}, expected a bool array of shape {shape}")
+        if not mask.any():
+            raise ConfigError("reset_mask is False everywhere, expected at least one True")
+        if not (self._begun | mask).all():
+            raise ConfigError("the first reset must reset all worlds")
+        return mask.copy()
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
+        if self.render_mode is None:
+            return None
+        native = self.worlds.native
+        return tuple(native.render(i, **self._picture) for i in range(self.num_envs))
+
+    def snapshot(self, world_idx: int) -> bytes:
+        """Return everything that the future of a world depends on."""
+        self.worlds.check_world(world_idx)
+        world = self.worlds.native.snapshot(world_idx)
+        return Snapshot(world, self._tally.save(world_idx)).to_bytes()
+
+    def restore(self, world_idx: int, snapshot: bytes) -> Any:
+        """Put a world into the state of a snapshot, its own or another world's.
+
+        Returns
+        -------
+        obs
+            Its observation, as a single environment would return it.
+
+        Raises
+        ------
+        SnapshotError
+            If the bytes are damaged, or belong to another configuration or other scenes.
+        """
+        self.worlds.check_world(world_idx)
+        saved = Snapshot.from_bytes(snapshot)
+        before = self._tally.save(world_idx)
+        if not self._tally.load(world_idx, saved.tally):
+            raise SnapshotError("snapshot: running sums do not fit")
+        try:
+            self.worlds.native.restore(world_idx, saved.world)
+        except BaseException:
+            self._tally.load(world_idx, before)
+            raise
+        row = self.worlds.observation(world_idx)[0]
+        if self._kept is not None:
+            self._kept.obs[world_idx, 0] = row
+        self._begun[world_idx] = True
+        return self.worlds.layout.split(row) if self._as_dict else row
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Do nothing: the worlds go with the environment."""
+
+
+def _put(infos: Info, names: Sequence[str], columns: F32, mask: Bool, partly: bool) -> None:
+    """Add figures [E, M] as arrays [E] with masks, zero outside the mask."""
+    rows = columns.T.copy()
+    if partly:
+        rows[:, ~mask] = 0.0
+    masks = np.empty((len(names), len(mask)), np.bool_)
+    masks[:] = mask
+    for name, row, shown in zip(names, rows, masks, strict=True):
+        infos[name] = row
+        infos[f"_{name}"] = shown

@@ -1,0 +1,234 @@
+"""The native worlds with their scenes, schemas and arrays: what every environment class sits on."""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+import os
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.spaces import Layout, action_space, read_columns
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+#: Scenes by themselves, or the name of a split of the embedded ones.
+Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
+#: A scene by name or by index.
+SceneChoice: TypeAlias = str | int | None
+
+#: Who can drive the other vehicles.
+TRAFFIC = ("replay", "idm", "constant_velocity")
+#: Who can drive the controlled agents.
+DRIVERS = ("external", "idm", "replay", "constant_velocity")
+#: Batches from here on use all processors by default.
+PARALLEL_FROM = 64
+#: Past steps in pictures.
+TRAIL_STEPS = 31
+
+
+def scene_set(scenes: Scenes) -> SceneSet:
+    """Return scenes as a set; ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones."""
+    if scenes is None or isinstance(scenes, str):
+        return embedded_scenes(None if scenes == "all" else scenes or "train")
+    if isinstance(scenes, SceneSet):
+        found = scenes
+    else:
+        listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        if not all(isinstance(scene, Scene) for scene in listed):
+            raise ConfigError("scenes: expected scenes, a SceneSet or the name of a split")
+        found = SceneSet(listed)
+    if len(found) == 0:
+        raise ConfigError("scenes: empty, expected at least one scene")
+    return found
+
+
+def world_config(
+    scenes: SceneSet, config: WorldConfig | None, options: dict[str, Any]
+) -> WorldConfig:
+    """Return the configuration of plain keywords over a base; the step is that of the scenes."""
+    for name, known in (("traffic", TRAFFIC), ("driver", DRIVERS)):
+        if name in options and options[name] not in known:
+            raise unknown(name, str(options[name]), known)
+    if config is None and "dt_s" not in options:
+        options = {**options, "dt_s": scenes[0].dt}
+    return (config or WorldConfig()).with_options(**options)
+
+
+def fold_seed(seed: Any) -> int:
+    """Fold any integer into 0 .. 2^63 - 1; those within are themselves."""
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        raise ConfigError(f"seed is {seed!r}, expected an integer or None") from None
+    if 0 <= number < 2**63:
+        return number
+    digest = hashlib.blake2b(str(number).encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little") >> 1
+
+
+class StepArrays(NamedTuple):
+    """Arrays that a reset or step writes; E worlds, C slots, D floats of a row, M figures."""
+
+    #: Observations [E, C, D] float32.
+    obs: F32
+    #: Rewards [E, C] float32.
+    reward: F32
+    #: Whether an agent's episode ended by what happened [E, C].
+    terminated: Bool
+    #: Whether it was cut off [E, C].
+    truncated: Bool
+    #: Whether the agent goes on [E, C].
+    alive: Bool
+    #: Figures of the step [E, C, M] float32.
+    columns: F32
+    #: Whether the world's episode ended [E].
+    done: Bool
+    #: Whether the observation is the first of an episode [E].
+    was_reset: Bool
+    #: SAME_STEP: last observations of ended episodes [E, C, D]; else ``None``.
+    final_obs: F32 | None
+
+
+class Worlds:
+    """E native worlds over scenes.
+
+    Parameters
+    ----------
+    scenes
+        The scenes.
+    config
+        Their configuration.
+    num_worlds
+        E.
+    num_threads
+        Worker threads; ``None``: all processors for many worlds, else the calling thread. Results
+        do not depend on it.
+    trails
+        Whether past positions are kept for pictures.
+    """
+
+    def __init__(
+        self,
+        scenes: SceneSet,
+        config: WorldConfig,
+        *,
+        num_worlds: int,
+        num_threads: int | None = None,
+        trails: bool = False,
+    ) -> None:
+        for name, count in (("num_envs", num_worlds), ("num_threads", num_threads)):
+            if count is not None and (type(count) is not int or count < 1):
+                raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
+        if num_threads is None:
+            many = num_worlds >= PARALLEL_FROM
+            num_threads = len(os.sched_getaffinity(0)) if many else 1
+        self.scenes = scenes
+        self.config = config
+        self.native = _native.VecWorld(
+            list(scenes), config.to_json(), num_worlds, num_threads, TRAIL_STEPS if trails else 0
+        )
+        self.num_worlds = num_worlds
+        self.num_slots = config.num_slots
+        self.layout = Layout.from_json(self.native.layout_json)
+        self.columns = read_columns(_native.columns_json())
+        self.column_names = tuple(column.name for column in self.columns)
+        self.action_space = action_space(self.native.action_width, self.native.num_actions)
+        self._discrete = self.native.num_actions is not None
+        self._width = self.native.action_width
+        self._index = {scene.name: i for i, scene in enumerate(scenes)}
+
+    def arrays(self) -> StepArrays:
+        """Return new arrays for a reset or step."""
+        e, c = self.num_worlds, self.num_slots
+        row = (e, c, self.layout.size)
+        same_step = self.config.autoreset == "same_step"
+        return StepArrays(
+            np.empty(row, np.float32),
+            np.empty((e, c), np.float32),
+            np.empty((e, c), np.bool_),
+            np.empty((e, c), np.bool_),
+            np.empty((e, c), np.bool_),
+            np.empty((e, c, len(self.column_names)), np.float32),
+            np.empty(e, np.bool_),
+            np.empty(e, np.bool_),
+            np.empty(row, np.float32) if same_step else None,
+        )
+
+    def actions(self, actions: Any, shape: tuple[int, ...]) -> F32:
+        """Check actions of a shape and return them as float32 [E, C, W].
+
+        Raises
+        ------
+        ShapeError
+            If the shape is another one.
+        ActionError
+            If they are no numbers, or no integers where actions are indices.
+        """
+        if type(actions) is not np.ndarray or actions.dtype != np.float32 or self._discrete:
+            try:
+                given = np.asarray(actions)
+            except (TypeError, ValueError) as error:
+                raise ShapeError(f"actions: {error}, expected an array of shape {shape}") from None
+            if given.dtype.kind not in ("iu" if self._discrete else "fiu"):
+                kind = "integers" if self._discrete else "numbers"
+                raise ActionError(f"actions have dtype {given.dtype}, expected {kind}")
+            with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused
+                actions = given.astype(np.float32)
+        if actions.shape != shape:
+            raise ShapeError(f"actions have shape {actions.shape}, expected {shape}")
+        return np.ascontiguousarray(actions).reshape(self.num_worlds, self.num_slots, self._width)
+
+    def scene_index(self, choice: SceneChoice) -> int | None:
+        """Return the index of a scene given by name or index.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such scene.
+        """
+        if choice is None:
+            return None
+        if isinstance(choice, str):
+            if choice not in self._index:
+                few = ", ".join(list(self._index)[:5])
+                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {few} ...")
+            return self._index[choice]
+        if isinstance(choice, (bool, np.bool_)) or not hasattr(choice, "__index__"):
+            raise ConfigError(f"scene is {choice!r}, expected a name or an index")
+        index = operator.index(choice)
+        if not 0 <= index < len(self._index):
+            raise UnknownNameError(f"no scene {index}, expected an index below {len(self._index)}")
+        return index
+
+    def check_world(self, world_idx: int) -> None:
+        """Refuse the index of a world that does not exist."""
+        if type(world_idx) is not int or not 0 <= world_idx < self.num_worlds:
+            raise UnknownNameError(
+                f"no world {world_idx!r}, expected an index below {self.num_worlds}"
+            )
+
+    def reset_info(self, world_idx: int) -> dict[str, Any]:
+        """Return what ``info`` says about a new episode: scene, its token, seed, episode."""
+        scene_idx, seed, episode, _, _ = self.native.status(world_idx)
+        scene = self.scenes[scene_idx]
+        return {
+            "scene": scene.name,
+            "scene_token": scene.token,
+            "seed": seed,
+            "episode_idx": episode - 1,
+        }
+
+    def observation(self, world_idx: int) -> F32:
+        """Return the present observations [C, D] of a world as a new array."""
+        rows = np.empty((self.num_slots, self.layout.size), np.float32)
+        self.native.observe(world_idx, rows)
+        return rows

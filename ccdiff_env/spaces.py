@@ -1,0 +1,133 @@
+"""From the native schemas to Gymnasium spaces."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+__all__ = ["Column", "Entry", "Layout", "action_space", "read_columns"]
+
+F32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One figure of a step: key of ``info``, unit, and what it is."""
+
+    name: str
+    unit: str
+    doc: str
+
+
+def read_columns(text: str) -> tuple[Column, ...]:
+    """Read the schema of the figures of a step."""
+    return tuple(Column(**column) for column in json.loads(text))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A part of the observation row.
+
+    Parameters
+    ----------
+    name
+        Key in the dictionary form.
+    shape
+        Shape in the dictionary form.
+    offset
+        First float in the flat row.
+    is_mask
+        Whether it tells which rows of the entry before it are there.
+    columns
+        Names of the columns, the last axis; empty for masks.
+    low, high
+        Least and greatest value of each column.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    offset: int
+    is_mask: bool
+    columns: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of floats."""
+        return int(np.prod(self.shape))
+
+    def bounds(self) -> tuple[F32, F32]:
+        """Least and greatest values, in the entry's shape."""
+        low, high = ((0.0,), (1.0,)) if self.is_mask else (self.low, self.high)
+        return (
+            np.broadcast_to(np.array(low, np.float32), self.shape),
+            np.broadcast_to(np.array(high, np.float32), self.shape),
+        )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The schema of the observation row: entries one after the other, ``size`` floats in all."""
+
+    entries: tuple[Entry, ...]
+    size: int
+
+    @classmethod
+    def from_json(cls, text: str) -> Layout:
+        """Read what the native layout writes."""
+        schema: dict[str, Any] = json.loads(text)
+        entries = tuple(
+            Entry(
+                name=entry["name"],
+                shape=tuple(entry["shape"]),
+                offset=entry["offset"],
+                is_mask=entry["kind"] == "mask",
+                columns=tuple(c["name"] for c in entry["columns"]),
+                low=tuple(c["low"] for c in entry["columns"]),
+                high=tuple(c["high"] for c in entry["columns"]),
+            )
+            for entry in schema["entries"]
+        )
+        return cls(entries, schema["size"])
+
+    def flat_space(self) -> spaces.Box:
+        """Box [D] float32 of the flat row."""
+        bounds = [entry.bounds() for entry in self.entries]
+        low = np.concatenate([low.ravel() for low, _ in bounds])
+        high = np.concatenate([high.ravel() for _, high in bounds])
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def dict_space(self) -> spaces.Dict:
+        """Dict of a float32 Box for each entry, and a MultiBinary for each mask."""
+        parts: dict[str, gymnasium.Space[Any]] = {}
+        for entry in self.entries:
+            if entry.is_mask:
+                parts[entry.name] = spaces.MultiBinary(entry.shape[0])
+            else:
+                parts[entry.name] = spaces.Box(*entry.bounds(), dtype=np.float32)
+        return spaces.Dict(parts)
+
+    def split(self, rows: F32) -> dict[str, npt.NDArray[Any]]:
+        """Dictionary form of flat rows [..., D]: views of the values, int8 arrays for masks."""
+        parts: dict[str, npt.NDArray[Any]] = {}
+        for entry in self.entries:
+            part = rows[..., entry.offset : entry.offset + entry.size]
+            if entry.is_mask:
+                parts[entry.name] = (part > 0.5).view(np.int8)
+            else:
+                parts[entry.name] = part.reshape(*rows.shape[:-1], *entry.shape)
+        return parts
+
+
+def action_space(width: int, num_actions: int | None) -> spaces.Box | spaces.Discrete:
+    """Box(-1, 1, [W]) float32 of normalised actions, or Discrete for the indices of a grid."""
+    if num_actions is not None:
+        return spaces.Discrete(num_actions)
+    return spaces.Box(-1.0, 1.0, (width,), np.float32)

@@ -1,0 +1,130 @@
+"""Configuration: defaults, JSON, keywords, messages."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from ccdiff_env import _native
+from ccdiff_env.config import (
+    ActionConfig,
+    ActionGrid,
+    BicycleLimits,
+    DeltaPoseLimits,
+    RewardConfig,
+    UnicycleLimits,
+    WorldConfig,
+)
+from ccdiff_env.errors import CcdiffError, ConfigError
+
+
+def as_float32(value):
+    """Numbers as Rust keeps them."""
+    if isinstance(value, float):
+        return float(np.float32(value))
+    if isinstance(value, dict):
+        return {key: as_float32(v) for key, v in value.items()}
+    return [as_float32(v) for v in value] if isinstance(value, list) else value
+
+
+def test_defaults_are_those_of_rust():
+    rust = json.loads(_native.default_world_config())
+    assert as_float32(json.loads(WorldConfig().to_json())) == as_float32(rust)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"traffic": "idm", "horizon_steps": 7},
+        {"controlled": ("a", "b"), "num_slots": 2},
+        {"dynamics": "bicycle", "discrete": True},
+        {"dynamics": {"delta_pose": {"dx_m": [0, 3]}}},
+        {"dynamics": UnicycleLimits(speed_mps=(-5.0, 20.0))},
+        {"grid": {"first": [-1, 0, 1], "second": [0.0]}, "discrete": True},
+        {"observation": {"ego_columns": ["speed"], "masks": False}},
+    ],
+)
+def test_json_keeps_every_field(options):
+    config = WorldConfig().with_options(**options)
+    assert WorldConfig.from_json(config.to_json()) == config
+
+
+def test_nested_fields_come_as_dataclasses_or_dictionaries():
+    by_dict = WorldConfig().with_options(reward={"goal": 5}, action={"dynamics": "bicycle"})
+    by_class = WorldConfig(
+        reward=RewardConfig(goal=5.0), action=ActionConfig(dynamics=BicycleLimits())
+    )
+    assert by_dict == by_class
+    assert by_dict.reward.goal == 5.0
+    assert by_dict.reward.collision == RewardConfig().collision
+
+
+def test_dictionaries_change_only_the_fields_they_name():
+    config = WorldConfig().with_options(reward={"goal": 5.0}).with_options(reward={"comfort": 0.0})
+    assert (config.reward.goal, config.reward.comfort) == (5.0, 0.0)
+
+
+def test_shortcuts_are_fields_of_the_action():
+    config = WorldConfig().with_options(dynamics="delta_pose", discrete=True)
+    assert config.action == ActionConfig(dynamics=DeltaPoseLimits(), discrete=True)
+
+
+def test_numpy_numbers_are_numbers():
+    config = WorldConfig().with_options(horizon_steps=np.int64(9), dt_s=np.float32(0.5))
+    assert (config.horizon_steps, config.dt_s) == (9, 0.5)
+    assert type(config.horizon_steps) is int
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trafic": "idm"}, "did you mean 'traffic'"),
+        ({"reward": {"gaol": 1.0}}, "did you mean 'reward.goal'"),
+        ({"dynamics": "bicicle"}, "did you mean 'bicycle'"),
+        ({"dynamics": {"bicycle": {"speed": 1}}}, "speed_mps"),
+        ({"dynamics": 3}, "unicycle, bicycle, delta_pose"),
+        ({"traffic": "crazy"}, "replay, constant_velocity, idm"),
+        ({"traffic": ["idm"]}, "expected one of"),
+        ({"dt_s": "0.1"}, "expected float"),
+        ({"dt_s": float("nan")}, "finite"),
+        ({"dt_s": 10**400}, "number"),
+        ({"horizon_steps": 1.5}, "expected int"),
+        ({"horizon_steps": True}, "expected int"),
+        ({"horizon_steps": -1}, "count"),
+        ({"late_arrivals": 1}, "expected bool"),
+        ({"reward": 3}, "RewardConfig or a dictionary"),
+        ({"grid": {"first": [1.0]}}, "second is missing"),
+        ({"grid": {"first": [1.0], "secnd": [1.0]}}, "did you mean"),
+        ({"dynamics": {"unicycle": {"speed_mps": [1.0]}}}, "2"),
+        ({"controlled": "trucks"}, "ego, vehicles"),
+        ({"observation": {"ego_columns": "speed"}}, "sequence"),
+    ],
+)
+def test_mistakes_are_named(options, message):
+    with pytest.raises(ConfigError, match=message.replace("(", r"\(")):
+        WorldConfig().with_options(**options)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"colour": 1}', '{"reward": null}', "null"])
+def test_bad_json_is_refused(text):
+    with pytest.raises(ConfigError):
+        WorldConfig.from_json(text)
+
+
+def test_ranges_are_checked_by_rust():
+    for change in ({"dt_s": 2.0}, {"num_slots": 3}, {"idm": {"headway_s": -1.0}}):
+        config = WorldConfig().with_options(**change)
+        with pytest.raises(CcdiffError):
+            _native.VecWorld([], config.to_json(), 1, 1)
+
+
+def test_configurations_are_frozen_and_hashable():
+    config = WorldConfig()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.dt_s = 0.2  # type: ignore[misc]
+    assert hash(config) == hash(WorldConfig())
+    assert ActionGrid(first=(1.0,), second=(0.0,)) == ActionGrid(first=(1.0,), second=(0.0,))

@@ -1,0 +1,549 @@
+"""The single environment: Gymnasium's contract, options, hostile input, pictures, snapshots."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import multiprocessing
+import os
+import pickle
+import threading
+import warnings
+import weakref
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, embedded_scenes
+from ccdiff_env.errors import (
+    ActionError,
+    CcdiffError,
+    ConfigError,
+    ForkError,
+    ResetNeededError,
+    SceneError,
+    ShapeError,
+    SnapshotError,
+    UnknownNameError,
+)
+
+ID = "ccdiff_env/Ego-v0"
+FORMS = [
+    {},
+    {"observation": "dict"},
+    {"discrete": True},
+    {"observation": "dict", "discrete": True, "dynamics": "bicycle", "traffic": "idm"},
+    {"dynamics": "delta_pose", "info": "end"},
+]
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")
+
+
+def same(a, b) -> bool:
+    """Equal bits, also in dictionaries."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    return np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def run(env, actions, seed=None, **options):
+    """Everything that an episode's calls return."""
+    obs, info = env.reset(seed=seed, options=options or None)
+    trace = [(obs, 0.0, False, False, info)]
+    for action in actions:
+        trace.append(env.step(action))
+        if trace[-1][2] or trace[-1][3]:
+            break
+    return trace
+
+
+def assert_same_trace(one, other):
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        assert same(a[0], b[0])
+        assert a[1:] == b[1:]
+
+
+# ------------------------------------------------------------------------------- the contract
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_gymnasium_checker_passes_without_warnings(form, scenes):
+    env = gymnasium.make(ID, scenes=scenes, render_mode="rgb_array", **form)
+    check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_stable_baselines3_checker_passes_without_warnings(form, scenes):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # rows of agents and of map pieces are tables: the checker would rather see them flat
+        warnings.filterwarnings("ignore", message=".*has an unconventional shape")
+        checker.check_env(EgoEnv(scenes=scenes, **form), warn=True)
+
+
+def test_make_gives_the_env_and_its_spec_makes_another():
+    env = gymnasium.make(ID, traffic="idm")
+    assert isinstance(env.unwrapped, EgoEnv)
+    again = gymnasium.make(env.spec)
+    assert again.unwrapped.config == env.unwrapped.config
+    assert env.unwrapped.scenes.names == embedded_scenes("train").names
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_observations_lie_in_their_space(form, scenes):
+    env = EgoEnv(scenes=scenes, **form)
+    env.action_space.seed(0)
+    for episode in range(6):
+        obs, _ = env.reset(seed=episode)
+        done = False
+        while not done:
+            assert obs in env.observation_space
+            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert np.isfinite(reward)
+            done = terminated or truncated
+        assert obs in env.observation_space
+
+
+@pytest.mark.nuscenes
+def test_observations_of_real_scenes_lie_in_their_space(data_root):
+    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini", cache=False)
+    env = EgoEnv(scenes=scenes, traffic="idm", on_collision="ignore", on_off_road="ignore")
+    env.action_space.seed(0)
+    for name in scenes.names:
+        obs, info = env.reset(seed=1, options={"scene": name})
+        assert info["scene"] == name
+        done = False
+        while not done:
+            assert obs in env.observation_space
+            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert np.isfinite(reward)
+            done = terminated or truncated
+
+
+def test_dict_and_flat_observations_hold_the_same_numbers(scenes):
+    flat, parts = EgoEnv(scenes=scenes), EgoEnv(scenes=scenes, observation="dict")
+    row, _ = flat.reset(seed=3)
+    entries, _ = parts.reset(seed=3)
+    assert np.array_equal(row, np.concatenate([entries[k].ravel() for k in entries]))
+    assert entries["agents_mask"].dtype == np.int8
+    assert not entries["agents"][entries["agents_mask"] == 0].any()
+
+
+def test_every_step_returns_arrays_of_its_own(scenes):
+    env = EgoEnv(scenes=scenes)
+    obs, _ = env.reset(seed=0)
+    kept = obs.copy()
+    later = [env.step(np.zeros(2, np.float32))[0] for _ in range(3)]
+    assert np.array_equal(obs, kept)
+    later[0][:] = 9.0
+    assert not np.shares_memory(later[0], later[1])
+    assert later[1].max() <= 1.0
+
+
+# ------------------------------------------------------------------------- seeds, scenes, info
+
+
+@pytest.mark.parametrize("seed", [0, -1, 2**63, 2**64 + 5, -(10**40), np.int64(7), 2**63 - 1])
+def test_any_integer_is_a_seed(seed, scenes):
+    env = EgoEnv(scenes=scenes)
+    first, info = env.reset(seed=seed)
+    second, again = env.reset(seed=seed)
+    assert same(first, second)
+    assert info == again
+    assert 0 <= info["seed"] < 2**63
+
+
+def test_seeds_that_are_no_integers_are_refused(scenes):
+    env = EgoEnv(scenes=scenes)
+    for seed in (1.5, "one", [1]):
+        with pytest.raises(ConfigError, match="seed"):
+            env.reset(seed=seed)
+
+
+def test_unseeded_environments_differ_and_can_be_repeated_by_the_seed_in_info(scenes):
+    infos = [EgoEnv(scenes=scenes).reset()[1] for _ in range(3)]
+    assert len({info["seed"] for info in infos}) == 3
+    assert EgoEnv(scenes=scenes).reset(seed=infos[0]["seed"])[1] == infos[0]
+
+
+def test_scenes_are_chosen_by_name_or_index(scenes):
+    env = EgoEnv(scenes=scenes)
+    assert env.reset(options={"scene": scenes.names[2]})[1]["scene"] == scenes.names[2]
+    assert env.reset(options={"scene": 1})[1]["scene_token"] == scenes[1].token
+    assert env.scene == scenes[1]
+    for missing in ("nowhere", len(scenes), -1, 10**30):
+        with pytest.raises(UnknownNameError):
+            env.reset(options={"scene": missing})
+    for wrong in (1.5, True, ["a"]):
+        with pytest.raises(ConfigError):
+            env.reset(options={"scene": wrong})
+    with pytest.raises(ConfigError, match="did you mean 'scene'"):
+        env.reset(options={"scenes": 1})
+
+
+def test_sequential_order_plays_every_scene_once_a_round(scenes):
+    env = EgoEnv(scenes=scenes, scene_order="sequential")
+    names = [env.reset(seed=0)[1]["scene"]] + [env.reset()[1]["scene"] for _ in scenes]
+    assert names == [*scenes.names, scenes.names[0]]
+
+
+def test_scenes_come_as_set_list_single_scene_or_split(scenes):
+    for form in (scenes, list(scenes), "val"):
+        assert EgoEnv(scenes=form).scenes.names == scenes.names
+    assert EgoEnv(scenes=scenes[0]).scenes.names == (scenes[0].name,)
+    for wrong in ([], [1], 7):
+        with pytest.raises((ConfigError, TypeError)):
+            EgoEnv(scenes=wrong)
+    with pytest.raises(UnknownNameError):
+        EgoEnv(scenes="nowhere")
+
+
+def test_reward_is_the_sum_of_its_components(scenes):
+    env = EgoEnv(scenes=scenes, traffic="idm")
+    env.reset(seed=5)
+    for _ in range(30):
+        _, reward, terminated, truncated, info = env.step(np.array([0.3, 0.05], np.float32))
+        parts = [value for name, value in info.items() if name.startswith("reward_")]
+        assert reward == pytest.approx(sum(parts), abs=1e-5)
+        if terminated or truncated:
+            break
+
+
+def test_metrics_at_the_end_sum_up_the_steps(scenes):
+    env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore")
+    env.reset(seed=2, options={"scene": 0})
+    rewards, infos = [], []
+    done = False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(np.array([0.1, 0.0], np.float32))
+        rewards.append(reward)
+        infos.append(info)
+        done = terminated or truncated
+        assert ("metrics" in info) == done
+    metrics = infos[-1]["metrics"]
+    assert metrics["length"] == len(rewards)
+    assert metrics["return"] == pytest.approx(sum(rewards))
+    assert metrics["min_ttc"] == min(i["ttc"] for i in infos)
+    assert metrics["mean_speed"] == pytest.approx(np.mean([i["speed"] for i in infos]))
+    for name in ("collision", "off_road", "wrong_way"):
+        assert metrics[name] == max(i[name] > 0 for i in infos)
+    assert metrics["route_completion"] == infos[-1]["route_completion"]
+
+
+@pytest.mark.parametrize(("level", "keys"), [("none", 0), ("end", 0), ("full", 28)])
+def test_info_levels(level, keys, scenes):
+    env = EgoEnv(scenes=scenes, info=level)
+    _, info = env.reset(seed=0)
+    assert set(info) == {"scene", "scene_token", "seed", "episode_idx"}
+    assert len(env.step(np.zeros(2, np.float32))[4]) == keys
+
+
+@pytest.mark.parametrize("driver", ["idm", "replay", "constant_velocity"])
+def test_baselines_drive_in_rust_and_ignore_the_action(driver, scenes):
+    env = EgoEnv(scenes=scenes, driver=driver)
+    left = run(env, [np.array([1.0, 1.0], np.float32)] * 40, seed=1)
+    right = run(env, [np.array([-1.0, -1.0], np.float32)] * 40, seed=1)
+    assert_same_trace(left, right)
+
+
+def test_the_replayed_ego_stays_on_its_log(scenes):
+    env = EgoEnv(scenes=scenes, driver="replay")
+    for _, _, _, _, info in run(env, [np.zeros(2, np.float32)] * 100, seed=1)[1:]:
+        assert info["log_distance"] < 1e-3
+
+
+def test_expert_actions_keep_the_ego_near_its_log(scenes):
+    for form in ({}, {"dynamics": "bicycle"}, {"dynamics": "delta_pose"}):
+        env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore", **form)
+        env.reset(options={"scene": 0})
+        for _ in range(40):
+            *_, info = env.step(env.expert_action())
+        assert info["log_distance"] < 1.0, form
+
+
+# ------------------------------------------------------------------------------ hostile input
+
+
+@pytest.mark.parametrize(
+    ("action", "error"),
+    [
+        (np.zeros(3, np.float32), ShapeError),
+        (np.zeros((1, 2), np.float32), ShapeError),
+        (0.0, ShapeError),
+        ([[0.0], [1.0, 2.0]], CcdiffError),
+        (np.array([np.nan, 0.0]), ActionError),
+        (np.array([np.inf, 0.0], np.float32), ActionError),
+        (np.array([1e300, 0.0]), ActionError),
+        (["a", "b"], ActionError),
+        ("left", CcdiffError),
+        (None, CcdiffError),
+        ([None, None], ActionError),
+        (np.array([1j, 0]), ActionError),
+        (np.array([True, False]), ActionError),
+        ({"a": 1}, CcdiffError),
+    ],
+)
+def test_hostile_actions_are_refused_and_change_nothing(action, error, scenes):
+    env = EgoEnv(scenes=scenes)
+    env.reset(seed=0)
+    before = env.worlds.native.digest(0)
+    with pytest.raises(error):
+        env.step(action)
+    assert env.worlds.native.digest(0) == before
+    env.step(np.zeros(2, np.float32))
+
+
+@pytest.mark.parametrize("action", [-1, 63, 10**12, 0.5, 1.0, np.nan, "a", None, [1], True])
+def test_hostile_indices_are_refused(action, scenes):
+    env = EgoEnv(scenes=scenes, discrete=True)
+    env.reset(seed=0)
+    assert env.action_space == gymnasium.spaces.Discrete(63)
+    with pytest.raises(CcdiffError):
+        env.step(action)
+    for good in (0, np.int64(62), np.array(3), np.uint8(7)):
+        env.step(good)
+
+
+def test_actions_of_any_real_dtype_and_layout_are_taken(scenes):
+    traces = []
+    wide = np.zeros((2, 4), np.float32)
+    wide[0] = 0.5
+    for action in (
+        np.full(2, 0.5, np.float32),
+        np.full(2, 0.5),
+        [0.5, 0.5],
+        np.full(2, 0.5, np.float16),
+        wide[0, ::2],
+    ):
+        env = EgoEnv(scenes=scenes)
+        traces.append(run(env, [action], seed=4))
+    read_only = np.full(2, 0.5, np.float32)
+    read_only.flags.writeable = False
+    traces.append(run(EgoEnv(scenes=scenes), [read_only], seed=4))
+    for trace in traces[1:]:
+        assert_same_trace(trace, traces[0])
+
+
+def test_stepping_before_reset_and_after_the_end_is_an_error(scenes):
+    env = EgoEnv(scenes=scenes, horizon_steps=1)
+    with pytest.raises(ResetNeededError):
+        env.step(np.zeros(2, np.float32))
+    env.reset(seed=0)
+    assert env.step(np.zeros(2, np.float32))[3]
+    with pytest.raises(ResetNeededError):
+        env.step(np.zeros(2, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"trafic": "idm"}, ConfigError),
+        ({"traffic": "external"}, ConfigError),
+        ({"traffic": "ccdif"}, ConfigError),
+        ({"driver": "me"}, ConfigError),
+        ({"controlled": "vehicles"}, ConfigError),
+        ({"observation": "image"}, ConfigError),
+        ({"info": "all"}, ConfigError),
+        ({"render_mode": "ansi"}, ConfigError),
+        ({"picture": {"zoom": 2}}, ConfigError),
+        ({"horizon_steps": 0}, ConfigError),
+        ({"history_steps": 10**6}, SceneError),
+        ({"dt_s": 0.2}, SceneError),
+        ({"reward": {"goal": 1e30}}, ConfigError),
+    ],
+)
+def test_wrong_options_are_refused(options, error, scenes):
+    with pytest.raises(error):
+        EgoEnv(scenes=scenes, **options)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_random_calls_never_crash(data, scenes):
+    env = EgoEnv(scenes=scenes, horizon_steps=20, traffic="idm")
+    env.reset(seed=data.draw(st.integers()))
+    saved = env.snapshot()
+    for _ in range(data.draw(st.integers(1, 12))):
+        call = data.draw(st.sampled_from(["step", "step", "step", "reset", "restore", "noise"]))
+        try:
+            if call == "step":
+                numbers = st.floats(width=32, allow_nan=True)
+                action = np.array(data.draw(st.lists(numbers, min_size=2, max_size=2)), np.float32)
+                obs, reward, *_ = env.step(action)
+                assert obs in env.observation_space
+                assert np.isfinite(reward)
+            elif call == "reset":
+                seed = data.draw(st.none() | st.integers())
+                assert env.reset(seed=seed)[0] in env.observation_space
+            elif call == "restore":
+                assert env.restore(saved) in env.observation_space
+            else:
+                blob = bytearray(saved)
+                at = data.draw(st.integers(0, len(blob) - 1))
+                blob[at] ^= data.draw(st.integers(1, 255))
+                env.restore(bytes(blob))
+        except CcdiffError:
+            continue
+
+
+# ---------------------------------------------------------------------------------- pictures
+
+
+def test_pictures_have_the_size_asked_for(scenes):
+    env = EgoEnv(scenes=scenes, render_mode="rgb_array", picture={"size": (200, 100)})
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.zeros(2, np.float32))
+    second = env.render()
+    assert first.shape == second.shape == (100, 200, 3)
+    assert first.dtype == np.uint8
+    assert not np.array_equal(first, second)
+
+
+def test_human_mode_opens_a_window(scenes, monkeypatch):
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = EgoEnv(scenes=scenes, render_mode="human", picture={"size": (64, 64)})
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.float32))
+    assert env.render() is None
+    env.close()
+    env.close()
+
+
+# --------------------------------------------------------------------------------- snapshots
+
+
+ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
+
+
+@pytest.mark.parametrize("traffic", ["idm", "replay", "constant_velocity"])
+def test_restored_environments_go_on_bit_for_bit(traffic, scenes):
+    env = EgoEnv(scenes=scenes, traffic=traffic, on_collision="ignore", on_off_road="ignore")
+    obs, _ = env.reset(seed=8)
+    for action in ACTIONS[:20]:
+        obs, *_ = env.step(action)
+    saved, digest = env.snapshot(), env.worlds.native.digest(0)
+    rest = [env.step(action) for action in ACTIONS[20:40]]
+    after = env.reset()
+    assert same(env.restore(saved), obs)
+    assert env.worlds.native.digest(0) == digest
+    assert_same_trace([env.step(action) for action in ACTIONS[20:40]], rest)
+    assert same(env.reset()[0], after[0])
+
+
+def test_forks_are_independent(scenes):
+    env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore")
+    env.reset(seed=1)
+    for action in ACTIONS[:5]:
+        obs, *_ = env.step(action)
+    fork = env.fork()
+    assert same(fork.observation(), obs)
+    moved = [fork.step(action) for action in ACTIONS[5:15]]
+    assert same(env.observation(), obs)
+    assert_same_trace([env.step(action) for action in ACTIONS[5:15]], moved)
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+def test_copies_and_pickles_go_on_where_the_original_stands(make, scenes):
+    env = gymnasium.make(ID, scenes=scenes, traffic="idm").unwrapped
+    env.action_space.seed(5)
+    env.reset(seed=3)
+    env.step(ACTIONS[0])
+    twin = make(env)
+    assert twin.spec == env.spec
+    assert_same_trace([twin.step(ACTIONS[1])], [env.step(ACTIONS[1])])
+    assert same(twin.reset()[0], env.reset()[0])
+    assert np.array_equal(twin.action_space.sample(), env.action_space.sample())
+
+
+def test_copies_of_an_environment_that_was_never_reset_work(scenes):
+    env = copy.deepcopy(EgoEnv(scenes=scenes))
+    assert same(env.reset(seed=1)[0], EgoEnv(scenes=scenes).reset(seed=1)[0])
+
+
+def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
+    env = EgoEnv(scenes=scenes)
+    env.reset(seed=0)
+    env.step(ACTIONS[0])
+    saved = env.snapshot()
+    other = EgoEnv(scenes=scenes, traffic="idm")
+    other.reset(seed=0)
+    digest, obs = other.worlds.native.digest(0), other.observation()
+    tail = saved[:-1]
+    for wrong in (saved, b"", b"x" * 400, tail, saved[:40], saved[:6] + b"\xff\xff" + saved[8:], 3):
+        with pytest.raises(SnapshotError):
+            other.restore(wrong)
+    assert other.worlds.native.digest(0) == digest
+    assert same(other.observation(), obs)
+    fewer = EgoEnv(scenes=list(scenes)[::-1])
+    with pytest.raises(SnapshotError):
+        fewer.restore(saved)
+
+
+# ---------------------------------------------------------------------- threads and processes
+
+
+def _step_in_child(env, queue):
+    try:
+        env.step(np.zeros(2, np.float32))
+        queue.put("stepped")
+    except ForkError as error:
+        queue.put(str(error))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_forked_child_is_told_to_spawn(scenes):
+    env = EgoEnv(scenes=scenes)
+    env.reset(seed=0)
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_step_in_child, args=(env, queue))
+    child.start()
+    assert "spawn" in queue.get(timeout=60)
+    child.join(60)
+    assert child.exitcode == 0
+
+
+def test_threads_that_share_an_environment_get_an_error_not_a_crash(scenes):
+    env = ccdiff_env.make_vec(64, scenes=scenes, num_threads=1, info="none")
+    env.reset(seed=0)
+    actions = np.zeros((64, 2), np.float32)
+    seen: list[BaseException] = []
+
+    def work() -> None:
+        for _ in range(30):
+            try:
+                env.step(actions)
+            except RuntimeError as error:
+                seen.append(error)
+
+    threads = [threading.Thread(target=work) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all("borrowed" in str(error) for error in seen)
+    env.step(actions)
+
+
+def test_environments_go_when_nobody_holds_them(scenes):
+    env = EgoEnv(scenes=scenes)
+    env.reset(seed=0)
+    trace = weakref.ref(env)
+    env.close()
+    del env
+    gc.collect()
+    assert trace() is None

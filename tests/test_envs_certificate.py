@@ -1,0 +1,154 @@
+"""Replay certificates."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import Certificate, EgoEnv, embedded_scenes, replay
+from ccdiff_env.errors import ResetNeededError, SnapshotError
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")
+
+
+def driven(scenes, *, episodes=1, **options) -> tuple[EgoEnv, list[float]]:
+    """An environment at the end of an episode, and that episode's rewards."""
+    env = EgoEnv(scenes=scenes, **options)
+    env.reset(seed=2**70 + 1)
+    for _ in range(episodes - 1):
+        env.reset()
+    env.action_space.seed(3)
+    rewards, done = [], False
+    while not done:
+        action = env.action_space.sample()
+        if not options.get("discrete"):
+            action = action * np.float32(0.1)
+        _, reward, terminated, truncated, _ = env.step(action)
+        rewards.append(reward)
+        done = terminated or truncated
+    return env, rewards
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"traffic": "idm"},
+        {"discrete": True, "dynamics": "bicycle", "horizon_steps": 30},
+        {"episodes": 3, "traffic": "constant_velocity", "dynamics": "delta_pose"},
+        {"driver": "idm", "traffic": "idm"},
+    ],
+    ids=str,
+)
+def test_episodes_are_simulated_again_from_a_small_file(options, scenes, tmp_path):
+    env, rewards = driven(scenes, **options)
+    path = tmp_path / "episode.json"
+    env.certificate().save(path)
+    assert path.stat().st_size < 20_000
+    again = replay(path)
+    assert again.rewards.tolist() == rewards
+    assert again.env.scene == env.scene
+    assert again.frames == []
+
+
+def test_another_process_finds_the_same_episode(scenes, tmp_path):
+    env, _ = driven(scenes, traffic="idm")
+    path = tmp_path / "episode.json"
+    env.certificate().save(path)
+    code = f"import ccdiff_env; print(len(ccdiff_env.replay({str(path)!r}).rewards))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(out.stdout) == len(env.certificate().actions)
+
+
+def test_pictures_are_kept_on_request(scenes):
+    env, rewards = driven(scenes, horizon_steps=3)
+    again = replay(env.certificate(), scenes, render_mode="rgb_array", size=(32, 32))
+    assert len(again.frames) == len(rewards) + 1
+    assert again.frames[0].shape == (32, 32, 3)
+
+
+def test_an_unfinished_episode_has_a_certificate_and_forks_keep_it(scenes):
+    env = EgoEnv(scenes=scenes)
+    with pytest.raises(ResetNeededError):
+        env.certificate()
+    env.reset(seed=1)
+    env.step(np.array([0.5, 0.0], np.float32))
+    fork = env.fork()
+    fork.step(np.array([-0.5, 0.0], np.float32))
+    assert len(replay(fork.certificate(), scenes).rewards) == 2
+    assert len(replay(env.certificate(), scenes).rewards) == 1
+
+
+def test_certificates_survive_json(scenes):
+    certificate = driven(scenes, horizon_steps=5)[0].certificate()
+    back = Certificate.from_json(certificate.to_json())
+    assert np.array_equal(back.actions, certificate.actions)
+    assert back.to_json() == certificate.to_json()
+
+
+def test_a_changed_certificate_is_found_out(scenes):
+    certificate = driven(scenes, horizon_steps=8)[0].certificate()
+    actions = certificate.actions.copy()
+    actions[0, 0] = 0.5 - actions[0, 0]
+    config = certificate.config.with_options(reward={"goal": 3.0, "progress": 0.2})
+    changes = [
+        {"actions": certificate.actions[:-1]},
+        {"seed": certificate.seed + 1},
+        {"episode_idx": 1},
+        {"config": config},
+        {"digest": "0" * 32},
+        {"scene": "nowhere"},
+        {"scene_hash": "0" * 32},
+        {"schema": "0" * 16},
+        {"actions": actions},
+    ]
+    for change in changes:
+        with pytest.raises(SnapshotError):
+            replay(dataclasses.replace(certificate, **change), scenes)
+    replay(certificate, scenes)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"format": "other"},
+        {"actions": None},
+        {"actions": {"shape": [9, 9], "float32": "AAAA"}},
+        {"actions": {"shape": [1, 1], "float32": "!"}},
+        {"seed": "one"},
+        {"config": {"colour": 1}},
+        {"extra": 1},
+    ],
+    ids=str,
+)
+def test_damaged_files_are_refused(change, scenes, tmp_path):
+    certificate = driven(scenes, horizon_steps=2)[0].certificate()
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps({**json.loads(certificate.to_json()), **change}))
+    with pytest.raises(SnapshotError):
+        replay(path, scenes)
+    for text in ("", "{", "[]", "null", "{}"):
+        with pytest.raises(SnapshotError):
+            Certificate.from_json(text)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SnapshotError):
+        ccdiff_env.replay(path)
+
+
+def test_actions_before_a_foreign_snapshot_are_missed(scenes):
+    env = EgoEnv(scenes=scenes)
+    vector = ccdiff_env.EgoVectorEnv(1, scenes=scenes, autoreset_mode="disabled")
+    vector.reset(seed=0)
+    env.restore(vector.snapshot(0))
+    with pytest.raises(SnapshotError, match="actions"):
+        env.certificate()
+    env.reset()
+    env.certificate()

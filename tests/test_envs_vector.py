@@ -1,0 +1,347 @@
+"""The vector environment against Gymnasium's ``SyncVectorEnv`` of single ones, bit for bit."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, EgoVectorEnv, embedded_scenes
+from ccdiff_env.errors import (
+    ActionError,
+    CcdiffError,
+    ConfigError,
+    ResetNeededError,
+    ShapeError,
+    SnapshotError,
+    UnknownNameError,
+)
+
+ID = "ccdiff_env/Ego-v0"
+MODES = list(AutoresetMode)
+NUM_ENVS = 5
+#: Episodes end by themselves and by time.
+RULES = {"traffic": "idm", "horizon_steps": 25}
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")
+
+
+def assert_same(one, other, path="") -> None:
+    """Equal values, in arrays, dictionaries and object arrays."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one:
+            assert_same(one[key], other[key], f"{path}/{key}")
+        return
+    one, other = np.asarray(one), np.asarray(other)
+    assert one.shape == other.shape, path
+    if one.dtype == object:
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert (a is None) == (b is None), path
+            if a is not None:
+                assert_same(a, b, f"{path}[{i}]")
+    else:
+        assert np.array_equal(one, other), path
+
+
+def assert_same_infos(one, other) -> None:
+    """Infos agree in keys, masks, and values where the masks are set."""
+    assert one.keys() == other.keys()
+    for key in one:
+        if key.startswith("_"):
+            assert_same(one[key], other[key], key)
+        elif isinstance(one[key], dict):
+            assert_same_infos(one[key], other[key])
+        else:
+            mask = one[f"_{key}"]
+            assert_same(np.asarray(one[key])[mask], np.asarray(other[key])[mask], key)
+
+
+def pair(scenes, mode, **options):
+    """The native environment and Gymnasium's, of the same worlds."""
+    options = {**RULES, **options}
+    native = EgoVectorEnv(NUM_ENVS, scenes=scenes, autoreset_mode=mode, **options)
+    singles = [lambda: EgoEnv(scenes=scenes, **options) for _ in range(NUM_ENVS)]
+    return native, SyncVectorEnv(singles, autoreset_mode=mode)
+
+
+def actions_of(native, steps):
+    """Random actions, weak in steering so that episodes last."""
+    native.action_space.seed(0)
+    for _ in range(steps):
+        action = native.action_space.sample()
+        yield action if action.dtype != np.float32 else action * np.float32([0.8, 0.08])
+
+
+@pytest.mark.parametrize("seed", [0, -3, 2**64, [5, 1, 2**63 - 1, -9, 0]], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"observation": "dict"}, {"discrete": True}, {"info": "end"}, {"info": "none"}],
+    ids=str,
+)
+@pytest.mark.parametrize("mode", MODES)
+def test_it_is_gymnasiums_vector_of_single_environments(mode, options, seed, scenes):
+    native, sync = pair(scenes, mode, **options)
+    assert native.single_observation_space == sync.single_observation_space
+    assert native.observation_space == sync.observation_space
+    assert native.single_action_space == sync.single_action_space
+    assert native.action_space == sync.action_space
+    (obs, infos), (expected, expected_infos) = native.reset(seed=seed), sync.reset(seed=seed)
+    assert_same(obs, expected)
+    assert_same_infos(infos, expected_infos)
+    ended = 0
+    for action in actions_of(native, 60):
+        got, want = native.step(action), sync.step(action)
+        for one, other in zip(got[:4], want[:4], strict=True):
+            assert_same(one, other)
+        assert_same_infos(got[4], want[4])
+        assert got[0] in native.observation_space
+        done = got[2] | got[3]
+        ended += done.sum()
+        if mode is AutoresetMode.DISABLED and done.any():
+            got = native.reset(options={"reset_mask": done.copy()})
+            want = sync.reset(options={"reset_mask": done.copy()})
+            assert_same(got[0], want[0])
+            assert_same_infos(got[1], want[1])
+    assert ended > NUM_ENVS
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_metadata_and_registry(mode):
+    env = gymnasium.make_vec(ID, num_envs=3, autoreset_mode=mode, **RULES)
+    assert type(env) is EgoVectorEnv
+    assert env.metadata["autoreset_mode"] is mode
+    assert env.spec.id == ID
+    assert EgoVectorEnv.metadata.get("autoreset_mode") is None
+    assert gymnasium.make_vec(env.spec).num_envs == 3
+    sync = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", **RULES)
+    assert isinstance(sync, SyncVectorEnv)
+
+
+@pytest.mark.parametrize("name", ["next_step", "same_step", "disabled", "NextStep", "SameStep"])
+def test_autoreset_modes_have_names(name):
+    mode = ccdiff_env.make_vec(1, autoreset_mode=name).metadata["autoreset_mode"]
+    assert mode.value.lower() == name.replace("_", "").lower()
+    with pytest.raises(ConfigError, match="next_step"):
+        ccdiff_env.make_vec(1, autoreset_mode="never")
+
+
+def test_next_step_ignores_the_action_of_the_reset_and_rewards_nothing(scenes):
+    env = EgoVectorEnv(1, scenes=scenes, horizon_steps=2)
+    env.reset(seed=0)
+    env.step(np.zeros((1, 2)))
+    *_, truncated, infos = env.step(np.zeros((1, 2)))
+    assert truncated.all()
+    assert infos["time_limit"].all()
+    _, reward, terminated, truncated, infos = env.step(np.ones((1, 2)))
+    assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
+    assert infos["episode_idx"][0] == 1
+    assert "speed" not in infos
+
+
+def test_disabled_refuses_to_step_an_ended_world(scenes):
+    env = EgoVectorEnv(2, scenes=scenes, horizon_steps=1, autoreset_mode="disabled")
+    env.reset(seed=0)
+    env.step(np.zeros((2, 2)))
+    with pytest.raises(ResetNeededError):
+        env.step(np.zeros((2, 2)))
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ResetNeededError, match="world 1"):
+        env.step(np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("copy", [True, False])
+def test_partial_resets_leave_the_other_worlds_alone(mode, copy, scenes):
+    env = EgoVectorEnv(3, scenes=scenes, autoreset_mode=mode, copy=copy, **RULES)
+    env.reset(seed=0)
+    obs = env.step(np.zeros((3, 2)))[0].copy()
+    digests = [env.worlds.native.digest(i) for i in range(3)]
+    options = {"reset_mask": np.array([False, True, False]), "scene": scenes.names[4]}
+    after, infos = env.reset(seed=7, options=options)
+    assert set(options) == {"reset_mask", "scene"}
+    assert np.array_equal(after[[0, 2]], obs[[0, 2]])
+    assert [env.worlds.native.digest(i) == d for i, d in enumerate(digests)] == [True, False, True]
+    assert infos["scene"][1] == scenes.names[4]
+    assert infos["_scene"].tolist() == [False, True, False]
+    assert infos["seed"][1] == 8
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [
+        [True, False, True],
+        np.array([1, 0, 1]),
+        np.ones(2, bool),
+        np.ones((3, 1), bool),
+        np.zeros(3, bool),
+        "all",
+    ],
+    ids=repr,
+)
+def test_bad_masks_are_refused(mask, scenes):
+    env = EgoVectorEnv(3, scenes=scenes, autoreset_mode="disabled")
+    env.reset(seed=0)
+    with pytest.raises((ShapeError, ConfigError)):
+        env.reset(options={"reset_mask": mask})
+
+
+def test_the_first_reset_takes_no_part_of_the_worlds(scenes):
+    env = EgoVectorEnv(2, scenes=scenes, autoreset_mode="disabled")
+    with pytest.raises(ConfigError, match="first reset"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+
+
+def test_each_world_gets_a_scene_of_its_own(scenes):
+    env = EgoVectorEnv(3, scenes=scenes)
+    _, infos = env.reset(seed=0, options={"scene": [2, scenes.names[0], None]})
+    assert infos["scene"][:2].tolist() == [scenes.names[2], scenes.names[0]]
+    assert set(env.reset(options={"scene": 1})[1]["scene"]) == {scenes.names[1]}
+    with pytest.raises(ConfigError, match="expected num_envs=3"):
+        env.reset(options={"scene": [0, 1]})
+    with pytest.raises(UnknownNameError):
+        env.reset(options={"scene": [0, 1, "nowhere"]})
+    with pytest.raises(ConfigError, match="expected num_envs=3"):
+        env.reset(seed=[1, 2])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_copies_are_never_overwritten(mode, scenes):
+    env = EgoVectorEnv(4, scenes=scenes, autoreset_mode=mode)
+    returned = [env.reset(seed=0)[0]]
+    kept = [returned[0].copy()]
+    for _ in range(5):
+        for array in env.step(np.full((4, 2), 0.1))[:4]:
+            assert not any(np.shares_memory(array, other) for other in returned)
+            returned.append(array)
+            kept.append(array.copy())
+    for array, copy in zip(returned, kept, strict=True):
+        assert np.array_equal(array, copy)
+
+
+def test_without_copies_the_same_memory_comes_back_with_the_same_numbers(scenes):
+    fast, safe = (EgoVectorEnv(4, scenes=scenes, copy=copy, **RULES) for copy in (False, True))
+    first, _ = fast.reset(seed=1)
+    safe.reset(seed=1)
+    for action in actions_of(fast, 40):
+        got, want = fast.step(action), safe.step(action)
+        assert np.shares_memory(got[0], first)
+        for one, other in zip(got[:4], want[:4], strict=True):
+            assert_same(one, other)
+        assert_same_infos(got[4], want[4])
+
+
+@pytest.mark.parametrize(
+    ("actions", "error"),
+    [
+        (np.zeros((3, 2)), ShapeError),
+        (np.zeros(8), ShapeError),
+        (np.full((4, 2), np.nan), ActionError),
+        (np.full((4, 2), "a"), ActionError),
+        ([[0.0, 0.0], [0.0]], CcdiffError),
+        (None, CcdiffError),
+    ],
+)
+def test_hostile_actions_move_no_world(actions, error, scenes):
+    env = EgoVectorEnv(4, scenes=scenes)
+    env.reset(seed=0)
+    before = [env.worlds.native.digest(i) for i in range(4)]
+    with pytest.raises(error):
+        env.step(actions)
+    assert [env.worlds.native.digest(i) for i in range(4)] == before
+
+
+def test_one_bad_action_among_good_ones_moves_no_world(scenes):
+    env = EgoVectorEnv(16, scenes=scenes, num_threads=2)
+    env.reset(seed=0)
+    before = [env.worlds.native.digest(i) for i in range(16)]
+    actions = np.zeros((16, 2))
+    actions[15, 1] = np.inf
+    with pytest.raises(ActionError, match="world 15"):
+        env.step(actions)
+    assert [env.worlds.native.digest(i) for i in range(16)] == before
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, "two", True])
+def test_counts_must_be_positive_integers(wrong, scenes):
+    with pytest.raises(ConfigError):
+        EgoVectorEnv(wrong, scenes=scenes)
+    with pytest.raises(ConfigError):
+        EgoVectorEnv(2, scenes=scenes, num_threads=wrong)
+
+
+def test_native_arrays_must_fit_exactly(scenes):
+    worlds = EgoVectorEnv(2, scenes=scenes).worlds
+    good = worlds.arrays()
+    worlds.native.reset([0, 1], [None, None], None, good)
+    actions = np.zeros((2, 1, 2), np.float32)
+    size = worlds.layout.size
+    read_only = np.zeros_like(good.reward)
+    read_only.flags.writeable = False
+    wrong = {
+        "obs": [np.zeros((2, 1, size)), np.zeros((2, size), np.float32), None, [0.0]],
+        "reward": [np.zeros((1, 2), np.float32).T[:, :1], np.zeros((2, 1), np.float64), read_only],
+        "done": [np.zeros(2, np.uint8), np.zeros(4, bool)[::2]],
+        "truncated": [good.terminated],
+        "final_obs": [np.zeros((2, 1, size), np.float32)],
+    }
+    digest = worlds.native.digest(0)
+    for name, arrays in wrong.items():
+        for array in arrays:
+            if name == "reward" and array.flags.c_contiguous and array.flags.writeable:
+                continue
+            with pytest.raises(ShapeError, match=name):
+                worlds.native.step(actions, good._replace(**{name: array}))
+    for bad in (np.zeros((2, 2), np.float32), np.zeros((2, 1, 2)), None):
+        with pytest.raises(ShapeError, match="actions"):
+            worlds.native.step(bad, good)
+    assert worlds.native.digest(0) == digest
+    worlds.native.step(actions, good)
+
+
+def test_snapshots_move_between_worlds(scenes):
+    env = EgoVectorEnv(3, scenes=scenes, traffic="idm")
+    env.reset(seed=0)
+    actions = np.tile(np.float32([0.2, 0.01]), (3, 1))
+    for _ in range(5):
+        obs, *_ = env.step(actions)
+    saved = env.snapshot(0)
+    assert np.array_equal(env.restore(2, saved), obs[0])
+    obs, reward, *_ = env.step(actions)
+    assert np.array_equal(obs[0], obs[2])
+    assert reward[0] == reward[2]
+    with pytest.raises(SnapshotError):
+        env.restore(0, saved[:-3])
+    for missing in (3, -1, 1.5):
+        with pytest.raises(UnknownNameError):
+            env.restore(missing, saved)
+        with pytest.raises(UnknownNameError):
+            env.snapshot(missing)
+
+
+def test_pictures_of_all_worlds(scenes):
+    env = EgoVectorEnv(2, scenes=scenes, render_mode="rgb_array", picture={"size": (64, 48)})
+    env.reset(seed=0)
+    env.step(np.zeros((2, 2)))
+    frames = env.render()
+    assert len(frames) == 2
+    assert {frame.shape for frame in frames} == {(48, 64, 3)}
+    assert EgoVectorEnv(1, scenes=scenes).render() is None
+
+
+@pytest.mark.nuscenes
+def test_real_scenes_conform_too(data_root):
+    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini", cache=False)
+    native, sync = pair(scenes, AutoresetMode.SAME_STEP, horizon_steps=50)
+    assert_same(native.reset(seed=0)[0], sync.reset(seed=0)[0])
+    for action in actions_of(native, 80):
+        got, want = native.step(action), sync.step(action)
+        for one, other in zip(got[:4], want[:4], strict=True):
+            assert_same(one, other)
+        assert_same_infos(got[4], want[4])
+        assert got[0] in native.observation_space
