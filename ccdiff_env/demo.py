@@ -100,7 +100,7 @@ def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
                     self.rows.append(row)
             return True
 
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
     env = SB3VecEnv(
         ccdiff_env.make_vec(NUM_ENVS, scenes=scenes, autoreset_mode="same_step", **RULES)
     )
