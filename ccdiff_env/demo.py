@@ -181,7 +181,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dataroot", help="a nuScenes copy; embedded scenes without it")
     parser.add_argument("--version", default="v1.0-mini", help="version of the nuScenes copy")
-    parser.add_argument("--steps", type=int, default=250_000, help="environment steps of training")
+    parser.add_argument("--steps", type=int, default=120_000, help="environment steps of training")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/demo"))
     args = parser.parse_args()
