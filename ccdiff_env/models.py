@@ -20,13 +20,21 @@ from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene
 
-__all__ = ["Planner", "ScenePlan", "train"]
+__all__ = ["Planner", "ScenePlan", "shipped_weights", "train"]
 
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
 _CHUNK = 20
 _COOLDOWN_SHARE = 0.2
+
+
+def shipped_weights() -> Path:
+    """Return the weight file of the shipped ``fast`` network.
+
+    Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
+    """
+    return Path(__file__).parent / "data" / "ccdiff_fast.safetensors"
 
 
 @dataclass(frozen=True)
