@@ -91,8 +91,8 @@ def test_plans_have_the_documented_shapes_and_roll_out_from_where_the_vehicles_a
     assert np.abs(plan.positions()[:, :, 0] - start).max() < 3.0
 
 
-def test_plans_are_repeatable_and_follow_their_seed(weights: Path) -> None:
-    planner, scene = Planner(weights), road()
+def test_plans_are_repeatable_and_follow_their_seed() -> None:
+    planner, scene = Planner(shipped_weights()), road()
     before = torch.get_rng_state()
     first, second, other = planner.plan([scene] * 3, [40] * 3, seeds=[5, 5, 6])
     assert torch.equal(before, torch.get_rng_state())
