@@ -399,6 +399,12 @@ class VecWorld:
     def states(self, world_idx: int) -> StateArrays:
         """Return present states [A]; zero where an agent is not active."""
 
+    def ended_metrics(self, worlds: Sequence[int]) -> F64:
+        """Return metrics [N, C, K] of the last episodes that ended in some worlds."""
+
+    def metrics(self, world_idx: int) -> F64:
+        """Return metrics [C, K] of a world's present episode so far."""
+
     def drivers(self, world_idx: int) -> list[str]:
         """Return who drives each agent."""
 
@@ -433,3 +439,4 @@ class VecWorld:
 
 def default_world_config() -> str: ...
 def columns_json() -> str: ...
+def metrics_json() -> str: ...

@@ -22,7 +22,6 @@ from ccdiff_env.errors import SnapshotError
 
 if TYPE_CHECKING:
     from ccdiff_env.envs.single import EgoEnv
-    from ccdiff_env.envs.tally import Tally
     from ccdiff_env.envs.worlds import Scenes, Worlds
 
 __all__ = ["Certificate", "Replay", "replay"]
@@ -36,14 +35,14 @@ def _schema_digest(worlds: Worlds) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _state_digest(worlds: Worlds, tally: Tally) -> str:
-    """Digest of the bits of all present states and of the sums over the episode's steps."""
+def _state_digest(worlds: Worlds) -> str:
+    """Digest of the bits of all present states and of the metrics of the episode."""
     hasher = hashlib.blake2b(digest_size=16)
     for _, array in sorted(dict[str, Any](worlds.native.states(0)).items()):
         hasher.update(array.tobytes())
     _, seed, episode, step_idx, elapsed = worlds.native.status(0)
     hasher.update(struct.pack("<4Q", seed, episode, step_idx, elapsed))
-    hasher.update(tally.save(0))
+    hasher.update(worlds.native.metrics(0).tobytes())
     return hasher.hexdigest()
 
 
@@ -64,7 +63,7 @@ class Certificate:
     actions
         Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
     digest
-        Digest of the final states and of all rewards and figures.
+        Digest of the final states and of the metrics of the episode.
     """
 
     package: str
@@ -78,7 +77,7 @@ class Certificate:
     digest: str
 
     @classmethod
-    def of(cls, worlds: Worlds, actions: bytes, tally: Tally) -> Certificate:
+    def of(cls, worlds: Worlds, actions: bytes) -> Certificate:
         """Return the certificate of the present episode of a single world."""
         from ccdiff_env import __version__
 
@@ -94,7 +93,7 @@ class Certificate:
             seed=seed,
             episode_idx=episode - 1,
             actions=rows,
-            digest=_state_digest(worlds, tally),
+            digest=_state_digest(worlds),
         )
 
     def to_json(self) -> str:

@@ -14,7 +14,6 @@ from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
-from ccdiff_env.envs.tally import Tally
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed, scene_set, world_config
 from ccdiff_env.errors import SnapshotError
@@ -81,7 +80,6 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         )
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._info: InfoLevel = info
-        self._tally = Tally(self.worlds.column_names, 1)
         self._actions: list[bytes] | None = []
         self._seeded = False
         self._begun = False
@@ -130,7 +128,6 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         self._seeded = self._begun = True
         out = self.worlds.arrays()
         self.worlds.native.reset([folded], [scene_idx], None, out)
-        self._tally.clear(slice(None))
         self._actions = []
         if self.render_mode == "human":
             self.render()
@@ -161,15 +158,13 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         self.worlds.native.step(checked, out)
         if self._actions is not None:
             self._actions.append(checked.tobytes())
-        columns = out.columns[0]
-        self._tally.add(columns, out.reward[0])
         info: dict[str, Any] = {}
         done = bool(out.done[0])
         if self._info == "full" or (self._info == "end" and done):
-            info.update(zip(self.worlds.column_names, columns[0].tolist(), strict=True))
+            info.update(zip(self.worlds.column_names, out.columns[0, 0].tolist(), strict=True))
         if done and self._info != "none":
-            metrics = self._tally.metrics(columns)
-            info["metrics"] = {name: float(value[0]) for name, value in metrics.items()}
+            metrics = self.worlds.native.metrics(0)[0].tolist()
+            info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
         if self.render_mode == "human":
             self.render()
         reward = float(out.reward[0, 0])
@@ -209,7 +204,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
     def snapshot(self) -> bytes:
         """Return everything that the environment's future depends on."""
         actions = None if self._actions is None else b"".join(self._actions)
-        return Snapshot(self.worlds.native.snapshot(0), self._tally.save(0), actions).to_bytes()
+        return Snapshot(self.worlds.native.snapshot(0), actions).to_bytes()
 
     def restore(self, snapshot: bytes) -> Any:
         """Return to the state of a snapshot, bit for bit.
@@ -238,14 +233,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
                 raise SnapshotError("snapshot: actions do not fit")
             starts = range(0, len(saved.actions), row_bytes)
             actions = [saved.actions[i : i + row_bytes] for i in starts]
-        before = self._tally.save(0)
-        if not self._tally.load(0, saved.tally):
-            raise SnapshotError("snapshot: running sums do not fit")
-        try:
-            self.worlds.native.restore(0, saved.world)
-        except BaseException:
-            self._tally.load(0, before)
-            raise
+        self.worlds.native.restore(0, saved.world)
         self._actions = actions
         self._seeded = self._begun = self.worlds.native.begun(0)
         return self.observation() if self._begun else None
@@ -266,7 +254,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         """
         if self._actions is None:
             raise SnapshotError("certificate: the actions before the restored snapshot are unknown")
-        return Certificate.of(self.worlds, b"".join(self._actions), self._tally)
+        return Certificate.of(self.worlds, b"".join(self._actions))
 
     def close(self) -> None:
         """Close the window."""

@@ -1,10 +1,7 @@
-"""The bytes of an environment's snapshot: the native world, and what Python keeps beside it."""
+"""The bytes of an environment's snapshot: the native world, and the actions of its episode."""
 
 from __future__ import annotations
 
-import base64
-import binascii
-import json
 import struct
 from dataclasses import dataclass
 
@@ -12,7 +9,8 @@ from ccdiff_env.errors import SnapshotError
 
 _MAGIC = b"CCDENV"
 _VERSION = 1
-_HEAD = struct.Struct("<6sHI")
+#: Magic, version, length of the actions in bytes (-1: not recorded).
+_HEAD = struct.Struct("<6sHq")
 
 
 @dataclass(frozen=True)
@@ -23,22 +21,18 @@ class Snapshot:
     ----------
     world
         The native snapshot.
-    tally
-        Running sums of the episode.
     actions
         Actions since the episode began, float32 rows; ``None`` where they were not recorded.
     """
 
     world: bytes
-    tally: bytes
     actions: bytes | None = None
 
     def to_bytes(self) -> bytes:
         """Return the snapshot as bytes."""
-        actions = None if self.actions is None else base64.b64encode(self.actions).decode()
-        header = {"tally": base64.b64encode(self.tally).decode(), "actions": actions}
-        text = json.dumps(header).encode()
-        return _HEAD.pack(_MAGIC, _VERSION, len(text)) + text + self.world
+        actions = self.actions or b""
+        length = -1 if self.actions is None else len(actions)
+        return _HEAD.pack(_MAGIC, _VERSION, length) + actions + self.world
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
@@ -60,11 +54,8 @@ class Snapshot:
         if version != _VERSION:
             raise SnapshotError(f"snapshot: version {version}, this release reads {_VERSION}")
         body = data[_HEAD.size :]
-        try:
-            header = json.loads(body[:length])
-            tally = base64.b64decode(header["tally"], validate=True)
-            actions = header["actions"]
-            actions = None if actions is None else base64.b64decode(actions, validate=True)
-        except (ValueError, KeyError, TypeError, binascii.Error) as error:
-            raise SnapshotError(f"snapshot: damaged header ({error})") from None
-        return cls(world=body[length:], tally=tally, actions=actions)
+        if not -1 <= length <= len(body):
+            raise SnapshotError(f"snapshot: {length} bytes of actions in {len(body)}")
+        if length < 0:
+            return cls(world=body)
+        return cls(world=body[length:], actions=body[:length])

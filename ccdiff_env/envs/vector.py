@@ -15,7 +15,6 @@ from gymnasium.vector.utils import batch_space
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
-from ccdiff_env.envs.tally import Tally
 from ccdiff_env.envs.worlds import (
     SceneChoice,
     Scenes,
@@ -25,7 +24,7 @@ from ccdiff_env.envs.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.errors import ConfigError, ShapeError, SnapshotError
+from ccdiff_env.errors import ConfigError, ShapeError
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -156,7 +155,6 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         # Partial resets leave rows of the others as they were: DISABLED keeps one set of arrays.
         keep = not copy or mode is AutoresetMode.DISABLED
         self._kept: StepArrays | None = self.worlds.arrays() if keep else None
-        self._tally = Tally(self.worlds.column_names, num_envs)
         self._begun = np.zeros(num_envs, np.bool_)
         self._seeded = False
 
@@ -202,7 +200,6 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         listed = None if mask is None else mask.tolist()
         self.worlds.native.reset(seeds, scenes, listed, arrays)
         rows = slice(None) if mask is None else mask
-        self._tally.clear(rows)
         self._begun[rows] = True
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
         return self._observation(arrays.obs), self._reset_infos({}, done)
@@ -234,16 +231,14 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         self.worlds.native.step(checked, out)
         columns, reward = out.columns[:, 0], out.reward[:, 0]
         terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
-        infos = self._step_infos(out, columns, reward)
+        infos = self._step_infos(out, columns)
         if self._copy and self._kept is not None:
             reward, terminated, truncated = reward.copy(), terminated.copy(), truncated.copy()
         return self._observation(out.obs), reward, terminated, truncated, infos
 
-    def _step_infos(self, out: StepArrays, columns: F32, reward: F32) -> Info:
+    def _step_infos(self, out: StepArrays, columns: F32) -> Info:
         same_step = out.final_obs is not None
         any_done, any_reset = bool(out.done.any()), bool(out.was_reset.any())
-        counted = None if same_step or not any_reset else ~out.was_reset
-        self._tally.add(columns, reward, counted)
         done = out.done
         infos: Info = {}
         if same_step and any_done:
@@ -253,29 +248,34 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         if self._info == "full":
             running = ~out.was_reset if any_reset else np.ones(self.num_envs, np.bool_)
             if not any_reset or running.any():
-                _put(infos, self.worlds.column_names, columns, running, any_reset)
+                infos.update(self._figures(columns, running, any_reset))
         if self._info != "none" and any_done and not same_step:
             if self._info == "end":
-                _put(infos, self.worlds.column_names, columns, done, True)
-            infos["metrics"] = self._metrics(columns, done)
+                infos.update(self._figures(columns, done, True))
+            infos["metrics"] = self._metrics(done)
             infos["_metrics"] = done.copy()
         if any_reset:
-            self._tally.clear(out.was_reset)
             self._reset_infos(infos, out.was_reset.copy())
         return infos
 
     def _final_info(self, columns: F32, done: Bool) -> Info:
         info: Info = {}
         if self._info != "none":
-            _put(info, self.worlds.column_names, columns, done, True)
-            info["metrics"], info["_metrics"] = self._metrics(columns, done), done.copy()
+            info = self._figures(columns, done, True)
+            info["metrics"], info["_metrics"] = self._metrics(done), done.copy()
         return info
 
-    def _metrics(self, columns: F32, done: Bool) -> Info:
-        metrics: Info = {}
-        for name, values in self._tally.metrics(columns).items():
-            metrics[name], metrics[f"_{name}"] = np.where(done, values, 0.0), done.copy()
-        return metrics
+    def _figures(self, columns: F32, mask: Bool, partly: bool) -> Info:
+        values = columns.T.copy()
+        if partly:
+            values[:, ~mask] = 0.0
+        return _with_masks(self.worlds.column_names, values, mask)
+
+    def _metrics(self, done: Bool) -> Info:
+        rows = np.flatnonzero(done)
+        values = np.zeros((len(self.worlds.metric_names), self.num_envs))
+        values[:, rows] = self.worlds.native.ended_metrics(rows.tolist())[:, 0].T
+        return _with_masks(self.worlds.metric_names, values, done)
 
     def _final_obs(self, out: StepArrays) -> npt.NDArray[np.object_]:
         assert out.final_obs is not None
@@ -357,8 +357,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
     def snapshot(self, world_idx: int) -> bytes:
         """Return everything that the future of a world depends on."""
         self.worlds.check_world(world_idx)
-        world = self.worlds.native.snapshot(world_idx)
-        return Snapshot(world, self._tally.save(world_idx)).to_bytes()
+        return Snapshot(self.worlds.native.snapshot(world_idx)).to_bytes()
 
     def restore(self, world_idx: int, snapshot: bytes) -> Any:
         """Put a world into the state of a snapshot, its own or another world's.
@@ -374,15 +373,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
             If the bytes are damaged, or belong to another configuration or other scenes.
         """
         self.worlds.check_world(world_idx)
-        saved = Snapshot.from_bytes(snapshot)
-        before = self._tally.save(world_idx)
-        if not self._tally.load(world_idx, saved.tally):
-            raise SnapshotError("snapshot: running sums do not fit")
-        try:
-            self.worlds.native.restore(world_idx, saved.world)
-        except BaseException:
-            self._tally.load(world_idx, before)
-            raise
+        self.worlds.native.restore(world_idx, Snapshot.from_bytes(snapshot).world)
         row = self.worlds.observation(world_idx)[0]
         if self._kept is not None:
             self._kept.obs[world_idx, 0] = row
@@ -393,13 +384,12 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         """Do nothing: the worlds go with the environment."""
 
 
-def _put(infos: Info, names: Sequence[str], columns: F32, mask: Bool, partly: bool) -> None:
-    """Add figures [E, M] as arrays [E] with masks, zero outside the mask."""
-    rows = columns.T.copy()
-    if partly:
-        rows[:, ~mask] = 0.0
+def _with_masks(names: Sequence[str], values: npt.NDArray[Any], mask: Bool) -> Info:
+    """Values [K, E] as arrays [E], each with a mask of its own."""
     masks = np.empty((len(names), len(mask)), np.bool_)
     masks[:] = mask
-    for name, row, shown in zip(names, rows, masks, strict=True):
-        infos[name] = row
-        infos[f"_{name}"] = shown
+    info: Info = {}
+    for name, row, shown in zip(names, values, masks, strict=True):
+        info[name] = row
+        info["_" + name] = shown
+    return info

@@ -141,6 +141,8 @@ class Worlds:
         self.layout = Layout.from_json(self.native.layout_json)
         self.columns = read_columns(_native.columns_json())
         self.column_names = tuple(column.name for column in self.columns)
+        self.metrics = read_columns(_native.metrics_json())
+        self.metric_names = tuple(metric.name for metric in self.metrics)
         self.action_space = action_space(self.native.action_width, self.native.num_actions)
         self._discrete = self.native.num_actions is not None
         self._width = self.native.action_width

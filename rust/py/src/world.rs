@@ -6,8 +6,13 @@ use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::world_picture::{self, Shot, Trails};
 use crate::world_state;
-use ccdiff_sim::world::{COLUMNS, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
-use numpy::{Element, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use ccdiff_sim::world::{
+    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
+};
+use numpy::{
+    Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
@@ -16,7 +21,8 @@ use std::sync::Arc;
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVecWorld>()?;
     module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
-    module.add_function(wrap_pyfunction!(columns_json, module)?)
+    module.add_function(wrap_pyfunction!(columns_json, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_json, module)?)
 }
 
 fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
@@ -33,6 +39,12 @@ fn default_world_config() -> PyResult<String> {
 #[pyfunction]
 fn columns_json() -> PyResult<String> {
     to_json(&COLUMNS)
+}
+
+/// The schema of the metrics of an episode as JSON.
+#[pyfunction]
+fn metrics_json() -> PyResult<String> {
+    to_json(&METRICS)
 }
 
 /// Worlds that play scenes. One thread at a time: a second one gets `RuntimeError`.
@@ -293,6 +305,23 @@ impl PyVecWorld {
         world_state::states(py, &self.world.status(world_idx).map_err(from_sim)?)
     }
 
+    /// Metrics [N, C, K] of the last episodes that ended in some worlds.
+    fn ended_metrics<'py>(&self, py: Python<'py>, worlds: Vec<usize>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let mut flat = Vec::new();
+        for world_idx in &worlds {
+            flat.extend(self.world.ended_metrics(*world_idx).map_err(from_sim)?.iter().flatten());
+        }
+        let shape = [worlds.len(), self.world.config().num_slots, NUM_METRICS];
+        PyArray1::from_vec(py, flat).reshape(shape)
+    }
+
+    /// Metrics [C, K] of a world's present episode so far.
+    fn metrics<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let metrics = self.world.metrics(world_idx).map_err(from_sim)?;
+        let shape = [metrics.len(), NUM_METRICS];
+        PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
+    }
+
     /// Name of the driver of each agent.
     fn drivers(&self, world_idx: usize) -> PyResult<Vec<&'static str>> {
         let status = self.world.status(world_idx).map_err(from_sim)?;
@@ -325,11 +354,7 @@ impl PyVecWorld {
     }
 
     /// Actions [C, W] that bring each slot's agent towards its next logged state.
-    fn expert_actions<'py>(
-        &self,
-        py: Python<'py>,
-        world_idx: usize,
-    ) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
+    fn expert_actions<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let actions = self.world.expert_actions(world_idx).map_err(from_sim)?;
         world_state::actions(py, &actions, self.world.decoder().width())
     }

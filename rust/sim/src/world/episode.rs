@@ -7,6 +7,7 @@ use crate::world::config::{Controlled, Driver, WorldConfig};
 use crate::world::history::History;
 use crate::world::prepared::PreparedScene;
 use crate::world::rng::Rng;
+use crate::world::tally::Tally;
 use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
@@ -51,6 +52,7 @@ pub(crate) struct Slot {
     pub(crate) route_heading_error_rad: Real,
     pub(crate) lane_distance_m: Option<Real>,
     pub(crate) speed_limit_mps: Real,
+    pub(crate) tally: Tally,
 }
 
 /// State of one world.
@@ -197,6 +199,7 @@ impl Episode {
                 route_heading_error_rad: 0.0,
                 lane_distance_m: None,
                 speed_limit_mps: config.speed_limit_mps,
+                tally: Tally::default(),
             });
         }
     }

@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Driver, PreparedScene, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Driver, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -191,6 +191,22 @@ impl VecWorld {
             Some(self.decoder.encode(&physical))
         };
         Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())
+    }
+
+    /// Metrics of a world's slots in its present episode so far.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn metrics(&self, world_idx: usize) -> Result<Vec<Metrics>> {
+        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.tally.metrics()).collect())
+    }
+
+    /// Metrics of a world's slots in its last episode that ended; empty before.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world that does not exist.
+    pub fn ended_metrics(&self, world_idx: usize) -> Result<&[Metrics]> {
+        Ok(&self.world(world_idx)?.ended)
     }
 
     /// Writes the present observations [C, D] of one world once more.

@@ -19,6 +19,7 @@ mod reward;
 mod rng;
 mod route;
 mod snapshot;
+mod tally;
 mod tick;
 
 pub use actions::ActionDecoder;
@@ -33,6 +34,7 @@ pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;
 pub use rng::Rng;
 pub use route::Route;
+pub use tally::{METRICS, Metrics, NUM_METRICS};
 pub use tick::TickPhase;
 
 use crate::error::{Result, SimError};

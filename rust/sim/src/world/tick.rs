@@ -16,6 +16,7 @@ use crate::world::episode::{Episode, Phase, Slot};
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::reward;
+use crate::world::tally::Metrics;
 use std::sync::Arc;
 
 /// Lanes farther than this say nothing about an agent, metres.
@@ -53,6 +54,8 @@ pub(crate) struct World {
     /// Physical actions of the slots.
     actions: Vec<Action>,
     contacts: Vec<Option<Contact>>,
+    /// Metrics of the slots in the last episode that ended.
+    pub(crate) ended: Vec<Metrics>,
     collisions: Collisions,
     observer: Observer,
 }
@@ -75,6 +78,7 @@ impl World {
             motions: Vec::new(),
             actions: Vec::new(),
             contacts: Vec::new(),
+            ended: Vec::new(),
             collisions: Collisions::new(),
             observer,
         }
@@ -295,8 +299,10 @@ impl World {
             let halted = |event: bool, consequence: Consequence| event && consequence == Consequence::Stop;
             slot.stopped |=
                 halted(collided, config.on_collision) || halted(slot.off_road, config.on_off_road);
-            if out.terminated[c] || out.truncated[c] {
-                columns[Col::Success as usize] = f32::from(reward::is_success(slot));
+            let ended = out.terminated[c] || out.truncated[c];
+            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot));
+            slot.tally.add(out.reward[c], columns);
+            if ended {
                 slot.alive = false;
                 slot.ended_at = Some(e.elapsed_steps);
                 // who ends by an accident stays in the others' way; who reached its goal leaves
@@ -310,6 +316,8 @@ impl World {
         let done = e.slots.iter().all(|s| !s.alive);
         if done {
             e.phase = Phase::Ended;
+            self.ended.clear();
+            self.ended.extend(e.slots.iter().map(|s| s.tally.metrics()));
         }
         done
     }

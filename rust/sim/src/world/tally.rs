@@ -1,0 +1,160 @@
+//! What is summed up over an episode, from the figures of its steps.
+
+use crate::geom::Real;
+use crate::world::columns::{Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
+use serde::{Deserialize, Serialize};
+
+const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> Column {
+    Column { name, unit, doc }
+}
+
+/// Metrics of an episode, in the order of [`Metrics`].
+pub const METRICS: &[Column] = &[
+    metric("return", "", "sum of the rewards"),
+    metric("length", "", "steps"),
+    metric("collision", "", "1 if the agent ever collided"),
+    metric("at_fault", "", "1 if a collision counts against the agent"),
+    metric("off_road", "", "1 if a corner of the box was ever off the road"),
+    metric("wrong_way", "", "1 if the agent ever drove against the only lane near"),
+    metric("goal_reached", "", "1 if the goal was reached"),
+    metric("progress", "m", "way along the route"),
+    metric("route_completion", "", "progress over the distance to the goal, 0 to 1"),
+    metric("is_success", "", "1 for at least 95 % of the route, no collision and no step off the road"),
+    metric("min_ttc", "s", "least time to contact with any agent, at most 10"),
+    metric("mean_speed", "m/s", "mean speed along the heading"),
+    metric("mean_log_distance", "m", "mean distance from the agent's own log"),
+    metric("reward_progress", "", "sum of this component"),
+    metric("reward_collision", "", "sum of this component"),
+    metric("reward_off_road", "", "sum of this component"),
+    metric("reward_comfort", "", "sum of this component"),
+    metric("reward_speed_limit", "", "sum of this component"),
+    metric("reward_lane_keeping", "", "sum of this component"),
+    metric("reward_goal", "", "sum of this component"),
+];
+
+/// Number of metrics.
+pub const NUM_METRICS: usize = METRICS.len();
+
+/// Metrics of one agent's episode.
+pub type Metrics = [f64; NUM_METRICS];
+
+/// Columns of the reward components, which come first.
+const NUM_COMPONENTS: usize = 7;
+/// Figures of which is kept whether they ever were 1.
+const EVER: [Col; 5] = [Col::Collision, Col::AtFault, Col::OffRoad, Col::WrongWay, Col::GoalReached];
+/// Figures of which the last value counts.
+const LAST: [Col; 3] = [Col::Progress, Col::RouteCompletion, Col::Success];
+/// Figures that are averaged.
+const MEAN: [Col; 2] = [Col::Speed, Col::LogDistance];
+
+/// Running sums of one agent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Tally {
+    steps: u32,
+    total: f64,
+    components: [f64; NUM_COMPONENTS],
+    means: [f64; MEAN.len()],
+    ever: [bool; EVER.len()],
+    last: [Real; LAST.len()],
+    min_ttc_s: Real,
+}
+
+impl Default for Tally {
+    fn default() -> Self {
+        Self {
+            steps: 0,
+            total: 0.0,
+            components: [0.0; NUM_COMPONENTS],
+            means: [0.0; MEAN.len()],
+            ever: [false; EVER.len()],
+            last: [0.0; LAST.len()],
+            min_ttc_s: TTC_HORIZON_S,
+        }
+    }
+}
+
+impl Tally {
+    /// Adds a step.
+    pub(crate) fn add(&mut self, reward: Real, columns: &[Real]) {
+        debug_assert_eq!(columns.len(), NUM_COLUMNS);
+        self.steps += 1;
+        self.total += f64::from(reward);
+        for (sum, value) in self.components.iter_mut().zip(columns) {
+            *sum += f64::from(*value);
+        }
+        for (sum, column) in self.means.iter_mut().zip(MEAN) {
+            *sum += f64::from(columns[column as usize]);
+        }
+        for (ever, column) in self.ever.iter_mut().zip(EVER) {
+            *ever |= columns[column as usize] > 0.0;
+        }
+        self.last = LAST.map(|column| columns[column as usize]);
+        self.min_ttc_s = self.min_ttc_s.min(columns[Col::Ttc as usize]);
+    }
+
+    /// The metrics so far.
+    pub(crate) fn metrics(&self) -> Metrics {
+        let mut metrics = [0.0; NUM_METRICS];
+        let steps = f64::from(self.steps.max(1));
+        let values = [self.total, f64::from(self.steps)]
+            .into_iter()
+            .chain(self.ever.map(|e| f64::from(u8::from(e))))
+            .chain(self.last.map(f64::from))
+            .chain([f64::from(self.min_ttc_s)])
+            .chain(self.means.map(|sum| sum / steps))
+            .chain(self.components);
+        metrics.iter_mut().zip(values).for_each(|(metric, value)| *metric = value);
+        metrics
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::columns::COLUMNS;
+
+    fn value(metrics: &Metrics, name: &str) -> f64 {
+        metrics[METRICS.iter().position(|m| m.name == name).unwrap()]
+    }
+
+    #[test]
+    fn names_agree_with_those_of_the_columns() {
+        let name = |column: Col| COLUMNS[column as usize].name;
+        let names: Vec<_> = METRICS.iter().map(|m| m.name).collect();
+        assert_eq!(names[2..7], EVER.map(name));
+        assert_eq!(names[7..10], LAST.map(name));
+        let components: Vec<_> = COLUMNS.iter().map(|c| c.name).take(NUM_COMPONENTS).collect();
+        assert!(components.iter().all(|c| c.starts_with("reward_")));
+        assert_eq!(names[13..], components);
+        assert_eq!(NUM_METRICS, 2 + EVER.len() + LAST.len() + 1 + MEAN.len() + NUM_COMPONENTS);
+    }
+
+    #[test]
+    fn sums_means_extremes_and_last_values() {
+        let mut tally = Tally::default();
+        let mut columns = [0.0; NUM_COLUMNS];
+        columns[Col::Ttc as usize] = 4.0;
+        columns[Col::Speed as usize] = 2.0;
+        columns[Col::OffRoad as usize] = 1.0;
+        columns[Col::RewardOffRoad as usize] = -1.0;
+        tally.add(-1.0, &columns);
+        columns = [0.0; NUM_COLUMNS];
+        columns[Col::Ttc as usize] = 9.0;
+        columns[Col::Speed as usize] = 4.0;
+        columns[Col::Progress as usize] = 7.0;
+        tally.add(0.5, &columns);
+        let metrics = tally.metrics();
+        for (name, expected) in [
+            ("return", -0.5),
+            ("length", 2.0),
+            ("off_road", 1.0),
+            ("collision", 0.0),
+            ("progress", 7.0),
+            ("min_ttc", 4.0),
+            ("mean_speed", 3.0),
+            ("reward_off_road", -1.0),
+        ] {
+            assert_eq!(value(&metrics, name), expected, "{name}");
+        }
+    }
+}
