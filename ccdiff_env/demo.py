@@ -28,7 +28,7 @@ FIGURES = (
     ("route", "route_completion"),
 )
 #: Options that training and evaluation share.
-RULES: dict[str, Any] = {"traffic": "idm"}
+RULES: dict[str, Any] = {"traffic": "idm", "reward": {"off_road": -5.0, "comfort": -0.004}}
 NUM_ENVS = 32
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
@@ -108,9 +108,9 @@ def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
         "MlpPolicy",
         env,
         n_steps=128,
-        batch_size=1024,
+        batch_size=512,
         n_epochs=6,
-        learning_rate=5e-4,
+        learning_rate=3e-4,
         gamma=0.98,
         gae_lambda=0.95,
         ent_coef=0.0,
