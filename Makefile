@@ -49,7 +49,6 @@ lint: $(SO)  ## formatting, clippy, ruff, mypy
 
 bench: $(SO)  ## speed of world and loader, as quoted in the README
 	cargo bench --locked -p ccdiff-sim --bench world
-	$(BIN)/python benchmarks/steps.py
 	$(BIN)/python benchmarks/loader.py
 
 clean:  ## remove what the other verbs made
