@@ -49,6 +49,9 @@ def test_episode_statistics_agree_with_the_metrics(scenes):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_vector_episode_statistics_agree_with_the_metrics(mode, scenes):
+    version = tuple(int(part) for part in gymnasium.__version__.split(".")[:2])
+    if mode is AutoresetMode.SAME_STEP and version < (1, 4):
+        pytest.skip("this wrapper counts SAME_STEP episodes rightly from Gymnasium 1.4 on")
     native = EgoVectorEnv(4, scenes=scenes, autoreset_mode=mode, **RULES)
     env = vector_wrappers.RecordEpisodeStatistics(native)
     env.reset(seed=0)

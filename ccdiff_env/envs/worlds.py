@@ -75,6 +75,13 @@ def fold_seed(seed: Any) -> int:
     return int.from_bytes(digest, "little") >> 1
 
 
+def _num_processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class StepArrays(NamedTuple):
     """Arrays that a reset or step writes; E worlds, C slots, D floats of a row, M figures."""
 
@@ -129,8 +136,7 @@ class Worlds:
             if count is not None and (type(count) is not int or count < 1):
                 raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
         if num_threads is None:
-            many = num_worlds >= PARALLEL_FROM
-            num_threads = len(os.sched_getaffinity(0)) if many else 1
+            num_threads = _num_processors() if num_worlds >= PARALLEL_FROM else 1
         self.scenes = scenes
         self.config = config
         self.native = _native.VecWorld(
