@@ -47,9 +47,8 @@ lint: $(SO)  ## formatting, clippy, ruff, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(SO)  ## speed of world and loader, as quoted in the README
+bench: $(STAMP)  ## speed of the world, phase by phase
 	cargo bench --locked -p ccdiff-sim --bench world
-	$(BIN)/python benchmarks/loader.py
 
 clean:  ## remove what the other verbs made
 	rm -rf $(VENV) .libtorch target dist runs $(SO)
