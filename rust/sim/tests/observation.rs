@@ -135,16 +135,16 @@ proptest! {
 fn map_pieces_cover_their_lines_and_the_cut_is_left_out() {
     let scene = GridCity { num_roads: 1, ..GridCity::default() }.scene();
     let pieces = MapPieces::new(&scene.map);
-    let total: f32 = pieces.half_length_m.iter().sum::<f32>() * 2.0;
+    let total: f32 = pieces.pieces().iter().map(|p| 2.0 * p.half_length_m).sum();
     // two roads of 80 m: two lanes and a divider each; the edges of the crossing roads but for the ends, which lie on
     // the rectangle of the crop
     let expected = 2.0 * 80.0 * 3.0 + 2.0 * 2.0 * 80.0;
     assert!((total - expected).abs() < 1.0, "{total} against {expected}");
-    assert!(pieces.half_length_m.iter().all(|h| *h <= 2.51));
+    assert!(pieces.pieces().iter().all(|p| p.half_length_m <= 2.51));
     let near = pieces.nearest(Point2::new(3.0, -2.0));
     let distance = |k: u32| {
-        let (dx, dy) = (pieces.x[k as usize] - 3.0, pieces.y[k as usize] + 2.0);
-        dx.hypot(dy)
+        let piece = pieces.pieces()[k as usize];
+        (piece.x - 3.0).hypot(piece.y + 2.0)
     };
     assert!(near.windows(2).all(|w| distance(w[0]) <= distance(w[1]) + 5.7));
     let best = (0..pieces.len() as u32).map(distance).fold(f32::MAX, f32::min);

@@ -136,7 +136,7 @@ pub(crate) const EGO: [Column; 17] = [
     column("time_remaining", "", 1.0, 0.0, 1.0, "share of the episode that is left"),
 ];
 
-const ROUTE: [Column; 4] = [
+pub(crate) const ROUTE: [Column; 4] = [
     column("x", "m", 60.0, -1.0, 1.0, "ahead"),
     column("y", "m", 60.0, -1.0, 1.0, "to the left"),
     column("cos", "", 1.0, -1.0, 1.0, "cosine of the direction"),

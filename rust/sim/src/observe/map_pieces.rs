@@ -6,8 +6,10 @@ use std::sync::OnceLock;
 
 /// Longest piece, metres.
 const PIECE_M: Real = 5.0;
-/// Side of a cell, metres.
+/// Side of a cell, metres; larger on maps that would need more than [`MAX_CELLS`].
 const CELL_M: Real = 4.0;
+/// Most cells of a map.
+const MAX_CELLS: Real = 65_536.0;
 /// Most pieces that a place knows.
 pub(crate) const MAX_PIECES: usize = 256;
 
@@ -33,25 +35,40 @@ pub enum PieceKind {
     Walkway = 7,
 }
 
-/// Pieces of all lines of a map, structure of arrays, with the nearest ones of each 4 m cell.
+impl PieceKind {
+    /// Number of kinds.
+    pub(crate) const COUNT: usize = 8;
+}
+
+/// A short straight part of a line of the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Piece {
+    /// Middle, x, metres.
+    pub x: Real,
+    /// Middle, y, metres.
+    pub y: Real,
+    /// Cosine of the direction.
+    pub cos: Real,
+    /// Sine of the direction.
+    pub sin: Real,
+    /// Half the length, metres.
+    pub half_length_m: Real,
+    /// What it belongs to.
+    pub kind: PieceKind,
+}
+
+/// Pieces of all lines of a map, with the nearest ones of each 4 m cell.
 ///
 /// The list of a cell is made when it is first asked for, from the cell's centre, and shared by all worlds: so
-/// "nearest" is meant up to the cell's half diagonal, 2.8 m. Ties go to the lower index.
+/// "nearest" is meant up to the cell's half diagonal, 2.8 m (places off the map take the cell at its border). Ties go
+/// to the lower index.
+///
+/// Memory: 24 bytes a piece, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
 #[derive(Debug, Default)]
 pub struct MapPieces {
-    /// Middles, x, metres.
-    pub x: Vec<Real>,
-    /// Middles, y, metres.
-    pub y: Vec<Real>,
-    /// Cosines of the directions.
-    pub cos: Vec<Real>,
-    /// Sines of the directions.
-    pub sin: Vec<Real>,
-    /// Half lengths, metres.
-    pub half_length_m: Vec<Real>,
-    /// What each piece belongs to.
-    pub kind: Vec<PieceKind>,
+    pieces: Vec<Piece>,
     low: [Real; 2],
+    cell_m: Real,
     num_cells: [usize; 2],
     cells: Vec<OnceLock<Box<[u32]>>>,
 }
@@ -83,14 +100,27 @@ impl MapPieces {
         pieces
     }
 
+    /// All pieces.
+    pub fn pieces(&self) -> &[Piece] {
+        &self.pieces
+    }
+
     /// Number of pieces.
     pub fn len(&self) -> usize {
-        self.x.len()
+        self.pieces.len()
     }
 
     /// Whether the map has no line.
     pub fn is_empty(&self) -> bool {
-        self.x.is_empty()
+        self.pieces.is_empty()
+    }
+
+    /// Bytes held on the heap now; grows as agents come to new cells.
+    pub fn num_bytes(&self) -> usize {
+        let lists = self.cells.iter().filter_map(OnceLock::get);
+        size_of_val(self.pieces.as_slice())
+            + size_of_val(self.cells.as_slice())
+            + lists.map(|list| size_of_val::<[u32]>(list)).sum::<usize>()
     }
 
     /// Indices of the pieces nearest to a place, nearest first, at most 256.
@@ -99,25 +129,25 @@ impl MapPieces {
             return &[];
         }
         let cell = |v: Real, axis: usize| {
-            (((v - self.low[axis]) / CELL_M).max(0.0) as usize).min(self.num_cells[axis] - 1)
+            (((v - self.low[axis]) / self.cell_m).max(0.0) as usize).min(self.num_cells[axis] - 1)
         };
         let (i, j) = (cell(at.x, 0), cell(at.y, 1));
         self.cells[j * self.num_cells[0] + i].get_or_init(|| {
             let centre = Point2::new(
-                self.low[0] + (i as Real + 0.5) * CELL_M,
-                self.low[1] + (j as Real + 0.5) * CELL_M,
+                self.low[0] + (i as Real + 0.5) * self.cell_m,
+                self.low[1] + (j as Real + 0.5) * self.cell_m,
             );
             self.sorted_from(centre)
         })
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
-        let mut keys: Vec<u64> = (0..self.len())
-            .map(|k| {
-                let (dx, dy) = (self.x[k] - centre.x, self.y[k] - centre.y);
-                u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
-            })
-            .collect();
+        let key = |(k, piece): (usize, &Piece)| {
+            let (dx, dy) = (piece.x - centre.x, piece.y - centre.y);
+            // distances are not negative, so their bits sort as they do
+            u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
+        };
+        let mut keys: Vec<u64> = self.pieces.iter().enumerate().map(key).collect();
         if keys.len() > MAX_PIECES {
             keys.select_nth_unstable(MAX_PIECES);
             keys.truncate(MAX_PIECES);
@@ -133,12 +163,8 @@ impl MapPieces {
             return;
         }
         let middle = nalgebra::center(&a, &b);
-        self.x.push(middle.x);
-        self.y.push(middle.y);
-        self.cos.push(d.x / length);
-        self.sin.push(d.y / length);
-        self.half_length_m.push(0.5 * length);
-        self.kind.push(kind);
+        let (cos, sin) = (d.x / length, d.y / length);
+        self.pieces.push(Piece { x: middle.x, y: middle.y, cos, sin, half_length_m: 0.5 * length, kind });
     }
 
     /// Joins the short segments of a line to pieces, and cuts the long ones.
@@ -194,17 +220,37 @@ impl MapPieces {
     }
 
     fn make_cells(&mut self) {
-        let extent = |values: &[Real]| {
-            let low = values.iter().copied().fold(Real::MAX, Real::min);
-            (low, values.iter().copied().fold(Real::MIN, Real::max) - low)
-        };
         if self.is_empty() {
             return;
         }
-        let ((low_x, width), (low_y, height)) = (extent(&self.x), extent(&self.y));
-        let count = |length: Real| ((length / CELL_M) as usize + 1).min(4096);
-        self.low = [low_x, low_y];
-        self.num_cells = [count(width), count(height)];
+        let (low, high) = bounds(self.pieces.iter().map(|p| Point2::new(p.x, p.y)));
+        let (width, height) = (high.x - low.x, high.y - low.y);
+        self.low = [low.x, low.y];
+        self.cell_m = CELL_M;
+        while (width / self.cell_m + 1.0) * (height / self.cell_m + 1.0) > MAX_CELLS {
+            self.cell_m *= 2.0;
+        }
+        self.num_cells = [width, height].map(|extent| (extent / self.cell_m) as usize + 1);
         self.cells = (0..self.num_cells[0] * self.num_cells[1]).map(|_| OnceLock::new()).collect();
+    }
+}
+
+fn bounds(points: impl Iterator<Item = Point2>) -> (Point2, Point2) {
+    let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
+    points.fold(none, |(low, high), p| (low.inf(&p), high.sup(&p)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_of_any_extent_have_few_cells() {
+        let far = vec![Point2::new(-9e5, 0.0), Point2::new(-9e5, 1.0)];
+        let near = vec![Point2::new(9e5, 9e5), Point2::new(9e5, 9e5 + 1.0)];
+        let pieces = MapPieces::new(&Map { lane_dividers: vec![far, near], ..Map::default() });
+        assert!(pieces.cells.len() <= MAX_CELLS as usize);
+        assert_eq!(pieces.nearest(Point2::new(1e6, 1e6)), [1, 0]);
+        assert!(MapPieces::new(&Map::default()).nearest(Point2::origin()).is_empty());
     }
 }

@@ -4,10 +4,14 @@
 //! [`Observer`] writes rows. Everything is in the frame of the observing agent (x ahead, y left), scaled and clipped to
 //! the bounds of its column; rows for what is not there are zero and masked. There is never a NaN.
 
+mod agent_rows;
+mod frame;
 mod layout;
 mod map_pieces;
+mod map_rows;
+mod nearest_agents;
 mod observer;
 
 pub use layout::{Column, Entry, EntryKind, Layout, ObservationConfig};
-pub use map_pieces::{MapPieces, PieceKind};
+pub use map_pieces::{MapPieces, Piece, PieceKind};
 pub use observer::{EgoFacts, Observer, View};

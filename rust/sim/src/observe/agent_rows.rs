@@ -1,0 +1,117 @@
+//! Rows of other agents.
+
+use super::frame::{Frame, clip};
+use super::layout::{AGENT, Layout, TTC_SCALE_S};
+use super::nearest_agents::NearestAgents;
+use super::observer::View;
+use crate::events::time_to_contact;
+use crate::geom::Real;
+
+/// Index of `ttc` among the columns.
+const TTC: usize = 10;
+/// Index of the first kind among the columns.
+const KINDS: usize = 11;
+const PLACE_FACTOR: [Real; 4] =
+    [1.0 / AGENT[0].scale, 1.0 / AGENT[1].scale, 1.0 / AGENT[2].scale, 1.0 / AGENT[3].scale];
+const VELOCITY_FACTOR: Real = 1.0 / AGENT[4].scale;
+const SPEED_FACTOR: Real = 1.0 / AGENT[6].scale;
+const LENGTH_FACTOR: Real = 2.0 / AGENT[7].scale;
+const WIDTH_FACTOR: Real = 2.0 / AGENT[8].scale;
+const DISTANCE_FACTOR: Real = 1.0 / AGENT[9].scale;
+
+/// Columns of the comparison with other simulators: place, direction, speed, size.
+const COMPARISON: [usize; 7] = [0, 1, 2, 3, 6, 7, 8];
+
+/// Writes the nearest agents.
+#[derive(Debug, Clone)]
+pub(super) struct AgentRows {
+    chosen: Vec<usize>,
+    num_rows: usize,
+    radius_m: Real,
+    wants_ttc: bool,
+    nearest: NearestAgents,
+}
+
+impl AgentRows {
+    pub(super) fn new(layout: &Layout, max_agents: usize) -> Self {
+        let chosen = layout.chosen[1].clone();
+        Self {
+            num_rows: layout.config.num_agents,
+            radius_m: layout.config.radius_m,
+            wants_ttc: chosen.contains(&TTC),
+            nearest: NearestAgents::new(max_agents),
+            chosen,
+        }
+    }
+
+    /// Floats of all rows.
+    pub(super) fn size(&self) -> usize {
+        self.num_rows * self.chosen.len()
+    }
+
+    /// Fills [K, F] and the mask [K] (or nothing, where there is no mask).
+    pub(super) fn write(&mut self, view: &View<'_>, frame: &Frame, out: &mut [Real], mask: &mut [Real]) {
+        if out.is_empty() {
+            return;
+        }
+        let keys = self.nearest.find(view.states, view.agent_idx, self.radius_m);
+        let keys = &keys[..keys.len().min(self.num_rows)];
+        let width = self.chosen.len();
+        let (rows, absent) = out.split_at_mut(keys.len() * width);
+        if self.chosen == COMPARISON {
+            let (rows, _) = rows.as_chunks_mut::<{ COMPARISON.len() }>();
+            for (row, key) in rows.iter_mut().zip(keys) {
+                let j = (key & 0xffff_ffff) as usize;
+                let [x, y, cos, sin] = place(view, frame, j);
+                let [speed, length, width] = speed_and_size(view, j);
+                *row = [x, y, cos, sin, speed, length, width];
+            }
+        } else {
+            for (row, key) in rows.chunks_exact_mut(width).zip(keys) {
+                let full = full_row(view, frame, *key, self.wants_ttc);
+                for (to, column) in row.iter_mut().zip(&self.chosen) {
+                    *to = full[*column];
+                }
+            }
+        }
+        absent.fill(0.0);
+        if !mask.is_empty() {
+            mask[..keys.len()].fill(1.0);
+            mask[keys.len()..].fill(0.0);
+        }
+    }
+}
+
+#[inline(always)]
+fn place(view: &View<'_>, frame: &Frame, j: usize) -> [Real; 4] {
+    let s = view.states;
+    frame.turn([s.x[j] - frame.x, s.y[j] - frame.y, s.cos[j], s.sin[j]], PLACE_FACTOR)
+}
+
+#[inline(always)]
+fn speed_and_size(view: &View<'_>, j: usize) -> [Real; 3] {
+    let body = &view.bodies[j];
+    [
+        clip(view.states.speed_mps[j] * SPEED_FACTOR, -1.0, 1.0),
+        clip(body.half_length_m * LENGTH_FACTOR, 0.0, 1.0),
+        clip(body.half_width_m * WIDTH_FACTOR, 0.0, 1.0),
+    ]
+}
+
+fn full_row(view: &View<'_>, frame: &Frame, key: u64, wants_ttc: bool) -> [Real; AGENT.len()] {
+    let (s, a, j) = (view.states, view.agent_idx, (key & 0xffff_ffff) as usize);
+    let velocity_x = s.velocity_x_mps[j] - s.velocity_x_mps[a];
+    let velocity_y = s.velocity_y_mps[j] - s.velocity_y_mps[a];
+    let velocity = frame.turn([velocity_x, velocity_y, 0.0, 0.0], [VELOCITY_FACTOR; 4]);
+    let mut row = [0.0; AGENT.len()];
+    row[..4].copy_from_slice(&place(view, frame, j));
+    row[4..6].copy_from_slice(&velocity[..2]);
+    row[6..9].copy_from_slice(&speed_and_size(view, j));
+    row[9] = clip(Real::from_bits((key >> 32) as u32).sqrt() * DISTANCE_FACTOR, 0.0, 1.0);
+    row[KINDS + view.kinds[j] as usize] = 1.0;
+    if wants_ttc {
+        let ttc_s = time_to_contact(s, view.bodies, a, j, TTC_SCALE_S);
+        row[TTC] = ttc_s.map_or(1.0, |t| clip(t * (1.0 / TTC_SCALE_S), 0.0, 1.0));
+    }
+    row
+}
