@@ -49,14 +49,23 @@ impl Cutter {
         }
     }
 
+    /// A polygon with the same part in the rectangle and few points far from it.
+    fn near(&self, polygon: &GlobalPolygon) -> Polygon {
+        let ring = |points: &[[f64; 2]]| self.points(&near_ring(points, &self.rect));
+        Polygon {
+            exterior: ring(&polygon.exterior),
+            holes: polygon.holes.iter().map(|h| ring(h)).filter(|h| h.len() >= 3).collect(),
+        }
+    }
+
     fn polygons(&self, polygons: &[GlobalPolygon]) -> Vec<Polygon> {
         let mut cut = Vec::new();
         for polygon in polygons.iter().filter(|p| p.bounds.touches(&self.rect)) {
-            let whole = self.whole(polygon);
             if self.rect.holds(&polygon.bounds) {
-                cut.push(whole);
+                cut.push(self.whole(polygon));
             } else {
-                cut.extend(whole.clip_to_rect(self.min, self.max).filter(|p| p.area() > MIN_AREA_M2));
+                let near = self.near(polygon);
+                cut.extend(near.clip_to_rect(self.min, self.max).filter(|p| p.area() > MIN_AREA_M2));
             }
         }
         cut
@@ -92,6 +101,31 @@ impl Cutter {
         };
         kept.iter().map(|i| lane(&lanes[*i])).collect()
     }
+}
+
+/// A ring without points that lie, with both their neighbours, beyond one side of the rectangle: the shorter way
+/// between the neighbours lies beyond that side as well.
+fn near_ring(points: &[[f64; 2]], rect: &Bounds) -> Vec<[f64; 2]> {
+    let beyond = |[x, y]: [f64; 2]| {
+        u8::from(x < rect.min[0])
+            | u8::from(x > rect.max[0]) << 1
+            | u8::from(y < rect.min[1]) << 2
+            | u8::from(y > rect.max[1]) << 3
+    };
+    let Some(first) = points.first() else { return Vec::new() };
+    // one point is left out at a time, so the neighbour before is the last one kept; the first point always stays
+    let mut near = vec![*first];
+    let mut before = beyond(*first);
+    let mut here = beyond(*points.get(1).unwrap_or(first));
+    for (i, point) in points.iter().enumerate().skip(1) {
+        let after = beyond(*points.get(i + 1).unwrap_or(first));
+        if before & here & after == 0 {
+            near.push(*point);
+            before = here;
+        }
+        here = after;
+    }
+    near
 }
 
 /// Appends the pieces of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
@@ -168,6 +202,31 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn rings_cut_short_have_the_same_part_in_the_rectangle(
+            radii in proptest::collection::vec(0.2_f64..6.0, 3..40),
+            centre in (-4.0_f64..4.0, -4.0_f64..4.0),
+        ) {
+            let turn = std::f64::consts::TAU / radii.len() as f64;
+            let at = |(i, r): (usize, &f64)| {
+                let (sin, cos) = (turn * i as f64).sin_cos();
+                [centre.0 + r * cos, centre.1 + r * sin]
+            };
+            let ring: Vec<[f64; 2]> = radii.iter().enumerate().map(at).collect();
+            let rect = Bounds { min: [-1.0, -1.0], max: [1.0, 1.0] };
+            let clipped = |ring: &[[f64; 2]]| {
+                let points = ring.iter().map(|p| recentre([0.0; 2], p)).collect();
+                let polygon = Polygon::from_exterior(points);
+                polygon.clip_to_rect(Point2::new(-1.0, -1.0), Point2::new(1.0, 1.0)).unwrap_or_default()
+            };
+            let (whole, short) = (clipped(&ring), clipped(&near_ring(&ring, &rect)));
+            prop_assert!((whole.area() - short.area()).abs() < 1e-4, "{} {}", whole.area(), short.area());
+            for i in 0..100 {
+                let point = Point2::new((i % 10) as Real * 0.199 - 0.9, (i / 10) as Real * 0.199 - 0.9);
+                prop_assert_eq!(whole.contains(point), short.contains(point));
+            }
+        }
+
         #[test]
         fn clipped_lines_stay_inside_and_keep_the_length_that_sampling_finds(
             xy in proptest::collection::vec((-3.0_f32..3.0, -3.0_f32..3.0), 2..8),

@@ -5,6 +5,8 @@
 //! quaternions, 2 Hz key frames, node lists) stop here.
 //!
 //! - `stream`: a table as a stream of records, parsed in parallel
+//! - `record`: the fields of one record
+//! - `token`, `index`: tokens as numbers, and how they are looked up
 //! - `tables`: rows, and their join to the logged facts of each scene
 //! - `resample`: key frames to steps
 //! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
@@ -18,9 +20,11 @@ mod cache;
 mod codec;
 mod crop;
 mod error;
+mod index;
 mod load;
 mod map_file;
 mod options;
+mod record;
 mod report;
 mod resample;
 mod stream;

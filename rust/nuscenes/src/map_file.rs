@@ -2,11 +2,15 @@
 
 use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
+use crate::index::TokenIndex;
+use crate::record::{Members, Record, Source, Text, elements, plain_string};
 use crate::report::MapReport;
 use crate::token::Token;
 use ccdiff_sim::scene::LaneKind;
+use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
@@ -91,111 +95,24 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
     dataroot.join("maps").join("expansion").join(format!("{location}.json"))
 }
 
-#[derive(Deserialize)]
-struct NodeRow {
-    token: Token,
-    x: f64,
-    y: f64,
-}
-
-#[derive(Deserialize)]
-struct HoleRow {
-    node_tokens: Vec<Token>,
-}
-
-#[derive(Deserialize)]
-struct PolygonRow {
-    token: Token,
-    exterior_node_tokens: Vec<Token>,
-    #[serde(default)]
-    holes: Vec<HoleRow>,
-}
-
-#[derive(Deserialize)]
-struct LineRow {
-    token: Token,
-    node_tokens: Vec<Token>,
-}
-
-#[derive(Deserialize)]
-struct AreasRow {
-    token: String,
-    polygon_tokens: Vec<Token>,
-}
-
-#[derive(Deserialize)]
-struct AreaRow {
-    token: String,
-    #[serde(default)]
-    polygon_token: Option<Token>,
-}
-
-#[derive(Deserialize)]
-struct DividerRow {
-    token: String,
-    line_token: Token,
-}
-
-#[derive(Deserialize, Default)]
-struct Links {
-    #[serde(default)]
-    incoming: Vec<String>,
-    #[serde(default)]
-    outgoing: Vec<String>,
-}
-
-/// The layers that are read; the others (road segments, traffic lights …) are skipped.
-#[derive(Deserialize)]
-#[serde(default)]
-#[derive(Default)]
-struct MapRows {
-    node: Vec<NodeRow>,
-    polygon: Vec<PolygonRow>,
-    line: Vec<LineRow>,
-    drivable_area: Vec<AreasRow>,
-    lane: Vec<AreaRow>,
-    lane_connector: Vec<AreaRow>,
-    ped_crossing: Vec<AreaRow>,
-    walkway: Vec<AreaRow>,
-    stop_line: Vec<AreaRow>,
-    carpark_area: Vec<AreaRow>,
-    road_divider: Vec<DividerRow>,
-    lane_divider: Vec<DividerRow>,
-    arcline_path_3: BTreeMap<String, Vec<ArcLinePath>>,
-    connectivity: BTreeMap<String, Links>,
-}
-
 /// Reads the map of a location.
 ///
 /// # Errors
 /// Unreadable files, invalid JSON, references to nodes, polygons or lines that do not exist, damaged centre lines.
 pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
     let bytes = std::fs::read(path).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
-    parse_map(&bytes, path, location)
-}
-
-pub(crate) fn parse_map(bytes: &[u8], path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
-    // serde would take an array as a map without layers
-    if let Some(at) = bytes.iter().position(|b| !b.is_ascii_whitespace()).filter(|at| bytes[*at] != b'{') {
-        let message = format!("found {:?}, expected an object of layers", bytes[at] as char);
-        return Err(NuscenesError::Json { path: path.to_owned(), offset: at as u64, message });
-    }
-    let rows: MapRows = serde_json::from_slice(bytes).map_err(|e| {
-        let lines = bytes.split_inclusive(|b| *b == b'\n').take(e.line().saturating_sub(1));
-        let offset = (lines.map(<[u8]>::len).sum::<usize>() + e.column()) as u64;
-        NuscenesError::Json { path: path.to_owned(), offset, message: e.to_string() }
-    })?;
-    let assembler = Assembler::new(path, &rows)?;
+    let file = MapText::new(&bytes, path)?;
+    let assembler = Assembler::new(&file, path)?;
     let mut report = MapReport { location: location.to_owned(), ..MapReport::default() };
     let map = GlobalMap {
-        drivable_area: assembler.drivable_area(&rows.drivable_area, &mut report)?,
-        ped_crossings: assembler.areas("ped_crossing", &rows.ped_crossing, &mut report)?,
-        walkways: assembler.areas("walkway", &rows.walkway, &mut report)?,
-        stop_lines: assembler.areas("stop_line", &rows.stop_line, &mut report)?,
-        carpark_areas: assembler.areas("carpark_area", &rows.carpark_area, &mut report)?,
-        road_dividers: assembler.dividers("road_divider", &rows.road_divider, &mut report)?,
-        lane_dividers: assembler.dividers("lane_divider", &rows.lane_divider, &mut report)?,
-        lanes: assembler.lanes(&rows, &mut report)?,
+        drivable_area: assembler.drivable_area(&mut report)?,
+        ped_crossings: assembler.areas("ped_crossing", &mut report)?,
+        walkways: assembler.areas("walkway", &mut report)?,
+        stop_lines: assembler.areas("stop_line", &mut report)?,
+        carpark_areas: assembler.areas("carpark_area", &mut report)?,
+        road_dividers: assembler.dividers("road_divider", &mut report)?,
+        lane_dividers: assembler.dividers("lane_divider", &mut report)?,
+        lanes: assembler.lanes(&mut report)?,
     };
     report.layers = [
         ("drivable_area", map.drivable_area.len()),
@@ -212,12 +129,70 @@ pub(crate) fn parse_map(bytes: &[u8], path: &Path, location: &str) -> Result<(Gl
     Ok((map, report))
 }
 
+/// The layers of a map file as they are written.
+struct MapText<'a> {
+    layers: BTreeMap<&'a [u8], Text<'a>>,
+}
+
+impl<'a> MapText<'a> {
+    fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
+        let source = Source { path, offset: 0 };
+        Ok(Self { layers: members(bytes, source)? })
+    }
+
+    /// The records of a layer made into something, in parallel; nothing where there is no such layer.
+    fn rows<T, F, const N: usize>(
+        &self,
+        layer: &str,
+        names: &'static [&'static str; N],
+        make: F,
+    ) -> Result<Vec<T>>
+    where
+        T: Send,
+        F: Fn(&mut Record<'a, N>) -> Result<T> + Sync,
+    {
+        let Some((text, source)) = self.layers.get(layer.as_bytes()) else { return Ok(Vec::new()) };
+        let parse = |range: Range<usize>| {
+            let source = Source { offset: source.offset + range.start as u64, ..*source };
+            make(&mut Record::new(&text[range], names, source))
+        };
+        elements(text, *source)?.into_par_iter().with_min_len(256).map(parse).collect()
+    }
+
+    /// The members of a layer that is an object by token.
+    fn by_token(&self, layer: &str) -> Result<BTreeMap<&'a [u8], Text<'a>>> {
+        match self.layers.get(layer.as_bytes()) {
+            Some((text, source)) => members(text, *source),
+            None => Ok(BTreeMap::new()),
+        }
+    }
+}
+
+/// The members of an object with their texts.
+fn members<'a>(text: &'a [u8], source: Source<'a>) -> Result<BTreeMap<&'a [u8], Text<'a>>> {
+    let mut found = BTreeMap::new();
+    let mut members = Members::new(text, source);
+    while let Some((key, range)) = members.next_member()? {
+        let offset = source.offset + range.start as u64;
+        found.insert(key, (&text[range], Source { offset, ..source }));
+    }
+    Ok(found)
+}
+
+/// A value of any kind from its text.
+fn parse<'a, T: Deserialize<'a>>((text, source): Text<'a>) -> Result<T> {
+    serde_json::from_slice(text).map_err(|e| source.fail(0, e.to_string()))
+}
+
 /// Resolves tokens to geometry.
 struct Assembler<'a> {
+    file: &'a MapText<'a>,
     path: &'a Path,
-    nodes: Vec<(Token, [f64; 2])>,
-    polygons: Vec<(Token, &'a PolygonRow)>,
-    lines: Vec<(Token, &'a LineRow)>,
+    nodes: TokenIndex<[f64; 2]>,
+    /// Outer ring and, where there are any, holes, as they are written.
+    polygons: TokenIndex<(Text<'a>, Option<Text<'a>>)>,
+    /// Node lists as they are written.
+    lines: TokenIndex<Text<'a>>,
 }
 
 fn note(report: &mut MapReport, count: usize, words: &str) {
@@ -227,23 +202,39 @@ fn note(report: &mut MapReport, count: usize, words: &str) {
 }
 
 impl<'a> Assembler<'a> {
-    fn new(path: &'a Path, rows: &'a MapRows) -> Result<Self> {
-        if let Some(bad) = rows.node.iter().find(|n| !(n.x.abs() < 1e6 && n.y.abs() < 1e6)) {
-            return Err(NuscenesError::Value {
+    fn new(file: &'a MapText<'a>, path: &'a Path) -> Result<Self> {
+        let nodes = file.rows("node", &["token", "x", "y"], |row| {
+            let (token, x, y): (_, f64, f64) = (row.token(0)?, row.parse(1)?, row.parse(2)?);
+            if x.abs() < 1e6 && y.abs() < 1e6 {
+                return Ok((token, [x, y]));
+            }
+            Err(NuscenesError::Value {
                 path: path.to_owned(),
-                token: bad.token.to_string(),
+                token: token.to_string(),
                 field: "node x, y",
-                got: format!("{:?}, {:?}", bad.x, bad.y),
+                got: format!("{x:?}, {y:?}"),
                 expected: "metres within 1000 km",
-            });
-        }
-        let mut nodes: Vec<_> = rows.node.iter().map(|n| (n.token, [n.x, n.y])).collect();
-        nodes.sort_unstable_by_key(|(token, _)| *token);
-        let mut polygons: Vec<_> = rows.polygon.iter().map(|p| (p.token, p)).collect();
-        polygons.sort_unstable_by_key(|(token, _)| *token);
-        let mut lines: Vec<_> = rows.line.iter().map(|l| (l.token, l)).collect();
-        lines.sort_unstable_by_key(|(token, _)| *token);
-        Ok(Self { path, nodes, polygons, lines })
+            })
+        })?;
+        let polygons = file.rows("polygon", &["token", "exterior_node_tokens", "holes"], |row| {
+            let holes = if row.has(2)? { Some(row.raw(2)?) } else { None };
+            Ok((row.token(0)?, (row.raw(1)?, holes)))
+        })?;
+        let lines = file.rows("line", &["token", "node_tokens"], |row| Ok((row.token(0)?, row.raw(1)?)))?;
+        let twice = |what| {
+            move |token: Token| NuscenesError::Duplicate {
+                path: path.to_owned(),
+                what,
+                got: token.to_string(),
+            }
+        };
+        Ok(Self {
+            file,
+            path,
+            nodes: TokenIndex::new(nodes).map_err(twice("node token"))?,
+            polygons: TokenIndex::new(polygons).map_err(twice("polygon token"))?,
+            lines: TokenIndex::new(lines).map_err(twice("line token"))?,
+        })
     }
 
     fn dangling(
@@ -257,20 +248,25 @@ impl<'a> Assembler<'a> {
         NuscenesError::Dangling { path, token, field, got, table }
     }
 
-    fn points(&self, owner: Token, tokens: &[Token]) -> Result<Vec<[f64; 2]>> {
+    /// The points of a list of node tokens, without repetitions.
+    fn points(&self, owner: Token, (text, source): Text<'a>) -> Result<Vec<[f64; 2]>> {
+        let tokens = elements(text, source)?;
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
-        for token in tokens {
-            let at = self.nodes.binary_search_by_key(token, |(t, _)| *t);
-            let point = at.map_err(|_| self.dangling(owner, "node_tokens", *token, "node"))?;
-            points.push(self.nodes[point].1);
+        for range in tokens {
+            let token = match plain_string(&text[range.clone()]) {
+                Some(bytes) => Token::from_bytes(bytes),
+                None => Token::from_text(&parse::<String>((&text[range], source))?),
+            };
+            let point = self.nodes.get(token);
+            points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
         }
         points.dedup();
         Ok(points)
     }
 
     /// A ring without its closing point.
-    fn ring(&self, owner: Token, tokens: &[Token]) -> Result<Vec<[f64; 2]>> {
-        let mut ring = self.points(owner, tokens)?;
+    fn ring(&self, owner: Token, text: Text<'a>) -> Result<Vec<[f64; 2]>> {
+        let mut ring = self.points(owner, text)?;
         if ring.len() > 1 && ring.first() == ring.last() {
             ring.pop();
         }
@@ -279,114 +275,132 @@ impl<'a> Assembler<'a> {
 
     /// The polygon of a token; `None` where it has fewer than three corners.
     fn polygon(&self, owner: &str, token: Token) -> Result<Option<GlobalPolygon>> {
-        let at = self.polygons.binary_search_by_key(&token, |(t, _)| *t);
-        let row = at.map_err(|_| self.dangling(owner, "polygon_token", token, "polygon"))?;
-        let row = self.polygons[row].1;
-        let exterior = self.ring(token, &row.exterior_node_tokens)?;
+        let found = self.polygons.get(token);
+        let (exterior, holes) =
+            *found.ok_or_else(|| self.dangling(owner, "polygon_token", token, "polygon"))?;
+        let exterior = self.ring(token, exterior)?;
         if exterior.len() < 3 {
             return Ok(None);
         }
-        let mut holes = Vec::new();
-        for hole in &row.holes {
-            let ring = self.ring(token, &hole.node_tokens)?;
-            if ring.len() >= 3 {
-                holes.push(ring);
+        let mut rings = Vec::new();
+        if let Some((text, source)) = holes {
+            for range in elements(text, source)? {
+                let source = Source { offset: source.offset + range.start as u64, ..source };
+                let mut hole = Record::new(&text[range], &["node_tokens"], source);
+                rings.push(self.ring(token, hole.raw(0)?)?);
             }
         }
-        Ok(Some(GlobalPolygon { bounds: Bounds::of(&exterior), exterior, holes }))
+        rings.retain(|ring| ring.len() >= 3);
+        Ok(Some(GlobalPolygon { bounds: Bounds::of(&exterior), exterior, holes: rings }))
     }
 
-    fn drivable_area(&self, rows: &[AreasRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+    fn drivable_area(&self, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+        let areas = self
+            .file
+            .rows("drivable_area", &["token", "polygon_tokens"], |row| Ok((row.text(0)?, row.raw(1)?)))?;
         let mut polygons = Vec::new();
         let mut flat = 0;
-        for row in rows {
-            for token in &row.polygon_tokens {
-                match self.polygon(&row.token, *token)? {
-                    Some(polygon) => polygons.push(polygon),
-                    None => flat += 1,
-                }
-            }
+        for (owner, (text, source)) in areas {
+            let made: Vec<Option<GlobalPolygon>> = elements(text, source)?
+                .into_par_iter()
+                .map(|range| {
+                    let token: String = parse((&text[range], source))?;
+                    self.polygon(&owner, Token::from_text(&token))
+                })
+                .collect::<Result<_>>()?;
+            flat += made.iter().filter(|p| p.is_none()).count();
+            polygons.extend(made.into_iter().flatten());
         }
         note(report, flat, "drivable_area polygons with fewer than three corners left out");
         Ok(polygons)
     }
 
-    fn areas(&self, layer: &str, rows: &[AreaRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
-        let mut polygons = Vec::new();
-        for row in rows {
-            if let Some(token) = row.polygon_token {
-                polygons.extend(self.polygon(&row.token, token)?);
-            }
-        }
-        note(report, rows.len() - polygons.len(), &format!("{layer} records without an area left out"));
-        Ok(polygons)
+    fn areas(&self, layer: &str, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+        let rows = self.file.rows(layer, &["token", "polygon_token"], |row| {
+            if row.has(1)? { self.polygon(&row.text(0)?, row.token(1)?) } else { Ok(None) }
+        })?;
+        let flat = rows.iter().filter(|p| p.is_none()).count();
+        note(report, flat, &format!("{layer} records without an area left out"));
+        Ok(rows.into_iter().flatten().collect())
     }
 
-    fn dividers(&self, layer: &str, rows: &[DividerRow], report: &mut MapReport) -> Result<Vec<GlobalLine>> {
-        let mut lines = Vec::new();
-        for row in rows {
-            let at = self.lines.binary_search_by_key(&row.line_token, |(t, _)| *t);
-            let line = at.map_err(|_| self.dangling(&row.token, "line_token", row.line_token, "line"))?;
-            let points = self.points(row.line_token, &self.lines[line].1.node_tokens)?;
-            if points.len() >= 2 {
-                lines.push(GlobalLine { bounds: Bounds::of(&points), points });
-            }
-        }
-        note(report, rows.len() - lines.len(), &format!("{layer} records of fewer than two points left out"));
+    fn dividers(&self, layer: &str, report: &mut MapReport) -> Result<Vec<GlobalLine>> {
+        let mut lines = self.file.rows(layer, &["token", "line_token"], |row| {
+            let token = row.token(1)?;
+            let nodes = self.lines.get(token);
+            let nodes = nodes
+                .ok_or_else(|| self.dangling(row.text(0).unwrap_or_default(), "line_token", token, "line"))?;
+            let points = self.points(token, *nodes)?;
+            Ok(GlobalLine { bounds: Bounds::of(&points), points })
+        })?;
+        let before = lines.len();
+        lines.retain(|line| line.points.len() >= 2);
+        note(report, before - lines.len(), &format!("{layer} records of fewer than two points left out"));
         Ok(lines)
     }
 
-    fn lanes(&self, rows: &MapRows, report: &mut MapReport) -> Result<Vec<GlobalLane>> {
+    /// A lane without links; no centre line where the data has none.
+    fn lane(
+        &self,
+        row: &mut Record<'a, 2>,
+        kind: LaneKind,
+        paths: &BTreeMap<&'a [u8], Text<'a>>,
+    ) -> Result<GlobalLane> {
+        let id = row.text(0)?;
+        let paths: Vec<ArcLinePath> = paths.get(id.as_bytes()).map_or(Ok(Vec::new()), |text| parse(*text))?;
+        let centreline = discretise(&paths, CENTRELINE_SPACING_M).map_err(|fault| {
+            let (path, token) = (self.path.to_owned(), id.clone());
+            let (field, got, expected) = (fault.field, fault.got, fault.expected);
+            NuscenesError::Value { path, token, field, got, expected }
+        })?;
+        let polygon = if row.has(1)? { self.polygon(&id, row.token(1)?)? } else { None };
+        let bounds = Bounds::of(centreline.iter().chain(polygon.iter().flat_map(|p| &p.exterior)));
+        let (successors, predecessors) = (Vec::new(), Vec::new());
+        Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors, bounds })
+    }
+
+    fn lanes(&self, report: &mut MapReport) -> Result<Vec<GlobalLane>> {
+        let paths = self.file.by_token("arcline_path_3")?;
         let mut lanes = Vec::new();
-        let mut index: BTreeMap<&str, u32> = BTreeMap::new();
-        let (mut without_path, mut without_area) = (0, 0);
-        let both = rows.lane.iter().map(|r| (r, LaneKind::Lane));
-        for (row, kind) in both.chain(rows.lane_connector.iter().map(|r| (r, LaneKind::Connector))) {
-            let paths = rows.arcline_path_3.get(&row.token).map_or(&[][..], Vec::as_slice);
-            let centreline = discretise(paths, CENTRELINE_SPACING_M).map_err(|fault| {
-                let (path, token) = (self.path.to_owned(), row.token.clone());
-                let (field, got, expected) = (fault.field, fault.got, fault.expected);
-                NuscenesError::Value { path, token, field, got, expected }
-            })?;
-            if centreline.is_empty() {
-                without_path += 1;
-                continue;
-            }
-            let polygon = match row.polygon_token {
-                Some(token) => self.polygon(&row.token, token)?,
-                None => None,
-            };
-            without_area += usize::from(polygon.is_none());
-            if index.insert(&row.token, lanes.len() as u32).is_some() {
-                let (path, got) = (self.path.to_owned(), row.token.clone());
+        for (layer, kind) in [("lane", LaneKind::Lane), ("lane_connector", LaneKind::Connector)] {
+            let names = &["token", "polygon_token"];
+            lanes.extend(self.file.rows(layer, names, |row| self.lane(row, kind, &paths))?);
+        }
+        let before = lanes.len();
+        lanes.retain(|lane| !lane.centreline.is_empty());
+        note(report, before - lanes.len(), "lanes without a centre line left out");
+        let without_area = lanes.iter().filter(|lane| lane.polygon.is_none()).count();
+        note(report, without_area, "lanes without a polygon");
+        let mut index: BTreeMap<String, u32> = BTreeMap::new();
+        for (i, lane) in lanes.iter().enumerate() {
+            if index.insert(lane.id.clone(), i as u32).is_some() {
+                let (path, got) = (self.path.to_owned(), lane.id.clone());
                 return Err(NuscenesError::Duplicate { path, what: "lane token", got });
             }
-            let bounds = Bounds::of(centreline.iter().chain(polygon.iter().flat_map(|p| &p.exterior)));
-            lanes.push(GlobalLane {
-                id: row.token.clone(),
-                kind,
-                centreline,
-                polygon,
-                successors: Vec::new(),
-                predecessors: Vec::new(),
-                bounds,
-            });
         }
-        note(report, without_path, "lanes without a centre line left out");
-        note(report, without_area, "lanes without a polygon");
-        note(
-            report,
-            link(&mut lanes, &index, &rows.connectivity),
-            "links to lanes that are not there left out",
-        );
+        let lost = link(&mut lanes, &index, &self.links()?);
+        note(report, lost, "links to lanes that are not there left out");
         Ok(lanes)
     }
+
+    fn links(&self) -> Result<BTreeMap<String, Links>> {
+        self.file.layers.get(b"connectivity".as_slice()).map_or(Ok(BTreeMap::new()), |text| parse(*text))
+    }
+}
+
+/// Neighbours of a lane in the file.
+#[derive(Deserialize, Default)]
+struct Links {
+    #[serde(default)]
+    incoming: Vec<String>,
+    #[serde(default)]
+    outgoing: Vec<String>,
 }
 
 /// Links lanes both ways, whichever side names the link; returns how many links lead nowhere.
 fn link(
     lanes: &mut [GlobalLane],
-    index: &BTreeMap<&str, u32>,
+    index: &BTreeMap<String, u32>,
     connectivity: &BTreeMap<String, Links>,
 ) -> usize {
     let mut lost = 0;
@@ -394,7 +408,7 @@ fn link(
     for (token, links) in connectivity {
         let outgoing = links.outgoing.iter().map(|to| (token, to));
         for (from, to) in outgoing.chain(links.incoming.iter().map(|from| (from, token))) {
-            match (index.get(from.as_str()), index.get(to.as_str())) {
+            match (index.get(from), index.get(to)) {
                 (Some(from), Some(to)) => edges.push((*from, *to)),
                 _ => lost += 1,
             }

@@ -4,57 +4,65 @@
 //! before. Layout does not matter: pretty-printed or on one line, fields in any order.
 
 use crate::error::{NuscenesError, Result};
+use crate::record::{Record, Source, find_quote_or_escape};
 use rayon::prelude::*;
-use serde::Deserialize;
 use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
 /// Bytes read at a time. Two blocks are in memory at once.
-const BLOCK_BYTES: usize = 8 << 20;
+const BLOCK_BYTES: usize = 1 << 20;
 /// A longer record means a string or an object that never ends.
 const MAX_RECORD_BYTES: usize = 16 << 20;
 /// Records parsed by one task.
-const RECORDS_PER_TASK: usize = 512;
+const RECORDS_PER_TASK: usize = 256;
 
-/// Parses every record of a table into `Row` and keeps what `keep` makes of it, in the order of the file.
+/// Finds the fields of these names in every record of a table and keeps what `keep` makes of them, in the order of the
+/// file.
 ///
 /// # Errors
 /// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
-pub(crate) fn read_table<Row, Kept, F>(path: &Path, what: &str, keep: F) -> Result<Vec<Kept>>
+pub(crate) fn read_table<Kept, F, const N: usize>(
+    path: &Path,
+    what: &str,
+    names: &'static [&'static str; N],
+    keep: F,
+) -> Result<Vec<Kept>>
 where
-    Row: for<'a> Deserialize<'a>,
     Kept: Send,
-    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let file = File::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
-    read_records(file, path, BLOCK_BYTES, &keep)
+    read_records(file, path, BLOCK_BYTES, names, &keep)
 }
 
 /// [`read_table`] from any reader; `path` is for messages.
-pub(crate) fn read_records<R, Row, Kept, F>(
+fn read_records<R, Kept, F, const N: usize>(
     reader: R,
     path: &Path,
     block_bytes: usize,
+    names: &'static [&'static str; N],
     keep: &F,
 ) -> Result<Vec<Kept>>
 where
     R: Read + Send,
-    Row: for<'a> Deserialize<'a>,
     Kept: Send,
-    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
-    let mut current = blocks.next_block()?;
+    let mut current = blocks.next_block(Vec::new())?;
+    let mut spare = Vec::new();
     while let Some(block) = current {
-        let (next, parsed) = rayon::join(|| blocks.next_block(), || parse_block(&block, path, keep));
+        let (next, parsed) =
+            rayon::join(|| blocks.next_block(spare), || parse_block(&block, path, names, keep));
         // an error in this block comes before one in the next
         for part in parsed? {
             kept.extend(part);
         }
         current = next?;
+        spare = block.bytes;
     }
     Ok(kept)
 }
@@ -67,65 +75,37 @@ struct Block {
     records: Vec<Range<usize>>,
 }
 
-fn parse_block<Row, Kept, F>(block: &Block, path: &Path, keep: &F) -> Result<Vec<Vec<Kept>>>
+fn parse_block<Kept, F, const N: usize>(
+    block: &Block,
+    path: &Path,
+    names: &'static [&'static str; N],
+    keep: &F,
+) -> Result<Vec<Vec<Kept>>>
 where
-    Row: for<'a> Deserialize<'a>,
     Kept: Send,
-    F: Fn(Row) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let parse = |records: &[Range<usize>]| {
         let mut kept = Vec::new();
         for range in records {
-            let bytes = &block.bytes[range.clone()];
-            let row: Row = serde_json::from_slice(bytes).map_err(|e| NuscenesError::Json {
-                path: path.to_owned(),
-                offset: block.offset + range.start as u64,
-                message: describe(bytes, &e),
-            })?;
-            kept.extend(keep(row)?);
+            let source = Source { path, offset: block.offset + range.start as u64 };
+            kept.extend(keep(&mut Record::new(&block.bytes[range.clone()], names, source))?);
         }
         Ok(kept)
     };
     block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
 }
 
-/// What a record's error means: the parser's words, the field it stands in, the beginning of the record.
-fn describe(record: &[u8], error: &serde_json::Error) -> String {
-    let line_start = record.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
-    let position = line_start.map(<[u8]>::len).sum::<usize>() + error.column();
-    match field_at(&record[..position.min(record.len())]) {
-        Some(field) => format!("{error} (field {field:?}), in record {}", excerpt(record)),
-        None => format!("{error}, in record {}", excerpt(record)),
-    }
-}
-
-/// Name of the last field that begins in the first bytes of a record.
-fn field_at(bytes: &[u8]) -> Option<String> {
-    let (mut i, mut string, mut field) = (0, None, None);
-    while let Some(byte) = bytes.get(i) {
-        match byte {
-            b'"' => {
-                let start = i + 1;
-                i = start;
-                while bytes.get(i).is_some_and(|b| *b != b'"') {
-                    i += if bytes[i] == b'\\' { 2 } else { 1 };
-                }
-                string = bytes.get(start..i.min(bytes.len()));
-            }
-            b':' => field = string,
-            _ => {}
-        }
+/// Bytes outside strings that the scanner has to look at.
+const IS_STRUCTURE: [bool; 256] = {
+    let mut table = [false; 256];
+    let mut i = 0;
+    while i < 5 {
+        table[b"\"{}[]"[i] as usize] = true;
         i += 1;
     }
-    field.map(|f| String::from_utf8_lossy(f).into_owned())
-}
-
-/// The first bytes of a record, for a message.
-fn excerpt(bytes: &[u8]) -> String {
-    const SHOWN: usize = 80;
-    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(SHOWN)]).replace(['\n', '\r'], " ");
-    if bytes.len() > SHOWN { format!("{text}…") } else { text }
-}
+    table
+};
 
 /// Where the scanner stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -167,11 +147,12 @@ impl<'a, R: Read> Blocks<'a, R> {
         NuscenesError::Json { path: self.path.to_owned(), offset, message: message.into() }
     }
 
-    /// The next block; `None` at the end of a complete array.
-    fn next_block(&mut self) -> Result<Option<Block>> {
-        let mut bytes = std::mem::take(&mut self.tail);
+    /// The next block, in the memory of one that is done with; `None` at the end of a complete array.
+    fn next_block(&mut self, mut bytes: Vec<u8>) -> Result<Option<Block>> {
+        bytes.clear();
+        bytes.append(&mut self.tail);
         let limit = self.block_bytes as u64;
-        bytes.reserve_exact(self.block_bytes + 32);
+        bytes.reserve(self.block_bytes + 32);
         let read = self
             .reader
             .by_ref()
@@ -189,7 +170,7 @@ impl<'a, R: Read> Blocks<'a, R> {
         if bytes.len() - consumed > MAX_RECORD_BYTES {
             return Err(self.fail(consumed, "a record longer than 16 MiB"));
         }
-        self.tail = bytes[consumed..].to_vec();
+        self.tail.extend_from_slice(&bytes[consumed..]);
         let offset = self.offset;
         self.offset += consumed as u64;
         Ok(Some(Block { bytes, offset, records }))
@@ -211,19 +192,24 @@ impl<'a, R: Read> Blocks<'a, R> {
                         at = At::Separator;
                     }
                     b'}' | b']' => at = At::Record { depth: depth - 1 },
-                    _ => {}
+                    // on to the next byte of any of these kinds
+                    _ => {
+                        while bytes.get(i + 1).is_some_and(|b| !IS_STRUCTURE[*b as usize]) {
+                            i += 1;
+                        }
+                    }
                 },
-                At::String { depth } => match memchr::memchr2(b'"', b'\\', &bytes[i..]) {
-                    Some(skip) if bytes[i + skip] == b'"' => {
-                        i += skip;
+                At::String { depth } => match find_quote_or_escape(bytes, i) {
+                    Some(found) if bytes[found] == b'"' => {
+                        i = found;
                         at = At::Record { depth };
                     }
                     // an escape whose second byte is not read yet is scanned again with the next block
-                    Some(skip) if i + skip + 1 >= bytes.len() => {
-                        i += skip;
+                    Some(found) if found + 1 >= bytes.len() => {
+                        i = found;
                         break;
                     }
-                    Some(skip) => i += skip + 1,
+                    Some(found) => i = found + 1,
                     None => i = bytes.len() - 1,
                 },
                 _ if byte.is_ascii_whitespace() => {}
@@ -264,14 +250,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    #[derive(Deserialize)]
-    struct Row {
-        a: i64,
-        s: String,
-    }
-
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        read_records(text, Path::new("t.json"), block_bytes, &|row: Row| Ok(Some((row.a, row.s))))
+        let keep = |row: &mut Record<'_, 2>| Ok(Some((row.parse(0)?, row.text(1)?)));
+        read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
     }
 
     #[test]

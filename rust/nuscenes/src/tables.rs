@@ -1,6 +1,8 @@
 //! The rows of the official tables, and the join of them to the logged facts of each scene.
 
 use crate::error::{NuscenesError, Result};
+use crate::index::TokenIndex;
+use crate::record::Record;
 use crate::stream::read_table;
 use crate::token::Token;
 use rayon::prelude::*;
@@ -74,43 +76,26 @@ pub(crate) struct LoggedScene {
     pub(crate) tracks: Vec<LoggedTrack>,
 }
 
-/// Finds the value of a token in a sorted list.
-fn find<T>(list: &[(Token, T)], token: Token) -> Option<&T> {
-    list.binary_search_by_key(&token, |(t, _)| *t).ok().map(|i| &list[i].1)
-}
-
 impl Tables {
     pub(crate) fn path(&self, table: &str) -> PathBuf {
         self.folder.join(format!("{table}.json"))
     }
 
-    fn read<Row, Kept, F>(&self, table: &str, keep: F) -> Result<Vec<Kept>>
+    fn read<Kept, F, const N: usize>(
+        &self,
+        table: &str,
+        names: &'static [&'static str; N],
+        keep: F,
+    ) -> Result<Vec<Kept>>
     where
-        Row: for<'a> Deserialize<'a>,
         Kept: Send,
-        F: Fn(&Path, Row) -> Result<Option<Kept>> + Sync,
+        F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
     {
-        let path = self.path(table);
-        read_table(&path, &format!("table {table}"), |row| keep(&path, row))
+        read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
 
-    /// Reads a whole small table as a sorted list by token.
-    fn read_by_token<Row, T, F>(&self, table: &str, split: F) -> Result<Vec<(Token, T)>>
-    where
-        Row: for<'a> Deserialize<'a>,
-        T: Send,
-        F: Fn(Row) -> (Token, T) + Sync,
-    {
-        let rows = self.read(table, |_, row| Ok(Some(split(row))))?;
-        self.sorted(table, rows)
-    }
-
-    fn sorted<T: Send>(&self, table: &str, mut rows: Vec<(Token, T)>) -> Result<Vec<(Token, T)>> {
-        rows.par_sort_unstable_by_key(|(token, _)| *token);
-        match rows.windows(2).find(|w| w[0].0 == w[1].0) {
-            Some(pair) => Err(self.duplicate(table, "token", pair[0].0.to_string())),
-            None => Ok(rows),
-        }
+    fn index<T: Send>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
+        TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token.to_string()))
     }
 
     fn duplicate(&self, table: &str, what: &'static str, got: String) -> NuscenesError {
@@ -130,28 +115,16 @@ impl Tables {
 
     /// The scene table, in its order, with the location of each scene.
     pub(crate) fn read_scenes(&self) -> Result<Vec<SceneEntry>> {
-        #[derive(Deserialize)]
-        struct LogRow {
-            token: Token,
-            location: String,
-        }
-        #[derive(Deserialize)]
-        struct SceneRow {
-            token: String,
-            name: String,
-            log_token: Token,
-            nbr_samples: Option<usize>,
-        }
-        let locations = self.read_by_token("log", |row: LogRow| (row.token, row.location))?;
-        let scenes = self.read("scene", |_, row: SceneRow| {
-            let location = find(&locations, row.log_token)
-                .ok_or_else(|| self.dangling(("scene", "log_token"), &row.token, row.log_token, "log"))?;
-            Ok(Some(SceneEntry {
-                name: row.name,
-                token: row.token,
-                location: location.clone(),
-                nbr_samples: row.nbr_samples,
-            }))
+        let locations =
+            self.read("log", &["token", "location"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+        let locations = self.index("log", locations)?;
+        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row| {
+            let (token, log) = (row.text(0)?, row.token(2)?);
+            let location = locations
+                .get(log)
+                .ok_or_else(|| self.dangling(("scene", "log_token"), &token, log, "log"))?;
+            let nbr_samples = if row.has(3)? { Some(row.parse(3)?) } else { None };
+            Ok(Some(SceneEntry { name: row.text(1)?, token, location: location.clone(), nbr_samples }))
         })?;
         for field in [|s: &SceneEntry| s.name.clone(), |s: &SceneEntry| s.token.clone()] {
             let mut values: Vec<String> = scenes.iter().map(field).collect();
@@ -178,23 +151,18 @@ impl Tables {
     }
 
     fn read_samples(&self, scenes: &[SceneEntry], wanted: &[usize]) -> Result<Samples> {
-        #[derive(Deserialize)]
-        struct SampleRow {
-            token: Token,
-            timestamp: i64,
-            scene_token: Token,
+        let mut slots = vec![None; scenes.len()];
+        for (slot, scene) in wanted.iter().enumerate() {
+            slots[*scene] = Some(slot);
         }
-        let mut slots: Vec<(Token, Option<usize>)> = scenes
-            .iter()
-            .enumerate()
-            .map(|(i, s)| (Token::from_text(&s.token), wanted.iter().position(|w| *w == i)))
-            .collect();
-        slots.sort_unstable();
-        let mut list = self.read("sample", |_, row: SampleRow| {
-            let slot = *find(&slots, row.scene_token).ok_or_else(|| {
-                self.dangling(("sample", "scene_token"), row.token, row.scene_token, "scene")
-            })?;
-            Ok(Some(Sample { slot, timestamp_us: row.timestamp, token: row.token, frame: 0 }))
+        let tokens = scenes.iter().map(|s| Token::from_text(&s.token));
+        let slots = self.index("scene", tokens.zip(slots).collect())?;
+        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row| {
+            let (token, scene) = (row.token(0)?, row.token(2)?);
+            let slot = *slots
+                .get(scene)
+                .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene, "scene"))?;
+            Ok(Some(Sample { slot, timestamp_us: row.parse(1)?, token, frame: 0 }))
         })?;
         list.par_sort_by_key(|s| (s.slot, s.timestamp_us));
         for i in 1..list.len() {
@@ -208,77 +176,64 @@ impl Tables {
             }
         }
         let tokens = list.iter().enumerate().map(|(i, s)| (s.token, i as u32)).collect();
-        Ok(Samples { by_token: self.sorted("sample", tokens)?, list })
+        Ok(Samples { by_token: self.index("sample", tokens)?, list })
     }
 
     fn add_tracks(&self, samples: &Samples, logged: &mut [LoggedScene]) -> Result<()> {
-        #[derive(Deserialize)]
-        struct AnnotationRow {
-            token: Token,
-            sample_token: Token,
-            instance_token: Token,
-            translation: [f64; 3],
-            size: [f64; 3],
-            rotation: [f64; 4],
-        }
         const TABLE: &str = "sample_annotation";
-        let rows = self.read(TABLE, |path, row: AnnotationRow| {
-            let sample = samples.find(row.sample_token).ok_or_else(|| {
-                self.dangling((TABLE, "sample_token"), row.token, row.sample_token, "sample")
-            })?;
+        let path = self.path(TABLE);
+        let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
+        let rows = self.read(TABLE, names, |row| {
+            let (token, of) = (row.token(0)?, row.token(1)?);
+            let sample = samples
+                .find(of)
+                .ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
             let Some(slot) = sample.slot else { return Ok(None) };
-            let key =
-                ground_pose(path, row.token, sample, sample.timestamp_us, row.translation, row.rotation)?;
-            Ok(Some(Annotation {
-                slot,
-                instance: row.instance_token,
-                key,
-                token: row.token,
-                size_m: row.size,
-            }))
+            let (translation, rotation) = (row.numbers(3)?, row.numbers(5)?);
+            let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation)?;
+            Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.numbers(4)? }))
         })?;
-        let tokens: Vec<(Token, ())> = rows.iter().map(|a| (a.token, ())).collect();
-        self.sorted(TABLE, tokens)?;
+        self.index(TABLE, rows.iter().map(|a| (a.token, ())).collect())?;
         let instances = self.read_instances(&rows)?;
-        for track in group(rows) {
-            logged[track.0].tracks.push(self.track(&track.1, &instances)?);
+        for group in group(&rows) {
+            let track = self.track(&rows, &group, &instances)?;
+            logged[rows[group[0] as usize].slot].tracks.push(track);
         }
         Ok(())
     }
 
-    /// Id and category of the instances that are annotated, sorted by token.
-    fn read_instances(&self, rows: &[Annotation]) -> Result<Vec<(Token, (String, String))>> {
-        #[derive(Deserialize)]
-        struct CategoryRow {
-            token: Token,
-            name: String,
-        }
-        #[derive(Deserialize)]
-        struct InstanceRow {
-            token: String,
-            category_token: Token,
-        }
-        let categories = self.read_by_token("category", |row: CategoryRow| (row.token, row.name))?;
+    /// Id and category of the instances that are annotated.
+    fn read_instances(&self, rows: &[Annotation]) -> Result<TokenIndex<(String, String)>> {
+        let categories =
+            self.read("category", &["token", "name"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+        let categories = self.index("category", categories)?;
         let mut used: Vec<Token> = rows.iter().map(|a| a.instance).collect();
         used.par_sort_unstable();
         used.dedup();
-        let rows = self.read("instance", |_, row: InstanceRow| {
-            let token = Token::from_text(&row.token);
+        let rows = self.read("instance", &["token", "category_token"], |row| {
+            let token = row.token(0)?;
             if used.binary_search(&token).is_err() {
                 return Ok(None);
             }
-            let category = find(&categories, row.category_token).ok_or_else(|| {
-                self.dangling(("instance", "category_token"), &row.token, row.category_token, "category")
-            })?;
-            Ok(Some((token, (row.token, category.clone()))))
+            let (text, of) = (row.text(0)?, row.token(1)?);
+            let category = categories
+                .get(of)
+                .ok_or_else(|| self.dangling(("instance", "category_token"), &text, of, "category"))?;
+            Ok(Some((token, (text, category.clone()))))
         })?;
-        self.sorted("instance", rows)
+        self.index("instance", rows)
     }
 
-    fn track(&self, rows: &[Annotation], instances: &[(Token, (String, String))]) -> Result<LoggedTrack> {
+    /// The track of a group of annotations.
+    fn track(
+        &self,
+        rows: &[Annotation],
+        group: &[u32],
+        instances: &TokenIndex<(String, String)>,
+    ) -> Result<LoggedTrack> {
         const TABLE: &str = "sample_annotation";
-        let first = &rows[0];
-        let (instance, category) = find(instances, first.instance).cloned().ok_or_else(|| {
+        let first = &rows[group[0] as usize];
+        let (instance, category) = instances.get(first.instance).cloned().ok_or_else(|| {
             self.dangling((TABLE, "instance_token"), first.token, first.instance, "instance")
         })?;
         let [width, length, height] = first.size_m;
@@ -291,22 +246,15 @@ impl Tables {
                 expected: "a positive width and length in metres",
             });
         }
-        if let Some(pair) = rows.windows(2).find(|w| w[0].key.frame == w[1].key.frame) {
-            let got = format!("{} in frame {}", instance, pair[0].key.frame);
+        let keys: Vec<Key> = group.iter().map(|i| rows[*i as usize].key).collect();
+        if let Some(pair) = keys.windows(2).find(|w| w[0].frame == w[1].frame) {
+            let got = format!("{} in frame {}", instance, pair[0].frame);
             return Err(self.duplicate(TABLE, "annotation of instance", got));
         }
-        let keys = rows.iter().map(|a| a.key).collect();
         Ok(LoggedTrack { instance, category, size_m: first.size_m, keys })
     }
 
     fn add_ego(&self, samples: &Samples, logged: &mut [LoggedScene]) -> Result<()> {
-        #[derive(Deserialize)]
-        struct PoseRow {
-            token: Token,
-            timestamp: i64,
-            translation: [f64; 3],
-            rotation: [f64; 4],
-        }
         let (channels, rows) = self.read_key_frame_data(samples)?;
         let chosen = choose_channels(&rows, samples, channels.len(), logged.len());
         let mut wanted: Vec<(Token, u32)> = rows
@@ -316,25 +264,24 @@ impl Tables {
             .collect();
         wanted.par_sort_unstable();
         wanted.dedup_by_key(|(token, _)| *token);
-        let poses = self.read("ego_pose", |path, row: PoseRow| {
-            let Some(sample_idx) = find(&wanted, row.token) else { return Ok(None) };
-            let sample = &samples.list[*sample_idx as usize];
-            let key = ground_pose(path, row.token, sample, row.timestamp, row.translation, row.rotation)?;
-            Ok(Some((row.token, (sample.slot, key))))
+        let wanted = self.index("sample_data", wanted)?;
+        let path = self.path("ego_pose");
+        let poses = self.read("ego_pose", &["token", "timestamp", "translation", "rotation"], |row| {
+            let token = row.token(0)?;
+            let Some(sample) = wanted.get(token) else { return Ok(None) };
+            let sample = &samples.list[*sample as usize];
+            let (translation, rotation) = (row.numbers(2)?, row.numbers(3)?);
+            let key = ground_pose(&path, token, sample, row.parse(1)?, translation, rotation)?;
+            Ok(Some((token, (sample.slot, key))))
         })?;
-        let poses = self.sorted("ego_pose", poses)?;
-        if let Some((lost, sample)) = wanted.iter().find(|(token, _)| find(&poses, *token).is_none()) {
-            let of = samples.list[*sample as usize].token;
-            return Err(self.dangling(
-                ("sample_data", "ego_pose_token"),
-                format!("of sample {of}"),
-                *lost,
-                "ego_pose",
-            ));
-        }
-        for (_, (slot, key)) in poses {
+        let poses = self.index("ego_pose", poses)?;
+        for (token, sample) in wanted.into_entries() {
+            let Some((slot, key)) = poses.get(token) else {
+                let of = format!("of sample {}", samples.list[sample as usize].token);
+                return Err(self.dangling(("sample_data", "ego_pose_token"), of, token, "ego_pose"));
+            };
             if let Some(slot) = slot {
-                logged[slot].ego.push(key);
+                logged[*slot].ego.push(*key);
             }
         }
         for (scene, channel) in logged.iter_mut().zip(&chosen) {
@@ -353,25 +300,8 @@ impl Tables {
 
     /// Channel names, most wanted first, and the key-frame sample_data of the wanted scenes.
     fn read_key_frame_data(&self, samples: &Samples) -> Result<(Vec<String>, Vec<KeyFrameData>)> {
-        #[derive(Deserialize)]
-        struct SensorRow {
-            token: Token,
-            channel: String,
-        }
-        #[derive(Deserialize)]
-        struct CalibratedRow {
-            token: Token,
-            sensor_token: Token,
-        }
-        #[derive(Deserialize)]
-        struct DataRow {
-            token: Token,
-            sample_token: Token,
-            ego_pose_token: Token,
-            calibrated_sensor_token: Token,
-            is_key_frame: bool,
-        }
-        let sensors = self.read_by_token("sensor", |row: SensorRow| (row.token, row.channel))?;
+        let sensors =
+            self.read("sensor", &["token", "channel"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let rank = |channel: &str| match channel {
             "LIDAR_TOP" => 0,
             "CAM_FRONT" => 1,
@@ -380,29 +310,33 @@ impl Tables {
         let mut channels: Vec<String> = sensors.iter().map(|(_, channel)| channel.clone()).collect();
         channels.sort_by(|a, b| (rank(a), a).cmp(&(rank(b), b)));
         channels.dedup();
-        let calibrated = self.read("calibrated_sensor", |_, row: CalibratedRow| {
-            let channel = find(&sensors, row.sensor_token).ok_or_else(|| {
-                self.dangling(("calibrated_sensor", "sensor_token"), row.token, row.sensor_token, "sensor")
-            })?;
-            Ok(Some((row.token, channels.iter().position(|c| c == channel).unwrap_or(0) as u16)))
+        let sensors = self.index("sensor", sensors)?;
+        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row| {
+            let (token, of) = (row.token(0)?, row.token(1)?);
+            let channel = sensors
+                .get(of)
+                .ok_or_else(|| self.dangling(("calibrated_sensor", "sensor_token"), token, of, "sensor"))?;
+            Ok(Some((token, channels.iter().position(|c| c == channel).unwrap_or(0) as u16)))
         })?;
-        let calibrated = self.sorted("calibrated_sensor", calibrated)?;
+        let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
-        let rows = self.read(TABLE, |_, row: DataRow| {
-            if !row.is_key_frame {
+        let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
+        let rows = self.read(TABLE, names, |row| {
+            if !row.parse::<bool>(0)? {
                 return Ok(None);
             }
-            let sample = samples.by_token(row.sample_token).ok_or_else(|| {
-                self.dangling((TABLE, "sample_token"), row.token, row.sample_token, "sample")
+            let of = row.token(2)?;
+            let sample = samples.position(of).ok_or_else(|| {
+                self.dangling((TABLE, "sample_token"), row.token(1).unwrap_or_default(), of, "sample")
             })?;
             if samples.list[sample as usize].slot.is_none() {
                 return Ok(None);
             }
-            let channel = *find(&calibrated, row.calibrated_sensor_token).ok_or_else(|| {
-                let (from, got) = ((TABLE, "calibrated_sensor_token"), row.calibrated_sensor_token);
-                self.dangling(from, row.token, got, "calibrated_sensor")
+            let (token, sensor) = (row.token(1)?, row.token(4)?);
+            let channel = *calibrated.get(sensor).ok_or_else(|| {
+                self.dangling((TABLE, "calibrated_sensor_token"), token, sensor, "calibrated_sensor")
             })?;
-            Ok(Some(KeyFrameData { sample, channel, ego_pose: row.ego_pose_token }))
+            Ok(Some(KeyFrameData { sample, channel, ego_pose: row.token(3)? }))
         })?;
         Ok((channels, rows))
     }
@@ -422,16 +356,17 @@ struct Sample {
 /// All key frames, in the order of scene and time.
 struct Samples {
     list: Vec<Sample>,
-    by_token: Vec<(Token, u32)>,
+    by_token: TokenIndex<u32>,
 }
 
 impl Samples {
-    fn by_token(&self, token: Token) -> Option<u32> {
-        find(&self.by_token, token).copied()
+    /// Place of a token's sample in the list.
+    fn position(&self, token: Token) -> Option<u32> {
+        self.by_token.get(token).copied()
     }
 
     fn find(&self, token: Token) -> Option<&Sample> {
-        self.list.get(self.by_token(token)? as usize)
+        self.list.get(self.position(token)? as usize)
     }
 }
 
@@ -449,21 +384,16 @@ struct Annotation {
     size_m: [f64; 3],
 }
 
-/// Groups annotations by scene and instance, instances by first appearance (then by place in the file).
-fn group(rows: Vec<Annotation>) -> Vec<(usize, Vec<Annotation>)> {
-    let mut ordered: Vec<(usize, Annotation)> = rows.into_iter().enumerate().collect();
-    ordered.par_sort_by_key(|(_, a)| (a.slot, a.instance, a.key.frame));
-    let mut groups: Vec<(usize, usize, Vec<Annotation>)> = Vec::new();
-    for (place, annotation) in ordered {
-        match groups.last_mut() {
-            Some((_, slot, rows)) if *slot == annotation.slot && rows[0].instance == annotation.instance => {
-                rows.push(annotation);
-            }
-            _ => groups.push((place, annotation.slot, vec![annotation])),
-        }
-    }
-    groups.sort_by_key(|(place, slot, rows)| (*slot, rows[0].key.frame, *place));
-    groups.into_iter().map(|(_, slot, rows)| (slot, rows)).collect()
+/// Places of the annotations of each scene and instance in time order, instances by first appearance (then by place in
+/// the file).
+fn group(rows: &[Annotation]) -> Vec<Vec<u32>> {
+    let mut order: Vec<(usize, Token, usize, u32)> =
+        rows.iter().enumerate().map(|(i, a)| (a.slot, a.instance, a.key.frame, i as u32)).collect();
+    order.par_sort_unstable();
+    let same = |a: &(usize, Token, usize, u32), b: &(usize, Token, usize, u32)| (a.0, a.1) == (b.0, b.1);
+    let mut groups: Vec<&[(usize, Token, usize, u32)]> = order.chunk_by(same).collect();
+    groups.sort_unstable_by_key(|group| (group[0].0, group[0].2, group[0].3));
+    groups.into_iter().map(|group| group.iter().map(|(_, _, _, place)| *place).collect()).collect()
 }
 
 /// For each scene the channel that covers the most key frames; among equals the most wanted.

@@ -1,6 +1,5 @@
 //! Tokens as 128-bit numbers.
 
-use serde::de::{Deserialize, Deserializer, Visitor};
 use std::fmt;
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -16,7 +15,8 @@ impl Token {
         Self::from_bytes(text.as_bytes())
     }
 
-    fn from_bytes(bytes: &[u8]) -> Self {
+    /// [`Self::from_text`] without a look at the encoding.
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
         Self(hex_value(bytes).unwrap_or_else(|| xxh3_128(bytes)))
     }
 }
@@ -49,23 +49,6 @@ fn hex_value(bytes: &[u8]) -> Option<u128> {
 impl fmt::Display for Token {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:032x}", self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Token {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct TokenVisitor;
-        impl Visitor<'_> for TokenVisitor {
-            type Value = Token;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a token (string)")
-            }
-            fn visit_bytes<E: serde::de::Error>(self, bytes: &[u8]) -> Result<Token, E> {
-                Ok(Token::from_bytes(bytes))
-            }
-        }
-        // bytes, not text: UTF-8 need not be checked to tell tokens apart
-        deserializer.deserialize_bytes(TokenVisitor)
     }
 }
 
