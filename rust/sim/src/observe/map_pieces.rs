@@ -1,11 +1,15 @@
 //! The map as short straight pieces, and the nearest of them for every place.
 
-use crate::geom::{Point2, Polygon, Real, math};
+use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::OnceLock;
 
-/// Longest piece, metres.
-const PIECE_M: Real = 5.0;
+/// Longest piece, metres, with room for rounding.
+const PIECE_M: Real = 5.01;
+/// A piece ends where its line has turned by more than 20 degrees since the piece began.
+const MIN_COS: Real = 0.94;
+/// Points nearer than this are one, metres.
+const MIN_STEP_M: Real = 1e-3;
 /// Side of a cell, metres; larger on maps that would need more than [`MAX_CELLS`].
 const CELL_M: Real = 4.0;
 /// Most cells of a map.
@@ -75,6 +79,9 @@ pub struct MapPieces {
 
 impl MapPieces {
     /// Cuts the lines of a map.
+    ///
+    /// Edges of areas that lie on the bounding box of all areas and dividers are left out: there the map was cut out,
+    /// nothing ends. (Lanes are kept whole by the loaders, so they do not count.)
     pub fn new(map: &Map) -> Self {
         let mut pieces = Self::default();
         for lane in &map.lanes {
@@ -88,13 +95,16 @@ impl MapPieces {
                 pieces.add_line(line, kind);
             }
         }
+        let cut = Cut::of(map);
         for (polygons, kind) in [
             (&map.drivable_area, PieceKind::RoadEdge),
             (&map.ped_crossings, PieceKind::Crossing),
             (&map.stop_lines, PieceKind::StopLine),
             (&map.walkways, PieceKind::Walkway),
         ] {
-            pieces.add_edges(polygons, kind);
+            for ring in polygons.iter().flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes)) {
+                pieces.add_ring(ring, &cut, kind);
+            }
         }
         pieces.make_cells();
         pieces
@@ -159,7 +169,7 @@ impl MapPieces {
     fn add(&mut self, a: Point2, b: Point2, kind: PieceKind) {
         let d = b - a;
         let length = math::hypot(d.x, d.y);
-        if length < 1e-3 {
+        if length < MIN_STEP_M {
             return;
         }
         let middle = nalgebra::center(&a, &b);
@@ -167,56 +177,52 @@ impl MapPieces {
         self.pieces.push(Piece { x: middle.x, y: middle.y, cos, sin, half_length_m: 0.5 * length, kind });
     }
 
-    /// Joins the short segments of a line to pieces, and cuts the long ones.
+    /// Joins the short segments of a line to pieces up to a bend, and cuts the long ones.
     fn add_line(&mut self, line: &[Point2], kind: PieceKind) {
-        let Some(mut from) = line.first().copied() else { return };
-        let mut last = from;
-        for p in &line[1..] {
-            let whole = (p - from).norm();
-            if whole > PIECE_M && last != from {
-                self.add(from, last, kind);
-                from = last;
+        let Some((mut from, rest)) = line.split_first().map(|(p, rest)| (*p, rest)) else { return };
+        let (mut last, mut travelled_m) = (from, 0.0);
+        let mut direction: Option<Vector2> = None;
+        for p in rest {
+            let step = p - last;
+            let length_m = math::hypot(step.x, step.y);
+            if length_m < MIN_STEP_M {
+                continue;
             }
-            let rest = p - from;
-            let n = (rest.norm() / PIECE_M).ceil() as usize;
-            if n > 1 {
-                for k in 0..n {
-                    let at = |k: usize| from + rest * (k as Real / n as Real);
-                    self.add(at(k), at(k + 1), kind);
+            let unit = step / length_m;
+            let bends = direction.is_some_and(|d| d.dot(&unit) < MIN_COS);
+            if bends || travelled_m + length_m > PIECE_M {
+                self.add(from, last, kind);
+                (from, travelled_m, direction) = (last, 0.0, None);
+            }
+            if length_m > PIECE_M {
+                let n = (length_m / PIECE_M).ceil();
+                for k in 0..n as usize {
+                    self.add(last + step * (k as Real / n), last + step * ((k + 1) as Real / n), kind);
                 }
                 from = *p;
+            } else {
+                travelled_m += length_m;
+                direction.get_or_insert(unit);
             }
             last = *p;
         }
         self.add(from, last, kind);
     }
 
-    /// Adds rings but for the edges on the rectangle that the map was cut out with.
-    fn add_edges(&mut self, polygons: &[Polygon], kind: PieceKind) {
-        let points = polygons.iter().flat_map(|p| &p.exterior);
-        let (low, high) = points.fold(
-            (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN)),
-            |(low, high), p| (low.inf(p), high.sup(p)),
-        );
-        let on_cut = |a: &Point2, b: &Point2| {
-            let both = |u: Real, v: Real, at: Real| (u - at).abs() < 1e-3 && (v - at).abs() < 1e-3;
-            both(a.x, b.x, low.x) || both(a.x, b.x, high.x) || both(a.y, b.y, low.y) || both(a.y, b.y, high.y)
-        };
-        let cut = kind == PieceKind::RoadEdge;
-        for polygon in polygons {
-            for ring in std::iter::once(&polygon.exterior).chain(&polygon.holes) {
-                let Some(last) = ring.last() else { continue };
-                let mut run = vec![*last];
-                for p in ring {
-                    if cut && on_cut(&run[run.len() - 1], p) {
-                        self.add_line(&run, kind);
-                        run.clear();
-                    }
-                    run.push(*p);
-                }
+    /// Adds a ring, but for its edges on the cut.
+    fn add_ring(&mut self, ring: &[Point2], cut: &Cut, kind: PieceKind) {
+        let Some(last) = ring.last() else { return };
+        let mut run = vec![*last];
+        let mut previous = *last;
+        for p in ring {
+            if cut.holds(&previous, p) {
                 self.add_line(&run, kind);
+                run.clear();
             }
+            run.push(*p);
+            previous = *p;
         }
+        self.add_line(&run, kind);
     }
 
     fn make_cells(&mut self) {
@@ -240,9 +246,67 @@ fn bounds(points: impl Iterator<Item = Point2>) -> (Point2, Point2) {
     points.fold(none, |(low, high), p| (low.inf(&p), high.sup(&p)))
 }
 
+/// The rectangle that the map was cut out with.
+struct Cut {
+    low: Point2,
+    high: Point2,
+}
+
+impl Cut {
+    fn of(map: &Map) -> Self {
+        let areas: [&[Polygon]; 5] =
+            [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.stop_lines, &map.carpark_areas];
+        let of_areas = areas.into_iter().flatten().flat_map(|p| &p.exterior);
+        let of_lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
+        let (low, high) = bounds(of_areas.chain(of_lines).copied());
+        Self { low, high }
+    }
+
+    /// Whether an edge lies on one side of the rectangle.
+    fn holds(&self, a: &Point2, b: &Point2) -> bool {
+        let both = |u: Real, v: Real, at: Real| (u - at).abs() < 1e-3 && (v - at).abs() < 1e-3;
+        both(a.x, b.x, self.low.x)
+            || both(a.x, b.x, self.high.x)
+            || both(a.y, b.y, self.low.y)
+            || both(a.y, b.y, self.high.y)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn square(x: Real, y: Real, side_m: Real) -> Polygon {
+        let at = |dx, dy| Point2::new(x + dx * side_m, y + dy * side_m);
+        Polygon { exterior: vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)], holes: Vec::new() }
+    }
+
+    fn length_of(pieces: &MapPieces, kind: PieceKind) -> Real {
+        pieces.pieces().iter().filter(|p| p.kind == kind).map(|p| 2.0 * p.half_length_m).sum()
+    }
+
+    #[test]
+    fn small_rings_and_sharp_corners_keep_their_outline() {
+        let map = Map {
+            walkways: vec![square(-50.0, -50.0, 100.0)],
+            ped_crossings: vec![square(3.0, 2.0, 1.0)],
+            road_dividers: vec![vec![Point2::new(0.0, 0.0), Point2::new(2.0, 0.0), Point2::new(2.0, 2.0)]],
+            ..Map::default()
+        };
+        let pieces = MapPieces::new(&map);
+        assert!((length_of(&pieces, PieceKind::Crossing) - 4.0).abs() < 1e-3);
+        assert!((length_of(&pieces, PieceKind::RoadDivider) - 4.0).abs() < 1e-3);
+        // the walkway is the cut itself
+        assert_eq!(length_of(&pieces, PieceKind::Walkway), 0.0);
+    }
+
+    #[test]
+    fn a_road_along_the_axes_keeps_its_edges_where_other_layers_reach_further() {
+        let road = square(-10.0, -10.0, 20.0);
+        let map =
+            Map { drivable_area: vec![road], walkways: vec![square(-15.0, -15.0, 30.0)], ..Map::default() };
+        assert!((length_of(&MapPieces::new(&map), PieceKind::RoadEdge) - 80.0).abs() < 1e-2);
+    }
 
     #[test]
     fn maps_of_any_extent_have_few_cells() {
