@@ -132,7 +132,7 @@ fn every_agent_of_a_game_ends_for_itself() {
         batch.step(&a).unwrap();
         for c in 0..6 {
             ended[c] += usize::from(batch.terminated[c] || batch.truncated[c]);
-            if !batch.alive[c] && !(batch.terminated[c] || batch.truncated[c]) {
+            if !(batch.alive[c] || batch.terminated[c] || batch.truncated[c]) {
                 assert_eq!(batch.reward[c], 0.0);
                 let row = batch.world.layout().size;
                 assert!(batch.obs[c * row..(c + 1) * row].iter().all(|x| *x == 0.0), "slot {c} step {t}");

@@ -1,5 +1,9 @@
 //! A batch of worlds with the buffers it writes into.
-#![allow(dead_code, reason = "each test file uses its own part")]
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "each test file uses its own part; a test fails by panicking"
+)]
 
 use ccdiff_sim::Result;
 use ccdiff_sim::scene::Scene;
