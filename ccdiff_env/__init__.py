@@ -19,6 +19,8 @@ from ccdiff_env.certificate import Certificate, replay  # noqa: E402
 from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
 from ccdiff_env.envs import EgoEnv, EgoVectorEnv, make_vec, register  # noqa: E402
+from ccdiff_env.recorder import Recorder  # noqa: E402
+from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan  # noqa: E402
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
 
 __version__ = "0.1.0"
@@ -26,6 +28,10 @@ __all__ = [
     "Certificate",
     "EgoEnv",
     "EgoVectorEnv",
+    "Recorder",
+    "Rollout",
+    "RolloutEvent",
+    "RolloutPlan",
     "Scene",
     "SceneSet",
     "WorldConfig",

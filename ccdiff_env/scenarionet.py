@@ -158,7 +158,10 @@ class _Track:
     valid: npt.NDArray[np.bool_]
 
 
-def _kind_of(type_name: str, category: str) -> str | None:
+def _kind_of(type_name: str, category: str, own: object) -> str | None:
+    """Kind of an agent; files written by this package name it themselves."""
+    if own in _KINDS.values():
+        return str(own)
     return _KINDS_OF_CATEGORIES.get(category) or _KINDS.get(type_name)
 
 
@@ -170,7 +173,7 @@ def _states(source: _Import, key: str, track: Mapping[str, Any], num_steps: int)
     metadata = track.get("metadata") or {}
     type_name = str(track.get("type"))
     category = str(metadata.get("type") or type_name)
-    kind = _kind_of(type_name, category)
+    kind = _kind_of(type_name, category, metadata.get("kind"))
     if kind is None:
         source.dropped["unknown type", category] += 1
         return None
@@ -240,6 +243,52 @@ def _resampled(points: F64) -> F64:
     return np.stack([np.interp(at, along, points[:, i]) for i in range(2)], axis=1)
 
 
+def _own_layers(source: _Import, origin: F64) -> MapLayers | None:
+    """Layers that only files written by this package have; ``None`` in others."""
+    own = source.part("metadata").get("ccdiff_env")
+    if own is None:
+        return None
+    where = "metadata.ccdiff_env"
+    if not isinstance(own, dict):
+        raise source.fault(where, type(own).__name__, "a dictionary")
+    shift = source.array(own.get("origin", (0.0, 0.0)), f"{where}.origin") - origin
+
+    def ring(value: object, name: str) -> npt.NDArray[np.float32]:
+        points = source.array(value, name, columns=2)[:, :2] + shift
+        return points.astype(np.float32)
+
+    def polygons(layer: str) -> list[Polygon]:
+        name = f"{where}.{layer}"
+        found: list[Polygon] = []
+        for polygon in own.get(layer) or ():
+            if not isinstance(polygon, dict) or "exterior" not in polygon:
+                raise source.fault(name, type(polygon).__name__, "polygons with an exterior")
+            holes = [ring(hole, name) for hole in polygon.get("holes") or ()]
+            found.append({"exterior": ring(polygon["exterior"], name), "holes": holes})
+        return found
+
+    return {
+        "drivable_area": polygons("drivable_area"),
+        "walkways": polygons("walkways"),
+        "stop_lines": polygons("stop_lines"),
+        "carpark_areas": polygons("carpark_areas"),
+    }
+
+
+def _origin(source: _Import, tracks: Sequence[_Track]) -> F64:
+    """Origin of the scene frame: the file's own, else where the ego or the middle of all is."""
+    own = source.part("metadata").get("ccdiff_env")
+    if isinstance(own, dict) and "origin" in own:
+        origin = source.array(own["origin"], "metadata.ccdiff_env.origin")
+        if origin.shape != (2,) or not np.isfinite(origin).all():
+            raise source.fault("metadata.ccdiff_env.origin", origin, "two finite numbers")
+        return origin
+    if tracks[0].id == _EGO_ID:
+        return np.asarray(np.round(tracks[0].position[tracks[0].valid][0]))
+    every = np.concatenate([track.position[track.valid] for track in tracks])
+    return np.asarray(np.round(every.mean(axis=0)))
+
+
 class _Features:
     """Sorts map features into our layers."""
 
@@ -247,6 +296,7 @@ class _Features:
         self._source = source
         self._origin = origin
         self._unused: Counter[str] = Counter()
+        self._own = _own_layers(source, origin)
         self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
         self.layers: MapLayers = {
             "drivable_area": [],
@@ -265,7 +315,11 @@ class _Features:
                 raise source.fault(f"map_features[{key!r}]", type(feature).__name__, "a dictionary")
             self._sort(str(key), feature, lanes)
         self._link(lanes)
-        self._drivable_area()
+        if self._own is None:
+            self._drivable_area()
+        else:
+            self.layers.update(self._own)
+            self._unused.pop("ROAD_EDGE_BOUNDARY", None)  # the rings of the drivable area
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
 
@@ -406,10 +460,7 @@ def _assembled(
     metadata = source.part("metadata")
     valid = np.stack([track.valid for track in tracks])
     position = np.stack([track.position for track in tracks])
-    reference = (
-        position[0][valid[0]][0] if tracks[0].id == _EGO_ID else position[valid].mean(axis=0)
-    )
-    origin = np.round(reference)
+    origin = _origin(source, tracks)
     features = _Features(source, origin)
     scene = Scene.from_arrays(
         name,

@@ -153,13 +153,15 @@ class Worlds:
         self._discrete = self.native.num_actions is not None
         self._width = self.native.action_width
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
+        #: Arrays of the newest reset or step.
+        self.last: StepArrays | None = None
 
     def arrays(self) -> StepArrays:
-        """Return new arrays for a reset or step."""
+        """Return new arrays for a reset or step, and keep them as :attr:`last`."""
         e, c = self.num_worlds, self.num_slots
         row = (e, c, self.layout.size)
         same_step = self.config.autoreset == "same_step"
-        return StepArrays(
+        self.last = StepArrays(
             np.empty(row, np.float32),
             np.empty((e, c), np.float32),
             np.empty((e, c), np.bool_),
@@ -170,6 +172,7 @@ class Worlds:
             np.empty(e, np.bool_),
             np.empty(row, np.float32) if same_step else None,
         )
+        return self.last
 
     def actions(self, actions: Any, shape: tuple[int, ...]) -> F32:
         """Check actions of a shape and return them as float32 [E, C, W].

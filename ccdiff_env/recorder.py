@@ -1,0 +1,190 @@
+"""Recording of running worlds as rollouts."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.errors import ResetNeededError
+from ccdiff_env.rollout import DRIVER_NAMES, Rollout, RolloutEvent, RolloutPlan
+
+if TYPE_CHECKING:
+    from ccdiff_env.envs.worlds import Worlds
+
+__all__ = ["Recorder"]
+
+_STATES = ("position", "heading", "velocity", "active")
+
+
+class HasWorlds(Protocol):
+    """An environment on native worlds."""
+
+    @property
+    def worlds(self) -> Worlds:
+        """The native worlds."""
+
+
+class Recorder:
+    """Records one world of an environment.
+
+    Parameters
+    ----------
+    env
+        An environment of this package, or a wrapper of one.
+    world_idx
+        World to record.
+    **meta
+        Entries of :attr:`Rollout.meta` beside seed, configuration, traffic and source, such as
+        ``planner="idm"``.
+
+    Notes
+    -----
+    In autoreset mode SAME_STEP the last state of an episode is never seen from outside, so that it
+    is missing; NEXT_STEP and DISABLED show it.
+
+    Examples
+    --------
+    >>> import ccdiff_env
+    >>> env = ccdiff_env.EgoEnv(traffic="idm", driver="idm")
+    >>> _ = env.reset(seed=0)
+    >>> recorder = Recorder(env, planner="idm")
+    >>> recorder.start()
+    >>> done = False
+    >>> while not done:
+    ...     _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+    ...     recorder.step()
+    ...     done = terminated or truncated
+    >>> rollout = recorder.rollout()
+    """
+
+    def __init__(self, env: HasWorlds, *, world_idx: int = 0, **meta: Any) -> None:
+        unwrapped = getattr(env, "unwrapped", env)
+        self._worlds: Worlds = unwrapped.worlds
+        self._worlds.check_world(world_idx)
+        self._world_idx = world_idx
+        self._meta = meta
+        self._episode: tuple[int, int, int] | None = None
+        self._elapsed = 0
+
+    def start(self) -> None:
+        """Begin a recording at the present state, usually after a reset; drops the one before."""
+        native, world = self._worlds.native, self._world_idx
+        scene_idx, seed, episode, step, elapsed = native.status(world)
+        self._scene = self._worlds.scenes[scene_idx]
+        self._episode = (scene_idx, seed, episode)
+        self._elapsed, self._start_step = elapsed, step
+        self._states: list[dict[str, Any]] = []
+        self._columns: list[npt.NDArray[np.float32]] = []
+        self._events: list[RolloutEvent] = []
+        self._plans: list[RolloutPlan] = []
+        self._ids = tuple(self._scene.agent_ids)
+        self._types = self._scene.agent_types
+        self._slot = self._ego_slot()
+        self._touching = {(i, j) for i, j, *_ in native.contacts(world)}
+        self._off_road = native.off_road(world)[0].copy()
+        self._drivers = native.drivers(world)
+        self._seed = seed
+        self._keep()
+
+    def _ego_slot(self) -> int:
+        agents = self._worlds.native.slot_agents(self._world_idx)
+        ego = self._ids.index("ego") if "ego" in self._ids else None
+        return agents.index(ego) if ego is not None and ego in agents else 0
+
+    def step(self) -> bool:
+        """Record the state after a step; returns whether the world still plays the same episode.
+
+        Once the world has begun another episode, nothing more is recorded.
+
+        Raises
+        ------
+        ResetNeededError
+            Before :meth:`start`.
+        """
+        if self._episode is None:
+            raise ResetNeededError("recorder: step before start")
+        native, world = self._worlds.native, self._world_idx
+        *episode, step, elapsed = native.status(world)
+        if tuple(episode) != self._episode or elapsed < self._elapsed:
+            return False
+        if elapsed == self._elapsed:
+            return True
+        self._elapsed = elapsed
+        at = step - self._start_step
+        if self._worlds.last is not None:
+            self._columns.append(self._worlds.last.columns[world, self._slot].copy())
+        self._drivers = native.drivers(world)
+        self._contact_events(at)
+        self._road_events(at)
+        self._end_events(at)
+        self._keep()
+        return True
+
+    def _keep(self) -> None:
+        states = self._worlds.native.states(self._world_idx)
+        self._states.append({name: states[name] for name in _STATES})  # type: ignore[literal-required]
+
+    def _contact_events(self, at: int) -> None:
+        touching = set()
+        for i, j, side, _, at_fault in self._worlds.native.contacts(self._world_idx):
+            touching.add((i, j))
+            if (i, j) in self._touching:
+                continue
+            kind = "static" if self._types[j] == "static" else f"collision_{side}"
+            self._events.append(RolloutEvent(at, self._ids[i], self._ids[j], kind, at_fault))
+        self._touching = touching
+
+    def _road_events(self, at: int) -> None:
+        off_road = self._worlds.native.off_road(self._world_idx)[0]
+        for i in np.flatnonzero(off_road & ~self._off_road):
+            if self._types[i] == "vehicle":
+                self._events.append(RolloutEvent(at, self._ids[i], None, "off_road"))
+        self._off_road = off_road.copy()
+
+    def _end_events(self, at: int) -> None:
+        agent = self._worlds.native.slot_agents(self._world_idx)[self._slot]
+        if not self._columns or agent is None:
+            return
+        names = self._worlds.column_names
+        for kind, column in (("goal", "goal_reached"), ("time_limit", "time_limit")):
+            if self._columns[-1][names.index(column)] > 0.5:
+                self._events.append(RolloutEvent(at, self._ids[agent], None, kind))
+
+    def rollout(self) -> Rollout:
+        """Return what was recorded so far.
+
+        Raises
+        ------
+        ResetNeededError
+            Before :meth:`start`.
+        """
+        if self._episode is None:
+            raise ResetNeededError("recorder: rollout before start")
+        stacked = {name: np.stack([s[name] for s in self._states], axis=1) for name in _STATES}
+        columns = np.array(self._columns, np.float32).reshape(len(self._states) - 1, -1)
+        names = self._worlds.column_names if columns.size else ()
+        config = self._worlds.config
+        return Rollout(
+            scene=self._scene,
+            start_step=self._start_step,
+            dt_s=config.dt_s,
+            agent_ids=self._ids,
+            position=stacked["position"],
+            heading=stacked["heading"],
+            velocity=stacked["velocity"],
+            valid=stacked["active"],
+            drivers=np.array([DRIVER_NAMES.index(name) for name in self._drivers], np.int64),
+            events=tuple(self._events),
+            figures={name: columns[:, i].copy() for i, name in enumerate(names)},
+            plans=tuple(self._plans),
+            meta={
+                "seed": self._seed,
+                "config": json.loads(config.to_json()),
+                "traffic": config.traffic,
+                "source": self._scene.source,
+                **self._meta,
+            },
+        )

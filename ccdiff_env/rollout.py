@@ -1,0 +1,349 @@
+"""Recorded episodes: what all agents did, saved, loaded, and turned into scenes again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError
+from ccdiff_env.scenes import Scene
+
+__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "RolloutPlan"]
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+
+#: Name of each number in :attr:`Rollout.drivers`.
+DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", "planned")
+#: Kinds of events.
+EVENT_KINDS = (
+    "collision_front",
+    "collision_rear",
+    "collision_side",
+    "static",
+    "off_road",
+    "goal",
+    "time_limit",
+)
+FORMAT = "ccdiff-env rollout 1"
+
+
+@dataclass(frozen=True)
+class RolloutEvent:
+    """Something that happened.
+
+    Parameters
+    ----------
+    step
+        Recorded step at which it is seen first: 0 is the start of the episode.
+    agent_id
+        To whom.
+    partner_id
+        The other agent of a collision.
+    kind
+        One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the
+        agent that is hit; ``static`` is a collision with a static obstacle.
+    at_fault
+        Whether a collision counts against this agent.
+    """
+
+    step: int
+    agent_id: str
+    partner_id: str | None
+    kind: str
+    at_fault: bool = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RolloutPlan:
+    """One plan of the background: M agents, N samples of H steps.
+
+    Parameters
+    ----------
+    step
+        Recorded step from whose states it was made; sample position h is at step + h + 1.
+    agent_ids
+        The planned agents, in the order of all other fields.
+    samples
+        Positions [N, M, H, 2], metres, scene frame.
+    chosen
+        Sample that is driven.
+    graph
+        Decision causal graph [M, M]: j influences i.
+    ttc_s
+        Time to contact [M, M], seconds; infinite where there is none.
+    guided
+        Agents [M] that were guided.
+    """
+
+    step: int
+    agent_ids: tuple[str, ...]
+    samples: F32
+    chosen: int
+    graph: Bool
+    ttc_s: F32
+    guided: Bool
+
+    def __post_init__(self) -> None:
+        m = len(self.agent_ids)
+        if self.samples.ndim != 4 or self.samples.shape[1] != m or self.samples.shape[3] != 2:
+            raise ShapeError(
+                f"plan.samples has shape {self.samples.shape}, expected [N, {m}, H, 2]"
+            )
+        _expect("plan.graph", self.graph, (m, m))
+        _expect("plan.ttc_s", self.ttc_s, (m, m))
+        _expect("plan.guided", self.guided, (m,))
+        if not 0 <= self.chosen < len(self.samples):
+            raise ShapeError(f"plan.chosen is {self.chosen}, expected one of {len(self.samples)}")
+
+
+def _expect(name: str, array: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
+    if not isinstance(array, np.ndarray) or array.shape != shape:
+        got = getattr(array, "shape", type(array).__name__)
+        raise ShapeError(f"{name} has shape {got}, expected {shape}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rollout:
+    """One episode of one world: states of A agents over T recorded steps.
+
+    Parameters
+    ----------
+    scene
+        The scene that was played.
+    start_step
+        Step of the log at which the recording starts.
+    dt_s
+        Seconds between steps.
+    agent_ids
+        All agents, in the order of the scene.
+    position, heading, velocity
+        [A, T, 2] metres, [A, T] radians, [A, T, 2] m/s in the scene frame; zero where not valid.
+        The state at ``start_step`` comes first.
+    valid
+        Whether an agent is in the world [A, T].
+    drivers
+        Who drives each agent [A]: indices of :data:`DRIVER_NAMES`.
+    events
+        What happened, by step.
+    figures
+        Figures of the ego (else of the first controlled agent) of each step [T - 1], by name.
+    plans
+        Plans of the background, by step; empty where it makes none.
+    meta
+        Seed, configuration, traffic, planner, source: what JSON can hold.
+    """
+
+    scene: Scene
+    start_step: int
+    dt_s: float
+    agent_ids: tuple[str, ...]
+    position: F32
+    heading: F32
+    velocity: F32
+    valid: Bool
+    drivers: npt.NDArray[np.int64]
+    events: tuple[RolloutEvent, ...] = ()
+    figures: Mapping[str, F32] = field(default_factory=dict)
+    plans: tuple[RolloutPlan, ...] = ()
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.agent_ids != tuple(self.scene.agent_ids):
+            raise ShapeError("agent_ids are not those of the scene, in its order")
+        if self.valid.ndim != 2 or self.valid.shape[1] < 1:
+            raise ShapeError(f"valid has shape {self.valid.shape}, expected [A, T]")
+        a, t = len(self.agent_ids), self.valid.shape[1]
+        for name, shape in (
+            ("position", (a, t, 2)),
+            ("heading", (a, t)),
+            ("velocity", (a, t, 2)),
+            ("valid", (a, t)),
+            ("drivers", (a,)),
+        ):
+            _expect(name, getattr(self, name), shape)
+        for name, values in self.figures.items():
+            _expect(f"figures[{name!r}]", values, (t - 1,))
+        object.__setattr__(self, "figures", MappingProxyType(dict(self.figures)))
+        object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+
+    @property
+    def num_steps(self) -> int:
+        """Recorded states T; T - 1 steps lie between them."""
+        return int(self.valid.shape[1])
+
+    @property
+    def driver_names(self) -> tuple[str, ...]:
+        """Name of the driver of each agent."""
+        return tuple(DRIVER_NAMES[i] for i in self.drivers)
+
+    def collisions(self, agent_id: str | None = None) -> tuple[RolloutEvent, ...]:
+        """Collisions, of one agent or of all, as each of their two sides sees them."""
+        return tuple(
+            event
+            for event in self.events
+            if event.partner_id is not None and agent_id in (None, event.agent_id)
+        )
+
+    def to_scene(self, name: str | None = None) -> Scene:
+        """Return a scene whose log is the log before ``start_step``, then this episode.
+
+        Parameters
+        ----------
+        name
+            Its name; ``"<name of the scene> rollout"`` by default.
+
+        Returns
+        -------
+        Scene
+            Of ``start_step + T`` steps, with the agents that are there at one step at least. An
+            environment starts it where this episode started.
+        """
+        log = self.scene.tracks()
+        before = slice(0, self.start_step)
+        valid = np.concatenate([log["valid"][:, before], self.valid], axis=1)
+        heading = np.concatenate([log["heading"][:, before], self.heading], axis=1)
+        for row, there in zip(heading, valid, strict=True):
+            row[there] = np.unwrap(row[there])
+        kept = np.flatnonzero(valid.any(axis=1))
+        scene = self.scene
+        return Scene.from_arrays(
+            name or f"{scene.name} rollout",
+            agent_ids=[scene.agent_ids[i] for i in kept],
+            agent_types=[scene.agent_types[i] for i in kept],
+            agent_categories=[scene.agent_categories[i] for i in kept],
+            sizes=scene.sizes[kept],
+            position=np.concatenate([log["position"][:, before], self.position], axis=1)[kept],
+            heading=heading[kept],
+            velocity=np.concatenate([log["velocity"][:, before], self.velocity], axis=1)[kept],
+            valid=valid[kept],
+            dt=self.dt_s,
+            token=scene.token,
+            location=scene.location,
+            source=f"rollout of {scene.source}",
+            origin=scene.origin,
+            map_layers=scene.map_layers(),
+        )
+
+    def to_scenarionet(self, path: str | os.PathLike[str], name: str | None = None) -> None:
+        """Write :meth:`to_scene` as a ScenarioNet scenario description (a pickle).
+
+        :func:`ccdiff_env.load_scenarionet` reads it again; so do MetaDrive and other tools that
+        take ScenarioNet's format.
+        """
+        # imported here: writing pickles is not needed to record
+        from ccdiff_env.scenarionet_export import write_scenario
+
+        write_scenario(self.to_scene(name), path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the episode to one file: numpy's ``.npz`` without pickles, the rest as JSON."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            name: getattr(self, name)
+            for name in ("position", "heading", "velocity", "valid", "drivers")
+        }
+        arrays["scene"] = np.frombuffer(self.scene.to_bytes(), np.uint8)
+        for name, values in self.figures.items():
+            arrays[f"figures/{name}"] = values
+        for i, plan in enumerate(self.plans):
+            for name in ("samples", "graph", "ttc_s", "guided"):
+                arrays[f"plans/{i}/{name}"] = getattr(plan, name)
+        head = {
+            "format": FORMAT,
+            "start_step": self.start_step,
+            "dt_s": self.dt_s,
+            "events": [dataclasses.astuple(event) for event in self.events],
+            "plans": [[p.step, list(p.agent_ids), p.chosen] for p in self.plans],
+            "meta": dict(self.meta),
+        }
+        arrays["head"] = np.frombuffer(json.dumps(head, allow_nan=False).encode(), np.uint8)
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Rollout:
+        """Read what :meth:`save` wrote; nothing in the file is run.
+
+        Raises
+        ------
+        DatasetNotFoundError
+            If there is no such file.
+        DatasetError
+            If it is damaged or of another format.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            return cls._from_arrays(arrays)
+        except FileNotFoundError:
+            raise DatasetNotFoundError(f"no rollout at {os.fspath(path)}") from None
+        except (ValueError, KeyError, TypeError, AttributeError, OSError, EOFError) as error:
+            raise DatasetError(f"damaged rollout ({error}): {os.fspath(path)}") from None
+        except zipfile.BadZipFile as error:
+            raise DatasetError(f"no rollout ({error}): {os.fspath(path)}") from None
+
+    @classmethod
+    def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:
+        head = json.loads(arrays["head"].tobytes())
+        if head["format"] != FORMAT:
+            raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
+        scene = Scene.from_bytes(arrays["scene"].tobytes())
+        plans = tuple(
+            RolloutPlan(
+                step=int(step),
+                agent_ids=tuple(ids),
+                samples=_typed(arrays, f"plans/{i}/samples", np.float32),
+                chosen=int(chosen),
+                graph=_typed(arrays, f"plans/{i}/graph", np.bool_),
+                ttc_s=_typed(arrays, f"plans/{i}/ttc_s", np.float32),
+                guided=_typed(arrays, f"plans/{i}/guided", np.bool_),
+            )
+            for i, (step, ids, chosen) in enumerate(head["plans"])
+        )
+        drivers = _typed(arrays, "drivers", np.int64)
+        if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(DRIVER_NAMES):
+            raise DatasetError(f"drivers up to {drivers.max()}, expected less than 5")
+        return cls(
+            scene=scene,
+            start_step=int(head["start_step"]),
+            dt_s=float(head["dt_s"]),
+            agent_ids=tuple(scene.agent_ids),
+            position=_typed(arrays, "position", np.float32),
+            heading=_typed(arrays, "heading", np.float32),
+            velocity=_typed(arrays, "velocity", np.float32),
+            valid=_typed(arrays, "valid", np.bool_),
+            drivers=drivers,
+            events=tuple(_event(*fields) for fields in head["events"]),
+            figures={
+                name.removeprefix("figures/"): _typed(arrays, name, np.float32)
+                for name in arrays
+                if name.startswith("figures/")
+            },
+            plans=plans,
+            meta=head["meta"],
+        )
+
+
+def _typed(arrays: Mapping[str, npt.NDArray[Any]], name: str, dtype: Any) -> npt.NDArray[Any]:
+    array = arrays[name]
+    if array.dtype != dtype:
+        raise DatasetError(f"{name} has dtype {array.dtype}, expected {np.dtype(dtype)}")
+    return array
+
+
+def _event(
+    step: int, agent_id: str, partner_id: str | None, kind: str, fault: bool
+) -> RolloutEvent:
+    if kind not in EVENT_KINDS:
+        raise DatasetError(f"event of kind {kind!r}, expected one of {', '.join(EVENT_KINDS)}")
+    return RolloutEvent(int(step), agent_id, partner_id, kind, bool(fault))

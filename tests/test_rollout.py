@@ -1,0 +1,223 @@
+"""Recorded episodes: what they hold, and that files and scenes made of them say the same."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, Recorder, Rollout, RolloutPlan, errors, metrics
+from ccdiff_env.scenarionet import load_scenario_dict
+
+NAMES = ("position", "heading", "velocity", "valid", "drivers")
+
+
+def record(scene=None, scenes="val", **options):
+    env = EgoEnv(scenes=scenes, **options)
+    env.reset(seed=3, options={"scene": scene} if scene else None)
+    recorder = Recorder(env, planner=options.get("driver", "straight"))
+    recorder.start()
+    states, done = [env.worlds.native.states(0)], False
+    action = np.zeros(2, np.float32)
+    while not done:
+        _, _, terminated, truncated, _ = env.step(action)
+        assert recorder.step()
+        states.append(env.worlds.native.states(0))
+        done = terminated or truncated
+    return env, recorder.rollout(), states
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return record(driver="idm", traffic="idm")
+
+
+def crash():
+    """An ego that goes straight on until it hits something."""
+    for scene in ccdiff_env.embedded_scenes("val"):
+        options = {"on_off_road": "ignore", "terminate_at_goal": False}
+        env, rollout, _ = record(scenes=[scene], **options)
+        if rollout.collisions("ego"):
+            return env, rollout
+    raise AssertionError("nobody was hit")
+
+
+def test_states_are_those_that_the_world_showed(driven):
+    env, rollout, states = driven
+    assert rollout.num_steps == len(states)
+    assert rollout.start_step == 30
+    for t, state in enumerate(states):
+        for name in ("position", "heading", "velocity"):
+            assert (getattr(rollout, name)[:, t] == state[name]).all()
+        assert (rollout.valid[:, t] == state["active"]).all()
+    assert list(rollout.driver_names) == env.worlds.native.drivers(0)
+    assert rollout.meta["planner"] == "idm"
+    assert rollout.meta["traffic"] == "idm"
+    assert rollout.meta["config"]["horizon_steps"] == 100
+
+
+def test_figures_are_those_of_info():
+    env = EgoEnv(scenes="val", traffic="idm")
+    env.reset(seed=0)
+    recorder = Recorder(env)
+    recorder.start()
+    seen = []
+    for _ in range(5):
+        seen.append(env.step(np.array([0.3, 0.0], np.float32))[-1])
+        recorder.step()
+    figures = recorder.rollout().figures
+    for name in ("speed", "ttc", "reward_progress"):
+        assert figures[name].tolist() == [info[name] for info in seen]
+
+
+def test_a_collision_is_listed_from_both_sides_where_the_boxes_begin_to_overlap():
+    _, rollout = crash()
+    event = rollout.collisions("ego")[0]
+    other = next(e for e in rollout.collisions(event.partner_id) if e.partner_id == "ego")
+    assert (other.step, other.partner_id) == (event.step, "ego")
+    boxes = metrics.Rollout(
+        rollout.position, rollout.heading, rollout.scene.sizes[:, :2], rollout.valid, dt_s=0.1
+    )
+    i, j = 0, rollout.agent_ids.index(event.partner_id)
+    controlled = np.arange(len(rollout.agent_ids)) == 0
+    assert boxes.collisions(controlled=controlled).matrix()[i, j]
+    before = metrics.Rollout(
+        *(a[:, : event.step] for a in (rollout.position, rollout.heading)),
+        rollout.scene.sizes[:, :2],
+        rollout.valid[:, : event.step],
+    )
+    assert not before.collisions(controlled=controlled).matrix()[i, j]
+
+
+def test_a_file_gives_the_same_episode(driven, tmp_path):
+    rollout = driven[1]
+    plan = RolloutPlan(
+        step=5,
+        agent_ids=("ego", rollout.agent_ids[1]),
+        samples=np.ones((3, 2, 4, 2), np.float32),
+        chosen=2,
+        graph=np.eye(2, dtype=bool),
+        ttc_s=np.full((2, 2), np.inf, np.float32),
+        guided=np.array([False, True]),
+    )
+    fields = {name: getattr(rollout, name) for name in rollout.__dataclass_fields__}
+    saved = Rollout(**{**fields, "plans": (plan,)})
+    saved.save(tmp_path / "a.npz")
+    loaded = Rollout.load(tmp_path / "a.npz")
+    assert loaded.scene == rollout.scene
+    for name in NAMES:
+        assert (getattr(loaded, name) == getattr(rollout, name)).all()
+    assert loaded.events == rollout.events
+    assert dict(loaded.meta) == dict(rollout.meta)
+    assert loaded.figures.keys() == rollout.figures.keys()
+    assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
+    (again,) = loaded.plans
+    assert (again.step, again.agent_ids, again.chosen) == (5, plan.agent_ids, 2)
+    for name in ("samples", "graph", "ttc_s", "guided"):
+        assert (getattr(again, name) == getattr(plan, name)).all()
+
+
+def test_damaged_files_are_refused_and_pickles_are_not_run(driven, tmp_path):
+    path = tmp_path / "a.npz"
+    driven[1].save(path)
+    data = path.read_bytes()
+    for bad in (b"", data[: len(data) // 2], b"PK" + data[2:200], pickle.dumps({"a": 1})):
+        path.write_bytes(bad)
+        with pytest.raises(errors.DatasetError):
+            Rollout.load(path)
+    with path.open("wb") as file:
+        np.savez(file, head=np.array([{"format": 1}], object))
+    with pytest.raises(errors.DatasetError):
+        Rollout.load(path)
+    with pytest.raises(errors.DatasetNotFoundError):
+        Rollout.load(tmp_path / "b.npz")
+
+
+def test_as_a_scene_it_replays_itself(driven):
+    rollout = driven[1]
+    scene = rollout.to_scene("again")
+    assert (scene.name, scene.num_steps) == ("again", 30 + rollout.num_steps)
+    again = EgoEnv(scenes=[scene], driver="replay", traffic="replay", terminate_at_goal=False)
+    again.reset(seed=0)
+    rows = [rollout.agent_ids.index(i) for i in scene.agent_ids]
+    for t in range(rollout.num_steps - 1):  # an ego that arrives leaves the world
+        states = again.worlds.native.states(0)
+        there = states["active"] & rollout.valid[rows, t]
+        assert there[0]
+        assert there.sum() >= rollout.valid[rows, t].sum() - 2
+        assert (states["position"][there] == rollout.position[rows, t][there]).all()
+        _, _, terminated, truncated, _ = again.step(np.zeros(2, np.float32))
+        assert not (terminated or truncated) or t + 2 == rollout.num_steps
+
+
+def close(a, b):
+    return a.shape == b.shape and np.allclose(a, b, atol=2e-3)
+
+
+def test_scenarionet_gives_the_same_scene(driven, tmp_path):
+    rollout = driven[1]
+    rollout.to_scenarionet(tmp_path / "sd.pkl", "exported")
+    scene, loaded = rollout.to_scene("exported"), ccdiff_env.load_scenarionet(tmp_path)["exported"]
+    want, got = scene.tracks(), loaded.tracks()
+    kept = np.flatnonzero(want["valid"].sum(axis=1) >= 2)
+    assert loaded.agent_ids == [scene.agent_ids[i] for i in kept]
+    assert loaded.agent_types == [scene.agent_types[i] for i in kept]
+    assert loaded.agent_categories == [scene.agent_categories[i] for i in kept]
+    assert (loaded.dt, loaded.origin, loaded.token) == (scene.dt, scene.origin, scene.token)
+    assert (got["valid"] == want["valid"][kept]).all()
+    for name in ("position", "velocity"):
+        assert close(got[name], want[name][kept])
+    turn = got["heading"] - want["heading"][kept]
+    assert np.abs(np.angle(np.exp(1j * turn)))[got["valid"]].max() < 1e-5
+    ours, theirs = scene.map_layers(), loaded.map_layers()
+    for name in ("drivable_area", "walkways", "ped_crossings", "stop_lines", "carpark_areas"):
+        assert len(ours[name]) == len(theirs[name])
+        for a, b in zip(ours[name], theirs[name], strict=True):
+            assert close(a["exterior"], b["exterior"])
+    for a, b in zip(ours["lanes"], theirs["lanes"], strict=True):
+        assert (a["id"], a["kind"], a["successors"]) == (b["id"], b["kind"], b["successors"])
+    env = EgoEnv(scenes=[loaded], traffic="idm")
+    obs, _ = env.reset(seed=0)
+    assert np.isfinite(obs).all()
+
+
+def test_scenarionets_own_rules_hold(driven, tmp_path):
+    """First-level keys, state lengths and metadata as its sanity check asks for them."""
+    driven[1].to_scenarionet(tmp_path / "sd.pkl")
+    data = load_scenario_dict(tmp_path / "sd.pkl")
+    keys = {"tracks", "version", "id", "dynamic_map_states", "map_features", "length", "metadata"}
+    assert keys == set(data)
+    for key, track in data["tracks"].items():
+        assert {"type", "state", "metadata"} <= set(track)
+        assert {"type", "object_id", "track_length"} <= set(track["metadata"])
+        assert track["metadata"]["object_id"] == key
+        for values in track["state"].values():
+            assert isinstance(values, np.ndarray)
+            assert len(values) == data["length"]
+        assert track["state"]["position"].shape == (data["length"], 3)
+        assert (track["state"]["position"][~track["state"]["valid"]] == 0).all()
+    assert {"metadrive_processed", "coordinate", "ts"} <= set(data["metadata"])
+    assert len(data["metadata"]["ts"]) == data["length"]
+    assert data["metadata"]["sdc_id"] in data["tracks"]
+    lanes = [f for f in data["map_features"].values() if f["type"].startswith("LANE_")]
+    known = set(data["map_features"])
+    assert lanes
+    assert all(set(f["exit_lanes"]) <= known for f in lanes)
+
+
+def test_recording_stops_at_the_end_of_the_episode():
+    env = ccdiff_env.make_vec(
+        2, scenes="val", autoreset_mode="next_step", horizon_steps=3, terminate_at_goal=False
+    )
+    env.reset(seed=0)
+    recorder = Recorder(env, world_idx=1)
+    with pytest.raises(errors.ResetNeededError):
+        recorder.step()
+    recorder.start()
+    on = [(env.step(np.zeros((2, 2), np.float32)), recorder.step())[1] for _ in range(5)]
+    assert on == [True, True, True, False, False]
+    rollout = recorder.rollout()
+    assert rollout.num_steps == 4
+    assert "time_limit" in [event.kind for event in rollout.events if event.step == 3]
