@@ -65,10 +65,11 @@ def render_arrays(
 ) -> U8: ...
 def render_legend() -> list[tuple[str, tuple[int, int, int]]]: ...
 
+@final
 class Rollout:
-    def __init__(
-        self, dt_s: float, x: F32, y: F32, heading: F32, valid: Bool, size: F32
-    ) -> None: ...
+    def __new__(
+        cls, dt_s: float, x: F32, y: F32, heading: F32, valid: Bool, size: F32
+    ) -> Rollout: ...
     def collisions(
         self, controlled: Bool, log: Rollout | None
     ) -> tuple[
@@ -101,7 +102,6 @@ def metrics_speed_limit(speeds: F32) -> float | None: ...
 def metrics_total_variation(mean_one: F32, mean_other: F32, std_dev: F32) -> list[float]: ...
 def metrics_gradient_conflict(realism: F32, guidance: F32) -> tuple[list[float], float, float]: ...
 def metrics_pearson(x: F64, y: F64) -> tuple[float, float]: ...
-def __getattr__(name: str) -> Any: ...
 
 @final
 class Scene:
@@ -248,7 +248,9 @@ class Scene:
         """
 
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
-    def __eq__(self, other: object) -> bool: ...
+    def __copy__(self) -> Scene: ...
+    def __deepcopy__(self, _memo: dict[int, Any], /) -> Scene: ...
+    def __eq__(self, other: object, /) -> bool: ...
     def __hash__(self) -> int: ...
 
 def load_nuscenes(
@@ -267,9 +269,10 @@ def load_nuscenes(
     cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
 
+@final
 class Trainer:
-    def __init__(
-        self,
+    def __new__(
+        cls,
         scenes: list[Scene],
         held_out: list[Scene],
         model: str,
@@ -279,7 +282,7 @@ class Trainer:
         stride: int,
         smooth: bool,
         estimate: bool,
-    ) -> None: ...
+    ) -> Trainer: ...
     def run(self, steps: int) -> list[float]: ...
     def validate(
         self, count: int, *, solver_steps: int | None, num_samples: int, guidance_weight: float
@@ -297,8 +300,9 @@ class Trainer:
     @property
     def num_samples(self) -> int: ...
 
+@final
 class Planner:
-    def __init__(self, path: str, device: str) -> None: ...
+    def __new__(cls, path: str, device: str) -> Planner: ...
     @property
     def header(self) -> str: ...
     @property
@@ -332,14 +336,14 @@ _Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None]
 class VecWorld:
     """E worlds over scenes; one thread at a time, never in a forked child."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         scenes: Sequence[Scene],
         config: str,
         num_worlds: int,
         num_threads: int,
         trail_steps: int = 0,
-    ) -> None: ...
+    ) -> VecWorld: ...
     def reset(
         self,
         seeds: Sequence[int | None],

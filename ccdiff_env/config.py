@@ -158,9 +158,9 @@ class RewardConfig:
     #: At the step of a collision.
     collision: float = -10.0
     #: At each step with a corner off the road.
-    off_road: float = -1.0
+    off_road: float = -5.0
     #: Per unit of discomfort (see docs/architecture.md), at most 3, per step.
-    comfort: float = -0.02
+    comfort: float = -0.004
     #: Per m/s above the speed limit, per step.
     speed_limit: float = -0.05
     #: Per metre of distance from the route, at most 3, per step.

@@ -1,8 +1,9 @@
 """The project's main job in one command: train an ego, compare it, draw it.
 
-``python -m ccdiff_env.demo`` trains a stable-baselines3 PPO ego in reactive traffic on training scenes, drives it on
-held-out scenes beside constant velocity, IDM and log replay under the same rules, and leaves a table, a learning curve
-and an animation. Without a data set it uses the embedded scenes.
+``python -m ccdiff_env.demo`` trains a stable-baselines3 PPO ego in reactive traffic on training
+scenes, drives it on held-out scenes beside constant velocity, IDM and log replay under the same
+rules, and leaves a table, a learning curve and an animation. Without a data set it uses the
+embedded scenes.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ FIGURES = (
     ("route", "route_completion"),
 )
 #: Options that training and evaluation share.
-RULES: dict[str, Any] = {"traffic": "idm", "reward": {"off_road": -5.0, "comfort": -0.004}}
+RULES: dict[str, Any] = {"traffic": "idm"}
 NUM_ENVS = 32
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
@@ -46,7 +47,9 @@ def scenes_of(args: argparse.Namespace) -> tuple[Any, Any, str]:
     return train, test, f"nuScenes {args.version}"
 
 
-def evaluate(scenes: Any, *, act: Act | None = None, driver: str = "external") -> list[dict[str, Any]]:
+def evaluate(
+    scenes: Any, *, act: Act | None = None, driver: str = "external"
+) -> list[dict[str, Any]]:
     """Drive every scene once and return the figures of each episode.
 
     Parameters
@@ -63,7 +66,7 @@ def evaluate(scenes: Any, *, act: Act | None = None, driver: str = "external") -
     results: list[dict[str, Any]] = [{} for _ in scenes]
     open_worlds = np.ones(len(scenes), dtype=bool)
     collided = np.zeros(len(scenes), dtype=bool)
-    actions = np.zeros(env.action_space.shape, dtype=np.float32)
+    actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
     while open_worlds.any():
         if act is not None:
             actions = act(obs)
@@ -156,12 +159,12 @@ def draw_episode(scenes: Any, index: int, act: Act, path: Path) -> None:
 
     env = ccdiff_env.make_vec(1, scenes=scenes, render_mode="rgb_array", **RULES)
     obs, _ = env.reset(seed=0, options={"scene": [index]})
-    frames = [env.render()[0]]
+    frames = list(env.render() or ())
     done = False
     while not done:
         obs, _, terminated, truncated, _ = env.step(act(obs))
         done = bool(terminated[0] or truncated[0])
-        frames.append(env.render()[0])
+        frames += env.render() or ()
     env.close()
     save(frames, path, fps=10)
 
@@ -207,10 +210,12 @@ def main() -> None:
         for ego, rows in results.items():
             writer.writerows({"ego": ego, **row} for row in rows)
     draw_episode(test_scenes, 0, ppo, args.out / "episode.gif")
-    summary = {"scenes": name, "steps": args.steps, "seed": args.seed, "seconds": time.time() - start}
+    summary = {"scenes": name, "steps": args.steps, "seed": args.seed}
+    summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     print(f"\n{len(test_scenes)} held-out scenes, {RULES['traffic']} traffic:\n\n{text}\n")
-    print(f"results in {args.out}/: table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip")
+    files = "table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip"
+    print(f"results in {args.out}/: {files}")
 
 
 if __name__ == "__main__":

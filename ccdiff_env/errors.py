@@ -1,7 +1,7 @@
 """Exceptions of the package, raised from Python and from Rust.
 
-Every exception is a :class:`CcdiffError`, so one ``except`` clause catches what the package refuses; each is
-also the built-in kind that fits, so that generic handlers work.
+Every exception is a :class:`CcdiffError`, so one ``except`` clause catches what the package
+refuses; each is also the built-in kind that fits, so that generic handlers work.
 """
 
 from __future__ import annotations

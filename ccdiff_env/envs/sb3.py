@@ -1,4 +1,4 @@
-"""stable-baselines3's ``VecEnv`` over the native vector environment: no subprocess, no per-environment Python."""
+"""stable-baselines3's ``VecEnv`` over the native vector environment, without subprocesses."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from ccdiff_env.errors import ConfigError
 class SB3VecEnv(VecEnv):
     """The worlds of an :class:`EgoVectorEnv` as stable-baselines3 wants them.
 
-    Done worlds are reset within the step. Their info holds ``terminal_observation``, ``TimeLimit.truncated``
-    (truncated and not terminated), ``episode`` (``r``, ``l``, ``t`` as ``VecMonitor`` writes them), ``is_success`` and
-    the figures of the last step; the infos of the others hold ``TimeLimit.truncated`` alone.
+    Done worlds are reset within the step. Their info holds ``terminal_observation``,
+    ``TimeLimit.truncated`` (truncated and not terminated), ``episode`` (``r``, ``l``, ``t`` as
+    ``VecMonitor`` writes them), ``is_success`` and the figures of the last step; the infos of the
+    others hold ``TimeLimit.truncated`` alone.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
-        """Reset all worlds, with the seeds and options that :meth:`seed` and ``set_options`` left."""
+        """Reset all worlds, with the seeds and options of :meth:`seed` and ``set_options``."""
         seeds = [None if s is None else int(s) for s in self._seeds]
         options: dict[str, Any] = {}
         scenes = [o.get("scene") if isinstance(o, dict) else None for o in self._options]
@@ -120,7 +121,9 @@ class SB3VecEnv(VecEnv):
         """Set an attribute of the environment, which all worlds share."""
         setattr(self.env, attr_name, value)
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
         """Call a method of the environment once for each index.
 
         Methods that take the index of a world as first argument are not filled in: pass it.
@@ -129,7 +132,10 @@ class SB3VecEnv(VecEnv):
         return [method(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Whether each world is wrapped: episodes are monitored natively, so ``Monitor`` counts as present."""
+        """Whether each world is wrapped.
+
+        Episodes are monitored natively, so that ``Monitor`` counts as present.
+        """
         from stable_baselines3.common.monitor import Monitor
 
         return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]

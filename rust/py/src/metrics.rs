@@ -54,6 +54,9 @@ impl NativeRollout {
 type CollisionParts<'py> =
     (Bound<'py, PyArray2<u32>>, Vec<bool>, Vec<bool>, Vec<Option<&'static str>>, Vec<Vec<bool>>, Vec<f64>);
 
+/// Flags [A, T] of centre and box, then the rates of centre, box and parity.
+type OffRoadParts<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3]);
+
 #[pymethods]
 impl NativeRollout {
     #[new]
@@ -107,14 +110,13 @@ impl NativeRollout {
         ))
     }
 
-    /// Flags [A, T] of centre and box, then the rates of centre, box and parity.
     fn off_road<'py>(
         &self,
         py: Python<'py>,
         drivable: Vec<Rings>,
         counted: PyReadonlyArray1<'_, bool>,
         replan_steps: usize,
-    ) -> PyResult<(Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3])> {
+    ) -> PyResult<OffRoadParts<'py>> {
         let points = |ring: Vec<[f32; 2]>| ring.into_iter().map(Point2::from).collect();
         let polygons: Vec<Polygon> = drivable
             .into_iter()

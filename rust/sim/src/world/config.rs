@@ -107,8 +107,8 @@ impl Default for RewardConfig {
         Self {
             progress: 0.1,
             collision: -10.0,
-            off_road: -1.0,
-            comfort: -0.02,
+            off_road: -5.0,
+            comfort: -0.004,
             speed_limit: -0.05,
             lane_keeping: -0.02,
             goal: 2.0,

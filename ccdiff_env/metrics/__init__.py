@@ -1,0 +1,42 @@
+"""Evaluation metrics of recorded roll-outs, and the paper's scores.
+
+A recorded scene is a :class:`Rollout`: states of A agents over T steps. Rates over scenes are
+means of what its methods give per scene. Everything is computed by the Rust code that the running
+world uses; docs/evaluation.md defines each number and says where it differs from the paper.
+"""
+
+from __future__ import annotations
+
+from ccdiff_env.metrics.rollout import VARIANTS, Collisions, Displacement, OffRoad, Rollout
+from ccdiff_env.metrics.statistics import (
+    PAPER_BOUNDS,
+    ComfortDistance,
+    GradientConflict,
+    comfort_distance,
+    estimate_histograms,
+    generational_distance,
+    gradient_conflict,
+    pearson,
+    scores,
+    speed_limit,
+    total_variation,
+)
+
+__all__ = [
+    "PAPER_BOUNDS",
+    "VARIANTS",
+    "Collisions",
+    "ComfortDistance",
+    "Displacement",
+    "GradientConflict",
+    "OffRoad",
+    "Rollout",
+    "comfort_distance",
+    "estimate_histograms",
+    "generational_distance",
+    "gradient_conflict",
+    "pearson",
+    "scores",
+    "speed_limit",
+    "total_variation",
+]

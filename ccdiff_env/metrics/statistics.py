@@ -1,0 +1,237 @@
+"""Figures over scenes and methods: references, comfort distance, scores, correlations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.metrics.rollout import Rollout
+
+PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "scr": (0.31, 0.58),
+    "orr": (0.51, 12.21),
+    "fde": (3.20, 15.00),
+    "cfd": (1.88, 11.65),
+}
+"""Bounds over the paper's six methods and eleven columns: :func:`scores` on the paper's scale."""
+
+
+def speed_limit(speed: npt.ArrayLike) -> float:
+    """Return the 0.75 quantile of the speeds above 1 m/s, NaN where nobody moves.
+
+    Parameters
+    ----------
+    speed : any shape, metres per second; NaN is passed over.
+    """
+    values = np.ascontiguousarray(speed, dtype=np.float32).ravel()
+    limit = _native.metrics_speed_limit(values)
+    return float("nan") if limit is None else float(limit)
+
+
+def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.float64]:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != ndim or array.shape[-2:] != (3, 20):
+        raise ShapeError(f"{name} has shape {array.shape}, expected {['S'] * (ndim - 2)} + [3, 20]")
+    return array
+
+
+def estimate_histograms(
+    rollouts: Iterable[Rollout], *, axes: Literal["body", "parity"] = "body", stride: int = 5
+) -> npt.NDArray[np.float64]:
+    """Estimate the reference histograms [3, 20] from logs: the mean over scenes of
+    :meth:`Rollout.comfort`.
+
+    Scenes without a moving agent count as zeros, so that rows may sum to less than 1.
+    """
+    scenes = [rollout.comfort(axes=axes, stride=stride) for rollout in rollouts]
+    stacked = _histograms("rollouts", np.stack(scenes) if scenes else np.zeros((0, 3, 20)), 3)
+    mean: npt.NDArray[np.float64] = _native.metrics_comfort_mean(stacked)
+    return mean
+
+
+@dataclass(frozen=True)
+class ComfortDistance:
+    """Earth mover's distances of comfort histograms, not scaled."""
+
+    longitudinal: float
+    """Of longitudinal acceleration, m/s2."""
+    lateral: float
+    """Of lateral acceleration, m/s2."""
+    jerk: float
+    """Of jerk, m/s3."""
+    cfd: float
+    """Their mean, the comfort distance. The paper's figures are near 100 times this."""
+
+
+def comfort_distance(one: npt.ArrayLike, other: npt.ArrayLike) -> ComfortDistance:
+    """Compare two sets of histograms [3, 20], each row scaled to a sum of 1 first.
+
+    A row without any mass is infinitely far from everything.
+    """
+    rows, mean = _native.metrics_comfort_distance(
+        _histograms("one", one, 2), _histograms("other", other, 2)
+    )
+    longitudinal, lateral, jerk = rows
+    return ComfortDistance(longitudinal, lateral, jerk, mean)
+
+
+def scores(
+    *,
+    scr: npt.ArrayLike,
+    orr: npt.ArrayLike,
+    fde: npt.ArrayLike,
+    cfd: npt.ArrayLike,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Compute the controllability score (CS) and the realism score (RS) of tables of results.
+
+    CS is SCR scaled to [0, 1] by its bounds, RS one minus the mean of the scaled ORR, FDE and CFD.
+
+    Parameters
+    ----------
+    scr, orr, fde, cfd : one shape, usually [methods, columns].
+    bounds : (least, largest) per metric name; of the whole arrays for those not given. A score
+        depends on its bounds: compare only what shares them. :data:`PAPER_BOUNDS` are the paper's.
+
+    Returns
+    -------
+    cs, rs : in the shape of the tables. Not clipped where bounds are given.
+
+    Raises
+    ------
+    ShapeError
+        Where shapes differ.
+    ConfigError
+        For bounds of an unknown name, or that are not finite and in order.
+    """
+    tables = {"scr": scr, "orr": orr, "fde": fde, "cfd": cfd}
+    arrays = {name: np.asarray(table, dtype=np.float64) for name, table in tables.items()}
+    shape = arrays["scr"].shape
+    for name, array in arrays.items():
+        if array.shape != shape:
+            raise ShapeError(f"{name} has shape {array.shape}, expected {shape}")
+    given = None
+    if bounds is not None:
+        for name, (least, largest) in bounds.items():
+            if name not in tables:
+                raise ConfigError(f"bounds name {name!r}, expected one of {sorted(tables)}")
+            if not (np.isfinite(least) and np.isfinite(largest) and least <= largest):
+                raise ConfigError(
+                    f"bounds of {name} are {(least, largest)}, expected (least, largest)"
+                )
+        given = [bounds.get(name) for name in tables]
+    cs, rs = _native.metrics_scores(
+        arrays["scr"].ravel(),
+        arrays["orr"].ravel(),
+        arrays["fde"].ravel(),
+        arrays["cfd"].ravel(),
+        given,
+    )
+    return np.asarray(cs).reshape(shape), np.asarray(rs).reshape(shape)
+
+
+def generational_distance(
+    *, cs: npt.ArrayLike, rs: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Compute the generational distance and its inverse to the Pareto front of all methods.
+
+    Parameters
+    ----------
+    cs, rs : [methods, columns], larger is better.
+
+    Returns
+    -------
+    gd, igd : [methods]. GD is the root mean square distance of a method's points to the front of
+        the union, IGD that of the front to the method's points; smaller is better.
+    """
+    control = np.ascontiguousarray(cs, dtype=np.float64)
+    realism = np.ascontiguousarray(rs, dtype=np.float64)
+    if control.ndim != 2 or control.shape != realism.shape:
+        got = f"cs {control.shape} and rs {realism.shape}"
+        raise ShapeError(f"{got}, expected [methods, columns] both")
+    gd, igd = _native.metrics_generational_distance(control, realism)
+    return np.asarray(gd), np.asarray(igd)
+
+
+def total_variation(
+    mean_one: npt.ArrayLike, mean_other: npt.ArrayLike, std_dev: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """Compute the total-variation distance of Gaussians of equal variance, in [0, 1].
+
+    Parameters
+    ----------
+    mean_one, mean_other : [..., D].
+    std_dev : [D] or a number, one standard deviation per independent dimension.
+
+    Returns
+    -------
+    [...], erf(d / (2 sqrt 2)) with d the distance of the means in standard deviations.
+    """
+    one = np.asarray(mean_one, dtype=np.float32)
+    other = np.asarray(mean_other, dtype=np.float32)
+    if one.ndim == 0 or one.shape != other.shape:
+        raise ShapeError(f"means have shapes {one.shape} and {other.shape}, expected [..., D] both")
+    width = one.shape[-1]
+    if width == 0:
+        raise ShapeError("means have no dimension")
+    deviation = np.asarray(std_dev, dtype=np.float32)
+    if deviation.shape not in ((), (width,)):
+        raise ShapeError(f"std_dev has shape {deviation.shape}, expected ({width},) or a number")
+    deviation = np.ascontiguousarray(np.broadcast_to(deviation, (width,)))
+    distances = _native.metrics_total_variation(
+        np.ascontiguousarray(one.reshape(-1, width)),
+        np.ascontiguousarray(other.reshape(-1, width)),
+        deviation,
+    )
+    return np.asarray(distances, dtype=np.float64).reshape(one.shape[:-1])
+
+
+@dataclass(frozen=True)
+class GradientConflict:
+    """How far the gradients of realism and guidance pull against each other."""
+
+    cosine: npt.NDArray[np.float64]
+    """[A]: cosine between the two gradients, 0 where one is zero."""
+    conflict_share: float
+    """Share of the agents with a negative inner product."""
+    mean_negative_cosine: float
+    """Mean of the negative cosines with their sign turned, 0 where there is none."""
+
+
+def gradient_conflict(realism: npt.ArrayLike, guidance: npt.ArrayLike) -> GradientConflict:
+    """Compare two gradients per agent.
+
+    Parameters
+    ----------
+    realism, guidance : [A, ...], one shape.
+    """
+    one = np.asarray(realism, dtype=np.float32)
+    other = np.asarray(guidance, dtype=np.float32)
+    if one.ndim < 2 or one.shape != other.shape:
+        raise ShapeError(
+            f"gradients have shapes {one.shape} and {other.shape}, expected [A, ...] both"
+        )
+    rows = [
+        np.ascontiguousarray(g.reshape(len(g), int(np.prod(g.shape[1:])))) for g in (one, other)
+    ]
+    cosine, share, mean = _native.metrics_gradient_conflict(*rows)
+    return GradientConflict(np.asarray(cosine), share, mean)
+
+
+def pearson(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[float, float]:
+    """Compute Pearson's correlation r of paired samples and its two-sided p value.
+
+    Parameters
+    ----------
+    x, y : [N], at least three samples that vary.
+    """
+    first = np.ascontiguousarray(x, dtype=np.float64).ravel()
+    second = np.ascontiguousarray(y, dtype=np.float64).ravel()
+    r, p = _native.metrics_pearson(first, second)
+    return float(r), float(p)
