@@ -1,6 +1,7 @@
 """The compiled extension; arrays are C-contiguous."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, TypedDict, final
 
 import numpy as np
@@ -343,6 +344,7 @@ class VecWorld:
         num_worlds: int,
         num_threads: int,
         trail_steps: int = 0,
+        weights: Path | None = None,
     ) -> VecWorld: ...
     def reset(
         self,
@@ -357,6 +359,14 @@ class VecWorld:
 
     def step(self, actions: F32, out: _Arrays) -> None:
         """Advance all worlds by one step; actions [E, C, W]."""
+
+    def command(
+        self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
+    ) -> None:
+        """Hand wishes for a world's next plans to the policy that plans."""
+
+    def explain(self, world_idx: int) -> dict[str, Any] | None:
+        """Return the plan that a world follows, ``None`` before the first one."""
 
     def observe(self, world_idx: int, obs: F32) -> None:
         """Write the present observations [C, D] of a world."""

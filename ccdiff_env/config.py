@@ -16,11 +16,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.traffic import CcdiffConfig
 
 __all__ = [
     "ActionConfig",
     "ActionGrid",
     "BicycleLimits",
+    "CcdiffConfig",
     "DeltaPoseLimits",
     "IdmConfig",
     "ObservationConfig",
@@ -29,7 +31,7 @@ __all__ = [
     "WorldConfig",
 ]
 
-Driver: TypeAlias = Literal["external", "replay", "constant_velocity", "idm", "planned"]
+Driver: TypeAlias = Literal["external", "replay", "constant_velocity", "idm", "ccdiff"]
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 SceneOrder: TypeAlias = Literal["random", "sequential"]
@@ -235,6 +237,8 @@ class WorldConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     #: Intelligent driver model.
     idm: IdmConfig = field(default_factory=IdmConfig)
+    #: CCDiff, where it drives.
+    ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
     #: What happens to a world whose episode has ended.
     autoreset: Autoreset = "next_step"
     #: How the scene of an episode is chosen when the reset names none; sequential: world i of E
@@ -318,8 +322,9 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if origin is types.UnionType or origin is typing.Union:
         if value is None and type(None) in args:
             return None
-        if isinstance(value, Mapping) and set(value) == {"ids"}:
-            value = value["ids"]
+        for key in ("ids", "list"):
+            if isinstance(value, Mapping) and set(value) == {key}:
+                value = value[key]
         literal = next((a for a in args if typing.get_origin(a) is Literal), None)
         if isinstance(value, str) and literal is not None:
             return _fitting(path, value, literal, old)
@@ -331,6 +336,8 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
         return value
     if origin is tuple:
         return _tuple(path, value, args)
+    if origin is Mapping:
+        return _lists(path, value)
     if dataclasses.is_dataclass(hint):
         return _nested(path, value, typing.cast("type[Any]", hint), old)
     return _scalar(path, value, hint)
@@ -383,6 +390,13 @@ def _tuple(path: str, value: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(_scalar(f"{path}[{i}]", v, args[0]) for i, v in enumerate(values))
 
 
+def _lists(path: str, value: Any) -> dict[str, tuple[str, ...]]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"config: {path} is {value!r}, expected a name, or ids by scene name")
+    ids = (str, Ellipsis)
+    return {_scalar(path, k, str): _tuple(f"{path}[{k!r}]", v, ids) for k, v in value.items()}
+
+
 def _scalar(path: str, value: Any, kind: Any) -> Any:
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
         value = value.item()
@@ -413,4 +427,6 @@ def _plain(value: Any) -> Any:
             }
     if dataclasses.is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {"list": {name: list(ids) for name, ids in value.items()}}
     return list(value) if isinstance(value, tuple) else value

@@ -37,6 +37,11 @@ def shipped_weights() -> Path:
     return Path(__file__).parent / "data" / "ccdiff_fast.safetensors"
 
 
+def weights_path(weights: str | os.PathLike[str]) -> Path:
+    """Return the file of weights given by name (``"fast"``) or path."""
+    return shipped_weights() if weights == "fast" else Path(weights)
+
+
 @dataclass(frozen=True)
 class ScenePlan:
     """Plans for the vehicles of one scene at one step.

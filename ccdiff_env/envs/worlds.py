@@ -15,6 +15,7 @@ from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Layout, action_space, read_columns
 
@@ -26,9 +27,9 @@ Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
 SceneChoice: TypeAlias = str | int | None
 
 #: Who can drive the other vehicles.
-TRAFFIC = ("replay", "idm", "constant_velocity")
+TRAFFIC = ("replay", "idm", "constant_velocity", "ccdiff")
 #: Who can drive the controlled agents.
-DRIVERS = ("external", "idm", "replay", "constant_velocity")
+DRIVERS = ("external", "idm", "replay", "constant_velocity", "ccdiff")
 #: Batches from here on use all processors by default.
 PARALLEL_FROM = 64
 #: Past steps in pictures.
@@ -140,7 +141,12 @@ class Worlds:
         self.scenes = scenes
         self.config = config
         self.native = _native.VecWorld(
-            list(scenes), config.to_json(), num_worlds, num_threads, TRAIL_STEPS if trails else 0
+            list(scenes),
+            config.to_json(),
+            num_worlds,
+            num_threads,
+            TRAIL_STEPS if trails else 0,
+            weights_path(config.ccdiff.weights),
         )
         self.num_worlds = num_worlds
         self.num_slots = config.num_slots

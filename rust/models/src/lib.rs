@@ -24,6 +24,7 @@ pub mod raster;
 pub mod sampler;
 pub mod schedule;
 mod smooth;
+pub mod traffic;
 pub mod train;
 pub mod unicycle;
 

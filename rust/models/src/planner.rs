@@ -49,6 +49,8 @@ pub struct Planner {
     header: serde_json::Value,
     store: nn::VarStore,
     device: Device,
+    /// The network's configuration as features are built from it.
+    inputs: ModelConfig,
 }
 
 impl Planner {
@@ -74,7 +76,7 @@ impl Planner {
             store.freeze();
             checkpoint::fill(path, &tensors, "", &mut variables(&store))?;
             let schedule = Schedule::cosine(config.diffusion_steps)?;
-            Ok(Self { network, schedule, header, store, device })
+            Ok(Self { network, schedule, header, store, device, inputs: config })
         })
     }
 
@@ -86,6 +88,12 @@ impl Planner {
     /// The file's JSON header.
     pub fn header(&self) -> &serde_json::Value {
         &self.header
+    }
+
+    /// Replaces the thresholds of the graph G: infinite ones join all pairs.
+    pub fn set_graph_thresholds(&mut self, ttc_s: f32, distance_m: f32) {
+        self.inputs.ttc_threshold_s = ttc_s;
+        self.inputs.distance_threshold_m = distance_m;
     }
 
     /// Numbers in the network.
@@ -104,7 +112,7 @@ impl Planner {
     /// [`ModelError::Shape`] for windows of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[WorldView<'_>], options: SampleOptions) -> Result<Vec<Plan>> {
         let config = self.network.config();
-        let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, config);
+        let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {

@@ -151,6 +151,12 @@ impl MapBitmap {
         }
     }
 
+    /// Whether a point lies on the bitmap.
+    pub fn covers(&self, point: Point2) -> bool {
+        let (x, y) = self.to_px(point);
+        self.index(x, y).is_some()
+    }
+
     /// Cuts the layers round a pose into `out` [layers, size, size].
     pub fn crop_into(&self, pose: &Pose2, config: &MapConfig, out: &mut [u8]) {
         let size = config.size_px;

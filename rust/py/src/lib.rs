@@ -10,6 +10,7 @@ mod scene;
 mod scene_map;
 mod world;
 mod world_picture;
+mod world_plans;
 mod world_state;
 
 use pyo3::prelude::*;

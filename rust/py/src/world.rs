@@ -5,7 +5,10 @@ use crate::errors::{from_sim, py};
 use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::world_picture::{self, Shot, Trails};
+use crate::world_plans;
 use crate::world_state;
+use ccdiff_models::traffic::CcdiffConfig;
+use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
     COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
 };
@@ -15,6 +18,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Adds the classes and functions of this file to the module.
@@ -32,7 +36,9 @@ fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 /// The default configuration as JSON.
 #[pyfunction]
 fn default_world_config() -> PyResult<String> {
-    to_json(&WorldConfig::default())
+    let ccdiff =
+        serde_json::to_value(CcdiffConfig::default()).map_err(|e| py::ConfigError::new_err(e.to_string()))?;
+    to_json(&WorldConfig { ccdiff, ..WorldConfig::default() })
 }
 
 /// The schema of the figures of a step as JSON: name, unit and meaning of each column.
@@ -161,9 +167,9 @@ impl<'py> Outputs<'py> {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for pictures.
+    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `weights` drive traffic "ccdiff".
     #[new]
-    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0))]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, weights=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<PyRef<'_, PyScene>>,
@@ -171,11 +177,14 @@ impl PyVecWorld {
         num_worlds: usize,
         num_threads: usize,
         trail_steps: usize,
+        weights: Option<PathBuf>,
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
-        let build = || VecWorld::new(scenes, config, num_worlds, num_threads, None).map_err(from_sim);
-        let world = enter(py, build)?;
+        let world = enter(py, || {
+            let planned = world_plans::policy(&config, &scenes, weights)?;
+            VecWorld::new(scenes, config, num_worlds, num_threads, planned).map_err(from_sim)
+        })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         Ok(Self { world, trails, home: Home::here(), actions: Vec::new() })
     }
@@ -320,6 +329,24 @@ impl PyVecWorld {
         let metrics = self.world.metrics(world_idx).map_err(from_sim)?;
         let shape = [metrics.len(), NUM_METRICS];
         PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
+    }
+
+    /// Wishes for a world's next plans: agents to be guided, strength of the guidance.
+    #[pyo3(signature = (world_idx, *, guided, criticality))]
+    fn command(
+        &mut self,
+        world_idx: usize,
+        guided: Option<Vec<usize>>,
+        criticality: Option<f32>,
+    ) -> PyResult<()> {
+        self.home.check()?;
+        self.world.command(world_idx, Command { guided, criticality }).map_err(from_sim)
+    }
+
+    /// The plan that a world follows as a dictionary of new arrays; `None` before the first one of its episode.
+    fn explain<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let plan = self.world.explain(world_idx).map_err(from_sim)?;
+        plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
     /// Name of the driver of each agent.

@@ -105,7 +105,7 @@ fn colour(driver: Driver, is_ego: bool) -> Colour {
     match driver {
         _ if is_ego => Colour::Ego,
         Driver::External => Colour::External,
-        Driver::Planned => Colour::Ccdiff,
+        Driver::Ccdiff => Colour::Ccdiff,
         Driver::Idm => Colour::Idm,
         Driver::Replay => Colour::Replay,
         Driver::ConstantVelocity => Colour::ConstantVelocity,

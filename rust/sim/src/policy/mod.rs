@@ -5,10 +5,12 @@
 //! plan — log replay, constant velocity, IDM — implements `act` alone.
 
 mod constant_velocity;
+mod explanation;
 mod idm;
 mod replay;
 
 pub use constant_velocity::ConstantVelocity;
+pub use explanation::{Command, Explanation};
 pub use idm::Idm;
 pub use replay::Replay;
 
@@ -76,6 +78,20 @@ pub trait BackgroundPolicy: Send + Sync {
 
     /// Motion of one agent over the step.
     fn act(&self, world: &WorldView<'_>, agent_idx: usize) -> Motion;
+
+    /// Takes wishes for a world's next plans.
+    ///
+    /// # Errors
+    /// [`crate::SimError::Unknown`] for agents or wishes that the policy does not know.
+    fn command(&mut self, _world_idx: usize, _command: Command) -> Result<()> {
+        let expected = "a policy that takes commands".into();
+        Err(crate::SimError::Unknown { what: "command of policy", got: self.name().into(), expected })
+    }
+
+    /// The plan that a world follows, with what it was made from; `None` before the first one.
+    fn explain(&self, _world_idx: usize) -> Option<&Explanation> {
+        None
+    }
 
     /// Forgets the plan of a world that begins a new episode.
     fn reset_world(&mut self, _world_idx: usize) {}

@@ -19,18 +19,18 @@ pub enum Driver {
     ConstantVelocity = 2,
     /// Intelligent driver model along the agent's route.
     Idm = 3,
-    /// A policy from outside this crate, planned for all worlds at once.
-    Planned = 4,
+    /// CCDiff, or whatever policy is handed to the batch: it plans for all worlds at once.
+    Ccdiff = 4,
 }
 
 impl Driver {
     /// All drivers, in the order of their numbers.
     pub const ALL: [Self; 5] =
-        [Self::External, Self::Replay, Self::ConstantVelocity, Self::Idm, Self::Planned];
+        [Self::External, Self::Replay, Self::ConstantVelocity, Self::Idm, Self::Ccdiff];
 
     /// The name used in Python and in files.
     pub fn name(self) -> &'static str {
-        ["external", "replay", "constant_velocity", "idm", "planned"][self as usize]
+        ["external", "replay", "constant_velocity", "idm", "ccdiff"][self as usize]
     }
 }
 
@@ -234,6 +234,8 @@ pub struct WorldConfig {
     pub reward: RewardConfig,
     /// Intelligent driver model.
     pub idm: IdmConfig,
+    /// Options of the policy behind [`Driver::Ccdiff`], unread here; part of what snapshots are checked against.
+    pub ccdiff: serde_json::Value,
     /// Autoreset mode.
     pub autoreset: Autoreset,
     /// Choice of scenes.
@@ -261,6 +263,7 @@ impl Default for WorldConfig {
             observation: ObservationConfig::default(),
             reward: RewardConfig::default(),
             idm: IdmConfig::default(),
+            ccdiff: serde_json::Value::Null,
             autoreset: Autoreset::NextStep,
             scene_order: SceneOrder::Random,
         }

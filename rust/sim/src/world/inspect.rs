@@ -6,6 +6,7 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
+use crate::policy::{Command, Explanation};
 use crate::scene::Scene;
 use crate::state::AgentStates;
 use crate::world::tick::World;
@@ -33,6 +34,33 @@ pub struct WorldStatus<'a> {
 }
 
 impl VecWorld {
+    /// Hands wishes for a world's next plans to the policy that plans.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch whose policy takes no commands;
+    /// [`SimError::Config`] for a negative criticality.
+    pub fn command(&mut self, world_idx: usize, command: Command) -> Result<()> {
+        let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
+        if let Some(agent) = command.guided.iter().flatten().find(|a| **a >= num_agents) {
+            let expected = format!("an index below {num_agents}");
+            return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
+        }
+        if let Some(strength) = command.criticality.filter(|c| !c.is_finite() || *c < 0.0) {
+            let expected = "a finite number of at least 0".into();
+            return Err(SimError::Config { field: "criticality", got: strength.to_string(), expected });
+        }
+        self.policies.command(world_idx, command)
+    }
+
+    /// The plan that a world follows; `None` before the first one of its episode.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world that does not exist, or a batch whose policy does not plan.
+    pub fn explain(&self, world_idx: usize) -> Result<Option<&Explanation>> {
+        self.world(world_idx)?;
+        self.policies.explain(world_idx)
+    }
+
     /// Configuration.
     pub fn config(&self) -> &WorldConfig {
         &self.config

@@ -107,7 +107,7 @@ pub struct VecWorld {
 
 impl VecWorld {
     /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `planned` drives the agents whose
-    /// driver is [`Driver::Planned`]. `num_threads` 1 never leaves the calling thread.
+    /// driver is [`Driver::Ccdiff`]. `num_threads` 1 never leaves the calling thread.
     ///
     /// # Errors
     /// [`SimError::Config`] and [`SimError::Scene`] for what does not fit together: wrong step, a scene too short
@@ -132,10 +132,10 @@ impl VecWorld {
         if scenes.is_empty() {
             return bad("scenes", 0, "at least one scene");
         }
-        let planned_wanted = config.traffic == Driver::Planned || config.driver == Driver::Planned;
+        let planned_wanted = config.traffic == Driver::Ccdiff || config.driver == Driver::Ccdiff;
         if planned_wanted && planned.is_none() {
-            let expected = "a policy handed to the world for planned drivers".into();
-            return Err(SimError::Config { field: "traffic", got: "planned".into(), expected });
+            let expected = "a policy handed to the batch".into();
+            return Err(SimError::Config { field: "traffic", got: "ccdiff".into(), expected });
         }
         for scene in &scenes {
             check_scene(scene, &config)?;

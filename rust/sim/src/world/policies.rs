@@ -1,8 +1,13 @@
 //! The background policies of a batch of worlds, one for each driver.
 
-use crate::error::Result;
-use crate::policy::{BackgroundPolicy, ConstantVelocity, Idm, Replay, WorldView};
+use crate::error::{Result, SimError};
+use crate::policy::{BackgroundPolicy, Command, ConstantVelocity, Explanation, Idm, Replay, WorldView};
 use crate::world::config::Driver;
+
+fn no_planner() -> SimError {
+    let expected = "a batch with a policy that plans".into();
+    SimError::Unknown { what: "policy", got: "ccdiff".into(), expected }
+}
 
 /// One policy for each [`Driver`].
 pub(crate) struct Policies {
@@ -24,7 +29,7 @@ impl Policies {
         match driver {
             Driver::ConstantVelocity => &self.constant_velocity,
             Driver::Idm => &self.idm,
-            Driver::Planned => self.planned.as_deref().unwrap_or(&self.replay),
+            Driver::Ccdiff => self.planned.as_deref().unwrap_or(&self.replay),
             Driver::External | Driver::Replay => &self.replay,
         }
     }
@@ -43,6 +48,14 @@ impl Policies {
 
     pub(crate) fn plan(&mut self, worlds: &[WorldView<'_>]) -> Result<()> {
         self.planned.as_mut().map_or(Ok(()), |p| p.plan(worlds))
+    }
+
+    pub(crate) fn command(&mut self, world_idx: usize, command: Command) -> Result<()> {
+        self.planned.as_mut().map_or_else(|| Err(no_planner()), |p| p.command(world_idx, command))
+    }
+
+    pub(crate) fn explain(&self, world_idx: usize) -> Result<Option<&Explanation>> {
+        self.planned.as_ref().map(|p| p.explain(world_idx)).ok_or_else(no_planner)
     }
 
     pub(crate) fn reset_world(&mut self, world_idx: usize) {

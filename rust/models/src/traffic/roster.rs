@@ -1,0 +1,120 @@
+//! Who is planned for in a world, who of them may be guided, and in which order.
+
+use super::config::{CcdiffConfig, Frozen};
+use crate::error::Result;
+use crate::features::Window;
+use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
+use ccdiff_sim::causal::rank::RankInput;
+use ccdiff_sim::geom::Real;
+use ccdiff_sim::policy::{Command, WorldView};
+use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::world::Driver;
+
+/// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
+const STANDING_REACH_M: Real = 20.0;
+/// Logged speed below which a vehicle counts as standing, m/s (method.md 2.10).
+const STANDING_MPS: Real = 0.5;
+
+/// The vehicles of a world at a moment.
+pub(super) struct Roster {
+    /// Agents of the scene, one per row of the window, in the scene's order.
+    pub(super) agents: Vec<usize>,
+    /// Whether this policy drives the agent and it is free to move, by row.
+    ours: Vec<bool>,
+    /// Their states over the history.
+    pub(super) window: Window,
+}
+
+/// Which agents of a scene do not move in an episode.
+pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
+    let (scene, start) = (&world.scene.scene, world.config.history_steps);
+    (0..world.states.len())
+        .map(|a| match rule {
+            Frozen::Parked => world.scene.routes[a].is_parked(),
+            Frozen::Standing => {
+                scene.is_valid(a, start) && scene.tracks.velocity[scene.at(a, start)].norm() <= STANDING_MPS
+            }
+        })
+        .collect()
+}
+
+/// Agents that are to be guided: those asked for, else the first K of the ranking.
+pub(super) fn singled_out(ranking: &[usize], command: &Command, num_guided: Option<usize>) -> Vec<usize> {
+    match &command.guided {
+        Some(agents) => agents.iter().copied().filter(|a| ranking.contains(a)).collect(),
+        None => ranking.iter().copied().take(num_guided.unwrap_or(usize::MAX)).collect(),
+    }
+}
+
+impl Roster {
+    /// Vehicles that are there now: all that move, and the standing ones near them.
+    ///
+    /// # Errors
+    /// [`ccdiff_sim::SimError::Policy`] where the world keeps no history.
+    pub(super) fn new(world: &WorldView<'_>, frozen: &[bool], num_steps: usize) -> Result<Self> {
+        let states = world.states;
+        let is_there = |a: &usize| states.active[*a] && world.scene.kinds[*a] == AgentKind::Vehicle;
+        let there: Vec<usize> = (0..states.len()).filter(is_there).collect();
+        let near_moving = |a: usize| {
+            let p = states.position(a);
+            let mut moving = there.iter().filter(|b| !frozen[**b]);
+            moving.any(|b| (states.position(*b) - p).norm() < STANDING_REACH_M)
+        };
+        let agents: Vec<usize> = there.iter().copied().filter(|a| !frozen[*a] || near_moving(*a)).collect();
+        let ours = agents.iter().map(|a| world.drivers[*a] == Driver::Ccdiff && !frozen[*a]).collect();
+        let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
+            let message = "the world keeps too short a history".into();
+            ccdiff_sim::SimError::Policy { policy: "ccdiff".into(), message }
+        })?;
+        let mut window = Window { num_steps, ..Window::default() };
+        for &agent in &agents {
+            let body = &world.scene.scene.agents[agent];
+            window.length_m.push(body.length_m);
+            window.width_m.push(body.width_m);
+            for k in history.len() - num_steps..history.len() {
+                let past = history.at(agent, k);
+                window.x_m.push(past.position.x);
+                window.y_m.push(past.position.y);
+                window.heading_rad.push(past.heading_rad);
+                window.speed_mps.push(past.speed_mps);
+                window.valid.push(past.valid);
+            }
+        }
+        Ok(Self { agents, ours, window })
+    }
+
+    /// Whether this policy may drive an agent of the scene.
+    pub(super) fn is_ours(&self, agent_idx: usize) -> bool {
+        self.agents.iter().zip(&self.ours).any(|(a, ours)| *a == agent_idx && *ours)
+    }
+
+    /// Agents of the scene that may be guided, by falling importance.
+    ///
+    /// # Errors
+    /// What the ranker refuses.
+    pub(super) fn ranking(
+        &self,
+        world: &WorldView<'_>,
+        config: &CcdiffConfig,
+        attention: Option<&[Real]>,
+    ) -> Result<Vec<usize>> {
+        let (m, steps) = (self.agents.len(), self.window.num_steps);
+        let by_step = |v: &[Real]| -> Vec<Real> {
+            (0..steps).flat_map(|t| (0..m).map(move |a| v[a * steps + t])).collect()
+        };
+        let w = &self.window;
+        let (x, y) = (by_step(&w.x_m), by_step(&w.y_m));
+        let (heading, speed) = (by_step(&w.heading_rad), by_step(&w.speed_mps));
+        let valid: Vec<bool> = (0..steps).flat_map(|t| (0..m).map(move |a| w.valid[a * steps + t])).collect();
+        let history = AgentHistory::new(&x, &y, &heading, &speed, &w.length_m, &w.width_m, &valid)?;
+        let ttc: Vec<Real> = history.ttc_s(Ttc::Oriented).into_iter().map(normalised_ttc).collect();
+        let distance: Vec<Real> = history.distance_m()?.into_iter().map(normalised_distance).collect();
+        let now = vec![true; m];
+        let input =
+            RankInput { valid: &now, ttc: &ttc, distance: &distance, attention, ..RankInput::default() };
+        let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();
+        let ranker = config.ranker(&world.scene.scene.name, &ids, world.noise_seed);
+        let ranked = ranker.rank(&input, m)?;
+        Ok(ranked.agents.into_iter().filter(|row| self.ours[*row]).map(|row| self.agents[row]).collect())
+    }
+}
