@@ -24,7 +24,7 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
 #: Name of each number in :attr:`Rollout.drivers`.
-DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", "planned")
+DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", "ccdiff")
 #: Kinds of events.
 EVENT_KINDS = (
     "collision_front",

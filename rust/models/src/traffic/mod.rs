@@ -82,11 +82,11 @@ impl Ccdiff {
                 expected: "the step that the weights of traffic \"ccdiff\" were trained with",
             });
         }
-        if history_steps + 1 != model.history_steps {
+        if history_steps + 1 < model.history_steps {
             return Err(ModelError::Config {
                 field: "history_steps",
                 got: history_steps.to_string(),
-                expected: "the history that the weights of traffic \"ccdiff\" were trained with (30)",
+                expected: "at least the history that the weights of traffic \"ccdiff\" were trained with (30)",
             });
         }
         let blank = |s: &&Arc<Scene>| s.map.drivable_area.is_empty() && s.map.lanes.is_empty();
