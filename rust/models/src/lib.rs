@@ -16,6 +16,7 @@ pub mod dataset;
 pub mod error;
 pub mod features;
 pub mod grad;
+pub mod guidance;
 pub mod noise;
 mod optimiser;
 mod perturb;

@@ -7,13 +7,14 @@ use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
+use crate::guidance::{GuidanceConfig, GuidanceReport, Guide, Situation, WorldGuide};
 use crate::optimiser::variables;
 use crate::raster::MapBitmap;
-use crate::sampler::{self, SampleOptions};
+use crate::sampler::{self, SampleOptions, Samples, Solver, to_vec};
 use crate::schedule::Schedule;
 use rayon::prelude::*;
 use std::path::Path;
-use tch::{Device, Tensor, nn};
+use tch::{Device, Kind, Tensor, nn};
 
 /// What a planner is told about one world.
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +25,44 @@ pub struct WorldView<'a> {
     pub bitmap: Option<&'a MapBitmap>,
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
+    /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
+    pub guide: Option<WorldGuide<'a>>,
+}
+
+/// How plans are drawn.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PlanOptions {
+    /// The reverse process.
+    pub sampling: SampleOptions,
+    /// Guidance of the worlds that have a guide; `None`: of none.
+    pub guidance: Option<GuidanceConfig>,
+    /// Whether plans come with the attention between agents.
+    pub attention: bool,
+    /// Whether guided plans come with the statistics of gradients, at the cost of one gradient per objective and step.
+    pub gradient_statistics: bool,
+}
+
+impl From<SampleOptions> for PlanOptions {
+    /// Unguided.
+    fn from(sampling: SampleOptions) -> Self {
+        Self { sampling, ..Self::default() }
+    }
+}
+
+impl PlanOptions {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the field.
+    pub fn validated(self) -> Result<Self> {
+        let sampling = self.sampling.validated()?;
+        let guidance = self.guidance.map(GuidanceConfig::validated).transpose()?;
+        if guidance.is_some() && sampling.solver == (Solver::Ddim { steps: 1 }) {
+            let expected = "at least 2 with guidance, which acts on all denoising steps but the last";
+            return Err(ModelError::Config { field: "solver.steps", got: "1".into(), expected });
+        }
+        Ok(Self { sampling, guidance, ..self })
+    }
 }
 
 /// Plans of the agents of one world.
@@ -37,8 +76,31 @@ pub struct Plan {
     pub states: Vec<f32>,
     /// Samples N.
     pub num_samples: usize,
+    /// Losses, chosen samples, realism cost, gradient statistics; `None` for a world without guidance.
+    pub guidance: Option<GuidanceReport>,
+    /// Attention of agent i to the agents in its slots, [M, K] as in the features, if asked for: mean over heads, the
+    /// plan's executed tokens and samples, first edge-aware layer, last denoising step.
+    pub attention: Option<Vec<f32>>,
     /// Inputs the plan was made from: graph, times to contact, poses.
     pub features: SceneFeatures,
+}
+
+impl Plan {
+    /// Sample to follow for each agent, [M]: the chosen one, or the first where nothing was chosen.
+    pub fn chosen(&self) -> Vec<usize> {
+        self.guidance.as_ref().map_or_else(|| vec![0; self.agents.len()], |g| g.chosen.clone())
+    }
+
+    /// Attention [M, M] of row i to column j, 0 outside of G; `None` if not asked for.
+    pub fn attention_matrix(&self) -> Option<Vec<f32>> {
+        let (m, k) = (self.agents.len(), self.features.num_slots);
+        let slots = self.attention.as_ref()?;
+        let mut matrix = vec![0.0; m * m];
+        for (at, weight) in slots.iter().enumerate().filter(|(at, _)| self.features.joined[*at]) {
+            matrix[at / k * m + self.features.neighbours[at]] = *weight;
+        }
+        Some(matrix)
+    }
 }
 
 /// A loaded network.
@@ -109,8 +171,9 @@ impl Planner {
     /// Plans for all agents of all worlds: one network pass per denoising step for all of them.
     ///
     /// # Errors
-    /// [`ModelError::Shape`] for windows of the wrong length, [`ModelError::Config`] for bad options.
-    pub fn plan(&mut self, worlds: &[WorldView<'_>], options: SampleOptions) -> Result<Vec<Plan>> {
+    /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
+    pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
+        let options = options.clone().validated()?;
         let config = self.network.config();
         let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
@@ -118,45 +181,98 @@ impl Planner {
         } else {
             worlds.par_iter().map(build).collect::<Result<_>>()?
         };
-        let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
         let sizes: Vec<usize> = built.iter().map(|f| f.agents.len()).collect();
-        let rows: usize = sizes.iter().sum();
-        let n = options.num_samples;
-        let (actions, states) = if rows == 0 {
-            (Vec::new(), Vec::new())
+        let n = options.sampling.num_samples;
+        let mut guide = guide_of(worlds, &built, config, &options, &sizes)?;
+        let drawn = if sizes.iter().all(|s| *s == 0) {
+            Drawn::default()
         } else {
-            guarded(false, "planning", || {
-                let features: Vec<&SceneFeatures> = built.iter().collect();
-                let batch = Batch::new(&features, config, self.device)?;
-                let net = &self.network;
-                let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options)?;
-                let actions = net.actions(&knots);
-                let states = net.states(&knots, &batch.speed_mps.repeat([n as i64]));
-                Ok((to_vec(&actions), to_vec(&states)))
-            })?
+            let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
+            guarded(false, "planning", || self.draw(&built, &seeds, &options, guide.as_mut()))?
         };
+        let reports = match &guide {
+            Some(guide) => guide.report(&drawn.knots)?,
+            None => vec![None; worlds.len()],
+        };
+        let rows: usize = sizes.iter().sum();
         let steps = config.horizon_steps;
         let part = |all: &[f32], offset: usize, size: usize, width: usize| -> Vec<f32> {
             let samples = (0..n).map(|s| (s * rows + offset) * steps * width);
             samples.flat_map(|at| all[at..at + size * steps * width].iter().copied()).collect()
         };
-        let worlds = built.into_iter().zip(row_offsets(&sizes));
+        let worlds = built.into_iter().zip(row_offsets(&sizes)).zip(reports);
         Ok(worlds
-            .map(|(features, offset)| Plan {
-                actions: part(&actions, offset, features.agents.len(), 2),
-                states: part(&states, offset, features.agents.len(), 6),
+            .map(|((features, offset), guidance)| Plan {
+                actions: part(&drawn.actions, offset, features.agents.len(), 2),
+                states: part(&drawn.states, offset, features.agents.len(), 6),
                 agents: features.agents.clone(),
                 num_samples: n,
+                guidance,
+                attention: drawn.attention.as_ref().map(|all| {
+                    let width = all.len() / rows.max(1);
+                    let row = |m: usize| &all[(offset + m) * width..][..features.num_slots];
+                    (0..features.agents.len()).flat_map(|m| row(m).iter().copied()).collect()
+                }),
                 features,
             })
             .collect())
     }
+
+    /// Samples plans for all rows.
+    fn draw(
+        &self,
+        features: &[SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guide<'_>>,
+    ) -> Result<Drawn> {
+        let (net, n) = (&self.network, options.sampling.num_samples as i64);
+        let features: Vec<&SceneFeatures> = features.iter().collect();
+        let batch = Batch::new(&features, net.config(), self.device)?;
+        let Samples { knots, attention } =
+            sampler::sample(net, &self.schedule, &batch, seeds, options.sampling, guide)?;
+        let attention = options.attention.then(|| {
+            let (config, size) = (net.config(), attention.size());
+            let history = config.history_token_steps().len() as i64;
+            let executed = options.guidance.as_ref().and_then(|g| g.executed_steps);
+            let tokens = executed.map_or(config.num_knots(), |s| s.div_ceil(config.knot_stride));
+            let tokens = tokens.min(config.num_knots()) as i64;
+            let plan = attention.narrow(2, history, tokens).view([n, size[0] / n, size[1], tokens]);
+            to_vec(&plan.mean_dim([0i64, 3].as_slice(), false, Kind::Float))
+        });
+        Ok(Drawn {
+            actions: to_vec(&net.actions(&knots)),
+            states: to_vec(&net.states(&knots, &batch.speed_mps.repeat([n]))),
+            knots: to_vec(&knots),
+            attention,
+        })
+    }
 }
 
-fn to_vec(tensor: &Tensor) -> Vec<f32> {
-    let flat = tensor.to_device(Device::Cpu).contiguous();
-    let count = flat.numel();
-    let mut values = vec![0f32; count];
-    flat.view([-1]).copy_data(&mut values, count);
-    values
+/// Plans of all rows as numbers, sample by sample; empty without rows.
+#[derive(Debug, Default)]
+struct Drawn {
+    knots: Vec<f32>,
+    actions: Vec<f32>,
+    states: Vec<f32>,
+    attention: Option<Vec<f32>>,
+}
+
+/// Guidance of the worlds that have a guide; `None` without a configuration or any guide.
+fn guide_of<'a>(
+    worlds: &[WorldView<'a>],
+    features: &[SceneFeatures],
+    model: &ModelConfig,
+    options: &'a PlanOptions,
+    sizes: &[usize],
+) -> Result<Option<Guide<'a>>> {
+    let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
+        return Ok(None);
+    };
+    let situation = |(world, features): (&WorldView<'a>, &SceneFeatures)| {
+        world.guide.map(|g| Situation::new(&g, world.window, features, model, config)).transpose()
+    };
+    let situations = worlds.iter().zip(features).map(situation).collect::<Result<Vec<_>>>()?;
+    let samples = options.sampling.num_samples;
+    Guide::new(config, model, situations, sizes, samples, options.gradient_statistics).map(Some)
 }

@@ -1,12 +1,13 @@
-//! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity.
+//! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
 use crate::batch::{Batch, row_offsets};
 use crate::ccdiff::Network;
 use crate::error::{ModelError, Result};
+use crate::guidance::{Guide, GuideStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 /// How the reverse process is run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,7 +77,27 @@ fn noise(batch: &Batch, seeds: &[u64], stream: u64, samples: usize, per_row: usi
     out
 }
 
-/// Draws normalised knots [N · R, knots, 2] (sample by sample). `seeds` holds one seed per scene of the batch.
+/// What a sampling run gives.
+#[derive(Debug)]
+pub struct Samples {
+    /// Clean normalised knots [N · R, knots, 2], sample by sample.
+    pub knots: Tensor,
+    /// Attention of the last denoising step's conditional pass in the first edge-aware layer, mean of heads,
+    /// [N · R, K, tokens].
+    pub attention: Tensor,
+}
+
+/// From a noisy plan and the clean one predicted from it to the mean of the next one.
+struct Update {
+    k: usize,
+    from_x0: f64,
+    from_xk: f64,
+    /// Standard deviation of the step, or of the random step that it stands for.
+    sigma: f64,
+}
+
+/// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves plans in every step but the last, whose
+/// standard deviation is zero (as released, method.md 2.10).
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (method.md 2.8).
 ///
@@ -88,7 +109,8 @@ pub fn sample(
     batch: &Batch,
     seeds: &[u64],
     options: SampleOptions,
-) -> Result<Tensor> {
+    mut guide: Option<&mut Guide<'_>>,
+) -> Result<Samples> {
     let options = options.validated()?;
     if seeds.len() != batch.scene_sizes.len() {
         return Err(ModelError::Shape {
@@ -111,12 +133,21 @@ pub fn sample(
     let cond = repeat(batch);
     let w = options.guidance_weight;
     let uncond = (w > 1.0).then(|| repeat(&batch.with_identity_graph(network.config())));
-    let clean = |x: &Tensor, k: usize| {
+    let mut attention = Tensor::new();
+    let mut clean = |x: &Tensor, k: usize| {
         let steps = Tensor::full([rows], k as i64, (Kind::Int64, device));
-        let x0 = network.denoise(&cond, x, &steps);
+        let (x0, weights) = network.denoise_explained(&cond, x, &steps);
+        attention = weights;
         match &uncond {
             Some(context) => network.denoise(context, x, &steps) * (1.0 - w) + x0 * w,
             None => x0,
+        }
+    };
+    let mut mean = |x: &Tensor, update: &Update| -> Result<Tensor> {
+        let x0 = clean(x, update.k);
+        match guide.as_deref_mut().filter(|g| g.is_active() && update.sigma > 0.0) {
+            Some(guide) => guided_mean(guide, schedule, x, &x0, update),
+            None => Ok(x0 * update.from_x0 + x * update.from_xk),
         }
     };
     let mut x = normal(schedule.len() as u64);
@@ -124,7 +155,7 @@ pub fn sample(
         Solver::Ddpm => {
             for k in (0..schedule.len()).rev() {
                 let p = schedule.posterior(k);
-                x = clean(&x, k) * p.from_x0 + &x * p.from_xk;
+                x = mean(&x, &Update { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma })?;
                 if k > 0 {
                     x = &x + normal(k as u64) * p.sigma;
                 }
@@ -132,11 +163,46 @@ pub fn sample(
         }
         Solver::Ddim { steps } => {
             let ks = schedule.spaced(steps);
-            for (i, k) in ks.iter().enumerate() {
-                let (from_x0, from_xk) = schedule.ddim(*k, ks.get(i + 1).copied());
-                x = clean(&x, *k) * from_x0 + &x * from_xk;
+            for (i, &k) in ks.iter().enumerate() {
+                let to = ks.get(i + 1).copied();
+                let (from_x0, from_xk) = schedule.ddim(k, to);
+                x = mean(&x, &Update { k, from_x0, from_xk, sigma: schedule.jump_sigma(k, to) })?;
             }
         }
     }
-    Ok(x)
+    Ok(Samples { knots: x, attention })
+}
+
+/// The mean of a step with guidance on it, or on the clean plan that it is formed from.
+fn guided_mean(
+    guide: &mut Guide<'_>,
+    schedule: &Schedule,
+    x: &Tensor,
+    x0: &Tensor,
+    update: &Update,
+) -> Result<Tensor> {
+    let target = guide.config().target;
+    let score = guide.wants_score().then(|| {
+        let alpha_bar = schedule.alpha_bar[update.k];
+        to_vec(&((x0 * alpha_bar.sqrt() - x) / (1.0 - alpha_bar)))
+    });
+    let mean_of = |x0: &Tensor| x0 * update.from_x0 + x * update.from_xk;
+    let mut adjusted = |plan: &Tensor, gain: f64| -> Result<Tensor> {
+        let mut values = to_vec(plan);
+        guide.adjust(&mut values, GuideStep { sigma: update.sigma, gain, score: score.as_deref() })?;
+        Ok(Tensor::from_slice(&values).view_as(plan).to_device(plan.device()))
+    };
+    match target {
+        Target::Mu => adjusted(&mean_of(x0), 1.0),
+        Target::X0 => Ok(mean_of(&adjusted(x0, update.from_x0)?)),
+    }
+}
+
+/// The numbers of a tensor.
+pub(crate) fn to_vec(tensor: &Tensor) -> Vec<f32> {
+    let flat = tensor.to_device(Device::Cpu).contiguous();
+    let count = flat.numel();
+    let mut values = vec![0f32; count];
+    flat.view([-1]).copy_data(&mut values, count);
+    values
 }

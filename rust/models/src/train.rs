@@ -274,7 +274,7 @@ impl Trainer {
                 let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
                 let net = &self.average.network;
-                let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options)?;
+                let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options, None)?.knots;
                 let n = options.num_samples as i64;
                 let states = net.states(&knots, &batch.speed_mps.repeat([n]));
                 errors.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);

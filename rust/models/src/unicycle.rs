@@ -8,8 +8,8 @@ use ccdiff_sim::geom::math::wrap_angle;
 use tch::{Kind, Tensor};
 
 /// Bounds of acceleration (m/s²) and speed (m/s) of a plan.
-const ACCELERATION_MPS2: (f64, f64) = (-10.0, 8.0);
-const SPEED_MPS: (f64, f64) = (-10.0, 30.0);
+pub(crate) const ACCELERATION_MPS2: (f64, f64) = (-10.0, 8.0);
+pub(crate) const SPEED_MPS: (f64, f64) = (-10.0, 30.0);
 
 /// Rolls actions out from the origin, heading +x.
 ///

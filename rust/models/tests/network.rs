@@ -10,7 +10,7 @@ use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
-use ccdiff_models::planner::{Planner, WorldView};
+use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
 use ccdiff_models::sampler::{self, SampleOptions, Solver};
 use ccdiff_models::schedule::Schedule;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
@@ -158,9 +158,9 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     let scene = common::closing_pair();
     let bitmap = planner.bitmap(&scene);
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let view = WorldView { window: &window, bitmap: bitmap.as_ref(), seed: 1 };
+    let view = WorldView { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
     let options = SampleOptions { solver: Solver::Ddim { steps: 2 }, num_samples: 2, guidance_weight: 1.1 };
-    let plan = planner.plan(&[view], options).unwrap().remove(0);
+    let plan = planner.plan(&[view], &options.into()).unwrap().remove(0);
     assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * 52 * 2, 2 * 3 * 52 * 6));
     assert!(plan.states.iter().all(|v| v.is_finite()));
 }
@@ -198,7 +198,7 @@ fn a_worlds_samples_depend_on_its_own_seed_and_not_on_its_neighbours() {
     let draw = |scenes: &[&SceneFeatures], seeds: &[u64], solver, weight| {
         let batch = Batch::new(scenes, &config, Device::Cpu).unwrap();
         let options = SampleOptions { solver, num_samples: 2, guidance_weight: weight };
-        tch::no_grad(|| sampler::sample(&network, &schedule, &batch, seeds, options).unwrap())
+        tch::no_grad(|| sampler::sample(&network, &schedule, &batch, seeds, options, None).unwrap().knots)
     };
     let few = Solver::Ddim { steps: 4 };
     let alone = draw(&[&a], &[7], few, 1.0).view([2, 3, 13, 2]);
@@ -223,14 +223,14 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let mut planner = Planner::load(&path, Device::Cpu).unwrap();
     assert_eq!(planner.header()["notes"]["licence"], "test");
     let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
-    let view = WorldView { window: &window, bitmap: None, seed: 0 };
-    let short = planner.plan(&[view], SampleOptions::default()).unwrap_err();
+    let view = WorldView { window: &window, bitmap: None, seed: 0, guide: None };
+    let short = planner.plan(&[view], &PlanOptions::default()).unwrap_err();
     assert!(short.to_string().contains("expected 31"), "{short}");
     let bad = SampleOptions { guidance_weight: 0.4, ..SampleOptions::default() };
     assert!(matches!(bad.validated(), Err(ModelError::Config { field: "guidance_weight", .. })));
     let empty = Window { num_steps: 31, ..Window::default() };
-    let nobody = WorldView { window: &empty, bitmap: None, seed: 0 };
-    assert!(planner.plan(&[nobody], SampleOptions::default()).unwrap()[0].agents.is_empty());
+    let nobody = WorldView { window: &empty, bitmap: None, seed: 0, guide: None };
+    assert!(planner.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
 
     let mut bytes = std::fs::read(&path).unwrap();
     bytes.truncate(bytes.len() - 40);

@@ -257,9 +257,14 @@ fn plan_logged(
         .iter()
         .zip(&bitmaps)
         .zip(seeds)
-        .map(|((window, bitmap), seed)| WorldView { window, bitmap: bitmap.as_ref(), seed: *seed })
+        .map(|((window, bitmap), seed)| WorldView {
+            window,
+            bitmap: bitmap.as_ref(),
+            seed: *seed,
+            guide: None,
+        })
         .collect();
-    planner.plan(&worlds, options)
+    planner.plan(&worlds, &options.into())
 }
 
 /// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`

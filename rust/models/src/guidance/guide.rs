@@ -1,0 +1,348 @@
+//! Moving the plans of a batch down the guidance loss, in every denoising step.
+
+use super::config::{Clip, GuidanceConfig};
+use super::descent::Descent;
+use super::knots::KnotMap;
+use super::objective::Evaluation;
+use super::report::{GradientSums, GuidanceReport, choose_samples, total_variation};
+use super::rollout::{Rollout, StateGradient};
+use super::situation::Situation;
+use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use rayon::prelude::*;
+
+/// Jobs (one sample of one world) from which on the pool is used.
+const PARALLEL_JOBS: usize = 4;
+
+/// Guidance of a batch of worlds: N samples of R rows, all agents of all worlds. Made anew for every plan.
+#[derive(Debug)]
+pub struct Guide<'a> {
+    config: &'a GuidanceConfig,
+    knots: KnotMap,
+    /// 1 for knots that may be moved, per number of an agent's plan.
+    mask: Vec<f32>,
+    /// One per world; `None` is not guided.
+    worlds: Vec<Option<Situation<'a>>>,
+    sizes: Vec<usize>,
+    num_samples: usize,
+    /// Σ ‖δ‖²/σ² so far, [N · R].
+    shift_sq: Vec<f64>,
+    /// Gradient statistics so far, sample by sample, if asked for.
+    sums: Option<Vec<GradientSums>>,
+}
+
+/// A denoising step as guidance sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct GuideStep<'s> {
+    /// Standard deviation σ of the step, normalised units; of the random step that a deterministic one stands for.
+    pub sigma: f64,
+    /// How much of a move reaches the step's mean: 1 if the mean itself is moved, the coefficient of x₀ if that is.
+    pub gain: f64,
+    /// Score of the denoising process [N · R, knots, 2], for the gradient statistics.
+    pub score: Option<&'s [f32]>,
+}
+
+/// One sample of one world.
+struct Job<'j, 'a> {
+    situation: &'j Situation<'a>,
+    knots: &'j mut [f32],
+    shift_sq: &'j mut [f64],
+    /// Sums of the gradient statistics and the score, if asked for.
+    watch: Option<(&'j mut GradientSums, &'j [f32])>,
+}
+
+/// Scratch of one job.
+struct Scratch {
+    actions: Vec<f32>,
+    of_actions: Vec<f32>,
+    of_knots: Vec<f32>,
+    losses: Vec<f32>,
+    plan: Rollout,
+    of_states: StateGradient,
+}
+
+impl Scratch {
+    fn new(situation: &Situation<'_>, knots: &KnotMap) -> Self {
+        let (m, t) = (situation.num_agents(), situation.num_steps);
+        Self {
+            actions: vec![0.0; 2 * t],
+            of_actions: vec![0.0; 2 * t],
+            of_knots: vec![0.0; knots.width()],
+            losses: vec![0.0; m],
+            plan: Rollout::zeros(m, t),
+            of_states: StateGradient::zeros(m, t),
+        }
+    }
+
+    fn roll(&mut self, situation: &Situation<'_>, map: &KnotMap, agent: usize, knots: &[f32]) {
+        let width = map.width();
+        map.actions(&knots[agent * width..(agent + 1) * width], &mut self.actions);
+        self.plan.roll(situation, agent, &self.actions);
+    }
+
+    fn pull_back(&mut self, situation: &Situation<'_>, map: &KnotMap, agent: usize) {
+        self.plan.pull_back(situation, agent, &self.of_states, &mut self.of_actions);
+        map.pull_back(&self.of_actions, &mut self.of_knots);
+    }
+}
+
+impl<'a> Guide<'a> {
+    /// Guidance of `sizes.len()` worlds with that many agents each. `statistics` turns the gradient statistics on.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] where worlds and sizes do not fit.
+    pub fn new(
+        config: &'a GuidanceConfig,
+        model: &ModelConfig,
+        worlds: Vec<Option<Situation<'a>>>,
+        sizes: &[usize],
+        num_samples: usize,
+        statistics: bool,
+    ) -> Result<Self> {
+        let found: Vec<usize> =
+            worlds.iter().zip(sizes).map(|(w, s)| w.as_ref().map_or(*s, Situation::num_agents)).collect();
+        if worlds.len() != sizes.len() || found != sizes {
+            let (got, expected) = (format!("{found:?}"), format!("{sizes:?}"));
+            return Err(ModelError::Shape { what: "agents of the guided worlds", got, expected });
+        }
+        let knots = KnotMap::new(model);
+        let mask = knots.mask(config.executed_steps).into_iter().flat_map(|m| [m, m]).collect();
+        let rows: usize = sizes.iter().sum();
+        let sums = statistics.then(|| {
+            let empty = |size: &usize| GradientSums::new(*size, config.objectives.len());
+            (0..num_samples).flat_map(|_| sizes.iter().map(empty)).collect()
+        });
+        Ok(Self {
+            config,
+            knots,
+            mask,
+            worlds,
+            sizes: sizes.to_vec(),
+            num_samples,
+            shift_sq: vec![0.0; num_samples * rows],
+            sums,
+        })
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &'a GuidanceConfig {
+        self.config
+    }
+
+    /// Whether a denoising step has anything to do for it.
+    pub fn is_active(&self) -> bool {
+        let guides = |s: &Situation<'_>| s.guided.iter().any(|g| *g);
+        !self.config.objectives.is_empty()
+            && (self.wants_score()
+                || (self.config.gradient_steps > 0 && self.worlds.iter().flatten().any(guides)))
+    }
+
+    /// Whether the gradient statistics were asked for.
+    pub fn wants_score(&self) -> bool {
+        self.sums.is_some()
+    }
+
+    /// Moves normalised knots [N · R, knots, 2] (sample by sample), each world and sample for itself. Rows that are not
+    /// guided and knots that are not executed keep their bits.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for knots or a score of another length.
+    pub fn adjust(&mut self, knots: &mut [f32], step: GuideStep<'_>) -> Result<()> {
+        let width = self.knots.width();
+        let expected = self.shift_sq.len() * width;
+        for (what, got) in [("knots", knots.len()), ("score", step.score.map_or(expected, <[f32]>::len))] {
+            if got != expected {
+                let (got, expected) = (got.to_string(), expected.to_string());
+                return Err(ModelError::Shape { what, got, expected });
+            }
+        }
+        if !(step.sigma > 0.0 && step.gain > 0.0) {
+            return Ok(());
+        }
+        let mut jobs = Vec::with_capacity(self.num_samples * self.sizes.len());
+        let (mut knots, mut shifts, mut at) = (knots, self.shift_sq.as_mut_slice(), 0);
+        let mut sums = self.sums.as_mut().map(|s| s.iter_mut());
+        for _ in 0..self.num_samples {
+            for (situation, size) in self.worlds.iter().zip(&self.sizes) {
+                let (part, rest) = knots.split_at_mut(size * width);
+                let (shift_sq, other) = shifts.split_at_mut(*size);
+                let score = step.score.map(|s| &s[at * width..(at + size) * width]);
+                let sums = sums.as_mut().and_then(Iterator::next);
+                (knots, shifts, at) = (rest, other, at + size);
+                if let Some(situation) = situation {
+                    jobs.push(Job { situation, knots: part, shift_sq, watch: sums.zip(score) });
+                }
+            }
+        }
+        let (config, map, mask) = (self.config, &self.knots, self.mask.as_slice());
+        let run = |job: Job<'_, '_>| {
+            let mut scratch = Scratch::new(job.situation, map);
+            if let Some((sums, score)) = job.watch {
+                sums.add(&gradients_of(config, map, job.situation, job.knots, &mut scratch), score, width);
+            }
+            adjust_world(config, map, mask, job.situation, job.knots, job.shift_sq, step, &mut scratch);
+        };
+        if jobs.len() < PARALLEL_JOBS {
+            jobs.into_iter().for_each(run);
+        } else {
+            jobs.into_par_iter().for_each(run);
+        }
+        Ok(())
+    }
+
+    /// Gradient of each weighted objective, w · mean over agents of the loss, with respect to all knots of one sample of a
+    /// world: [J][M, knots, 2]. No mask is applied. Empty for a world without guidance.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for a world that is not there or knots of another length.
+    pub fn gradients(&self, world: usize, knots: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let expected = self.sizes.get(world).map(|s| s * self.knots.width());
+        if expected != Some(knots.len()) {
+            let (got, expected) = (knots.len().to_string(), format!("{expected:?} of world {world}"));
+            return Err(ModelError::Shape { what: "knots", got, expected });
+        }
+        Ok(self.worlds[world].as_ref().map_or_else(Vec::new, |situation| {
+            let mut scratch = Scratch::new(situation, &self.knots);
+            gradients_of(self.config, &self.knots, situation, knots, &mut scratch)
+        }))
+    }
+
+    /// What guidance did, given the finished plans [N · R, knots, 2]: one report per guided world.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for knots of another length.
+    pub fn report(&self, knots: &[f32]) -> Result<Vec<Option<GuidanceReport>>> {
+        let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
+        if knots.len() != self.shift_sq.len() * width {
+            let (got, expected) = (knots.len().to_string(), (self.shift_sq.len() * width).to_string());
+            return Err(ModelError::Shape { what: "knots", got, expected });
+        }
+        let offsets: Vec<usize> = crate::batch::row_offsets(&self.sizes);
+        let of_world = |(world, situation): (usize, &Option<Situation<'a>>)| {
+            let situation = situation.as_ref()?;
+            let (m, n) = (self.sizes[world], self.num_samples);
+            let mut losses = vec![0.0; self.config.objectives.len() * n * m];
+            let mut scratch = Scratch::new(situation, &self.knots);
+            for sample in 0..n {
+                let first = sample * rows + offsets[world];
+                let part = &knots[first * width..(first + m) * width];
+                (0..m).for_each(|a| scratch.roll(situation, &self.knots, a, part));
+                for (j, objective) in self.config.objectives.iter().enumerate() {
+                    let at = (j * n + sample) * m;
+                    objective.evaluate(
+                        situation,
+                        &scratch.plan,
+                        &mut Evaluation {
+                            losses: &mut losses[at..at + m],
+                            gradient: &mut scratch.of_states,
+                            wanted: &vec![true; m],
+                            scale: 0.0,
+                        },
+                    );
+                }
+            }
+            let chosen = choose_samples(self.config, &losses, n, m);
+            let shift = |a: usize| self.shift_sq[chosen[a] * rows + offsets[world] + a].sqrt();
+            let sums = self
+                .sums
+                .as_ref()
+                .map(|sums| (0..n).map(|s| sums[s * self.sizes.len() + world].clone()).collect::<Vec<_>>());
+            Some(GuidanceReport {
+                realism_cost: (0..m).map(|a| total_variation(shift(a)) as f32).collect(),
+                shift_sigmas: (0..m).map(|a| shift(a) as f32).collect(),
+                conflict: sums.and_then(|s| GradientSums::statistics(&s)),
+                losses,
+                chosen,
+            })
+        };
+        Ok(self.worlds.par_iter().enumerate().map(of_world).collect())
+    }
+}
+
+/// Moves the guided rows of one sample of one world.
+fn adjust_world(
+    config: &GuidanceConfig,
+    map: &KnotMap,
+    mask: &[f32],
+    situation: &Situation<'_>,
+    knots: &mut [f32],
+    shift_sq: &mut [f64],
+    step: GuideStep<'_>,
+    scratch: &mut Scratch,
+) {
+    let (m, width) = (situation.num_agents(), map.width());
+    let rows: Vec<usize> = (0..m).filter(|a| situation.guided[*a]).collect();
+    if rows.is_empty() || config.gradient_steps == 0 {
+        return;
+    }
+    let limit = match config.clip {
+        Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
+        Clip::Norm => f64::from(config.clip_limit),
+    };
+    let before = knots.to_vec();
+    let part = |a: usize| a * width..(a + 1) * width;
+    let mut descents: Vec<Descent<'_>> =
+        rows.iter().map(|a| Descent::new(config, &before[part(*a)], limit as f32)).collect();
+    (0..m).for_each(|a| scratch.roll(situation, map, a, knots));
+    for turn in 0..config.gradient_steps {
+        if turn > 0 {
+            rows.iter().for_each(|a| scratch.roll(situation, map, *a, knots));
+        }
+        scratch.of_states.clear();
+        for objective in &config.objectives {
+            objective.evaluate(
+                situation,
+                &scratch.plan,
+                &mut Evaluation {
+                    losses: &mut scratch.losses,
+                    gradient: &mut scratch.of_states,
+                    wanted: &situation.guided,
+                    scale: objective.weight() / m as f32,
+                },
+            );
+        }
+        for (a, descent) in rows.iter().zip(&mut descents) {
+            scratch.pull_back(situation, map, *a);
+            scratch.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
+            descent.step(&scratch.of_knots, &mut knots[part(*a)]);
+        }
+    }
+    for a in rows {
+        let moved = knots[part(a)].iter().zip(&before[part(a)]);
+        let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
+        shift_sq[a] += squared * (step.gain / step.sigma).powi(2);
+    }
+}
+
+/// Weighted gradients of the objectives, [J][M, knots, 2].
+fn gradients_of(
+    config: &GuidanceConfig,
+    map: &KnotMap,
+    situation: &Situation<'_>,
+    knots: &[f32],
+    scratch: &mut Scratch,
+) -> Vec<Vec<f32>> {
+    let (m, width) = (situation.num_agents(), map.width());
+    let wanted = vec![true; m];
+    (0..m).for_each(|a| scratch.roll(situation, map, a, knots));
+    let of = |objective: &super::Objective| {
+        scratch.of_states.clear();
+        objective.evaluate(
+            situation,
+            &scratch.plan,
+            &mut Evaluation {
+                losses: &mut scratch.losses,
+                gradient: &mut scratch.of_states,
+                wanted: &wanted,
+                scale: objective.weight() / m as f32,
+            },
+        );
+        let mut out = vec![0.0; m * width];
+        for (agent, out) in out.chunks_exact_mut(width).enumerate() {
+            scratch.pull_back(situation, map, agent);
+            out.copy_from_slice(&scratch.of_knots);
+        }
+        out
+    };
+    config.objectives.iter().map(of).collect()
+}

@@ -1,0 +1,31 @@
+//! Guidance: moving plans, while they are denoised, towards what a user wants of them (method.md 2.11).
+//!
+//! ```text
+//! GuidanceConfig, WorldGuide ─► Situation ─► Guide::adjust in each denoising step ─► Guide::report
+//!                                             knots ─► Rollout ─► Objective::evaluate
+//!                                             knots ◄─ pull_back ◄─ StateGradient
+//! ```
+//! Plain numbers, no tensors: gradients of losses on states go through the unicycle analytically, for each sample of each world
+//! in parallel. total = Σ_j w_j · mean over agents of loss_j is minimised; a mask per agent and one per knot multiply its
+//! gradient, so what is not guided keeps its bits.
+//!
+//! Differs from the paper: key agents are given per plan, not ranked anew in every denoising step; each sample has its own
+//! descent, so the number of samples does not change a plan. Through the network's attention, agents that are not guided may
+//! answer to those that are, one denoising step later.
+
+mod config;
+mod descent;
+mod guide;
+mod knots;
+mod objective;
+mod report;
+mod rollout;
+mod situation;
+
+pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, Target};
+pub use guide::{Guide, GuideStep};
+pub use knots::KnotMap;
+pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};
+pub use report::{GradientStatistics, GuidanceReport, choose_samples};
+pub use rollout::{Rollout, StateGradient};
+pub use situation::{MOVING_MPS, Situation, WorldGuide};

@@ -1,0 +1,66 @@
+//! Overlap of vehicles as disks, as released (method.md 2.11).
+//!
+//! D_ij = W_i/2 + W_j/2 + buffer; d_ij(t) = least distance of their disks; pen_ij(t) = max(0, 1 - d_ij(t) / D_ij);
+//! loss_i = (1/M) Σ_j Σ_t w_t pen_ij(t), w_t = γ^t / Σ γ^t; 0 for agents that stand now.
+//! Gradient: ∂pen/∂d = -1/D through the nearest pair of disks; none before the disks are within the buffer.
+//! Source: released CCDiff (2 disks, buffer 0.2 m).
+
+use super::Evaluation;
+use super::disks::{Disks, for_pairs};
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the collision loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AgentCollision {
+    /// Signed weight; negative seeks collisions.
+    pub weight: f32,
+    /// Disks per vehicle.
+    pub num_disks: usize,
+    /// Added to the distance at which disks touch, metres.
+    pub buffer_m: f32,
+}
+
+impl Default for AgentCollision {
+    fn default() -> Self {
+        Self { weight: -50.0, num_disks: 2, buffer_m: 0.2 }
+    }
+}
+
+impl AgentCollision {
+    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let disks = Disks::new(situation, plan, self.num_disks);
+        let share = 1.0 / situation.num_agents().max(1) as f32;
+        let wanted = out.wanted;
+        for_pairs(situation, wanted, |(i, j), moves| {
+            let touch_m = 0.5 * (situation.width_m[i] + situation.width_m[j]) + self.buffer_m;
+            let reach_m = touch_m + disks.reach_m[i] + disks.reach_m[j];
+            if !disks.may_meet(i, j, reach_m) {
+                return;
+            }
+            let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
+            let mut penalty = 0.0;
+            for t in 0..plan.num_steps {
+                let (at_i, at_j) = (i * plan.num_steps + t, j * plan.num_steps + t);
+                let (dx, dy) = (plan.x_m[at_j] - plan.x_m[at_i], plan.y_m[at_j] - plan.y_m[at_i]);
+                if dx * dx + dy * dy > reach_m * reach_m {
+                    continue;
+                }
+                let nearest =
+                    disks.pairs(plan, (i, j), t).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
+                let Some(pair) = nearest.filter(|p| p.distance_m <= touch_m) else { continue };
+                let weight = share * situation.step_weights[t];
+                penalty += weight * (1.0 - pair.distance_m / touch_m);
+                let derivative = -out.scale * both * weight / touch_m;
+                pair.add_gradient(plan, (i, j), t, derivative, moves, out);
+            }
+            for (agent, moves) in [(i, moves.0), (j, moves.1)] {
+                if moves {
+                    out.losses[agent] += penalty;
+                }
+            }
+        });
+    }
+}

@@ -1,0 +1,62 @@
+//! Closeness of vehicles, with a gradient before contact.
+//!
+//! Differs from the paper: ours. The collision loss of the paper has no gradient until two bodies are within 0.2 m of
+//! touching, so with a negative weight it can only deepen a contact that a sample already has (method.md 2.11).
+//!
+//! With c_ij(t) the distances of the disks' centres (all pairs of disks, not the nearest alone, so that it is smooth):
+//! loss_i = (1/M) Σ_j Σ_t w_t mean over disk pairs of max(0, 1 - c_ij(t) / reach)³, w_t = γ^t / Σ γ^t; 0 for agents that
+//! stand now. Between 0 (all beyond the reach) and 1; the gradient grows towards contact, and is continuous.
+
+use super::Evaluation;
+use super::disks::{Disks, for_pairs};
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the closeness loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Approach {
+    /// Signed weight; negative draws vehicles together.
+    pub weight: f32,
+    /// Distance from which on there is no pull, metres.
+    pub reach_m: f32,
+    /// Disks per vehicle.
+    pub num_disks: usize,
+}
+
+impl Default for Approach {
+    fn default() -> Self {
+        Self { weight: -10.0, reach_m: 20.0, num_disks: 2 }
+    }
+}
+
+impl Approach {
+    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let disks = Disks::new(situation, plan, self.num_disks);
+        let share = 1.0 / (situation.num_agents().max(1) * self.num_disks * self.num_disks) as f32;
+        let wanted = out.wanted;
+        for_pairs(situation, wanted, |(i, j), moves| {
+            let reach_m = self.reach_m + disks.reach_m[i] + disks.reach_m[j];
+            if !disks.may_meet(i, j, reach_m) {
+                return;
+            }
+            let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
+            let mut closeness = 0.0;
+            for t in 0..plan.num_steps {
+                let weight = share * situation.step_weights[t];
+                for pair in disks.pairs(plan, (i, j), t).filter(|p| p.distance_m < self.reach_m) {
+                    let near = 1.0 - pair.distance_m / self.reach_m;
+                    closeness += weight * near * near * near;
+                    let derivative = -3.0 * out.scale * both * weight * near * near / self.reach_m;
+                    pair.add_gradient(plan, (i, j), t, derivative, moves, out);
+                }
+            }
+            for (agent, moves) in [(i, moves.0), (j, moves.1)] {
+                if moves {
+                    out.losses[agent] += closeness;
+                }
+            }
+        });
+    }
+}

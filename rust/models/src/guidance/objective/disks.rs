@@ -1,0 +1,120 @@
+//! Vehicles as rows of disks: radius W/2, centres evenly spaced on [-(L/2 - W/2), L/2 - W/2] along the body axis.
+
+use super::Evaluation;
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+
+/// Disks of all agents of a world and where their plans go.
+pub(super) struct Disks {
+    /// Centres along the body axis, metres, [M, disks].
+    offsets_m: Vec<f32>,
+    num_disks: usize,
+    /// Largest offset of each agent, [M].
+    pub(super) reach_m: Vec<f32>,
+    /// Least and largest x and y of each plan, [M].
+    bounds: Vec<[f32; 4]>,
+}
+
+/// One pair of disks at one step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct DiskPair {
+    /// Distance of the centres, metres.
+    pub(super) distance_m: f32,
+    /// From the first to the second, unit length; zero where the centres coincide.
+    direction: (f32, f32),
+    offsets_m: (f32, f32),
+}
+
+impl Disks {
+    pub(super) fn new(situation: &Situation<'_>, plan: &Rollout, num_disks: usize) -> Self {
+        let m = situation.num_agents();
+        let reach = |a: usize| (0.5 * (situation.length_m[a] - situation.width_m[a])).max(0.0);
+        let place = |k: usize| match num_disks {
+            1 => 0.0,
+            n => 2.0 * k as f32 / (n - 1) as f32 - 1.0,
+        };
+        let bounds = (0..m).map(|a| {
+            let steps = a * plan.num_steps..(a + 1) * plan.num_steps;
+            let range = |v: &[f32]| v.iter().fold((f32::MAX, f32::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
+            let (x, y) = (range(&plan.x_m[steps.clone()]), range(&plan.y_m[steps]));
+            [x.0, x.1, y.0, y.1]
+        });
+        Self {
+            offsets_m: (0..m).flat_map(|a| (0..num_disks).map(move |k| place(k) * reach(a))).collect(),
+            num_disks,
+            reach_m: (0..m).map(reach).collect(),
+            bounds: bounds.collect(),
+        }
+    }
+
+    /// Whether the centres of two plans can come nearer than this at all.
+    pub(super) fn may_meet(&self, i: usize, j: usize, distance_m: f32) -> bool {
+        let ([a, b, c, d], [e, f, g, h]) = (self.bounds[i], self.bounds[j]);
+        e - b < distance_m && a - f < distance_m && g - d < distance_m && c - h < distance_m
+    }
+
+    /// All pairs of disks of two agents at a step.
+    pub(super) fn pairs<'p>(
+        &'p self,
+        plan: &'p Rollout,
+        (i, j): (usize, usize),
+        t: usize,
+    ) -> impl Iterator<Item = DiskPair> + 'p {
+        let (at_i, at_j) = (i * plan.num_steps + t, j * plan.num_steps + t);
+        let (dx, dy) = (plan.x_m[at_j] - plan.x_m[at_i], plan.y_m[at_j] - plan.y_m[at_i]);
+        let of = |agent: usize| &self.offsets_m[agent * self.num_disks..(agent + 1) * self.num_disks];
+        of(i).iter().flat_map(move |&a| {
+            of(j).iter().map(move |&b| {
+                let x = dx + b * plan.cos[at_j] - a * plan.cos[at_i];
+                let y = dy + b * plan.sin[at_j] - a * plan.sin[at_i];
+                let distance_m = (x * x + y * y).sqrt();
+                let inverse = if distance_m > 0.0 { 1.0 / distance_m } else { 0.0 };
+                DiskPair { distance_m, direction: (x * inverse, y * inverse), offsets_m: (a, b) }
+            })
+        })
+    }
+}
+
+impl DiskPair {
+    /// Adds the gradient of a function of the distance, with this derivative, to the agents that take one.
+    pub(super) fn add_gradient(
+        &self,
+        plan: &Rollout,
+        (i, j): (usize, usize),
+        t: usize,
+        derivative: f32,
+        moves: (bool, bool),
+        out: &mut Evaluation<'_>,
+    ) {
+        let (x, y) = (derivative * self.direction.0, derivative * self.direction.1);
+        for (agent, moves, sign, offset_m) in
+            [(i, moves.0, -1.0, self.offsets_m.0), (j, moves.1, 1.0, self.offsets_m.1)]
+        {
+            if moves {
+                let at = agent * plan.num_steps + t;
+                out.gradient.x[at] += sign * x;
+                out.gradient.y[at] += sign * y;
+                out.gradient.heading[at] += sign * offset_m * (y * plan.cos[at] - x * plan.sin[at]);
+            }
+        }
+    }
+}
+
+/// Calls `visit` with every pair of agents of which at least one is of interest, moves and counts, and with which of
+/// the two have a loss: agents that stand have none and are not moved (as released).
+pub(super) fn for_pairs(
+    situation: &Situation<'_>,
+    wanted: &[bool],
+    mut visit: impl FnMut((usize, usize), (bool, bool)),
+) {
+    let m = situation.num_agents();
+    for i in 0..m {
+        for j in i + 1..m {
+            let moves = (situation.moving[i], situation.moving[j]);
+            let counts = situation.partner[i] || situation.partner[j];
+            if counts && (wanted[i] || wanted[j]) && (moves.0 || moves.1) {
+                visit((i, j), moves);
+            }
+        }
+    }
+}

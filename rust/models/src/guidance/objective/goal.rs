@@ -1,0 +1,51 @@
+//! Distance from a wanted position.
+//!
+//! loss_i = ‖p_i(t*) - g_i‖ with t* the given step, else the step at which the plan comes nearest. Gradient: the unit vector
+//! from the goal at t*. Source: the target position (at a time) of released CCDiff (method.md 2.11), whose formula is not
+//! recorded there; this one is ours. The loss is zero for agents without a goal.
+
+use super::Evaluation;
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the goal loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Goal {
+    /// Signed weight; positive seeks the goal.
+    pub weight: f32,
+    /// Step of the plan at which the goal counts, clamped to the last; `None`: whenever it is nearest.
+    pub at_step: Option<usize>,
+}
+
+impl Default for Goal {
+    fn default() -> Self {
+        Self { weight: 1.0, at_step: None }
+    }
+}
+
+impl Goal {
+    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a]) {
+            let Some(goal) = situation.goals[agent] else { continue };
+            let first = agent * plan.num_steps;
+            let offset = |at: usize| (plan.x_m[at] - goal.x, plan.y_m[at] - goal.y);
+            let distance = |at: usize| {
+                let (x, y) = offset(at);
+                (x * x + y * y).sqrt()
+            };
+            let steps = first..first + plan.num_steps;
+            let at = match self.at_step {
+                Some(step) => first + step.min(plan.num_steps - 1),
+                None => steps.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(first),
+            };
+            let ((x, y), distance_m) = (offset(at), distance(at));
+            out.losses[agent] += distance_m;
+            if distance_m > 0.0 {
+                out.gradient.x[at] += out.scale * x / distance_m;
+                out.gradient.y[at] += out.scale * y / distance_m;
+            }
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Parts of the body off the road, as released (method.md 2.11).
+//!
+//! A grid of 10 x 10 points in the box. Steps at which some points are on the road and some are not count:
+//! loss_i = Σ_t w_t Σ over off-road points c of (1 - d_c / diagonal), d_c the distance from c to the nearest on-road point of
+//! the same box, w_t = γ^t / Σ γ^t; 0 for agents that stand now.
+//! Gradient: the off-road points are held fixed and the on-road points carry it, so a positive weight pushes the on-road part
+//! away from them, back to the road. There is none once the whole box is off the road.
+//!
+//! Differs from the released code: a point is on the road where the scene's drivable area holds it, not where the pixel of a
+//! raster of 0.5 m does.
+
+use super::Evaluation;
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+use ccdiff_sim::geom::{Point2, Region};
+use serde::{Deserialize, Serialize};
+
+/// Points per side of the grid.
+const SIDE: usize = 10;
+/// For each set of on-road points of a grid row and each column, the nearest such column; `SIDE` for the empty set.
+static NEAREST_COLUMN: [[u8; SIDE]; 1 << SIDE] = nearest_columns();
+
+/// Settings of the off-road loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapCollision {
+    /// Signed weight; positive keeps to the road.
+    pub weight: f32,
+}
+
+impl Default for MapCollision {
+    fn default() -> Self {
+        Self { weight: 1.0 }
+    }
+}
+
+const fn nearest_columns() -> [[u8; SIDE]; 1 << SIDE] {
+    let mut table = [[SIDE as u8; SIDE]; 1 << SIDE];
+    let mut set = 1;
+    while set < 1 << SIDE {
+        let mut column = 0;
+        while column < SIDE {
+            let mut away = 0;
+            while table[set][column] == SIDE as u8 {
+                if column >= away && set >> (column - away) & 1 == 1 {
+                    table[set][column] = (column - away) as u8;
+                } else if column + away < SIDE && set >> (column + away) & 1 == 1 {
+                    table[set][column] = (column + away) as u8;
+                }
+                away += 1;
+            }
+            column += 1;
+        }
+        set += 1;
+    }
+    table
+}
+
+/// A box at a step: the points of its grid are centre + along · forward + across · left.
+struct Grid {
+    along_m: [f32; SIDE],
+    across_m: [f32; SIDE],
+    diagonal_m: f32,
+}
+
+impl Grid {
+    fn new(length_m: f32, width_m: f32) -> Self {
+        let place = |k: usize| k as f32 / (SIDE - 1) as f32 - 0.5;
+        Self {
+            along_m: std::array::from_fn(|k| place(k) * length_m),
+            across_m: std::array::from_fn(|k| place(k) * width_m),
+            diagonal_m: (length_m * length_m + width_m * width_m).sqrt(),
+        }
+    }
+
+    /// On-road points: one set of columns (along) per row (across).
+    fn on_road(&self, road: &Region, (x, y): (f32, f32), (cos, sin): (f32, f32)) -> [u16; SIDE] {
+        std::array::from_fn(|row| {
+            let (left_x, left_y) = (x - self.across_m[row] * sin, y + self.across_m[row] * cos);
+            (0..SIDE).fold(0, |set, column| {
+                let ahead = self.along_m[column];
+                let point = Point2::new(left_x + ahead * cos, left_y + ahead * sin);
+                set | u16::from(road.contains(point)) << column
+            })
+        })
+    }
+
+    /// The on-road point nearest to a point of the grid, as (row, column), and its squared distance.
+    fn nearest(&self, on_road: &[u16; SIDE], row: usize, column: usize) -> ((usize, usize), f32) {
+        let mut best = ((row, column), f32::INFINITY);
+        for (other, set) in on_road.iter().enumerate() {
+            let nearest = usize::from(NEAREST_COLUMN[usize::from(*set)][column]);
+            if nearest < SIDE {
+                let across = self.across_m[other] - self.across_m[row];
+                let along = self.along_m[nearest] - self.along_m[column];
+                let distance_sq = across * across + along * along;
+                if distance_sq < best.1 {
+                    best = ((other, nearest), distance_sq);
+                }
+            }
+        }
+        best
+    }
+}
+
+impl MapCollision {
+    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let Some(road) = situation.road else { return };
+        let all: u16 = (1 << SIDE) - 1;
+        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a] && situation.moving[*a]) {
+            let grid = Grid::new(situation.length_m[agent], situation.width_m[agent]);
+            for t in 0..plan.num_steps {
+                let at = agent * plan.num_steps + t;
+                let (x, y, cos, sin) = (plan.x_m[at], plan.y_m[at], plan.cos[at], plan.sin[at]);
+                if road.holds_square(Point2::new(x, y), 0.5 * grid.diagonal_m) {
+                    continue;
+                }
+                let on_road = grid.on_road(road, (x, y), (cos, sin));
+                if on_road == [all; SIDE] || on_road == [0; SIDE] {
+                    continue;
+                }
+                let weight = situation.step_weights[t];
+                // sums over off-road points: loss, and the gradient in the body's own axes and about its centre
+                let (mut loss, mut forward, mut left, mut turn) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+                for row in 0..SIDE {
+                    for column in (0..SIDE).filter(|c| on_road[row] >> c & 1 == 0) {
+                        let ((r, c), distance_sq) = grid.nearest(&on_road, row, column);
+                        let distance_m = distance_sq.sqrt();
+                        loss += 1.0 - distance_m / grid.diagonal_m;
+                        // d(1 - |c - q| / diagonal)/dq points from the on-road point q to the off-road point c
+                        let size = 1.0 / (distance_m * grid.diagonal_m);
+                        let (q_along, q_across) = (grid.along_m[c], grid.across_m[r]);
+                        let (f, l) =
+                            (size * (grid.along_m[column] - q_along), size * (grid.across_m[row] - q_across));
+                        forward += f;
+                        left += l;
+                        turn += q_along * l - q_across * f;
+                    }
+                }
+                out.losses[agent] += weight * loss;
+                let scale = out.scale * weight;
+                out.gradient.x[at] += scale * (forward * cos - left * sin);
+                out.gradient.y[at] += scale * (forward * sin + left * cos);
+                out.gradient.heading[at] += scale * turn;
+            }
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! Distance from a wanted speed.
+//!
+//! loss_i = mean over t of |v_i(t) - v*_i|. Gradient: sign(v - v*) / T. Source: released CCDiff's target speed
+//! (method.md 2.11). The speed is the world's for that agent, else the objective's; the loss is zero without either.
+
+use super::Evaluation;
+use crate::guidance::rollout::Rollout;
+use crate::guidance::situation::Situation;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the target-speed loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TargetSpeed {
+    /// Signed weight; positive seeks the speed.
+    pub weight: f32,
+    /// Speed of agents without one of their own, metres per second.
+    pub speed_mps: Option<f32>,
+}
+
+impl Default for TargetSpeed {
+    fn default() -> Self {
+        Self { weight: 1.0, speed_mps: None }
+    }
+}
+
+impl TargetSpeed {
+    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let share = 1.0 / plan.num_steps as f32;
+        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a]) {
+            let Some(wanted_mps) = situation.target_speed_mps[agent].or(self.speed_mps) else { continue };
+            for at in agent * plan.num_steps..(agent + 1) * plan.num_steps {
+                let off_mps = plan.speed_mps[at] - wanted_mps;
+                if off_mps != 0.0 {
+                    out.losses[agent] += share * off_mps.abs();
+                    out.gradient.speed[at] += out.scale * share * off_mps.signum();
+                }
+            }
+        }
+    }
+}

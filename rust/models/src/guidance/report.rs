@@ -1,0 +1,151 @@
+//! What guidance did: losses, the chosen sample, what it cost in realism, how gradients pull against each other.
+
+use super::config::{FilterWeights, GuidanceConfig, Objective};
+
+/// What guidance did to the plans of the M agents of one world.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GuidanceReport {
+    /// Unweighted losses of the finished plans, [J, N, M], objectives in the order of the configuration.
+    pub losses: Vec<f32>,
+    /// Sample chosen for each agent, [M]; one for all where an objective is joint.
+    pub chosen: Vec<usize>,
+    /// C(τ) of each agent's chosen sample in [0, 1], [M]: total-variation distance between the guided and the unguided
+    /// denoising process. Each denoising step draws from a Gaussian whose mean guidance moves by δ at equal variance σ²;
+    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)).
+    pub realism_cost: Vec<f32>,
+    /// √(Σ ‖δ‖²/σ²) of each agent's chosen sample, [M]: the same in standard deviations, which does not saturate.
+    pub shift_sigmas: Vec<f32>,
+    /// Gradient statistics, if asked for.
+    pub conflict: Option<GradientStatistics>,
+}
+
+/// How the gradients of realism and guidance, and of the objectives among each other, agree, for the M agents of one
+/// world, guided or not: means over samples and guided denoising steps.
+///
+/// Realism is the score of the denoising process, (√ᾱ x₀ - x_k) / (1 - ᾱ); guidance is minus the gradient of the weighted
+/// losses with respect to the knots.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GradientStatistics {
+    /// Inner product ⟨∇log π, ∇R⟩, [M]: the score of the gradient-alignment ranking.
+    pub alignment: Vec<f32>,
+    /// Its cosine over the steps with a gradient, [M]; 0 without any.
+    pub cosine: Vec<f32>,
+    /// Share of those steps with a negative cosine, [M].
+    pub conflict_share: Vec<f32>,
+    /// Mean cosine of the weighted gradients of two objectives over agents that have both, [J, J]; 0 without any.
+    pub objective_cosine: Vec<f32>,
+}
+
+/// Running sums of [`GradientStatistics`] for the rows of one sample of one world.
+#[derive(Debug, Clone, Default)]
+pub(super) struct GradientSums {
+    inner: Vec<f64>,
+    cosine: Vec<f64>,
+    negative: Vec<u32>,
+    counted: Vec<u32>,
+    steps: u32,
+    pair_cosine: Vec<f64>,
+    pair_counted: Vec<u32>,
+}
+
+impl GradientSums {
+    pub(super) fn new(num_agents: usize, num_objectives: usize) -> Self {
+        let pairs = num_objectives * num_objectives;
+        Self {
+            inner: vec![0.0; num_agents],
+            cosine: vec![0.0; num_agents],
+            negative: vec![0; num_agents],
+            counted: vec![0; num_agents],
+            steps: 0,
+            pair_cosine: vec![0.0; pairs],
+            pair_counted: vec![0; pairs],
+        }
+    }
+
+    /// Adds one denoising step: weighted gradients [J][M, width] and the score [M, width].
+    pub(super) fn add(&mut self, gradients: &[Vec<f32>], score: &[f32], width: usize) {
+        self.steps += 1;
+        for agent in 0..self.inner.len() {
+            let part = agent * width..(agent + 1) * width;
+            let mut total = vec![0.0f32; width];
+            for gradient in gradients {
+                total.iter_mut().zip(&gradient[part.clone()]).for_each(|(t, g)| *t -= g);
+            }
+            let (inner, cosine) = compare(&total, &score[part.clone()]);
+            self.inner[agent] += inner;
+            if let Some(cosine) = cosine {
+                self.cosine[agent] += cosine;
+                self.counted[agent] += 1;
+                self.negative[agent] += u32::from(cosine < 0.0);
+            }
+            for (a, one) in gradients.iter().enumerate() {
+                for (b, other) in gradients.iter().enumerate() {
+                    if let (_, Some(cosine)) = compare(&one[part.clone()], &other[part.clone()]) {
+                        self.pair_cosine[a * gradients.len() + b] += cosine;
+                        self.pair_counted[a * gradients.len() + b] += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The statistics of all samples of a world.
+    pub(super) fn statistics(samples: &[Self]) -> Option<GradientStatistics> {
+        let first = samples.first()?;
+        let mean = |sum: f64, count: u32| if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 };
+        let over = |sum: &dyn Fn(&Self) -> f64, count: &dyn Fn(&Self) -> u32| {
+            mean(samples.iter().map(sum).sum(), samples.iter().map(count).sum())
+        };
+        let agents = 0..first.inner.len();
+        Some(GradientStatistics {
+            alignment: agents.clone().map(|a| over(&|s| s.inner[a], &|s| s.steps)).collect(),
+            cosine: agents.clone().map(|a| over(&|s| s.cosine[a], &|s| s.counted[a])).collect(),
+            conflict_share: agents.map(|a| over(&|s| f64::from(s.negative[a]), &|s| s.counted[a])).collect(),
+            objective_cosine: (0..first.pair_cosine.len())
+                .map(|p| over(&|s| s.pair_cosine[p], &|s| s.pair_counted[p]))
+                .collect(),
+        })
+    }
+}
+
+/// Inner product, and cosine where neither vector is zero.
+fn compare(a: &[f32], b: &[f32]) -> (f64, Option<f64>) {
+    let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(x, y)| f64::from(x * y)).sum() };
+    let (inner, norms) = (dot(a, b), (dot(a, a) * dot(b, b)).sqrt());
+    (inner, (norms > 0.0).then(|| (inner / norms).clamp(-1.0, 1.0)))
+}
+
+/// The sample to take for each of M agents by losses [J, N, M] (method.md 2.10): the least sum of weighted losses, per agent,
+/// or summed over all agents where an objective is joint. Ties go to the first.
+///
+/// Differs from the released code: weights keep their signs unless the configuration says otherwise.
+pub fn choose_samples(
+    config: &GuidanceConfig,
+    losses: &[f32],
+    num_samples: usize,
+    num_agents: usize,
+) -> Vec<usize> {
+    let weight = |o: &Objective| match config.filter_weights {
+        FilterWeights::Signed => f64::from(o.weight()),
+        FilterWeights::Unweighted => 1.0,
+    };
+    let sum = |sample: usize, agent: usize| -> f64 {
+        let of = |(j, o): (usize, &Objective)| {
+            weight(o) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
+        };
+        config.objectives.iter().enumerate().map(of).sum()
+    };
+    let least = |score: &dyn Fn(usize) -> f64| {
+        (0..num_samples).min_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0)
+    };
+    if config.objectives.iter().any(Objective::is_joint) {
+        vec![least(&|s| (0..num_agents).map(|a| sum(s, a)).sum()); num_agents]
+    } else {
+        (0..num_agents).map(|a| least(&|s| sum(s, a))).collect()
+    }
+}
+
+/// C(τ) of a shift of the mean in standard deviations.
+pub(super) fn total_variation(shift_sigmas: f64) -> f64 {
+    libm::erf(shift_sigmas / (2.0 * std::f64::consts::SQRT_2))
+}

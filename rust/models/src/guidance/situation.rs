@@ -1,0 +1,134 @@
+//! What guidance knows about one world: where its agents are, how large, who may be guided, road, goals.
+
+use super::GuidanceConfig;
+use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use crate::features::{SceneFeatures, Window};
+use ccdiff_sim::geom::{Point2, Pose2, Region};
+
+/// Agents at or below this speed now take no part in collision losses and are not moved by them (as released).
+pub const MOVING_MPS: f32 = 0.5;
+
+/// Guidance of one world, as the caller knows it. A is the number of agents in the window.
+#[derive(Debug, Clone, Copy)]
+pub struct WorldGuide<'a> {
+    /// Whose plans are moved, [A].
+    pub guided: &'a [bool],
+    /// Where vehicles may drive; map collision is zero without.
+    pub road: Option<&'a Region>,
+    /// If given, only contacts with one of these agents count, [A]: such as the ego.
+    pub partners: Option<&'a [bool]>,
+    /// Wanted positions, scene frame, [A].
+    pub goals: Option<&'a [Option<Point2>]>,
+    /// Wanted speeds, metres per second, [A].
+    pub target_speeds_mps: Option<&'a [Option<f32>]>,
+    /// Speed limit of the scene, metres per second, for objectives without one of their own.
+    pub speed_limit_mps: Option<f32>,
+}
+
+impl<'a> WorldGuide<'a> {
+    /// Guides these agents, with nothing else known.
+    pub fn new(guided: &'a [bool]) -> Self {
+        Self {
+            guided,
+            road: None,
+            partners: None,
+            goals: None,
+            target_speeds_mps: None,
+            speed_limit_mps: None,
+        }
+    }
+}
+
+/// One world as the objectives see it: the M agents that are planned for.
+#[derive(Debug, Clone)]
+pub struct Situation<'a> {
+    /// Steps T of a plan.
+    pub num_steps: usize,
+    /// Time between steps, seconds.
+    pub dt_s: f32,
+    /// Poses now, scene frame, [M].
+    pub poses: Vec<Pose2>,
+    /// Speeds now, [M].
+    pub speed_mps: Vec<f32>,
+    /// Lengths, metres, [M].
+    pub length_m: Vec<f32>,
+    /// Widths, metres, [M].
+    pub width_m: Vec<f32>,
+    /// Whether the agent is faster than [`MOVING_MPS`] now, [M].
+    pub moving: Vec<bool>,
+    /// Whether the agent's plan is moved, [M].
+    pub guided: Vec<bool>,
+    /// Whether contacts with the agent count, [M].
+    pub partner: Vec<bool>,
+    /// Where vehicles may drive.
+    pub road: Option<&'a Region>,
+    /// Wanted positions, scene frame, [M].
+    pub goals: Vec<Option<Point2>>,
+    /// Wanted speeds, [M].
+    pub target_speed_mps: Vec<Option<f32>>,
+    /// Speed limit.
+    pub speed_limit_mps: Option<f32>,
+    /// γ^t over their sum, [T].
+    pub step_weights: Vec<f32>,
+}
+
+impl<'a> Situation<'a> {
+    /// The agents of a scene's features.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
+    pub fn new(
+        guide: &WorldGuide<'a>,
+        window: &Window,
+        features: &SceneFeatures,
+        model: &ModelConfig,
+        config: &GuidanceConfig,
+    ) -> Result<Self> {
+        let expected = window.num_agents();
+        for (what, got) in [
+            ("guide guided", Some(guide.guided.len())),
+            ("guide partners", guide.partners.map(<[_]>::len)),
+            ("guide goals", guide.goals.map(<[_]>::len)),
+            ("guide target_speeds_mps", guide.target_speeds_mps.map(<[_]>::len)),
+        ] {
+            if let Some(got) = got.filter(|got| *got != expected) {
+                let expected = format!("{expected} (one per agent of the window)");
+                return Err(ModelError::Shape { what, got: got.to_string(), expected });
+            }
+        }
+        let rows = &features.agents;
+        let finite = |p: &Point2| p.x.is_finite() && p.y.is_finite();
+        Ok(Self {
+            num_steps: model.horizon_steps,
+            dt_s: model.dt_s as f32,
+            poses: features.poses.clone(),
+            speed_mps: features.speed_mps.clone(),
+            length_m: rows.iter().map(|a| window.length_m[*a]).collect(),
+            width_m: rows.iter().map(|a| window.width_m[*a]).collect(),
+            moving: features.speed_mps.iter().map(|v| v.abs() > MOVING_MPS).collect(),
+            guided: rows.iter().map(|a| guide.guided[*a]).collect(),
+            partner: rows.iter().map(|a| guide.partners.is_none_or(|p| p[*a])).collect(),
+            road: guide.road,
+            goals: rows.iter().map(|a| guide.goals.and_then(|g| g[*a]).filter(finite)).collect(),
+            target_speed_mps: rows
+                .iter()
+                .map(|a| guide.target_speeds_mps.and_then(|v| v[*a]).filter(|v| v.is_finite()))
+                .collect(),
+            speed_limit_mps: guide.speed_limit_mps,
+            step_weights: step_weights(config.discount, model.horizon_steps),
+        })
+    }
+
+    /// Number of agents M.
+    pub fn num_agents(&self) -> usize {
+        self.poses.len()
+    }
+}
+
+/// γ^t / Σ γ^t for t in 0..T.
+pub(super) fn step_weights(discount: f32, num_steps: usize) -> Vec<f32> {
+    let powers: Vec<f64> = (0..num_steps).map(|t| f64::from(discount).powi(t as i32)).collect();
+    let sum: f64 = powers.iter().sum();
+    powers.iter().map(|p| (p / sum) as f32).collect()
+}
