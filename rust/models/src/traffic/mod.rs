@@ -153,13 +153,14 @@ impl Ccdiff {
                 window: &roster.window,
                 bitmap: bitmap.as_deref(),
                 seed: world.noise_seed,
+                guide: None,
             })
             .collect();
         let plans = self
             .planner
             .get_mut()
             .unwrap_or_else(PoisonError::into_inner)
-            .plan(&views, self.config.sampling())?;
+            .plan(&views, &self.config.sampling().into())?;
         for (((world, roster), ranking), plan) in worlds.iter().zip(&rosters).zip(rankings).zip(plans) {
             self.adopt(world, roster, ranking, plan);
         }
