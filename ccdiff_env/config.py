@@ -34,6 +34,7 @@ __all__ = [
 Driver: TypeAlias = Literal["external", "replay", "constant_velocity", "idm", "ccdiff"]
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
+Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 SceneOrder: TypeAlias = Literal["random", "sequential"]
 
 
@@ -207,8 +208,9 @@ class WorldConfig:
     history_steps: int = 30
     #: Steps of an episode at most, >= 1.
     horizon_steps: int = 100
-    #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), or ids.
-    controlled: Literal["ego", "vehicles"] | tuple[str, ...] = "ego"
+    #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), ids, or
+    #: ids by the name of the scene.
+    controlled: Controlled = "ego"
     #: Slots per world, 1 to 512.
     num_slots: int = 1
     #: Who drives the agents that have a slot.
@@ -318,13 +320,14 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     """Value in the form that an annotation asks for."""
     if hint == Dynamics:
         return _dynamics(path, value, old)
+    if hint == Controlled:
+        return _controlled(path, value)
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is types.UnionType or origin is typing.Union:
         if value is None and type(None) in args:
             return None
-        for key in ("ids", "list"):
-            if isinstance(value, Mapping) and set(value) == {key}:
-                value = value[key]
+        if isinstance(value, Mapping) and set(value) == {"list"}:
+            value = value["list"]
         literal = next((a for a in args if typing.get_origin(a) is Literal), None)
         if isinstance(value, str) and literal is not None:
             return _fitting(path, value, literal, old)
@@ -341,6 +344,23 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if dataclasses.is_dataclass(hint):
         return _nested(path, value, typing.cast("type[Any]", hint), old)
     return _scalar(path, value, hint)
+
+
+def _controlled(path: str, value: Any) -> Controlled:
+    """Agents with a slot; ``{"ids": ...}`` and ``{"per_scene": ...}`` are the forms of Rust."""
+    if isinstance(value, Mapping) and set(value) == {"ids"}:
+        value = value["ids"]
+    if isinstance(value, Mapping):
+        scenes = value["per_scene"] if set(value) == {"per_scene"} else value
+        if not isinstance(scenes, Mapping):
+            raise ConfigError(f"config: {path} is {scenes!r}, expected ids by scene")
+        return {
+            _scalar(f"{path} scene", name, str): _tuple(f"{path}[{name!r}]", ids, (str, ...))
+            for name, ids in scenes.items()
+        }
+    if isinstance(value, str):
+        return typing.cast("Controlled", _fitting(path, value, Literal["ego", "vehicles"], None))
+    return _tuple(path, value, (str, ...))
 
 
 def _dynamics(path: str, value: Any, old: Any) -> Dynamics:
@@ -417,7 +437,10 @@ def _plain(value: Any) -> Any:
     """Form of a value in JSON."""
     if isinstance(value, WorldConfig):
         fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        if not isinstance(value.controlled, str):
+        if isinstance(value.controlled, Mapping):
+            scenes = {name: list(ids) for name, ids in value.controlled.items()}
+            fields["controlled"] = {"per_scene": scenes}
+        elif not isinstance(value.controlled, str):
             fields["controlled"] = {"ids": list(value.controlled)}
         return fields
     for name, kind in DYNAMICS.items():

@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -174,8 +173,8 @@ class Rollout:
             _expect(name, getattr(self, name), shape)
         for name, values in self.figures.items():
             _expect(f"figures[{name!r}]", values, (t - 1,))
-        object.__setattr__(self, "figures", MappingProxyType(dict(self.figures)))
-        object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+        object.__setattr__(self, "figures", dict(self.figures))
+        object.__setattr__(self, "meta", dict(self.meta))
 
     @property
     def num_steps(self) -> int:

@@ -41,6 +41,7 @@ def test_defaults_are_those_of_rust():
         {},
         {"traffic": "idm", "horizon_steps": 7},
         {"controlled": ("a", "b"), "num_slots": 2},
+        {"controlled": {"scene-1": ["a"], "scene-2": ["ego", "b"]}, "num_slots": 2},
         {"dynamics": "bicycle", "discrete": True},
         {"dynamics": {"delta_pose": {"dx_m": [0, 3]}}},
         {"dynamics": UnicycleLimits(speed_mps=(-5.0, 20.0))},
@@ -101,6 +102,7 @@ def test_numpy_numbers_are_numbers():
         ({"grid": {"first": [1.0], "secnd": [1.0]}}, "did you mean"),
         ({"dynamics": {"unicycle": {"speed_mps": [1.0]}}}, "2"),
         ({"controlled": "trucks"}, "ego, vehicles"),
+        ({"controlled": {"scene-1": "a"}}, "sequence"),
         ({"observation": {"ego_columns": "speed"}}, "sequence"),
     ],
 )

@@ -147,6 +147,33 @@ fn every_agent_of_a_game_ends_for_itself() {
 }
 
 #[test]
+fn slots_can_be_chosen_for_each_scene_by_its_name() {
+    let scene = |name: &str| {
+        let mut scene = city(4).as_ref().clone();
+        scene.name = name.into();
+        Arc::new(scene)
+    };
+    let id = |i: usize| city(4).agents[i].id.clone();
+    let chosen = [("a".to_string(), vec![id(2), id(0)]), ("b".to_string(), vec![id(3)])];
+    let config = WorldConfig {
+        controlled: Controlled::PerScene(chosen.into_iter().collect()),
+        num_slots: 2,
+        scene_order: SceneOrder::Sequential,
+        ..base()
+    };
+    let batch = |scenes| {
+        let mut batch = Batch::new(scenes, config.clone(), 2, 1);
+        batch.reset_all(0);
+        batch
+    };
+    let both = batch(vec![scene("a"), scene("b")]);
+    assert_eq!(both.world.slot_agents(0).unwrap(), [Some(2), Some(0)]);
+    assert_eq!(both.world.slot_agents(1).unwrap(), [Some(3), None]);
+    let unknown = ccdiff_sim::world::VecWorld::new(vec![scene("c")], config.clone(), 1, 1, None);
+    assert!(matches!(unknown, Err(SimError::Scene { .. })));
+}
+
+#[test]
 fn sequential_order_plays_every_scene_once_per_round() {
     let scenes: Vec<_> = (0..7).map(|i| city(3 + i)).collect();
     let config = WorldConfig {

@@ -5,6 +5,7 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::ObservationConfig;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Who drives an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,6 +45,8 @@ pub enum Controlled {
     Vehicles,
     /// Agents by id; those a scene does not have leave their slot empty.
     Ids(Vec<String>),
+    /// Agents by id, chosen for each scene by its name; slots beyond a scene's list stay empty.
+    PerScene(BTreeMap<String, Vec<String>>),
 }
 
 /// What follows when a controlled agent touches another one, or leaves the road.
@@ -307,6 +310,11 @@ impl WorldConfig {
         if let Controlled::Ids(ids) = &self.controlled {
             let expected = "as many slots as there are ids, ids not empty";
             check(!ids.is_empty() && ids.len() == self.num_slots, "num_slots", self.num_slots, expected)?;
+        }
+        if let Controlled::PerScene(scenes) = &self.controlled {
+            let longest = scenes.values().map(Vec::len).max().unwrap_or(0);
+            let expected = "at least as many slots as any scene has ids";
+            check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
         }
         check(self.traffic != Driver::External, "traffic", "external", "a background policy")?;
         check(positive(self.speed_limit_mps), "speed_limit_mps", self.speed_limit_mps, "a positive speed")?;

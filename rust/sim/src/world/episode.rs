@@ -161,6 +161,10 @@ impl Episode {
             Controlled::Ego => vec![log.agent_index(crate::scene::EGO_ID)],
             Controlled::Vehicles => (0..config.num_slots).map(|_| vehicles.next()).collect(),
             Controlled::Ids(ids) => ids.iter().map(|id| log.agent_index(id)).collect(),
+            Controlled::PerScene(scenes) => {
+                let mut ids = scenes.get(&log.name).into_iter().flatten();
+                (0..config.num_slots).map(|_| ids.next().and_then(|id| log.agent_index(id))).collect()
+            }
         };
         let end_step = config.history_steps + config.horizon_steps;
         self.slots.clear();

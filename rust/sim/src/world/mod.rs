@@ -337,6 +337,7 @@ fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
         Controlled::Vehicles => (0..scene.num_agents())
             .any(|a| scene.agents[a].kind == crate::scene::AgentKind::Vehicle && scene.is_valid(a, start)),
         Controlled::Ids(ids) => ids.iter().any(|id| present(id)),
+        Controlled::PerScene(scenes) => scenes.get(&scene.name).into_iter().flatten().any(|id| present(id)),
     };
     if any {
         Ok(())
