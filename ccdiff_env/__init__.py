@@ -18,7 +18,14 @@ from ccdiff_env import causal, config, errors, metrics  # noqa: E402
 from ccdiff_env.certificate import Certificate, replay  # noqa: E402
 from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
-from ccdiff_env.envs import EgoEnv, EgoVectorEnv, make_vec, register  # noqa: E402
+from ccdiff_env.envs import (  # noqa: E402
+    EgoEnv,
+    EgoVectorEnv,
+    aec_env,
+    make_vec,
+    parallel_env,
+    register,
+)
 from ccdiff_env.recorder import Recorder  # noqa: E402
 from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan  # noqa: E402
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
@@ -36,6 +43,7 @@ __all__ = [
     "SceneSet",
     "WorldConfig",
     "__version__",
+    "aec_env",
     "causal",
     "config",
     "embedded_scenes",
@@ -44,6 +52,7 @@ __all__ = [
     "load_scenarionet",
     "make_vec",
     "metrics",
+    "parallel_env",
     "replay",
 ]
 

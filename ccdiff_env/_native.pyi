@@ -425,6 +425,9 @@ class VecWorld:
     def slot_agents(self, world_idx: int) -> list[int | None]:
         """Return the agent of each slot."""
 
+    def slot_alive(self, world_idx: int) -> list[bool]:
+        """Return whether each slot's agent goes on."""
+
     def route(self, world_idx: int, slot_idx: int) -> tuple[F32, tuple[float, float]] | None:
         """Return the route [P, 2] of a slot's agent, and its goal."""
 

@@ -80,6 +80,8 @@ class Recorder:
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
         self._plans: list[RolloutPlan] = []
+        config = self._worlds.config
+        self._planned = "ccdiff" in (config.traffic, config.driver)
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
         self._slot = self._ego_slot()
@@ -87,6 +89,7 @@ class Recorder:
         self._off_road = native.off_road(world)[0].copy()
         self._drivers = native.drivers(world)
         self._seed = seed
+        self._start_elapsed = elapsed
         self._keep()
 
     def _ego_slot(self) -> int:
@@ -117,6 +120,8 @@ class Recorder:
         if self._worlds.last is not None:
             self._columns.append(self._worlds.last.columns[world, self._slot].copy())
         self._drivers = native.drivers(world)
+        if self._planned:
+            self._keep_plan()
         self._contact_events(at)
         self._road_events(at)
         self._end_events(at)
@@ -126,6 +131,25 @@ class Recorder:
     def _keep(self) -> None:
         states = self._worlds.native.states(self._world_idx)
         self._states.append({name: states[name] for name in _STATES})  # type: ignore[literal-required]
+
+    def _keep_plan(self) -> None:
+        plan = self._worlds.native.explain(self._world_idx)
+        if plan is None:
+            return
+        step = int(plan["made_at"]) - self._start_elapsed
+        if self._plans and self._plans[-1].step == step:
+            return
+        self._plans.append(
+            RolloutPlan(
+                step=step,
+                agent_ids=tuple(self._ids[i] for i in plan["agents"]),
+                samples=plan["samples"][..., :2].copy(),
+                **{
+                    name: plan[name]
+                    for name in ("chosen", "executed", "graph", "ttc_s", "guided", "realism_cost")
+                },
+            )
+        )
 
     def _contact_events(self, at: int) -> None:
         touching = set()

@@ -35,6 +35,15 @@ EVENT_KINDS = (
     "time_limit",
 )
 FORMAT = "ccdiff-env rollout 1"
+_PLAN_ARRAYS: dict[str, Any] = {
+    "samples": np.float32,
+    "chosen": np.int64,
+    "executed": np.bool_,
+    "graph": np.bool_,
+    "ttc_s": np.float32,
+    "guided": np.bool_,
+    "realism_cost": np.float32,
+}
 
 
 @dataclass(frozen=True)
@@ -65,7 +74,7 @@ class RolloutEvent:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RolloutPlan:
-    """One plan of the background: M agents, N samples of H steps.
+    """One plan of CCDiff: M agents, N samples of H steps.
 
     Parameters
     ----------
@@ -76,22 +85,28 @@ class RolloutPlan:
     samples
         Positions [N, M, H, 2], metres, scene frame.
     chosen
-        Sample that is driven.
+        Sample that each agent follows [M].
+    executed
+        Whether an agent follows its plan [M]; the others were predicted only.
     graph
-        Decision causal graph [M, M]: j influences i.
+        Decision causal graph [M, M]: row i looks at column j.
     ttc_s
         Time to contact [M, M], seconds; infinite where there is none.
     guided
         Agents [M] that were guided.
+    realism_cost
+        What the guidance cost in realism [M]: total variation between guided and unguided actions.
     """
 
     step: int
     agent_ids: tuple[str, ...]
     samples: F32
-    chosen: int
+    chosen: npt.NDArray[np.int64]
+    executed: Bool
     graph: Bool
     ttc_s: F32
     guided: Bool
+    realism_cost: F32
 
     def __post_init__(self) -> None:
         m = len(self.agent_ids)
@@ -101,9 +116,12 @@ class RolloutPlan:
             )
         _expect("plan.graph", self.graph, (m, m))
         _expect("plan.ttc_s", self.ttc_s, (m, m))
-        _expect("plan.guided", self.guided, (m,))
-        if not 0 <= self.chosen < len(self.samples):
-            raise ShapeError(f"plan.chosen is {self.chosen}, expected one of {len(self.samples)}")
+        for name in ("chosen", "executed", "guided", "realism_cost"):
+            _expect(f"plan.{name}", getattr(self, name), (m,))
+        if m and not 0 <= self.chosen.min() <= self.chosen.max() < len(self.samples):
+            raise ShapeError(
+                f"plan.chosen is {self.chosen}, expected less than {len(self.samples)}"
+            )
 
 
 def _expect(name: str, array: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
@@ -255,14 +273,14 @@ class Rollout:
         for name, values in self.figures.items():
             arrays[f"figures/{name}"] = values
         for i, plan in enumerate(self.plans):
-            for name in ("samples", "graph", "ttc_s", "guided"):
+            for name in _PLAN_ARRAYS:
                 arrays[f"plans/{i}/{name}"] = getattr(plan, name)
         head = {
             "format": FORMAT,
             "start_step": self.start_step,
             "dt_s": self.dt_s,
             "events": [dataclasses.astuple(event) for event in self.events],
-            "plans": [[p.step, list(p.agent_ids), p.chosen] for p in self.plans],
+            "plans": [[p.step, list(p.agent_ids)] for p in self.plans],
             "meta": dict(self.meta),
         }
         arrays["head"] = np.frombuffer(json.dumps(head, allow_nan=False).encode(), np.uint8)
@@ -301,13 +319,12 @@ class Rollout:
             RolloutPlan(
                 step=int(step),
                 agent_ids=tuple(ids),
-                samples=_typed(arrays, f"plans/{i}/samples", np.float32),
-                chosen=int(chosen),
-                graph=_typed(arrays, f"plans/{i}/graph", np.bool_),
-                ttc_s=_typed(arrays, f"plans/{i}/ttc_s", np.float32),
-                guided=_typed(arrays, f"plans/{i}/guided", np.bool_),
+                **{
+                    name: _typed(arrays, f"plans/{i}/{name}", kind)
+                    for name, kind in _PLAN_ARRAYS.items()
+                },
             )
-            for i, (step, ids, chosen) in enumerate(head["plans"])
+            for i, (step, ids) in enumerate(head["plans"])
         )
         drivers = _typed(arrays, "drivers", np.int64)
         if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(DRIVER_NAMES):

@@ -97,10 +97,12 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
         step=5,
         agent_ids=("ego", rollout.agent_ids[1]),
         samples=np.ones((3, 2, 4, 2), np.float32),
-        chosen=2,
+        chosen=np.array([2, 0]),
+        executed=np.array([False, True]),
         graph=np.eye(2, dtype=bool),
         ttc_s=np.full((2, 2), np.inf, np.float32),
         guided=np.array([False, True]),
+        realism_cost=np.zeros(2, np.float32),
     )
     fields = {name: getattr(rollout, name) for name in rollout.__dataclass_fields__}
     saved = Rollout(**{**fields, "plans": (plan,)})
@@ -114,8 +116,8 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     assert loaded.figures.keys() == rollout.figures.keys()
     assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
     (again,) = loaded.plans
-    assert (again.step, again.agent_ids, again.chosen) == (5, plan.agent_ids, 2)
-    for name in ("samples", "graph", "ttc_s", "guided"):
+    assert (again.step, again.agent_ids) == (5, plan.agent_ids)
+    for name in ("samples", "chosen", "executed", "graph", "ttc_s", "guided", "realism_cost"):
         assert (getattr(again, name) == getattr(plan, name)).all()
 
 
@@ -221,3 +223,17 @@ def test_recording_stops_at_the_end_of_the_episode():
     rollout = recorder.rollout()
     assert rollout.num_steps == 4
     assert "time_limit" in [event.kind for event in rollout.events if event.step == 3]
+
+
+def test_plans_of_ccdiff_are_recorded_where_they_were_made():
+    options = {"horizon_steps": 12, "terminate_at_goal": False, "on_collision": "ignore"}
+    _, rollout, _ = record(traffic="ccdiff", ccdiff={"denoising_steps": 2}, **options)
+    assert [plan.step for plan in rollout.plans] == [0, 5, 10]
+    assert rollout.driver_names.count("ccdiff") >= 1
+    for plan in rollout.plans:
+        for m in np.flatnonzero(plan.executed):
+            a = rollout.agent_ids.index(plan.agent_ids[m])
+            steps = range(min(5, rollout.num_steps - 1 - plan.step))
+            for h in steps:
+                planned = plan.samples[plan.chosen[m], m, h]
+                assert np.abs(rollout.position[a, plan.step + h + 1] - planned).max() < 0.05

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
+from ccdiff_env.errors import MissingFeatureError
 
-__all__ = ["EGO_ID", "EgoEnv", "EgoVectorEnv", "make_vec", "register"]
+if TYPE_CHECKING:
+    from ccdiff_env.envs.parallel import MultiAgentEnv
+
+__all__ = [
+    "EGO_ID",
+    "EgoEnv",
+    "EgoVectorEnv",
+    "aec_env",
+    "make_vec",
+    "parallel_env",
+    "register",
+]
 
 #: Id of the ego environment in Gymnasium's registry.
 EGO_ID = "ccdiff_env/Ego-v0"
@@ -38,3 +50,41 @@ def make_vec(num_envs: int = 1, **options: Any) -> EgoVectorEnv:
         :class:`~ccdiff_env.config.WorldConfig`.
     """
     return EgoVectorEnv(num_envs, **options)
+
+
+def parallel_env(**options: Any) -> MultiAgentEnv:
+    """Return a game of several vehicles as a PettingZoo ``ParallelEnv``.
+
+    Parameters
+    ----------
+    **options
+        As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`: ``scenes``, ``agents``,
+        ``ranking``, ``adversaries``, ``names``, ``max_cycles``, ``observation``, ``info``,
+        ``render_mode``, and every field of :class:`~ccdiff_env.config.WorldConfig`.
+
+    Raises
+    ------
+    MissingFeatureError
+        If PettingZoo is not installed.
+    """
+    try:
+        from ccdiff_env.envs.parallel import MultiAgentEnv
+    except ModuleNotFoundError as error:
+        raise MissingFeatureError(
+            "games of several agents need PettingZoo: pip install pettingzoo"
+        ) from error
+    return MultiAgentEnv(**options)
+
+
+def aec_env(**options: Any) -> Any:
+    """Return the same game as a PettingZoo ``AECEnv``, by PettingZoo's own conversion.
+
+    Parameters
+    ----------
+    **options
+        As for :func:`parallel_env`.
+    """
+    game = parallel_env(**options)
+    from pettingzoo.utils.conversions import parallel_to_aec
+
+    return parallel_to_aec(game)

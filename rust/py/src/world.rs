@@ -360,6 +360,11 @@ impl PyVecWorld {
         self.world.slot_agents(world_idx).map_err(from_sim)
     }
 
+    /// Whether each slot's agent goes on.
+    fn slot_alive(&self, world_idx: usize) -> PyResult<Vec<bool>> {
+        self.world.slot_alive(world_idx).map_err(from_sim)
+    }
+
     /// Route [P, 2] of a slot's agent and its goal [2].
     fn route<'py>(
         &self,

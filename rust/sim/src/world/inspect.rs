@@ -159,6 +159,14 @@ impl VecWorld {
         Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.agent_idx).collect())
     }
 
+    /// Whether each slot's agent goes on in the present episode.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn slot_alive(&self, world_idx: usize) -> Result<Vec<bool>> {
+        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.alive).collect())
+    }
+
     /// Route of a slot's agent, points about a metre apart, and the goal on it.
     ///
     /// # Errors

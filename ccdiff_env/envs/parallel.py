@@ -1,0 +1,391 @@
+"""Several vehicles of one world, each driven from outside, as a PettingZoo ``ParallelEnv``."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names, Roles
+from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
+from ccdiff_env.envs.snapshot import Snapshot
+from ccdiff_env.envs.vector import InfoLevel, check_choices
+from ccdiff_env.envs.worlds import Scenes, StepArrays, Worlds, fold_seed, scene_set, world_config
+from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
+from ccdiff_env.key_agents import KeyRanking
+from ccdiff_env.scenes import Scene
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+Rows = dict[str, Any]
+
+
+class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
+    """One world in Rust; chosen vehicles are driven by actions, the others by the background.
+
+    Parameters
+    ----------
+    scenes
+        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+    config
+        Configuration to start from.
+    agents
+        Who is controlled: ``"all"`` vehicles that are there at the start, a number K (the ego and
+        the first K - 1 others of the ranking), or ids.
+    ranking
+        How the others are ranked at the start: ``"distance"`` or ``"ttc"`` (to the ego),
+        ``"cliques"`` (of the causal graph), ``"first"``, ``"random"``.
+    adversaries
+        Who plays against the others: ``None``, all ``"others"`` than the ego, the first n others,
+        or ids. An adversary's reward is minus the mean reward of the egos.
+    adversary_shaping
+        How much of its own off-road and comfort reward an adversary gets besides.
+    names
+        ``"token"``: agents are named by their instance tokens, and ``possible_agents`` are those
+        of all scenes; ``"slot"``: ``ego_0``, ``vehicle_1``, ``vehicle_2`` ... by rank, the same few
+        names in every scene.
+    max_cycles
+        Steps of an episode at most; ``horizon_steps`` by another name.
+    observation
+        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+    info
+        ``"full"``: all figures of every step; ``"end"``: only at an agent's end; ``"none"``.
+    render_mode
+        ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
+    picture
+        Options of pictures.
+    **options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
+
+    Notes
+    -----
+    Agents end at different times. Who ends by an accident stays in the way of the others; who
+    reaches its goal leaves. With adversaries, the game is truncated once no ego is left.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
+        "name": "ccdiff_env_multi_v0",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": FPS,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        *,
+        scenes: Scenes = None,
+        config: WorldConfig | None = None,
+        agents: Agents = "all",
+        ranking: KeyRanking = "distance",
+        adversaries: Adversaries = None,
+        adversary_shaping: float = 0.0,
+        names: Names = "token",
+        max_cycles: int | None = None,
+        observation: Literal["flat", "dict"] = "flat",
+        info: InfoLevel = "full",
+        render_mode: str | None = None,
+        picture: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        check_choices(observation, info)
+        check_render_mode(render_mode, ("human", "rgb_array"))
+        for name in ("controlled", "num_slots", "autoreset"):
+            if name in options:
+                raise ConfigError(f"{name} is not an option of games: use agents")
+        if max_cycles is not None:
+            options = {"horizon_steps": max_cycles, **options}
+        chosen = scene_set(scenes)
+        settled = world_config(chosen, config, options)
+        cast = Cast.of(
+            chosen,
+            settled.history_steps,
+            agents=agents,
+            ranking=ranking,
+            adversaries=adversaries,
+        )
+        settled = cast.config(chosen, settled).with_options(autoreset="disabled")
+        self.worlds = Worlds(
+            chosen, settled, num_worlds=1, num_threads=1, trails=render_mode is not None
+        )
+        self._kept: dict[str, Any] = {
+            "scenes": chosen,
+            "config": settled,
+            "agents": agents,
+            "ranking": ranking,
+            "adversaries": adversaries,
+            "adversary_shaping": adversary_shaping,
+            "names": names,
+            "observation": observation,
+            "info": info,
+            "render_mode": render_mode,
+            "picture": picture,
+        }
+        self._cast = cast
+        self._roles = Roles(self.worlds, adversary_shaping)
+        self._by_token = names == "token"
+        self.max_cycles = settled.horizon_steps
+        self.render_mode = render_mode
+        self.possible_agents: list[str] = list(cast.names(names))
+        self.agents: list[str] = []
+        layout = self.worlds.layout
+        self._as_dict = observation == "dict"
+        self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
+            name: layout.dict_space() if self._as_dict else layout.flat_space()
+            for name in self.possible_agents
+        }
+        self._action_spaces = {
+            name: copy.deepcopy(self.worlds.action_space) for name in self.possible_agents
+        }
+        rows = self.worlds.num_slots
+        box = layout.flat_space()
+        self.state_space = spaces.Box(
+            np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
+        )
+        self._picture = picture_options(picture)
+        self._info: InfoLevel = info
+        self._seeded = False
+        self._slots: dict[str, int] = {}
+        self._window: Window | None = None
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the world."""
+        return self.worlds.config
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the present episode."""
+        return self.worlds.scenes[self._scene_idx()]
+
+    def _scene_idx(self) -> int:
+        return int(self.worlds.native.status(0)[0])
+
+    def observation_space(self, agent: str) -> gymnasium.Space[Any]:
+        """Return the space of an agent's observations, always the same object."""
+        return self._observation_spaces[self._known(agent)]
+
+    def action_space(self, agent: str) -> gymnasium.Space[Any]:
+        """Return the space of an agent's actions, always the same object."""
+        return self._action_spaces[self._known(agent)]
+
+    def _known(self, agent: str) -> str:
+        if agent not in self._observation_spaces:
+            few = ", ".join(self.possible_agents[:5])
+            raise UnknownNameError(
+                f"no agent {agent!r} among {len(self.possible_agents)}: {few} ..."
+            )
+        return agent
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Rows, dict[str, dict[str, Any]]]:
+        """Begin a new episode.
+
+        Parameters
+        ----------
+        seed
+            Any integer; ``None`` goes on with the world's generator.
+        options
+            ``scene``: name or index of the scene. Other options are ignored, as PettingZoo asks.
+
+        Returns
+        -------
+        observations, infos
+            Of all agents of the episode; infos hold scene, token, seed, the agent's id and role.
+        """
+        scene_idx = self.worlds.scene_index((options or {}).get("scene"))
+        folded = None if seed is None else fold_seed(seed)
+        if folded is None and not self._seeded:
+            folded = int(np.random.default_rng().integers(2**63))
+        self._seeded = True
+        out = self.worlds.arrays()
+        self.worlds.native.reset([folded], [scene_idx], None, out)
+        self._begin()
+        common = self.worlds.reset_info(0)
+        ids = self.scene.agent_ids
+        infos = {}
+        for name in self.agents:
+            agent_idx = self._agent_of[self._slots[name]]
+            infos[name] = {**common, "agent_id": ids[agent_idx], "role": self.role(name)}
+        if self.render_mode == "human":
+            self.render()
+        return self._observations(out.obs[0], self.agents), infos
+
+    def _begin(self) -> None:
+        """Name the agents of the present episode."""
+        agents = self.worlds.native.slot_agents(0)
+        ids = self.scene.agent_ids
+        self._agent_of = {slot: agent for slot, agent in enumerate(agents) if agent is not None}
+        self._slots = {
+            ids[agent] if self._by_token else self.possible_agents[slot]: slot
+            for slot, agent in self._agent_of.items()
+        }
+        self._adversary = self._cast.adversary_slots(self._scene_idx())
+        self.agents = list(self._slots)
+
+    def role(self, agent: str) -> str:
+        """Return ``"ego"`` or ``"adversary"``, the part of an agent in the present episode."""
+        return "adversary" if self._adversary[self._slots[agent]] else "ego"
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[Rows, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Advance by one step.
+
+        Parameters
+        ----------
+        actions
+            An action of each of ``agents``; those of agents that have ended are ignored.
+
+        Returns
+        -------
+        observations, rewards, terminations, truncations, infos
+            Of the agents that were there before the step.
+
+        Raises
+        ------
+        ActionError, ShapeError
+            If an action is missing or does not fit; nothing has moved then.
+        ResetNeededError
+            Before the first reset and when nobody is left.
+        """
+        if not self.agents:
+            raise ResetNeededError("step: nobody is left, reset comes first")
+        self.worlds.native.step(self._actions(actions), self.worlds.arrays())
+        out = self.worlds.last
+        assert out is not None
+        played = np.zeros(self.worlds.num_slots, np.bool_)
+        played[[self._slots[name] for name in self.agents]] = True
+        rewards = self._roles.rewards(out, 0, played, self._adversary)
+        no_ego_left = bool(self._adversary.any()) and not (out.alive[0] & ~self._adversary).any()
+        before = self.agents
+        terminations, truncations, infos, live = {}, {}, {}, []
+        for name in before:
+            slot = self._slots[name]
+            terminations[name] = bool(out.terminated[0, slot])
+            cut = no_ego_left and bool(out.alive[0, slot])
+            truncations[name] = bool(out.truncated[0, slot]) or cut
+            ended = terminations[name] or truncations[name]
+            infos[name] = self._step_info(out, slot, ended)
+            if not ended:
+                live.append(name)
+        self.agents = live
+        if self.render_mode == "human":
+            self.render()
+        shown = {name: float(rewards[self._slots[name]]) for name in before}
+        observations = self._observations(out.obs[0], before)
+        return observations, shown, terminations, truncations, infos
+
+    def _actions(self, actions: Mapping[str, Any]) -> F32:
+        width = self.worlds.native.action_width
+        rows = np.zeros((self.worlds.num_slots, *(self.worlds.action_space.shape or ())))
+        for name in actions:
+            self._known(name)
+        for name in self.agents:
+            if name not in actions:
+                raise ActionError(f"no action for agent {name!r}")
+            given = np.asarray(actions[name])
+            if given.shape != rows.shape[1:]:
+                raise ActionError(
+                    f"action of {name!r} has shape {given.shape}, expected {rows.shape[1:]}"
+                )
+            if given.dtype.kind not in ("iu" if rows.ndim == 1 else "fiu"):
+                raise ActionError(f"action of {name!r} has dtype {given.dtype}")
+            rows[self._slots[name]] = given
+        with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused
+            return rows.astype(np.float32).reshape(1, -1, width)
+
+    def _step_info(self, out: StepArrays, slot: int, ended: bool) -> dict[str, Any]:
+        info: dict[str, Any] = {}
+        if self._info == "full" or (self._info == "end" and ended):
+            columns = out.columns[0, slot].tolist()
+            info.update(zip(self.worlds.column_names, columns, strict=True))
+        if ended and self._info != "none":
+            metrics = self.worlds.native.metrics(0)[slot].tolist()
+            info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
+        return info
+
+    def _observations(self, rows: F32, names: list[str]) -> Rows:
+        layout = self.worlds.layout
+        chosen = {name: rows[self._slots[name]].copy() for name in names}
+        return (
+            {name: layout.split(row) for name, row in chosen.items()} if self._as_dict else chosen
+        )
+
+    def state(self) -> F32:
+        """Return the flat observations of all slots, one after the other; zero for absent ones."""
+        return self.worlds.observation(0).ravel()
+
+    def render(self) -> Image | None:
+        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() was called without a render mode")
+            return None
+        image: Image = self.worlds.native.render(0, **self._picture)
+        if self.render_mode == "rgb_array":
+            return image
+        if self._window is None:
+            self._window = Window("ccdiff_env")
+        self._window.show(image)
+        return None
+
+    def snapshot(self) -> bytes:
+        """Return everything that the world's future depends on."""
+        return Snapshot(self.worlds.native.snapshot(0)).to_bytes()
+
+    def restore(self, snapshot: bytes) -> Rows:
+        """Return to the state of a snapshot; returns the observations of that moment.
+
+        Raises
+        ------
+        SnapshotError
+            If the bytes are damaged, or belong to another configuration or other scenes.
+        """
+        self.worlds.native.restore(0, Snapshot.from_bytes(snapshot).world)
+        self.agents = []
+        if not self.worlds.native.begun(0):
+            return {}
+        self._seeded = True
+        self._begin()
+        alive = self.worlds.native.slot_alive(0)
+        self.agents = [name for name in self.agents if alive[self._slots[name]]]
+        if self._adversary.any() and not (np.array(alive) & ~self._adversary).any():
+            self.agents = []
+        return self._observations(self.worlds.observation(0), self.agents)
+
+    def fork(self) -> MultiAgentEnv:
+        """Return an independent environment in the same state."""
+        return copy.deepcopy(self)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds; a window is not part of it."""
+        return {
+            **self._kept,
+            "snapshot": self.snapshot(),
+            "seeded": self._seeded,
+            "spaces": (self._observation_spaces, self._action_spaces),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Rebuild the environment."""
+        extra = ("snapshot", "seeded", "spaces")
+        MultiAgentEnv.__init__(self, **{k: v for k, v in state.items() if k not in extra})
+        self.restore(state["snapshot"])
+        self._seeded = state["seeded"]
+        self._observation_spaces, self._action_spaces = state["spaces"]
+
+
+__all__ = ["MultiAgentEnv"]

@@ -1,0 +1,248 @@
+"""Games of several vehicles: PettingZoo's own suites, names, roles, endings."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import types
+import warnings
+
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+from pettingzoo.test.max_cycles_test import max_cycles_test
+
+import ccdiff_env
+from ccdiff_env import aec_env, embedded_scenes, errors, key_agents, parallel_env
+from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")
+
+
+@pytest.fixture(autouse=True)
+def _no_window(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+FORMS = [
+    {},
+    {"observation": "dict", "names": "slot"},
+    {"agents": 3, "adversaries": 1, "discrete": True},
+    {"agents": 4, "ranking": "cliques", "traffic": "idm", "adversaries": "others"},
+]
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_pettingzoos_parallel_suite_passes_without_a_warning(scenes, form):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        parallel_api_test(parallel_env(scenes=scenes[:1], **form), num_cycles=150)
+
+
+def test_pettingzoos_parallel_suite_passes_over_many_scenes(scenes):
+    for names in ("token", "slot"):
+        parallel_api_test(parallel_env(scenes=scenes, agents=3, names=names), num_cycles=60)
+
+
+def test_pettingzoos_seed_suites_pass(scenes):
+    parallel_seed_test(lambda: parallel_env(scenes=scenes, agents=3), num_cycles=40)
+    seed_test(lambda: aec_env(scenes=scenes, agents=3), num_cycles=20)
+
+
+def test_pettingzoos_aec_suite_passes(scenes):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        options = {"agents": 4, "names": "slot", "max_cycles": 30}
+        api_test(aec_env(scenes=scenes[:1], **options), num_cycles=100)
+
+
+def test_pettingzoos_max_cycles_suite_passes(scenes):
+    options = {"scenes": scenes[:1], "agents": 3, "terminate_at_goal": False}
+    module = types.SimpleNamespace(
+        parallel_env=lambda **more: parallel_env(**options, **more),
+        env=lambda **more: aec_env(**options, **more),
+    )
+    max_cycles_test(module)
+
+
+def test_pettingzoos_render_suite_passes(scenes):
+    render_test(lambda **more: aec_env(scenes=scenes[:1], agents=2, **more))
+
+
+def play(env, seed=0, steps=200, action=None, **options):
+    """Everything that an episode shows."""
+    observations, infos = env.reset(seed=seed, options=options)
+    trace = [(observations, infos)]
+    for _ in range(steps):
+        if not env.agents:
+            break
+        chosen = {
+            name: np.zeros(2, np.float32) if action is None else action(name) for name in env.agents
+        }
+        trace.append(env.step(chosen))
+    return trace
+
+
+def test_a_game_of_the_ego_alone_is_ego_v0(scenes):
+    single = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
+    game = parallel_env(scenes=scenes, agents=["ego"], traffic="idm")
+    trace = play(game, seed=4)
+    obs, _ = single.reset(seed=4)
+    assert (trace[0][0]["ego"] == obs).all()
+    for step in trace[1:]:
+        want = single.step(np.zeros(2, np.float32))
+        assert (step[0]["ego"] == want[0]).all()
+        assert [part["ego"] for part in step[1:4]] == list(want[1:4])
+    assert step[4]["ego"]["metrics"] == want[4]["metrics"]
+
+
+def test_names_are_instance_tokens_of_all_scenes_or_ranks(scenes):
+    by_token = parallel_env(scenes=scenes, agents=3)
+    every = {one for scene in scenes for one in scene.agent_ids}
+    assert by_token.possible_agents[0] == "ego"
+    assert set(by_token.possible_agents) <= every
+    for scene in scenes:
+        by_token.reset(options={"scene": scene.name})
+        assert set(by_token.agents) <= set(scene.agent_ids)
+    by_rank = parallel_env(scenes=scenes, agents=3, names="slot")
+    assert by_rank.possible_agents == ["ego_0", "vehicle_1", "vehicle_2"]
+    _, infos = by_rank.reset(options={"scene": scenes[0].name})
+    by_token.reset(options={"scene": scenes[0].name})
+    assert [info["agent_id"] for info in infos.values()] == by_token.agents
+
+
+def test_rankings_by_distance_and_contact_are_those_of_brute_force(scenes):
+    scene = scenes["cut-in-04"] if "cut-in-04" in scenes.names else scenes[0]
+    tracks, step = scene.tracks(), 30
+    there = [
+        i
+        for i, kind in enumerate(scene.agent_types)
+        if kind == "vehicle" and tracks["valid"][i, step] and i != 0
+    ]
+    metres = {
+        i: np.hypot(*(tracks["position"][i, step] - tracks["position"][0, step])) for i in there
+    }
+    got = key_agents.logged_vehicles(scene, step, "distance")
+    assert got == [0, *sorted(there, key=metres.__getitem__)]
+    for ranking in key_agents.RANKINGS:
+        ranked = key_agents.logged_vehicles(scene, step, ranking)
+        assert sorted(ranked) == [0, *there]
+        assert ranked[0] == 0
+
+
+def test_egos_and_adversaries_have_opposite_rewards(scenes):
+    env = parallel_env(scenes=scenes, agents=2, adversaries=1, traffic="idm")
+    plain = parallel_env(scenes=scenes, agents=2, traffic="idm")
+    rng = np.random.default_rng(0)
+    for seed in range(4):
+        actions = [rng.uniform(-1, 1, (2, 2)).astype(np.float32) for _ in range(100)]
+        _, infos = env.reset(seed=seed)
+        plain.reset(seed=seed)
+        roles = {name: info["role"] for name, info in infos.items()}
+        assert list(roles.values()) == ["ego", "adversary"][: len(roles)]
+        for action in actions:
+            chosen = dict(zip(roles, action, strict=False))
+            if not env.agents:
+                break
+            before = list(env.agents)
+            _, rewards, terminations, truncations, _ = env.step(chosen)
+            _, own, *_ = plain.step(chosen)
+            for name in before:
+                if roles[name] == "ego":
+                    assert rewards[name] == own[name]
+                else:
+                    assert rewards[name] == -own["ego"]
+            if terminations["ego"] or truncations["ego"]:
+                assert not env.agents
+                assert all(terminations[n] or truncations[n] for n in before)
+
+
+def test_shaping_charges_an_adversary_for_its_own_driving(scenes):
+    options = {"scenes": scenes[:1], "agents": 2, "adversaries": 1, "on_off_road": "ignore"}
+    env = parallel_env(adversary_shaping=1.0, **options)
+    env.reset(seed=0)
+    other = env.agents[1]
+    for _ in range(20):
+        actions = {"ego": np.zeros(2, np.float32), other: np.array([1.0, 1.0], np.float32)}
+        _, rewards, *_, infos = env.step(actions)
+        own = infos[other]["reward_off_road"] + infos[other]["reward_comfort"]
+        assert rewards[other] == pytest.approx(own - rewards["ego"], abs=1e-5)
+        assert own < 0
+        if other not in env.agents or "ego" not in env.agents:
+            break
+
+
+def test_agents_end_at_different_times_and_never_come_back(scenes):
+    env = parallel_env(scenes=scenes[:1], traffic="idm")
+    rng = np.random.default_rng(1)
+    env.reset(seed=0)
+    ends, step = {}, 0
+    while env.agents:
+        actions = {name: rng.uniform(-1, 1, 2).astype(np.float32) for name in env.agents}
+        before = list(env.agents)
+        obs, _, terminations, truncations, infos = env.step(actions)
+        step += 1
+        assert list(obs) == before
+        for name in before:
+            assert env.observation_space(name).contains(obs[name])
+            if terminations[name] or truncations[name]:
+                assert name not in ends
+                ends[name] = step
+                assert infos[name]["metrics"]["length"] == step
+    assert len(set(ends.values())) > 1
+    assert sorted(ends) == sorted(env.possible_agents)
+    with pytest.raises(ResetNeededError):
+        env.step({})
+
+
+def test_copies_and_pickles_go_on_alike(scenes):
+    env = parallel_env(scenes=scenes, agents=3, adversaries=1, traffic="idm")
+    env.reset(seed=2)
+    for _ in range(10):
+        env.step({name: np.array([0.5, 0.1], np.float32) for name in env.agents})
+    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), env.fork()]
+    for _ in range(20):
+        if not env.agents:
+            break
+        actions = {name: np.array([0.2, -0.1], np.float32) for name in env.agents}
+        want = env.step(actions)
+        for other in others:
+            got = other.step(actions)
+            assert other.agents == env.agents
+            assert got[1:4] == want[1:4]
+            assert all((got[0][name] == want[0][name]).all() for name in want[0])
+
+
+def test_mistakes_are_named(scenes):
+    for options, kind in (
+        ({"agents": "every"}, ConfigError),
+        ({"agents": 0}, ConfigError),
+        ({"agents": ["nobody"]}, ConfigError),
+        ({"ranking": "height"}, ConfigError),
+        ({"names": "colour"}, ConfigError),
+        ({"controlled": "ego"}, ConfigError),
+        ({"adversaries": "egos"}, ConfigError),
+    ):
+        with pytest.raises(kind):
+            parallel_env(scenes=scenes, **options)
+    env = parallel_env(scenes=scenes[:1], agents=2)
+    with pytest.raises(UnknownNameError):
+        env.action_space("nobody")
+    env.reset(seed=0)
+    digest = env.worlds.native.digest(0)
+    good = {name: np.zeros(2, np.float32) for name in env.agents}
+    for bad in (
+        {},
+        {"ego": np.zeros(2)},
+        {**good, "ego": np.zeros(3)},
+        {**good, "ego": np.array([np.nan, 0])},
+        {**good, "ego": np.array(["a", "b"])},
+    ):
+        with pytest.raises(ActionError):
+            env.step(bad)
+    with pytest.raises(errors.UnknownNameError):
+        env.step({**good, "nobody": np.zeros(2)})
+    assert env.worlds.native.digest(0) == digest
