@@ -68,6 +68,28 @@ impl AgentStates {
         }
     }
 
+    /// Makes this the states of `num_agents` agents, none of them active; allocates only where there were never as
+    /// many.
+    pub(crate) fn clear_for(&mut self, num_agents: usize) {
+        for (array, value) in [
+            (&mut self.x, 0.0),
+            (&mut self.y, 0.0),
+            (&mut self.heading_rad, 0.0),
+            (&mut self.cos, 1.0),
+            (&mut self.sin, 0.0),
+            (&mut self.speed_mps, 0.0),
+            (&mut self.velocity_x_mps, 0.0),
+            (&mut self.velocity_y_mps, 0.0),
+            (&mut self.acceleration_mps2, 0.0),
+            (&mut self.yaw_rate_radps, 0.0),
+        ] {
+            array.clear();
+            array.resize(num_agents, value);
+        }
+        self.active.clear();
+        self.active.resize(num_agents, false);
+    }
+
     /// Number of agents A.
     #[inline]
     pub fn len(&self) -> usize {

@@ -117,11 +117,7 @@ impl Episode {
         self.scene_idx = scene_idx;
         self.step_idx = config.history_steps;
         self.elapsed_steps = 0;
-        if self.states.len() == num_agents {
-            self.states.active.fill(false);
-        } else {
-            self.states = AgentStates::new(num_agents);
-        }
+        self.states.clear_for(num_agents);
         self.route_s_m.clear();
         self.route_s_m.resize(num_agents, 0.0);
         self.entered.clear();
@@ -155,20 +151,24 @@ impl Episode {
 
     fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig) {
         let log = &scene.scene;
-        let mut vehicles =
-            (0..log.num_agents()).filter(|a| scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a]);
-        let chosen: Vec<Option<usize>> = match &config.controlled {
-            Controlled::Ego => vec![log.agent_index(crate::scene::EGO_ID)],
-            Controlled::Vehicles => (0..config.num_slots).map(|_| vehicles.next()).collect(),
-            Controlled::Ids(ids) => ids.iter().map(|id| log.agent_index(id)).collect(),
-            Controlled::PerScene(scenes) => {
-                let mut ids = scenes.get(&log.name).into_iter().flatten();
-                (0..config.num_slots).map(|_| ids.next().and_then(|id| log.agent_index(id))).collect()
-            }
-        };
+        let mut first_unseen = 0;
         let end_step = config.history_steps + config.horizon_steps;
         self.slots.clear();
-        for agent in chosen {
+        for c in 0..config.num_slots {
+            let agent = match &config.controlled {
+                Controlled::Ego => log.agent_index(crate::scene::EGO_ID),
+                Controlled::Ids(ids) => ids.get(c).and_then(|id| log.agent_index(id)),
+                Controlled::PerScene(scenes) => {
+                    scenes.get(&log.name).and_then(|ids| ids.get(c)).and_then(|id| log.agent_index(id))
+                }
+                Controlled::Vehicles => {
+                    let is_vehicle =
+                        |a: &usize| scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a];
+                    let found = (first_unseen..log.num_agents()).find(is_vehicle);
+                    first_unseen = found.map_or(log.num_agents(), |a| a + 1);
+                    found
+                }
+            };
             let agent_idx = agent.filter(|a| self.states.active[*a]);
             let (mut start_s_m, mut goal_s_m) = (0.0, 0.0);
             if let Some(a) = agent_idx {
