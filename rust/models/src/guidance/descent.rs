@@ -36,7 +36,9 @@ impl<'c> Descent<'c> {
                     (*m / unbias_1) / ((*v / unbias_2).sqrt() + EPSILON)
                 }
             };
-            *x -= rate * step;
+            if step != 0.0 {
+                *x -= rate * step;
+            }
         }
         self.clip(x);
     }
@@ -57,7 +59,9 @@ impl<'c> Descent<'c> {
                 let norm = squared.sqrt();
                 if norm > self.limit {
                     let share = self.limit / norm;
-                    x.iter_mut().zip(moved()).for_each(|(x, s)| *x = s + share * (*x - s));
+                    for (x, start) in x.iter_mut().zip(moved()).filter(|(x, s)| *x != *s) {
+                        *x = start + share * (*x - start);
+                    }
                 }
             }
         }

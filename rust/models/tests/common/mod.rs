@@ -55,6 +55,7 @@ pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
     Arc::new(scene.validated().unwrap())
 }
 
+#[allow(dead_code, reason = "not every test file uses it")]
 /// A follower closing in on a braking leader, and a third car far off.
 pub(crate) fn closing_pair() -> Arc<Scene> {
     scene(&[[0.0, 0.0, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 4.0, 0.3], [150.0, -4.0, 3.1, 6.0, 0.0]], 110)
