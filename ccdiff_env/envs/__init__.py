@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from ccdiff_env.envs.rows import AgentVectorEnv
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import MissingFeatureError
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EGO_ID",
+    "AgentVectorEnv",
     "EgoEnv",
     "EgoVectorEnv",
     "aec_env",

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.worlds import StepArrays, Worlds
+from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.key_agents import RANKINGS, KeyRanking, logged_vehicles
 from ccdiff_env.scenes import SceneSet
@@ -154,24 +154,28 @@ class Roles:
         self._own = [names.index("reward_off_road"), names.index("reward_comfort")]
         self._shaping = shaping
 
-    def rewards(self, out: StepArrays, world_idx: int, played: Bool, adversary: Bool) -> F32:
-        """Return the rewards [C] of a step.
+    def rewards(self, reward: F32, columns: F32, played: Bool, adversary: Bool) -> F32:
+        """Return the rewards [E, C] of a step.
 
         Parameters
         ----------
-        out
-            What the step wrote.
-        world_idx
-            The world.
+        reward, columns
+            What the step wrote, [E, C] and [E, C, M].
         played
-            Slots that were alive before the step.
+            Slots [E, C] that were alive before the step.
         adversary
-            Slots that are adversaries.
+            Slots [E, C] that are adversaries.
         """
-        rewards: F32 = out.reward[world_idx].copy()
         egos, others = played & ~adversary, played & adversary
-        if others.any():
-            own = out.columns[world_idx][:, self._own].sum(axis=1) * np.float32(self._shaping)
-            against = rewards[egos].mean() if egos.any() else np.float32(0.0)
-            rewards[others] = own[others] - against
-        return rewards
+        if not others.any():
+            return reward.copy()
+        num_egos = np.maximum(egos.sum(axis=-1, keepdims=True), 1)
+        against = np.where(egos, reward, 0.0).sum(axis=-1, keepdims=True) / num_egos
+        own = columns[..., self._own].sum(axis=-1) * np.float32(self._shaping)
+        return np.where(others, own - against, reward).astype(np.float32)
+
+    @staticmethod
+    def decided(alive: Bool, adversary: Bool) -> Bool:
+        """Return the worlds [E] in which adversaries go on, but no ego is left."""
+        left = (alive & adversary).any(axis=-1) & ~(alive & ~adversary).any(axis=-1)
+        return np.asarray(left)

@@ -263,14 +263,15 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         assert out is not None
         played = np.zeros(self.worlds.num_slots, np.bool_)
         played[[self._slots[name] for name in self.agents]] = True
-        rewards = self._roles.rewards(out, 0, played, self._adversary)
-        no_ego_left = bool(self._adversary.any()) and not (out.alive[0] & ~self._adversary).any()
+        parts = (out.reward[0], out.columns[0], played, self._adversary)
+        rewards = self._roles.rewards(*parts)
+        decided = bool(self._roles.decided(out.alive[0], self._adversary))
         before = self.agents
         terminations, truncations, infos, live = {}, {}, {}, []
         for name in before:
             slot = self._slots[name]
             terminations[name] = bool(out.terminated[0, slot])
-            cut = no_ego_left and bool(out.alive[0, slot])
+            cut = decided and bool(out.alive[0, slot])
             truncations[name] = bool(out.truncated[0, slot]) or cut
             ended = terminations[name] or truncations[name]
             infos[name] = self._step_info(out, slot, ended)
@@ -354,9 +355,9 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             return {}
         self._seeded = True
         self._begin()
-        alive = self.worlds.native.slot_alive(0)
+        alive = np.array(self.worlds.native.slot_alive(0))
         self.agents = [name for name in self.agents if alive[self._slots[name]]]
-        if self._adversary.any() and not (np.array(alive) & ~self._adversary).any():
+        if self._roles.decided(alive, self._adversary):
             self.agents = []
         return self._observations(self.worlds.observation(0), self.agents)
 

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
+from ccdiff_env.envs.rows import AgentVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
 
@@ -33,7 +34,7 @@ class SB3VecEnv(VecEnv):
         If the environment is in another autoreset mode.
     """
 
-    def __init__(self, env: EgoVectorEnv) -> None:
+    def __init__(self, env: EgoVectorEnv | AgentVectorEnv) -> None:
         if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise ConfigError(
                 f"autoreset_mode is {env.metadata['autoreset_mode']}, expected SAME_STEP: "
@@ -139,3 +140,29 @@ class SB3VecEnv(VecEnv):
         from stable_baselines3.common.monitor import Monitor
 
         return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]
+
+
+class AgentSB3VecEnv(SB3VecEnv):
+    """The vehicles of an :class:`AgentVectorEnv` as rows of a stable-baselines3 ``VecEnv``.
+
+    Every info holds ``active``, whether the row's vehicle is driven by the next action. The end of
+    a wait is a done without ``episode``, so that statistics count driven episodes only.
+
+    Parameters
+    ----------
+    env
+        The rows.
+    """
+
+    def __init__(self, env: AgentVectorEnv) -> None:
+        super().__init__(env)
+
+    def step_wait(self) -> Any:
+        """Step all worlds; observations [E x C, ...], rewards, dones [E x C], infos."""
+        obs, rewards, dones, infos = super().step_wait()
+        active = self.env.active_masks()  # type: ignore[union-attr]
+        for i, info in enumerate(infos):
+            info["active"] = bool(active[i])
+            if dones[i] and not info["played"]:
+                del info["episode"]
+        return obs, rewards, dones, infos

@@ -1,0 +1,327 @@
+"""Games of several vehicles in many worlds at once: every controlled vehicle is a row."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, cast
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.game import Adversaries, Agents, Cast, Roles
+from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
+from ccdiff_env.envs.vector import InfoLevel, check_choices
+from ccdiff_env.envs.worlds import (
+    SceneChoice,
+    Scenes,
+    Worlds,
+    fold_seed,
+    scene_set,
+    world_config,
+)
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.key_agents import KeyRanking
+
+__all__ = ["AgentVectorEnv"]
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+Info = dict[str, Any]
+
+
+class AgentVectorEnv(VectorEnv[Any, Any, Any]):
+    """E worlds of C slots in Rust as E x C rows; row i is slot ``i % C`` of world ``i // C``.
+
+    A row's episode ends when its vehicle's does. It then waits, with observations and rewards of
+    zero and ``infos["active"]`` false, until its world has ended and begins anew within the step
+    (SAME_STEP); the wait itself ends there as an episode whose ``final_info["played"]`` is false.
+    Slots for which a scene has no vehicle wait likewise.
+
+    Parameters
+    ----------
+    num_worlds
+        Number of worlds E.
+    scenes, config, agents, ranking, adversaries, adversary_shaping
+        As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
+    observation, info, num_threads, render_mode, picture
+        As for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
+    **options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
+    """
+
+    metadata = {  # noqa: RUF012 (Gymnasium's form)
+        "render_modes": ["rgb_array"],
+        "render_fps": FPS,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_worlds: int = 1,
+        *,
+        scenes: Scenes = None,
+        config: WorldConfig | None = None,
+        agents: Agents = "all",
+        ranking: KeyRanking = "distance",
+        adversaries: Adversaries = None,
+        adversary_shaping: float = 0.0,
+        observation: Literal["flat", "dict"] = "flat",
+        info: InfoLevel = "end",
+        num_threads: int | None = None,
+        render_mode: str | None = None,
+        picture: Mapping[str, Any] | None = None,
+        **options: Any,
+    ) -> None:
+        check_choices(observation, info)
+        check_render_mode(render_mode, ("rgb_array",))
+        for name in ("controlled", "num_slots", "autoreset"):
+            if name in options:
+                raise ConfigError(f"{name} is not an option of games: use agents")
+        chosen = scene_set(scenes)
+        settled = world_config(chosen, config, options)
+        cast_of = Cast.of(
+            chosen,
+            settled.history_steps,
+            agents=agents,
+            ranking=ranking,
+            adversaries=adversaries,
+        )
+        settled = cast_of.config(chosen, settled).with_options(autoreset="same_step")
+        self.worlds = Worlds(
+            chosen,
+            settled,
+            num_worlds=num_worlds,
+            num_threads=num_threads,
+            trails=render_mode is not None,
+        )
+        self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
+        self.num_envs = num_worlds * self.num_slots
+        self.render_mode = render_mode
+        self._picture = picture_options(picture)
+        layout = self.worlds.layout
+        self._as_dict = observation == "dict"
+        self.single_observation_space: gymnasium.Space[Any] = (
+            layout.dict_space() if self._as_dict else layout.flat_space()
+        )
+        self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._action_shape = (self.num_envs, *(self.single_action_space.shape or ()))
+        self._cast = cast_of
+        self._roles = Roles(self.worlds, adversary_shaping)
+        self._info = info
+        self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
+        self._adversary = np.zeros((num_worlds, self.num_slots), np.bool_)
+        self._seeded = False
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the worlds."""
+        return self.worlds.config
+
+    def active_masks(self) -> Bool:
+        """Return the rows [E x C] whose vehicles are driven by the next actions."""
+        return self._active.ravel().copy()
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, Info]:
+        """Begin new episodes in all worlds.
+
+        Parameters
+        ----------
+        seed
+            Any integer n (world i gets n + i), or one per world or row (then that of its first).
+        options
+            ``scene``: name or index, or one per world or row.
+
+        Returns
+        -------
+        obs, infos
+            Observations [E x C, ...]; ``active``, ``agent_id``, ``role``, ``scene``,
+            ``scene_token``, ``seed``, ``episode_idx``.
+        """
+        for name in options or {}:
+            if name != "scene":
+                raise unknown("reset option", str(name), ("scene",))
+        given = (options or {}).get("scene")
+        many = isinstance(given, (list, tuple)) or (isinstance(given, np.ndarray) and given.ndim)
+        listed = self._per_world("scene", given) if many else [given] * self.num_worlds
+        scenes = [self.worlds.scene_index(cast("SceneChoice", one)) for one in listed]
+        out = self.worlds.arrays()
+        self.worlds.native.reset(self._seeds(seed), scenes, None, out)
+        self._active = out.alive.copy()
+        infos: Info = {}
+        self._begin(infos, np.ones(self.num_worlds, np.bool_))
+        infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
+        return self._shown(out.obs), infos
+
+    def _per_world(self, name: str, values: Any) -> list[Any]:
+        listed = list(values)
+        if len(listed) == self.num_envs:
+            return listed[:: self.num_slots]
+        if len(listed) != self.num_worlds:
+            raise ConfigError(
+                f"{name} has {len(listed)} entries, expected {self.num_worlds} or {self.num_envs}"
+            )
+        return listed
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        fresh: list[int | None] = [None] * self.num_worlds
+        if not self._seeded:
+            fresh = [int(n) for n in self.np_random.integers(2**63, size=self.num_worlds)]
+        self._seeded = True
+        if seed is None:
+            return fresh
+        if isinstance(seed, (list, tuple, np.ndarray)):
+            pairs = zip(self._per_world("seed", seed), fresh, strict=True)
+            return [new if one is None else fold_seed(one) for one, new in pairs]
+        first = fold_seed(seed)
+        super().reset(seed=first)
+        return [fold_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_worlds)]
+
+    def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
+        """Advance all worlds by one step.
+
+        Parameters
+        ----------
+        actions
+            Actions [E x C, W], or indices [E x C]; those of rows that wait are ignored.
+
+        Returns
+        -------
+        obs, rewards, terminations, truncations, infos
+            Arrays [E x C, ...]. ``infos`` holds ``active``; ``final_obs`` and ``final_info`` of
+            rows that ended (with ``played``, figures and ``metrics``); with ``info="full"`` the
+            figures of every row that played.
+
+        Raises
+        ------
+        ShapeError, ActionError
+            If the actions do not fit; nothing has moved then.
+        ResetNeededError
+            Before the first reset.
+        """
+        checked = self.worlds.actions(actions, self._action_shape)
+        played = self._active
+        out = self.worlds.arrays()
+        self.worlds.native.step(checked, out)
+        assert out.final_obs is not None
+        terminated, truncated = out.terminated.copy(), out.truncated.copy()
+        rewards = self._roles.rewards(out.reward, out.columns, played, self._adversary)
+        columns, last = (
+            out.columns.copy(),
+            np.where(out.done[:, None, None], out.final_obs, out.obs),
+        )
+        metrics = self._metrics(terminated | truncated, out.done)
+        cut = self._roles.decided(out.alive & ~out.done[:, None], self._adversary) & ~out.done
+        if cut.any():
+            stopped = cut[:, None] & out.alive
+            truncated |= stopped
+            metrics = {**metrics, **self._metrics(stopped, out.done)}
+            empty: list[int | None] = [None] * self.num_worlds
+            self.worlds.native.reset(empty, empty, cut.tolist(), out)
+        begun = out.done | cut
+        self._active = out.alive.copy()
+        out.obs[~self._active] = 0.0
+        waited = ~played & begun[:, None] & self._active
+        ended = terminated | truncated
+        terminated |= waited
+        infos: Info = {}
+        if (ended | waited).any():
+            self._final(infos, ended, waited, last, columns, metrics)
+        if self._info == "full":
+            infos.update(self._figures(columns, played))
+        self._begin(infos, begun)
+        infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
+        shown = self._shown(out.obs)
+        return shown, rewards.ravel(), terminated.ravel(), truncated.ravel(), infos
+
+    def _metrics(self, ended: Bool, done: Bool) -> dict[tuple[int, int], npt.NDArray[np.float64]]:
+        """Metrics of slots whose episode has ended, by world and slot."""
+        found = {}
+        native = self.worlds.native
+        for e in np.flatnonzero(ended.any(axis=1)) if self._info != "none" else ():
+            table = native.ended_metrics([int(e)])[0] if done[e] else native.metrics(int(e))
+            found.update({(int(e), int(c)): table[c] for c in np.flatnonzero(ended[e])})
+        return found
+
+    def _figures(self, columns: F32, mask: Bool) -> Info:
+        rows = columns.reshape(self.num_envs, -1)
+        shown = mask.ravel()
+        info: Info = {}
+        for i, name in enumerate(self.worlds.column_names):
+            info[name] = np.where(shown, rows[:, i], np.float32(0.0))
+            info["_" + name] = shown.copy()
+        return info
+
+    def _final(
+        self,
+        infos: Info,
+        ended: Bool,
+        waited: Bool,
+        last: F32,
+        columns: F32,
+        metrics: dict[tuple[int, int], npt.NDArray[np.float64]],
+    ) -> None:
+        done = (ended | waited).ravel()
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        layout = self.worlds.layout
+        for i in np.flatnonzero(done):
+            row = last[i // self.num_slots, i % self.num_slots] * np.float32(ended.ravel()[i])
+            final_obs[i] = layout.split(row) if self._as_dict else row
+        final: Info = {"played": ended.ravel().copy(), "_played": done.copy()}
+        if self._info != "none":
+            final.update(self._figures(columns, ended))
+            values = np.zeros((len(self.worlds.metric_names), self.num_envs))
+            for (e, c), row_metrics in metrics.items():
+                values[:, e * self.num_slots + c] = row_metrics
+            table: Info = {}
+            for name, one in zip(self.worlds.metric_names, values, strict=True):
+                table[name], table["_" + name] = one, ended.ravel().copy()
+            final["metrics"], final["_metrics"] = table, ended.ravel().copy()
+        infos["final_obs"], infos["_final_obs"] = final_obs, done.copy()
+        infos["final_info"], infos["_final_info"] = final, done.copy()
+
+    def _begin(self, infos: Info, begun: Bool) -> None:
+        """Note who plays in the worlds that began an episode, and say so in their rows."""
+        for e in np.flatnonzero(begun):
+            scene_idx = self.worlds.native.status(int(e))[0]
+            self._adversary[e] = self._cast.adversary_slots(scene_idx)
+            ids = self.worlds.scenes[scene_idx].agent_ids
+            common = self.worlds.reset_info(int(e))
+            for c, agent in enumerate(self.worlds.native.slot_agents(int(e))):
+                role = "adversary" if self._adversary[e, c] else "ego"
+                values = {**common, "agent_id": None if agent is None else ids[agent], "role": role}
+                self._put(infos, int(e) * self.num_slots + c, values)
+
+    def _put(self, infos: Info, row: int, values: Info) -> None:
+        for name, value in values.items():
+            if name not in infos:
+                kind = np.int64 if isinstance(value, int) else object
+                infos[name] = np.full(self.num_envs, 0 if kind is np.int64 else None, dtype=kind)
+                infos["_" + name] = np.zeros(self.num_envs, np.bool_)
+            infos[name][row] = value
+            infos["_" + name][row] = value is not None
+
+    def _shown(self, obs: F32) -> Any:
+        rows = obs.reshape(self.num_envs, -1)
+        return self.worlds.layout.split(rows) if self._as_dict else rows
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
+        if self.render_mode is None:
+            return None
+        native = self.worlds.native
+        return tuple(native.render(i, **self._picture) for i in range(self.num_worlds))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Do nothing: the worlds go with the environment."""
