@@ -15,6 +15,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="ccdiff-env", description=__doc__)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     _add_train(verbs)
+    _add_view(verbs)
     args = parser.parse_args(argv)
     try:
         status: int = args.run(args)
@@ -89,6 +90,14 @@ def _train(args: argparse.Namespace) -> int:
     )
     print(weights)
     return 0
+
+
+def _add_view(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from ccdiff_env.view import command
+
+    parser = verbs.add_parser("view", help="write a replay page, a picture or a film")
+    command.add_arguments(parser)
+    parser.set_defaults(run=command.run)
 
 
 if __name__ == "__main__":

@@ -161,7 +161,7 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
             raise ConfigError(
                 f"{path.name}: a PNG holds one picture, got {len(stack)}; use .gif or .mp4"
             )
-        _pillow().fromarray(stack[0]).save(path)
+        pillow().fromarray(stack[0]).save(path)
     elif suffix == ".gif":
         _save_gif(stack, path, fps)
     elif suffix == ".mp4":
@@ -171,11 +171,11 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
 
 
 def _save_gif(stack: Image, path: Path, fps: float) -> None:
-    pillow = _pillow()
+    library = pillow()
     # One palette for the whole film, taken from a few of its pictures: colours do not flicker.
     few = stack[:: max(1, len(stack) // 8)]
-    palette = pillow.fromarray(np.concatenate(list(few))).quantize(256, method=0, dither=0)
-    images = [pillow.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
+    palette = library.fromarray(np.concatenate(list(few))).quantize(256, method=0, dither=0)
+    images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0
     )
@@ -200,12 +200,19 @@ def _save_mp4(stack: Image, path: Path, fps: float) -> None:
             writer.append_data(frame)
 
 
-def _pillow() -> ModuleType:
+def pillow() -> ModuleType:
+    """Return Pillow's module of images.
+
+    Raises
+    ------
+    MissingFeatureError
+        If Pillow is not installed.
+    """
     try:
-        from PIL import Image as pillow
+        from PIL import Image as library
     except ImportError as error:
         raise MissingFeatureError("writing pictures needs Pillow: pip install pillow") from error
-    return pillow
+    return library
 
 
 def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:

@@ -1,0 +1,8 @@
+"""Replays to look at: HTML pages, pictures and films of rollouts and logs."""
+
+from __future__ import annotations
+
+from ccdiff_env.view.page import page, write_page
+from ccdiff_env.view.sources import find_rollout, log_rollout
+
+__all__ = ["find_rollout", "log_rollout", "page", "write_page"]

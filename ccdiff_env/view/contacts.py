@@ -1,0 +1,66 @@
+"""Pairs of agents on course to meet, at every step of a rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import causal
+from ccdiff_env.rollout import Rollout, RolloutEvent
+
+TTC_CAP_S = 10.0
+"""Pairs that meet later than this are left out."""
+OVERLAP = "overlap"
+"""Kind of the events of :func:`overlaps`."""
+MOVING_MPS = 0.5
+
+
+def contacts(
+    rollout: Rollout,
+) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
+    """Yield for each step the pairs (a < b) that meet within :data:`TTC_CAP_S`, and when.
+
+    Boxes move at constant velocities. Pairs of static obstacles are left out.
+    """
+    valid = rollout.valid.T
+    speed = np.linalg.norm(rollout.velocity, axis=-1).T
+    forwards = (
+        rollout.velocity[..., 0] * np.cos(rollout.heading)
+        + rollout.velocity[..., 1] * np.sin(rollout.heading)
+    ).T
+    static = np.array([kind == "static" for kind in rollout.scene.agent_types])
+    apart = ~(static[:, None] & static[None, :])
+    upper = np.triu(np.ones_like(apart), 1) & apart
+    for t in range(rollout.num_steps):
+        seconds = causal.ttc(
+            rollout.position[:, t],
+            rollout.heading[:, t],
+            np.copysign(speed[t], forwards[t]),
+            rollout.scene.sizes[:, :2],
+            valid[t],
+            normalised=False,
+        )
+        a, b = np.nonzero((seconds <= TTC_CAP_S) & upper)
+        yield a, b, seconds[a, b]
+
+
+def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
+    """Return where boxes begin to overlap while one of them moves, walkers among themselves aside.
+
+    In a log this is mostly noise of the annotations.
+    """
+    speed = np.linalg.norm(rollout.velocity, axis=-1)
+    walker = [kind == "pedestrian" for kind in rollout.scene.agent_types]
+    ids = rollout.agent_ids
+    events: list[RolloutEvent] = []
+    before: set[tuple[int, int]] = set()
+    for step, (a, b, seconds) in enumerate(contacts(rollout)):
+        touching = {(int(i), int(j)) for i, j, s in zip(a, b, seconds, strict=True) if s <= 0.0}
+        for i, j in sorted(touching - before) if step else ():
+            moves = max(speed[i, step], speed[j, step]) > MOVING_MPS
+            if moves and not (walker[i] and walker[j]):
+                events.append(RolloutEvent(step, ids[i], ids[j], OVERLAP))
+        before = touching
+    return tuple(events)

@@ -1,0 +1,123 @@
+"""What is said of rollouts and their agents in words, the same on pages and pictures."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+
+from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes import Scene
+from ccdiff_env.view.contacts import OVERLAP
+
+#: Titles of drivers, in the order of the legend; names are those of pictures.
+DRIVER_TITLES = {
+    "ego": "ego",
+    "external": "driven from outside",
+    "ccdiff": "CCDiff",
+    "adversary": "CCDiff, guided",
+    "idm": "IDM",
+    "replay": "log",
+    "constant_velocity": "constant velocity",
+    "static": "obstacle",
+}
+
+
+def driver_of(rollout: Rollout, agent: int) -> str:
+    """Return who drives an agent as pictures have it: the ego is its own driver, agents that a
+    plan guides are adversaries.
+    """
+    name = rollout.agent_ids[agent]
+    if name == "ego":
+        return "ego"
+    driver = rollout.driver_names[agent]
+    return "adversary" if driver == "ccdiff" and name in guided_agents(rollout) else driver
+
+
+def driver_title(rollout: Rollout, agent: int) -> str:
+    """Return in words who moves an agent, the ego too."""
+    driver = driver_of(rollout, agent)
+    return DRIVER_TITLES[rollout.driver_names[agent] if driver == "ego" else driver]
+
+
+def guided_agents(rollout: Rollout) -> set[str]:
+    """Return the ids of agents that follow a guided plan at some time."""
+    return {
+        name
+        for plan in rollout.plans
+        for name, guided, executed in zip(plan.agent_ids, plan.guided, plan.executed, strict=True)
+        if guided and executed
+    }
+
+
+def agent_titles(scene: Scene) -> list[tuple[str, str]]:
+    """Return a short and a longer name for each agent, such as ``("12", "12 · bus")``."""
+    titles = []
+    names = zip(scene.agent_ids, scene.agent_types, scene.agent_categories, strict=True)
+    for index, (name, kind, category) in enumerate(names):
+        if name == "ego":
+            titles.append(("ego", "ego"))
+            continue
+        what = next((c for c in (*_short(category), kind) if c), "agent")
+        titles.append((str(index), f"{index} · {what.replace('_', ' ')}"))
+    return titles
+
+
+def _short(category: str) -> list[str]:
+    """``vehicle.bus.rigid`` is a bus, ``human.pedestrian.adult`` an adult."""
+    parts = category.split(".")
+    return [parts[1] if parts[0] == "vehicle" else parts[-1]] if len(parts) > 1 else []
+
+
+def is_collision(event: RolloutEvent) -> bool:
+    """Whether an event is a collision; boxes that overlap in a log are not called that."""
+    return event.partner_id is not None and event.kind != OVERLAP
+
+
+def subtitle(rollout: Rollout) -> str:
+    """Return one line on what is shown: who drives, how long, what happened."""
+    agents = range(len(rollout.agent_ids))
+    background = Counter(
+        driver_title(rollout, i)
+        for i in agents
+        if rollout.agent_ids[i] != "ego" and rollout.scene.agent_types[i] == "vehicle"
+    )
+    parts = [rollout.scene.location]
+    if "ego" in rollout.agent_ids:
+        planner = rollout.meta.get("planner")
+        ego = driver_title(rollout, rollout.agent_ids.index("ego"))
+        parts.append(f"ego: {planner if isinstance(planner, str) else ego}")
+    if background:
+        parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
+    parts.append(f"{len(agents)} agents")
+    hits = len(collisions(rollout))
+    parts.append(f"{hits} collision{'s' * (hits != 1)}" if hits else "")
+    return " · ".join(part for part in parts if part)
+
+
+def collisions(rollout: Rollout) -> set[tuple[int, frozenset[str]]]:
+    """Return collisions as step and the two agents; both sides of one count once."""
+    return {
+        (event.step, frozenset((event.agent_id, str(event.partner_id))))
+        for event in rollout.events
+        if is_collision(event)
+    }
+
+
+def about(rollout: Rollout) -> list[tuple[str, str]]:
+    """Return names and values of what is known of a run."""
+    scene = rollout.scene
+    facts = [
+        ("scene", scene.name),
+        ("place", scene.location),
+        ("source", scene.source),
+        ("agents", str(scene.num_agents)),
+        ("steps", f"{rollout.num_steps} of {rollout.dt_s:g} s from log step {rollout.start_step}"),
+        ("plans", str(len(rollout.plans))),
+        ("events", str(len(rollout.events))),
+    ]
+    for name, value in rollout.meta.items():
+        if isinstance(value, (str, int, float)):
+            facts.append((name, str(value)))
+        elif value is not None and name == "config":
+            facts.append((name, json.dumps(value, default=str)[:2000]))
+    return [(name, value) for name, value in facts if value]

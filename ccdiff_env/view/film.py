@@ -1,0 +1,158 @@
+"""Pictures and films of rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import render
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.rollout import Rollout, RolloutPlan
+from ccdiff_env.view.facts import driver_of, is_collision
+
+TRAIL_S = 3.0
+MARK_S = 1.0
+"""Time for which a collision stays marked."""
+
+
+class Film:
+    """Draws steps of one rollout.
+
+    Parameters
+    ----------
+    rollout
+        What to draw.
+    size
+        Width and height, pixels.
+    span_m
+        Metres across the width.
+    follow
+        Id of the agent in the middle; the first agent (the ego) by default.
+    graph
+        Draw the causal graph of the plan in force.
+    """
+
+    def __init__(
+        self,
+        rollout: Rollout,
+        *,
+        size: tuple[int, int] = (720, 720),
+        span_m: float = 90.0,
+        follow: str | None = None,
+        graph: bool = False,
+    ) -> None:
+        follow = follow if follow is not None else rollout.agent_ids[0]
+        if follow not in rollout.agent_ids:
+            raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
+        self._rollout = rollout
+        self._size, self._span_m, self._graph = size, span_m, graph
+        self._centres = _centres(rollout, rollout.agent_ids.index(follow))
+        self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
+        self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
+
+    def frames(self, *, every: int = 1) -> Iterator[render.Image]:
+        """Yield pictures [H, W, 3] of every n-th step."""
+        for step in range(0, self._rollout.num_steps, every):
+            yield self.frame(step)
+
+    def frame(self, step: int) -> render.Image:
+        """Draw a step.
+
+        Raises
+        ------
+        ConfigError
+            If the rollout has no such step.
+        """
+        run = self._rollout
+        if not 0 <= step < run.num_steps:
+            raise ConfigError(f"step is {step}, expected 0 to {run.num_steps - 1}")
+        there = np.flatnonzero(run.valid[:, step])
+        plan = next((p for p in reversed(run.plans) if p.step <= step), None)
+        recent = [
+            event
+            for event in run.events
+            if is_collision(event) and 0 <= step - event.step < MARK_S / run.dt_s
+        ]
+        hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
+        kinds = run.scene.agent_types
+        seconds = step * run.dt_s
+        return render.draw(
+            run.position[there, step],
+            scene=run.scene,
+            heading_rad=run.heading[there, step],
+            size_m=run.scene.sizes[there, :2],
+            driver=[self._drivers[i] for i in there],
+            kind=[kinds[i] for i in there],
+            collided=np.array([i in hit for i in there], dtype=bool),
+            size=self._size,
+            span_m=self._span_m,
+            centre_m=(float(self._centres[step, 0]), float(self._centres[step, 1])),
+            trails=list(self._trails(step, there)),
+            samples=list(self._samples(plan)) if plan else (),
+            arrows=self._arrows(plan, there) if plan and self._graph else (),
+            caption=f"{run.scene.name}  {seconds:.1f} s",
+            scale_bar=True,
+        )
+
+    def _trails(
+        self, step: int, there: npt.NDArray[np.int64]
+    ) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+        run = self._rollout
+        first = max(0, step - round(TRAIL_S / run.dt_s))
+        for i in there:
+            line = run.position[i, first : step + 1][run.valid[i, first : step + 1]]
+            if len(line) > 1 and np.ptp(line, axis=0).max() > 0.5:
+                yield line, self._drivers[i]
+
+    def _samples(self, plan: RolloutPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+        for row, name in enumerate(plan.agent_ids):
+            driver = "adversary" if plan.guided[row] else self._drivers[self._number[name]]
+            for sample in plan.samples[:, row]:
+                if np.isfinite(sample).all():
+                    yield sample, driver
+
+    def _arrows(
+        self, plan: RolloutPlan, there: npt.NDArray[np.int64]
+    ) -> list[tuple[int, int, float]]:
+        """Edges between the agents that are there, as places in the list that is drawn."""
+        place = {int(agent): row for row, agent in enumerate(there)}
+        rows = [place.get(self._number[name]) for name in plan.agent_ids]
+        edges = []
+        for i, j in zip(*np.nonzero(plan.graph), strict=True):
+            into, origin = rows[i], rows[j]
+            if i != j and into is not None and origin is not None:
+                edges.append((origin, into, 1.0))
+        return edges
+
+
+def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
+    """Where an agent is at each step [T, 2]; where it is absent, at the nearest step."""
+    steps = np.flatnonzero(rollout.valid[agent])
+    if not len(steps):
+        raise ConfigError(f"agent {rollout.agent_ids[agent]!r} is at no step of the rollout")
+    gaps = np.abs(np.arange(rollout.num_steps)[:, None] - steps[None, :])
+    centres: npt.NDArray[np.float32] = rollout.position[agent, steps[gaps.argmin(axis=1)]]
+    return centres
+
+
+def save_film(
+    rollout: Rollout,
+    path: str | Path,
+    *,
+    speed: float = 1.0,
+    max_fps: float = 20.0,
+    **options: object,
+) -> None:
+    """Write a film (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
+
+    ``options`` are those of :class:`Film`. At most ``max_fps`` pictures per second are kept.
+    """
+    if not speed > 0.0:
+        raise ConfigError(f"speed is {speed}, expected a positive number")
+    fps = speed / rollout.dt_s
+    every = max(1, int(np.ceil(fps / max_fps - 1e-9)))
+    film = Film(rollout, **options)  # type: ignore[arg-type]
+    render.save(film.frames(every=every), path, fps=fps / every)

@@ -1,0 +1,100 @@
+"""The index page of a folder of replays."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+from ccdiff_env.render import Image
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.view.facts import collisions, subtitle
+from ccdiff_env.view.film import Film
+from ccdiff_env.view.page import part, write_page
+from ccdiff_env.view.sources import log_rollout, rollout_files
+
+THUMBNAIL = (320, 200)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One replay of an index."""
+
+    href: str
+    """Address of its page, relative to the index."""
+    title: str
+    line: str
+    collisions: int
+    picture: str
+    """Address of the thumbnail: a data address."""
+
+
+def write_pages(
+    folder: Path, out: Path, *, compare_log: bool = False, thumbnails: bool = True
+) -> list[Path]:
+    """Write a page for each rollout below a folder, and ``index.html`` that links them.
+
+    Parameters
+    ----------
+    folder
+        Folder of rollouts (``.npz``), searched as deep as it goes.
+    out
+        Folder of the pages.
+    compare_log
+        Show the log of the scene beside each rollout.
+    thumbnails
+        Put a picture of each rollout on the index.
+
+    Returns
+    -------
+    list of Path
+        The index, then the pages.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    entries, pages = [], []
+    for file in rollout_files(folder):
+        rollout = Rollout.load(file)
+        name = "-".join(file.relative_to(folder).with_suffix("").parts)
+        page = out / f"{name}.html"
+        log = log_rollout(rollout.scene, like=rollout) if compare_log else None
+        write_page(rollout, page, compare=log, titles=("rollout", "log"))
+        picture = _data_address(_thumbnail(rollout)) if thumbnails else ""
+        hits = len(collisions(rollout))
+        entries.append(Entry(page.name, name, subtitle(rollout), hits, picture))
+        pages.append(page)
+    index = out / "index.html"
+    index.write_text(index_page(folder.name or "replays", entries), encoding="utf-8")
+    return [index, *pages]
+
+
+def _thumbnail(rollout: Rollout) -> Image:
+    """The moment of the first collision, else the middle."""
+    first = min((step for step, _ in collisions(rollout)), default=rollout.num_steps // 2)
+    return Film(rollout, size=THUMBNAIL, span_m=90.0).frame(first)
+
+
+def _data_address(image: Image) -> str:
+    from ccdiff_env.render import pillow
+
+    buffer = io.BytesIO()
+    pillow().fromarray(image).quantize(64).save(buffer, format="PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def index_page(title: str, entries: list[Entry]) -> str:
+    """Return an HTML page that links replays; those with collisions are marked."""
+    cards = "\n".join(_card(entry) for entry in entries) or "<p>No rollouts here.</p>"
+    hits = sum(entry.collisions > 0 for entry in entries)
+    line = f"{len(entries)} replays, {hits} with a collision"
+    return part("index.html").format(title=html.escape(title), line=line, cards=cards)
+
+
+def _card(entry: Entry) -> str:
+    picture = f'<img src="{entry.picture}" alt="" loading="lazy">' if entry.picture else ""
+    mark = f'<b class="hit">{entry.collisions} ⚑</b>' if entry.collisions else ""
+    return (
+        f'<a class="card" href="{html.escape(entry.href, quote=True)}">{picture}'
+        f"<h2>{html.escape(entry.title)}{mark}</h2><p>{html.escape(entry.line)}</p></a>"
+    )

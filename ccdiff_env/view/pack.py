@@ -1,0 +1,265 @@
+"""Rollouts as the compact bytes that the replay page reads.
+
+Layout before compression (zlib): length of the header (u32, little endian), the header (JSON), then
+the arrays that the header lists, each at a multiple of four bytes. Arrays hold whole numbers: a
+value is ``base + step * number``; those marked ``delta`` hold differences along the last axis,
+wrapping round like their type.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env.rollout import Rollout, RolloutPlan
+from ccdiff_env.view.contacts import TTC_CAP_S, contacts
+from ccdiff_env.view.facts import (
+    about,
+    agent_titles,
+    driver_of,
+    driver_title,
+    is_collision,
+    subtitle,
+)
+
+LENGTH_STEP_M = 0.01
+ANGLE_STEP_RAD = 1e-4
+SPEED_STEP_MPS = 0.01
+TTC_STEP_S = 0.05
+GRAPH_TTC_S = 3.0
+GRAPH_DISTANCE_M = 50.0
+"""Bounds of the graph that is drawn where a rollout has no plans; those of the causal graph."""
+PLAN_SPACING_S = 0.4
+"""Time between the points of planned samples, at least."""
+PLAN_SAMPLES = 12
+"""Samples kept of a plan, at most; the chosen one is always kept."""
+
+_AREAS = {
+    "drivable": "drivable_area",
+    "walkways": "walkways",
+    "carparks": "carpark_areas",
+    "stops": "stop_lines",
+    "crossings": "ped_crossings",
+}
+_LINES = ("road_dividers", "lane_dividers")
+
+
+def pack(rollout: Rollout, title: str) -> str:
+    """Return the text of a rollout's data element: base64 of the compressed bytes.
+
+    Parameters
+    ----------
+    rollout
+        What to show.
+    title
+        Short name of the run on the page.
+    """
+    arrays = _Arrays()
+    layers = _add_map(arrays, rollout)
+    _add_tracks(arrays, rollout)
+    _add_pairs(arrays, rollout)
+    header = {
+        "run": _run(rollout, title) | {"layers": layers},
+        "plans": [_add_plan(arrays, rollout, i, plan) for i, plan in enumerate(rollout.plans)],
+        "figures": list(_add_figures(arrays, rollout.figures)),
+        "arrays": arrays.entries,
+    }
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    raw = b"".join([_padded(struct.pack("<I", len(text)) + text), *arrays.parts])
+    return base64.b64encode(zlib.compress(raw, 9)).decode()
+
+
+class _Arrays:
+    """Arrays in the order in which they are written, and what the header says of them."""
+
+    def __init__(self) -> None:
+        self.entries: list[dict[str, Any]] = []
+        self.parts: list[bytes] = []
+
+    def whole(self, name: str, values: npt.ArrayLike, dtype: str) -> None:
+        """Add whole numbers as they are."""
+        self._add(name, np.asarray(values).astype(f"<{dtype}"), {})
+
+    def real(self, name: str, values: npt.ArrayLike, step: float) -> None:
+        """Add real numbers in steps of ``step``, coarser where two bytes would not do."""
+        array = np.asarray(values, dtype=np.float64)
+        low, high = (array.min(), array.max()) if array.size else (0.0, 0.0)
+        base = float(low + high) / 2.0
+        step = max(step, float(high - low) / 65_000.0)
+        numbers = np.rint((array - base) / step).astype("<i2")
+        if numbers.ndim == 0 or numbers.size == 0:
+            numbers = numbers.reshape(-1)
+        first = numbers[..., :1]
+        numbers = np.concatenate([first, np.diff(numbers, axis=-1)], axis=-1)
+        self._add(name, numbers, {"step": step, "base": base, "delta": True})
+
+    def _add(self, name: str, array: npt.NDArray[Any], more: dict[str, Any]) -> None:
+        kind = f"{array.dtype.kind}{array.dtype.itemsize}"
+        self.entries.append({"name": name, "type": kind, "shape": list(array.shape), **more})
+        self.parts.append(_padded(np.ascontiguousarray(array).tobytes()))
+
+
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)
+
+
+def _run(rollout: Rollout, title: str) -> dict[str, Any]:
+    """What the header says of a run."""
+    scene = rollout.scene
+    index = {name: i for i, name in enumerate(rollout.agent_ids)}
+    agents = []
+    kinds, categories, sizes = scene.agent_types, scene.agent_categories, scene.sizes
+    for i, (label, long) in enumerate(agent_titles(scene)):
+        agents.append(
+            {
+                "id": rollout.agent_ids[i],
+                "label": label,
+                "title": long,
+                "kind": kinds[i],
+                "category": categories[i],
+                "length": round(float(sizes[i, 0]), 2),
+                "width": round(float(sizes[i, 1]), 2),
+                "driver": driver_of(rollout, i),
+                "drivenBy": driver_title(rollout, i),
+            }
+        )
+    events = [
+        {
+            "step": event.step,
+            "agent": index[event.agent_id],
+            "partner": -1 if event.partner_id is None else index[event.partner_id],
+            "kind": event.kind,
+            "collision": is_collision(event),
+        }
+        for event in rollout.events
+    ]
+    return {
+        "title": title,
+        "subtitle": subtitle(rollout),
+        "about": about(rollout),
+        "dt": rollout.dt_s,
+        "startStep": rollout.start_step,
+        "numSteps": rollout.num_steps,
+        "ttcCap": TTC_CAP_S,
+        "graphTtc": GRAPH_TTC_S,
+        "graphDistance": GRAPH_DISTANCE_M,
+        "agents": agents,
+        "events": events,
+    }
+
+
+def _add_tracks(arrays: _Arrays, rollout: Rollout) -> None:
+    valid = rollout.valid
+    held = _held(valid)
+    rows = np.arange(len(valid))[:, None]
+    heading = np.angle(np.exp(1j * rollout.heading[rows, held].astype(np.float64)))
+    position, velocity = rollout.position[rows, held], rollout.velocity[rows, held]
+    arrays.real("x", position[..., 0], LENGTH_STEP_M)
+    arrays.real("y", position[..., 1], LENGTH_STEP_M)
+    arrays.real("heading", heading, ANGLE_STEP_RAD)
+    arrays.real("vx", velocity[..., 0], SPEED_STEP_MPS)
+    arrays.real("vy", velocity[..., 1], SPEED_STEP_MPS)
+    arrays.whole("valid", valid, "u1")
+
+
+def _held(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """Steps [A, T] whose state stands for each step: its own, else the last, else the first."""
+    steps = np.arange(valid.shape[1])
+    last = np.maximum.accumulate(np.where(valid, steps, -1), axis=1)
+    first = np.where(valid.any(axis=1), valid.argmax(axis=1), 0)
+    return np.where(last < 0, first[:, None], last)
+
+
+def _add_pairs(arrays: _Arrays, rollout: Rollout) -> None:
+    """Pairs of agents on course to meet, at every step."""
+    starts, first, second, seconds = [0], [], [], []
+    for a, b, ttc in contacts(rollout):
+        first.append(a)
+        second.append(b)
+        seconds.append(np.rint(ttc / TTC_STEP_S))
+        starts.append(starts[-1] + len(a))
+    arrays.whole("pairStart", starts, "u4")
+    arrays.whole("pairA", np.concatenate(first), "u2")
+    arrays.whole("pairB", np.concatenate(second), "u2")
+    ttc_steps = np.concatenate(seconds)
+    arrays.whole("pairTtc", ttc_steps, "u1")
+    arrays.entries[-1] |= {"step": TTC_STEP_S, "base": 0.0}
+
+
+def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: RolloutPlan) -> dict[str, Any]:
+    samples = np.asarray(plan.samples, dtype=np.float64)
+    stride = max(1, round(PLAN_SPACING_S / rollout.dt_s))
+    steps = np.unique(
+        np.append(np.arange(stride - 1, samples.shape[2], stride), samples.shape[2] - 1)
+    )
+    # The chosen sample of each agent comes first.
+    order = np.argsort(
+        np.arange(len(samples))[:, None] != plan.chosen[None, :], axis=0, kind="stable"
+    )
+    kept = np.take_along_axis(samples, order[:PLAN_SAMPLES, :, None, None], axis=0)[:, :, steps]
+    number = {name: i for i, name in enumerate(rollout.agent_ids)}
+    agents = [number[name] for name in plan.agent_ids]
+    here = np.broadcast_to(rollout.position[agents, plan.step], kept[:, :, 0].shape)
+    kept = np.nan_to_num(np.concatenate([here[:, :, None], kept], axis=2))
+    arrays.real(f"plan{index}x", kept[..., 0], 5 * LENGTH_STEP_M)
+    arrays.real(f"plan{index}y", kept[..., 1], 5 * LENGTH_STEP_M)
+    into, origin = np.nonzero(plan.graph & ~np.eye(len(agents), dtype=bool))
+    return {
+        "step": plan.step,
+        "agents": agents,
+        "numSamples": len(kept),
+        "numPoints": kept.shape[2],
+        "guided": [int(g) for g in plan.guided],
+        "executed": [int(e) for e in plan.executed],
+        "cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
+        "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
+    }
+
+
+def _add_figures(
+    arrays: _Arrays, figures: Mapping[str, npt.NDArray[np.float32]]
+) -> Iterator[dict[str, str]]:
+    """Add the figures that change in the run; the header has their names and units."""
+    columns = json.loads(_native.columns_json())
+    units = {column["name"]: column["unit"] for column in columns}
+    index = 0
+    for name, values in figures.items():
+        known = np.nan_to_num(np.asarray(values, dtype=np.float64))
+        if known.size == 0 or np.ptp(known) < 1e-6:
+            continue
+        arrays.real(f"figure{index}", known, 1e-4)
+        index += 1
+        yield {"name": name, "unit": units.get(name, "")}
+
+
+def _add_map(arrays: _Arrays, rollout: Rollout) -> dict[str, list[list[int]]]:
+    """Add the points of all layers; return the lengths of the rings and lines of each."""
+    layers = rollout.scene.map_layers()
+    points: list[npt.NDArray[np.float32]] = []
+    lengths: dict[str, list[list[int]]] = {}
+
+    def add(name: str, entries: Iterable[list[npt.NDArray[np.float32]]]) -> None:
+        lengths[name] = []
+        for rings in entries:
+            lengths[name].append([len(ring) for ring in rings])
+            points.extend(rings)
+
+    surfaces = layers.get("drivable_area") or [lane["polygon"] for lane in layers.get("lanes", [])]
+    for name, key in _AREAS.items():
+        polygons = surfaces if name == "drivable" else layers.get(key, [])
+        add(name, ([p["exterior"], *p["holes"]] for p in polygons))  # type: ignore[attr-defined]
+    for name in _LINES:
+        add(name, ([line] for line in layers.get(name, [])))  # type: ignore[attr-defined]
+    add("lanes", ([lane["centreline"][::2]] for lane in layers.get("lanes", [])))
+    joined = np.concatenate(points) if points else np.zeros((0, 2), np.float32)
+    arrays.real("mapX", joined[:, 0], LENGTH_STEP_M)
+    arrays.real("mapY", joined[:, 1], LENGTH_STEP_M)
+    return lengths

@@ -1,0 +1,93 @@
+"""The replay page: one HTML file with everything in it."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from importlib import resources
+from pathlib import Path
+
+from ccdiff_env import render
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.view.facts import DRIVER_TITLES, subtitle
+from ccdiff_env.view.pack import pack
+
+#: Scripts in the order in which they run.
+SCRIPTS = (
+    "data.js",
+    "camera.js",
+    "ground.js",
+    "actors.js",
+    "timeline.js",
+    "panels.js",
+    "player.js",
+    "main.js",
+)
+
+
+def part(name: str) -> str:
+    """Return a file of the page."""
+    return resources.files("ccdiff_env.view").joinpath(f"page/{name}").read_text(encoding="utf-8")
+
+
+def page(
+    rollout: Rollout, *, compare: Rollout | None = None, titles: tuple[str, str] = ("A", "B")
+) -> str:
+    """Return the page of a rollout as HTML that needs nothing else.
+
+    Parameters
+    ----------
+    rollout
+        What to show.
+    compare
+        A second run beside it, in step with it: of the same scene, or of another one.
+    titles
+        Names of the two runs where there are two.
+    """
+    runs = [rollout] if compare is None else [rollout, compare]
+    names = (rollout.scene.name,) if compare is None else titles
+    data = "\n".join(
+        f'<script class="run" type="text/plain">{pack(run, name)}</script>'
+        for run, name in zip(runs, names, strict=True)
+    )
+    heading = rollout.scene.name
+    if compare is not None:
+        heading += f": {titles[0]} and {titles[1]}"
+    line = subtitle(rollout) if compare is None else rollout.scene.location
+    parts = {
+        "title": html.escape(heading),
+        "subtitle": html.escape(line),
+        "style": part("page.css"),
+        "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES}),
+        "runs": data,
+        "script": "\n".join(part(name) for name in SCRIPTS),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part("page.html"))
+
+
+def colours() -> dict[str, str]:
+    """Return the colour of each driver, as in pictures: ``"#rrggbb"``."""
+    legend = render.legend()
+    names = {"static": "static obstacle"}
+    return {name: _hex(legend[names.get(name, name)]) for name in DRIVER_TITLES}
+
+
+def _hex(rgb: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def _json(value: object) -> str:
+    """JSON that cannot end the element it stands in."""
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def write_page(
+    rollout: Rollout,
+    path: str | Path,
+    *,
+    compare: Rollout | None = None,
+    titles: tuple[str, str] = ("A", "B"),
+) -> int:
+    """Write :func:`page` to a file; returns its size in bytes."""
+    return Path(path).write_text(page(rollout, compare=compare, titles=titles), encoding="utf-8")

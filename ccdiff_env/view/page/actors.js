@@ -1,0 +1,337 @@
+// Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
+
+const ACTOR_COLOURS = {
+  light: { ink: "#1d242c", outline: "#ffffff", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c",
+    arrow: "#6a329f", label: "#1d242c", labelHalo: "rgba(255,255,255,.85)", ghost: "#303a46" },
+  dark: { ink: "#0d1116", outline: "#0d1116", shadow: "rgba(0,0,0,.45)", collision: "#ff5a5f",
+    arrow: "#c79bf2", label: "#e8edf3", labelHalo: "rgba(13,17,22,.85)", ghost: "#dfe6ee" },
+};
+const TRAIL_SECONDS = 3;
+const TRAIL_PIECES = 6;
+const FLASH_SECONDS = 1.2; // how long a collision stays marked
+
+/** Draws the agents of one run at a fractional step. Coordinates are metres; y points north. */
+class Actors {
+  constructor(run, driverColours) {
+    this.run = run;
+    this.driverColours = driverColours;
+  }
+
+  colour(agent, theme) {
+    const { driver, kind } = this.run.agents[agent];
+    const name = kind === "static" ? "static" : driver;
+    return this.driverColours[theme][name] || "#888888";
+  }
+
+  /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), picked agents. */
+  draw(context, at, options) {
+    const { layers, theme, pixel } = options;
+    const step = Math.floor(at + 1e-6);
+    const poses = this.run.agents.map((_, agent) => this.run.pose(agent, at));
+    if (layers.trails) this.trails(context, at, poses, theme, pixel);
+    if (options.focus >= 0) this.ahead(context, step, options.focus, theme, pixel);
+    if (layers.plans) this.plans(context, step, theme, pixel);
+    const hit = this.hitAgents(step);
+    poses.forEach((pose, agent) => {
+      if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent) });
+    });
+    if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
+    if (layers.matrix && options.pair) this.pair(context, poses, options.pair, theme, pixel);
+    for (const agent of [options.focus, options.hover]) {
+      if (agent >= 0 && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
+    }
+    this.flashes(context, step, poses, theme, pixel);
+  }
+
+  trails(context, at, poses, theme, pixel) {
+    const { run } = this;
+    const step = Math.floor(at + 1e-6), count = Math.round(TRAIL_SECONDS / run.dt);
+    const first = Math.max(step - count, 0);
+    context.lineWidth = Math.max(0.35, 1.6 * pixel);
+    context.lineCap = "butt";
+    poses.forEach((pose, agent) => {
+      const base = agent * run.numSteps;
+      if (!pose || !run.valid(agent, first) && Math.hypot(pose.vx, pose.vy) < 0.3) return;
+      if (run.valid(agent, first)
+        && Math.hypot(pose.x - run.a.x[base + first], pose.y - run.a.y[base + first]) < 0.6) return;
+      context.strokeStyle = this.colour(agent, theme);
+      for (let piece = 0; piece < TRAIL_PIECES; piece++) {
+        const from = step - Math.round(count * (TRAIL_PIECES - piece) / TRAIL_PIECES);
+        const to = step - Math.round(count * (TRAIL_PIECES - piece - 1) / TRAIL_PIECES);
+        context.globalAlpha = 0.08 + 0.42 * (piece + 1) / TRAIL_PIECES;
+        context.beginPath();
+        let open = false;
+        for (let i = Math.max(from, 0); i <= to; i++) {
+          if (!run.valid(agent, i)) { open = false; continue; }
+          if (open) context.lineTo(run.a.x[base + i], run.a.y[base + i]);
+          else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
+          open = true;
+        }
+        if (open && piece === TRAIL_PIECES - 1) context.lineTo(pose.x, pose.y);
+        context.stroke();
+      }
+    });
+    context.globalAlpha = 1;
+  }
+
+  /** The rest of an agent's path in this run: a broad band. */
+  ahead(context, step, agent, theme, pixel) {
+    const { run } = this, base = agent * run.numSteps;
+    context.strokeStyle = this.colour(agent, theme);
+    context.globalAlpha = 0.16;
+    context.lineCap = context.lineJoin = "round";
+    context.lineWidth = Math.max(1.6, 3 * pixel);
+    context.beginPath();
+    let open = false;
+    for (let i = step; i < run.numSteps; i++) {
+      if (!run.valid(agent, i)) { open = false; continue; }
+      if (open) context.lineTo(run.a.x[base + i], run.a.y[base + i]);
+      else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
+      open = true;
+    }
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  /**
+   * Samples of the plan in force, thin; the chosen (first) ones over them, thick; dashed where
+   * the agent does not follow its plan. */
+  plans(context, step, theme, pixel) {
+    const plan = this.run.planAt(step);
+    if (!plan) return;
+    context.lineCap = context.lineJoin = "round";
+    for (const chosen of [false, true]) {
+      context.globalAlpha = chosen ? 0.95 : 0.35;
+      context.lineWidth = Math.max(chosen ? 0.3 : 0.1, (chosen ? 2 : 1) * pixel);
+      plan.agents.forEach((agent, row) => {
+        context.strokeStyle = plan.guided[row]
+          ? this.driverColours[theme].adversary : this.colour(agent, theme);
+        context.setLineDash(plan.executed[row] ? [] : [4 * pixel, 4 * pixel]);
+        context.beginPath();
+        for (let sample = 0; sample < plan.numSamples; sample++) {
+          if (chosen !== (sample === 0)) continue;
+          const base = (sample * plan.agents.length + row) * plan.numPoints;
+          for (let i = 0; i < plan.numPoints; i++) {
+            if (i) context.lineTo(plan.x[base + i], plan.y[base + i]);
+            else context.moveTo(plan.x[base], plan.y[base]);
+          }
+        }
+        context.stroke();
+      });
+    }
+    context.setLineDash([]);
+    context.globalAlpha = 1;
+  }
+
+  body(context, agent, pose, { theme, pixel, hit }) {
+    const { kind, length, width } = this.run.agents[agent];
+    const colours = ACTOR_COLOURS[theme], colour = this.colour(agent, theme);
+    context.save();
+    context.translate(pose.x, pose.y);
+    context.rotate(pose.heading);
+    context.lineWidth = hit ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
+    context.strokeStyle = hit ? colours.collision : colours.outline;
+    context.fillStyle = colour;
+    if (kind === "pedestrian") this.walker(context, pixel);
+    else if (kind === "static") box(context, length, width, 0.05);
+    else box(context, length, width, Math.min(0.28 * width, 0.6));
+    if (kind === "vehicle" && theme === "light" && pixel < 0.25) {
+      context.shadowColor = colours.shadow;
+      context.shadowBlur = 6;
+      context.shadowOffsetY = 2;
+    }
+    context.fill();
+    context.shadowColor = "transparent";
+    context.stroke();
+    if (kind === "vehicle" && pixel < 0.4) windscreen(context, length, width, colours.ink);
+    else if (kind !== "static" && kind !== "vehicle" && pixel < 0.2) nose(context, length, colours.ink);
+    context.restore();
+  }
+
+  walker(context, pixel) {
+    context.beginPath();
+    context.arc(0, 0, Math.max(0.38, 2.2 * pixel), 0, 2 * Math.PI);
+  }
+
+  /** Red outlines: agents in a collision that began within the last moments. */
+  hitAgents(step) {
+    const hit = new Set();
+    for (const event of this.recent(step)) {
+      hit.add(event.agent);
+      if (event.partner >= 0) hit.add(event.partner);
+    }
+    return hit;
+  }
+
+  recent(step) {
+    const flash = FLASH_SECONDS / this.run.dt;
+    return this.run.events.filter((e) => e.collision && e.step <= step && step - e.step < flash);
+  }
+
+  flashes(context, step, poses, theme, pixel) {
+    context.strokeStyle = ACTOR_COLOURS[theme].collision;
+    for (const event of this.recent(step)) {
+      const pose = poses[event.agent], other = poses[event.partner];
+      if (!pose) continue;
+      const x = other ? (pose.x + other.x) / 2 : pose.x, y = other ? (pose.y + other.y) / 2 : pose.y;
+      const age = (step - event.step) * this.run.dt / FLASH_SECONDS;
+      context.globalAlpha = 1 - 0.8 * age;
+      context.lineWidth = 2.5 * pixel;
+      context.beginPath();
+      context.arc(x, y, 3 + (6 + 8 * age) * pixel, 0, 2 * Math.PI);
+      context.stroke();
+    }
+    context.globalAlpha = 1;
+  }
+
+  /** Arrows from who influences to who is influenced; those of the focus stand out. */
+  influences(context, step, poses, theme, pixel, focus) {
+    const colour = ACTOR_COLOURS[theme].arrow;
+    const edges = this.run.influences(step);
+    const touches = ([from, to]) => from === focus || to === focus;
+    const some = edges.some(touches);
+    for (const edge of edges) {
+      const [from, to, weight] = edge, p = poses[from], q = poses[to];
+      if (!p || !q) continue;
+      context.globalAlpha = (some && !touches(edge) ? 0.3 : 0.9) * (0.45 + 0.55 * weight);
+      const gap = Math.min(this.run.agents[to].width / 2 + 0.3, 1.6);
+      arrow(context, p, q, colour, (1 + weight) * pixel, 9 * pixel, gap);
+    }
+    context.globalAlpha = 1;
+  }
+
+  pair(context, poses, pair, theme, pixel) {
+    const p = poses[pair[0]], q = poses[pair[1]];
+    if (!p || !q) return;
+    context.strokeStyle = ACTOR_COLOURS[theme].collision;
+    context.lineWidth = 2.5 * pixel;
+    context.setLineDash([6 * pixel, 4 * pixel]);
+    context.beginPath();
+    context.moveTo(p.x, p.y);
+    context.lineTo(q.x, q.y);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  ring(context, agent, pose, theme, pixel) {
+    const { length, width } = this.run.agents[agent];
+    context.strokeStyle = ACTOR_COLOURS[theme].label;
+    context.lineWidth = 1.4 * pixel;
+    context.setLineDash([4 * pixel, 3 * pixel]);
+    context.beginPath();
+    context.arc(pose.x, pose.y, Math.hypot(length, width) / 2 + 5 * pixel, 0, 2 * Math.PI);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  /** Outlines only: where the other run has the same moment. */
+  ghosts(context, at, theme, pixel) {
+    context.strokeStyle = ACTOR_COLOURS[theme].ghost;
+    context.lineWidth = Math.max(0.1, 1.2 * pixel);
+    context.setLineDash([0.6, 0.4]);
+    this.run.agents.forEach(({ kind, length, width }, agent) => {
+      const pose = kind === "static" ? null : this.run.pose(agent, at);
+      if (!pose) return;
+      context.save();
+      context.translate(pose.x, pose.y);
+      context.rotate(pose.heading);
+      if (kind === "pedestrian") this.walker(context, pixel);
+      else box(context, length, width, Math.min(0.28 * width, 0.6));
+      context.stroke();
+      context.restore();
+    });
+    context.setLineDash([]);
+  }
+
+  /** Names beside the agents, in the pixels of the pane; of walkers where there is room. */
+  labels(context, at, camera, width, height, theme, focus) {
+    const colours = ACTOR_COLOURS[theme];
+    context.font = "600 11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "bottom";
+    context.lineWidth = 3;
+    context.lineJoin = "round";
+    context.strokeStyle = colours.labelHalo;
+    context.fillStyle = colours.label;
+    this.run.agents.forEach(({ kind, label, width: wide }, agent) => {
+      const small = kind === "static" || kind === "pedestrian" && camera.scale < 14;
+      if (small && agent !== focus) return;
+      const pose = this.run.pose(agent, at);
+      if (!pose) return;
+      const [x, y] = camera.toScreen(pose.x, pose.y, width, height);
+      if (x < -20 || y < -20 || x > width + 20 || y > height + 20) return;
+      const above = y - Math.max(wide / 2 * camera.scale, 4) - 3;
+      context.strokeText(label, x, above);
+      context.fillText(label, x, above);
+    });
+  }
+
+  /** The agent under a point of the map, or -1; the slack is in metres. */
+  find(x, y, at, slack) {
+    let best = -1, least = Infinity;
+    this.run.agents.forEach(({ length, width }, agent) => {
+      const pose = this.run.pose(agent, at);
+      if (!pose) return;
+      const dx = x - pose.x, dy = y - pose.y;
+      const cos = Math.cos(pose.heading), sin = Math.sin(pose.heading);
+      const u = Math.max(Math.abs(dx * cos + dy * sin) - length / 2, 0);
+      const v = Math.max(Math.abs(dy * cos - dx * sin) - width / 2, 0);
+      const gap = Math.hypot(u, v);
+      if (gap <= slack && gap < least) { least = gap; best = agent; }
+    });
+    return best;
+  }
+}
+
+function box(context, length, width, radius) {
+  context.beginPath();
+  context.roundRect(-length / 2, -width / 2, length, width, radius);
+}
+
+function windscreen(context, length, width, ink) {
+  context.fillStyle = ink;
+  context.globalAlpha = 0.42;
+  context.beginPath();
+  context.moveTo(0.24 * length, 0.34 * width);
+  context.lineTo(0.11 * length, 0.4 * width);
+  context.lineTo(0.11 * length, -0.4 * width);
+  context.lineTo(0.24 * length, -0.34 * width);
+  context.closePath();
+  context.fill();
+  context.globalAlpha = 0.22;
+  context.fillRect(-0.36 * length, -0.36 * width, 0.09 * length, 0.72 * width);
+  context.globalAlpha = 1;
+}
+
+function nose(context, length, ink) {
+  context.fillStyle = ink;
+  context.globalAlpha = 0.5;
+  context.beginPath();
+  context.arc(Math.min(0.3 * length, 0.5), 0, 0.13, 0, 2 * Math.PI);
+  context.fill();
+  context.globalAlpha = 1;
+}
+
+/** A bent arrow, so that both directions of a pair can be told apart. */
+function arrow(context, p, q, colour, width, head, gap) {
+  const dx = q.x - p.x, dy = q.y - p.y, length = Math.hypot(dx, dy);
+  if (length < 1e-3) return;
+  const bend = Math.min(0.12 * length, 4);
+  const mx = (p.x + q.x) / 2 - dy / length * bend, my = (p.y + q.y) / 2 + dx / length * bend;
+  const angle = Math.atan2(q.y - my, q.x - mx);
+  const short = Math.min(gap, 0.25 * length);
+  const ex = q.x - short * Math.cos(angle), ey = q.y - short * Math.sin(angle);
+  context.strokeStyle = context.fillStyle = colour;
+  context.lineWidth = width;
+  context.lineCap = "round";
+  context.beginPath();
+  context.moveTo(p.x, p.y);
+  context.quadraticCurveTo(mx, my, ex - head * 0.7 * Math.cos(angle), ey - head * 0.7 * Math.sin(angle));
+  context.stroke();
+  context.beginPath();
+  context.moveTo(ex, ey);
+  context.lineTo(ex - head * Math.cos(angle - 0.42), ey - head * Math.sin(angle - 0.42));
+  context.lineTo(ex - head * Math.cos(angle + 0.42), ey - head * Math.sin(angle + 0.42));
+  context.closePath();
+  context.fill();
+}

@@ -1,0 +1,160 @@
+// Reading the packed runs: base64 → inflate → header (JSON) and arrays. See pack.py for the layout.
+
+const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
+
+/** Inflate the text of a data element into a run. */
+async function readRun(element) {
+  const text = atob(element.textContent.trim());
+  const packed = Uint8Array.from(text, (c) => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return unpackRun(await new Response(stream).arrayBuffer());
+}
+
+/** Header and arrays of one run. Numbers of agents A, steps T. */
+function unpackRun(buffer) {
+  const headerLength = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, headerLength)));
+  let at = aligned(4 + headerLength);
+  const arrays = {};
+  for (const entry of header.arrays) {
+    const Type = TYPES[entry.type];
+    const length = entry.shape.reduce((a, b) => a * b, 1);
+    const values = new Type(buffer, at, length);
+    at = aligned(at + values.byteLength);
+    if (entry.delta) undoDeltas(values, entry.shape[entry.shape.length - 1]);
+    arrays[entry.name] = entry.step ? toFloats(values, entry.step, entry.base) : values;
+  }
+  return new Run(header, arrays);
+}
+
+function aligned(offset) {
+  return (offset + 3) & ~3;
+}
+
+/** Rows of a differenced array become values again; integers wrap as they did when packed. */
+function undoDeltas(values, rowLength) {
+  for (let row = 0; row < values.length; row += rowLength)
+    for (let i = row + 1; i < row + rowLength; i++) values[i] += values[i - 1];
+}
+
+function toFloats(values, step, base) {
+  const out = new Float32Array(values.length);
+  for (let i = 0; i < out.length; i++) out[i] = base + step * values[i];
+  return out;
+}
+
+/** One recorded episode: agents, their states, events, plans, figures and the map. */
+class Run {
+  constructor(header, arrays) {
+    Object.assign(this, header.run);
+    this.numAgents = this.agents.length;
+    this.a = arrays;
+    this.plans = header.plans.map((plan, index) => this.plan(plan, index));
+    this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
+    this.figures = header.figures.map((figure, index) => ({
+      ...figure, values: arrays[`figure${index}`],
+    }));
+  }
+
+  /** Seconds of the scene at the first and the last recorded state. */
+  get start() { return this.startStep * this.dt; }
+  get end() { return this.start + (this.numSteps - 1) * this.dt; }
+
+  /** Fractional step at a time of the scene, kept inside the run. */
+  stepAt(time) {
+    return Math.min(Math.max((time - this.start) / this.dt, 0), this.numSteps - 1);
+  }
+
+  valid(agent, step) {
+    return this.a.valid[agent * this.numSteps + step] === 1;
+  }
+
+  /** Pose of an agent at a fractional step, or null where it is absent. */
+  pose(agent, at) {
+    const step = Math.floor(at + 1e-6), t = Math.max(at - step, 0);
+    if (!this.valid(agent, step)) return null;
+    const i = agent * this.numSteps + step;
+    const { x, y, heading, vx, vy } = this.a;
+    const pose = { x: x[i], y: y[i], heading: heading[i], vx: vx[i], vy: vy[i] };
+    if (t < 1e-3 || step + 1 >= this.numSteps || !this.valid(agent, step + 1)) return pose;
+    const mix = (values) => values[i] + t * (values[i + 1] - values[i]);
+    const turn = wrap(heading[i + 1] - heading[i]);
+    return { x: mix(x), y: mix(y), heading: heading[i] + t * turn, vx: mix(vx), vy: mix(vy) };
+  }
+
+  /** Speed over all steps of an agent, m/s; NaN where it is absent. */
+  speeds(agent) {
+    return this.series(agent, (i) => Math.hypot(this.a.vx[i], this.a.vy[i]));
+  }
+
+  /** Change of speed along the heading, m/s², between neighbouring steps. */
+  accelerations(agent) {
+    const { vx, vy, heading } = this.a;
+    const along = (i, h) => vx[i] * Math.cos(h) + vy[i] * Math.sin(h);
+    return this.series(agent, (i, step) => {
+      const other = step > 0 && this.valid(agent, step - 1) ? i - 1 : i + 1;
+      if (step + 1 >= this.numSteps && other > i) return NaN;
+      if (!this.valid(agent, step + other - i)) return NaN;
+      const change = along(i, heading[i]) - along(other, heading[other]);
+      return change / ((i - other) * this.dt);
+    });
+  }
+
+  /** Least time to contact with anyone, seconds; the cap where nobody is met. */
+  leastTtc(agent) {
+    const out = this.series(agent, () => this.ttcCap);
+    const { pairStart, pairA, pairB, pairTtc } = this.a;
+    for (let step = 0; step < this.numSteps; step++)
+      for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
+        if (pairA[k] === agent || pairB[k] === agent)
+          out[step] = Math.min(out[step], pairTtc[k]);
+    return out;
+  }
+
+  series(agent, value) {
+    const out = new Float32Array(this.numSteps);
+    for (let step = 0; step < this.numSteps; step++)
+      out[step] = this.valid(agent, step) ? value(agent * this.numSteps + step, step) : NaN;
+    return out;
+  }
+
+  /** Pairs that meet at constant velocities: [a, b, seconds] at a whole step. */
+  pairs(step) {
+    const { pairStart, pairA, pairB, pairTtc } = this.a;
+    const out = [];
+    for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
+      out.push([pairA[k], pairB[k], pairTtc[k]]);
+    return out;
+  }
+
+  /** The plan in force at a step: the last one made by then. */
+  planAt(step) {
+    let found = null;
+    for (const plan of this.plans) if (plan.step <= step) found = plan;
+    return found;
+  }
+
+  /** Influences at a step as [from, to, weight]: the plan's graph, else pairs that meet soon. */
+  influences(step) {
+    const plan = this.planAt(step);
+    if (plan && plan.edges) return plan.edges.map(([from, to]) => [from, to, 1]);
+    const out = [];
+    for (const [a, b, ttc] of this.pairs(step)) {
+      if (ttc > this.graphTtc) continue;
+      const p = this.pose(a, step), q = this.pose(b, step);
+      if (!p || !q || Math.hypot(p.x - q.x, p.y - q.y) > this.graphDistance) continue;
+      const weight = 1 - ttc / this.graphTtc;
+      out.push([a, b, weight], [b, a, weight]);
+    }
+    return out;
+  }
+
+  plan(header, index) {
+    return { ...header, x: this.a[`plan${index}x`], y: this.a[`plan${index}y`] };
+  }
+}
+
+/** Angle in (-π, π]. */
+function wrap(angle) {
+  return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
+}

@@ -1,0 +1,264 @@
+// Start of the page: reads the runs, wires buttons, keys and panels to the player.
+
+const $ = (id) => document.getElementById(id);
+const CHROME = {
+  light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#7b8592", text: "#1d242c",
+    runs: ["#0057b8", "#d9730d"] },
+  dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#8d98a6", text: "#e8edf3",
+    runs: ["#5aa9ff", "#ffab57"] },
+};
+const LAYER_TITLES = {
+  trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
+  lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
+};
+const KEYS = [
+  ["space", "play, pause", (p) => p.togglePlay(), [" "]],
+  ["← →", "one step back, on", null, []],
+  ["shift ← →", "one second back, on", null, []],
+  ["home, end", "first, last step", null, []],
+  ["[ ]", "slower, faster", null, []],
+  [", .", "event before, next event", null, []],
+  ["tab", "follow the next agent (shift: the one before)", null, []],
+  ["E", "follow the ego", (p) => p.followAgent(p.runs[0].agents[0].id), ["e"]],
+  ["F", "show all, follow nobody", (p) => p.fit(), ["f"]],
+  ["H", "heading up", (p) => p.toggleHeadingUp(), ["h"]],
+  ["+ −", "zoom", null, []],
+  ["T P G", "trails, plans, causal graph", null, []],
+  ["L K", "names, lanes", null, []],
+  ["O", "ghost of the other run", null, []],
+  ["D", "dark or light", null, ["d"]],
+  ["S", "panels", null, ["s"]],
+  ["?", "this help", null, ["?"]],
+];
+
+async function main() {
+  const settings = JSON.parse($("settings").textContent);
+  const runs = [];
+  for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
+  const colours = { light: settings.colours, dark: lighter(settings.colours) };
+
+  let timeline = null, figures = null, contacts = null;
+  const player = new Player(runs, $("stage"), colours, () => update());
+  const seek = (time) => { player.playing = false; player.seek(time); };
+  timeline = new Timeline($("timeline"), runs, seek);
+  figures = new FiguresPanel($("figures"), runs, seek);
+  contacts = new ContactPanel($("contacts"), runs[0], (pair) => {
+    player.pair = pair && pair.map((agent) => runs[0].agents[agent].id);
+    player.touch();
+  });
+  document.body.classList.toggle("compare", runs.length > 1);
+
+  const update = () => {
+    const chrome = CHROME[player.theme];
+    timeline.draw(player.time, chrome);
+    figures.choose(player.focus);
+    figures.draw(player.time, chrome);
+    const run = runs[0], step = Math.floor(run.stepAt(player.time) + 1e-6);
+    const focus = run.indexOf.get(player.focus);
+    contacts.draw(step, focus === undefined ? -1 : focus, player.theme);
+    showFocus(player);
+    showControls(player);
+  };
+  wireControls(player);
+  wireKeys(player);
+  player.panes.forEach((pane) => wirePane(pane, player));
+  showLegend(player, settings);
+  showAbout(runs);
+  setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  player.camera.scale = Math.max(player.panes[0].width / 110, 3.2);
+  new ResizeObserver(() => player.touch()).observe($("app"));
+  window.replay = player; // for the curious, and for tests
+  document.body.dataset.ready = "yes";
+}
+
+/** Colours for dark ground: the dark ones move towards white. */
+function lighter(colours) {
+  const out = {};
+  for (const [name, colour] of Object.entries(colours)) {
+    const rgb = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+    const luminance = (0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]) / 255;
+    const mix = Math.max(0, 0.62 - luminance) * 0.85;
+    out[name] = `#${rgb.map((c) => Math.round(c + (255 - c) * mix).toString(16).padStart(2, "0")).join("")}`;
+  }
+  return out;
+}
+
+function setTheme(player, theme) {
+  player.theme = theme;
+  document.documentElement.dataset.theme = theme;
+  document.querySelectorAll("[data-driver]").forEach((dot) => {
+    dot.style.background = player.panes[0].actors.driverColours[theme][dot.dataset.driver];
+  });
+  player.touch();
+}
+
+function wireControls(player) {
+  $("play").addEventListener("click", () => player.togglePlay());
+  $("back").addEventListener("click", () => player.stepBy(-1));
+  $("forward").addEventListener("click", () => player.stepBy(1));
+  $("event").addEventListener("click", () => player.nextEvent(1));
+  $("event").hidden = player.runs.every((run) => !run.events.length);
+  for (const rate of RATES) $("rate").append(new Option(`${rate}×`, rate));
+  $("rate").addEventListener("change", () => { player.rate = +$("rate").value; });
+  $("follow").append(new Option("nobody", ""));
+  for (const agent of player.runs[0].agents)
+    if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
+  $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
+  $("heading").addEventListener("click", () => player.toggleHeadingUp());
+  $("fit").addEventListener("click", () => player.fit());
+  $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
+  $("panels").addEventListener("click", () => togglePanels(player));
+  $("help-button").addEventListener("click", () => $("help").showModal());
+  $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
+  for (const layer of LAYERS) {
+    if (layer === "ghost" && player.runs.length < 2) continue;
+    if (layer === "plans" && player.runs.every((run) => !run.plans.length)) continue;
+    const [title, key] = LAYER_TITLES[layer];
+    const chip = element("button", "chip", title);
+    chip.id = `layer-${layer}`;
+    chip.title = `${title} (${key})`;
+    chip.addEventListener("click", () => player.toggle(layer));
+    $("layers").append(chip);
+  }
+  for (const [key, what] of KEYS) {
+    const row = element("div", "key");
+    row.append(element("kbd", "", key), element("span", "", what));
+    $("keys").append(row);
+  }
+}
+
+function togglePanels(player) {
+  document.body.classList.toggle("bare");
+  player.touch();
+}
+
+function showControls(player) {
+  $("play").textContent = player.playing ? "❚❚" : "▶";
+  $("play").setAttribute("aria-label", player.playing ? "pause" : "play");
+  $("time").textContent = (player.time - player.start).toFixed(1);
+  $("length").textContent = ` / ${(player.end - player.start).toFixed(1)} s`;
+  $("rate").value = player.rate;
+  $("follow").value = player.follow === null ? "" : player.follow;
+  $("heading").setAttribute("aria-pressed", player.headingUp);
+  for (const layer of LAYERS) {
+    const chip = $(`layer-${layer}`);
+    if (chip) chip.setAttribute("aria-pressed", player.layers[layer]);
+  }
+}
+
+/** Facts of the chosen agent, one block a run. */
+function showFocus(player) {
+  player.runs.forEach((run, i) => {
+    const list = $(`facts-${i}`);
+    const agent = run.indexOf.get(player.focus);
+    if (agent === undefined) {
+      list.replaceChildren(i ? "" : element("p", "quiet", "Tap an agent to see its facts."));
+      return;
+    }
+    const title = player.runs.length > 1 ? `${run.agents[agent].title} · ${run.title}` : run.agents[agent].title;
+    showFacts(list, title, factsOf(run, agent, run.stepAt(player.time)));
+  });
+}
+
+function showLegend(player, settings) {
+  const seen = new Set();
+  for (const run of player.runs) {
+    for (const agent of run.agents) seen.add(agent.kind === "static" ? "static" : agent.driver);
+    if (run.plans.some((plan) => plan.guided.includes(1))) seen.add("adversary");
+  }
+  for (const name of Object.keys(settings.drivers)) {
+    if (!seen.has(name)) continue;
+    const item = element("span", "legend-item");
+    const dot = element("i");
+    dot.dataset.driver = name;
+    item.append(dot, settings.drivers[name]);
+    $("legend").append(item);
+  }
+}
+
+function showAbout(runs) {
+  for (const run of runs) {
+    const list = element("div", "facts");
+    showFacts(list, run.title, run.about);
+    $("about").append(list);
+  }
+}
+
+function wirePane(pane, player) {
+  const tip = $("tip");
+  const hide = () => { tip.hidden = true; };
+  listenToGestures(pane.canvas, {
+    drag(dx, dy) {
+      player.follow = null;
+      player.camera.pan(dx, dy);
+      hide();
+      player.touch();
+    },
+    zoom(factor, x, y) {
+      player.camera.zoom(factor, x, y, pane.width, pane.height, player.follow !== null);
+      player.touch();
+    },
+    hover(x, y) {
+      const id = x === null ? null : pane.find(player.camera, x, y, player.time, 6);
+      if (id !== player.hover) { player.hover = id; player.touch(); }
+      pane.canvas.style.cursor = id === null ? "" : "pointer";
+      if (id === null) return hide();
+      const agent = pane.run.indexOf.get(id), box = pane.canvas.getBoundingClientRect();
+      showFacts(tip, pane.run.agents[agent].title, factsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -2));
+      tip.hidden = false;
+      tip.style.left = `${Math.min(box.left + x + 16, innerWidth - tip.offsetWidth - 8)}px`;
+      tip.style.top = `${Math.min(box.top + y + 16, innerHeight - tip.offsetHeight - 8)}px`;
+    },
+    tap(x, y) {
+      player.choose(pane.find(player.camera, x, y, player.time, 14));
+    },
+    doubleTap(x, y) {
+      const id = pane.find(player.camera, x, y, player.time, 18);
+      if (id !== null) player.followAgent(id);
+      else player.camera.zoom(1.8, x, y, pane.width, pane.height, false);
+      player.touch();
+    },
+  });
+}
+
+function wireKeys(player) {
+  const second = Math.round(1 / player.step);
+  const zoom = (factor) => {
+    player.camera.zoom(factor, 0, 0, 0, 0, true);
+    player.touch();
+  };
+  const actions = {
+    ArrowLeft: (e) => player.stepBy(e.shiftKey ? -second : -1),
+    ArrowRight: (e) => player.stepBy(e.shiftKey ? second : 1),
+    Home: () => player.seek(player.start),
+    End: () => player.seek(player.end),
+    "[": () => player.changeRate(-1),
+    "]": () => player.changeRate(1),
+    ",": () => player.nextEvent(-1),
+    ".": () => player.nextEvent(1),
+    Tab: (e) => player.followNext(e.shiftKey ? -1 : 1),
+    "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
+    t: () => player.toggle("trails"), p: () => player.toggle("plans"), g: () => player.toggle("graph"),
+    l: () => player.toggle("labels"), k: () => player.toggle("lanes"), o: () => player.toggle("ghost"),
+    d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
+    s: () => togglePanels(player),
+    "?": () => $("help").showModal(),
+  };
+  for (const [, , action, keys] of KEYS)
+    if (action) for (const key of keys) actions[key] = () => action(player);
+  addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+    if (event.target instanceof HTMLSelectElement) return;
+    const action = actions[event.key] || actions[event.key.toLowerCase()];
+    if (!action) return;
+    event.preventDefault();
+    action(event);
+  });
+}
+
+main().catch((error) => {
+  document.body.dataset.ready = "failed";
+  $("failure").hidden = false;
+  $("failure").textContent = `This replay cannot be shown: ${error.message}`;
+  throw error;
+});

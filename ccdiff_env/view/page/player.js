@@ -1,0 +1,241 @@
+// The player: its state, the panes that show it, and the loop that draws them.
+
+const RATES = [0.25, 0.5, 1, 2, 4, 8];
+const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
+
+/** One run on one canvas. */
+class Pane {
+  constructor(root, run, driverColours) {
+    this.run = run;
+    this.ground = new Ground(run);
+    this.actors = new Actors(run, driverColours);
+    this.root = element("div", "pane");
+    this.canvas = element("canvas", "map");
+    this.caption = element("div", "pane-caption");
+    this.caption.append(element("b", "", run.title), element("span", "", run.subtitle));
+    this.root.append(this.canvas, this.caption);
+    root.append(this.root);
+  }
+
+  get width() { return this.canvas.clientWidth; }
+  get height() { return this.canvas.clientHeight; }
+
+  draw(player, other) {
+    const { camera, theme, layers } = player;
+    const ratio = window.devicePixelRatio || 1, { width, height } = this;
+    resizeCanvas(this.canvas, width, height, ratio);
+    const context = this.canvas.getContext("2d");
+    const colours = GROUND_COLOURS[theme], pixel = 1 / camera.scale;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.fillStyle = colours.ground;
+    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    camera.apply(context, width, height, ratio);
+    this.ground.draw(context, colours, pixel);
+    if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
+    const at = this.run.stepAt(player.time);
+    if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
+    this.actors.draw(context, at, {
+      layers, theme, pixel,
+      focus: this.index(player.focus), hover: this.index(player.hover),
+      pair: player.pair && player.pair.map((id) => this.index(id)),
+    });
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
+    this.scaleBar(context, camera, width, height, theme);
+    const late = player.time > this.run.end + 1e-6, early = player.time < this.run.start - 1e-6;
+    this.root.classList.toggle("outside", late || early);
+  }
+
+  index(id) {
+    const index = this.run.indexOf.get(id);
+    return index === undefined ? -1 : index;
+  }
+
+  scaleBar(context, camera, width, height, theme) {
+    const metres = [1, 2, 5, 10, 20, 50, 100, 200].find((m) => m * camera.scale >= 60) || 500;
+    const long = metres * camera.scale, x = width - 16 - long, y = height - 16;
+    context.strokeStyle = context.fillStyle = ACTOR_COLOURS[theme].label;
+    context.globalAlpha = 0.7;
+    context.lineWidth = 1.5;
+    context.beginPath();
+    context.moveTo(x, y - 5);
+    context.lineTo(x, y);
+    context.lineTo(x + long, y);
+    context.lineTo(x + long, y - 5);
+    context.stroke();
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "bottom";
+    context.fillText(`${metres} m`, x + long / 2, y - 4);
+    context.globalAlpha = 1;
+  }
+
+  /** Id of the agent under a pixel, or null. */
+  find(camera, px, py, time, slackPixels) {
+    const [x, y] = camera.toMap(px, py, this.width, this.height);
+    const agent = this.actors.find(x, y, this.run.stepAt(time), slackPixels / camera.scale);
+    return agent < 0 ? null : this.run.agents[agent].id;
+  }
+}
+
+/** State of the page and everything that changes it. Times are seconds of the scene. */
+class Player {
+  constructor(runs, stage, driverColours, changed) {
+    this.runs = runs;
+    this.camera = new Camera();
+    this.panes = runs.map((run) => new Pane(stage, run, driverColours));
+    this.start = Math.min(...runs.map((run) => run.start));
+    this.end = Math.max(...runs.map((run) => run.end));
+    this.step = Math.min(...runs.map((run) => run.dt));
+    this.time = this.start;
+    this.rate = 1;
+    this.playing = false;
+    this.theme = "light";
+    this.headingUp = false;
+    this.layers = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false, matrix: true };
+    this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
+    this.follow = this.focus;
+    this.hover = null;
+    this.pair = null;
+    this.changed = changed;
+    this.dirty = true;
+    this.before = 0;
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  /** Something changed: draw again at the next frame. */
+  touch() {
+    this.dirty = true;
+  }
+
+  frame(now) {
+    const elapsed = Math.min((now - this.before) / 1000, 0.1);
+    this.before = now;
+    if (this.playing) {
+      this.time = Math.min(this.time + elapsed * this.rate, this.end);
+      if (this.time >= this.end) this.playing = false;
+      this.dirty = true;
+    }
+    if (this.dirty) {
+      this.dirty = false;
+      this.track();
+      this.panes.forEach((pane, i) => pane.draw(this, this.panes[1 - i]));
+      this.changed(this);
+    }
+    requestAnimationFrame((next) => this.frame(next));
+  }
+
+  /** Keep the followed agent in the middle. */
+  track() {
+    const run = this.runs.find((r) => r.indexOf.has(this.follow));
+    if (!run) return;
+    const agent = run.indexOf.get(this.follow);
+    const pose = run.pose(agent, run.stepAt(this.time)) || this.nearestPose(run, agent);
+    if (!pose) return;
+    this.camera.x = pose.x;
+    this.camera.y = pose.y;
+    this.camera.right = this.headingUp ? pose.heading - Math.PI / 2 : 0;
+  }
+
+  nearestPose(run, agent) {
+    const at = Math.round(run.stepAt(this.time));
+    for (let gap = 0; gap < run.numSteps; gap++)
+      for (const step of [at - gap, at + gap])
+        if (step >= 0 && step < run.numSteps && run.valid(agent, step)) return run.pose(agent, step);
+    return null;
+  }
+
+  togglePlay() {
+    if (!this.playing && this.time >= this.end - 1e-6) this.time = this.start;
+    this.playing = !this.playing;
+    this.touch();
+  }
+
+  seek(time) {
+    this.time = Math.min(Math.max(time, this.start), this.end);
+    this.touch();
+  }
+
+  /** Stop, and go by whole steps. */
+  stepBy(steps) {
+    this.playing = false;
+    const at = Math.round((this.time - this.start) / this.step);
+    this.seek(this.start + (at + steps) * this.step);
+  }
+
+  changeRate(by) {
+    const at = RATES.indexOf(this.rate) + by;
+    this.rate = RATES[Math.min(Math.max(at, 0), RATES.length - 1)];
+    this.touch();
+  }
+
+  toggle(layer) {
+    this.layers[layer] = !this.layers[layer];
+    this.touch();
+  }
+
+  choose(id) {
+    this.focus = id;
+    this.touch();
+  }
+
+  followAgent(id) {
+    this.follow = id;
+    if (id !== null) this.focus = id;
+    this.touch();
+  }
+
+  /** Follow the next or the one before among the agents that are there and are not obstacles. */
+  followNext(by) {
+    const run = this.runs[0], step = Math.round(run.stepAt(this.time));
+    const there = run.agents
+      .filter((agent, i) => agent.kind !== "static" && run.valid(i, step))
+      .map((agent) => agent.id);
+    if (!there.length) return;
+    const at = there.indexOf(this.follow);
+    this.followAgent(there[(at + by + there.length) % there.length]);
+  }
+
+  toggleHeadingUp() {
+    this.headingUp = !this.headingUp;
+    if (!this.headingUp) this.camera.right = 0;
+    if (this.headingUp && this.follow === null) this.follow = this.focus;
+    this.touch();
+  }
+
+  /** Show all that moves. */
+  fit() {
+    const box = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const run of this.runs)
+      run.agents.forEach(({ kind }, agent) => {
+        if (kind !== "static") growBox(box, run, agent);
+      });
+    if (!Number.isFinite(box[0])) return;
+    this.follow = null;
+    this.headingUp = false;
+    this.camera.fit(box, this.panes[0].width, this.panes[0].height);
+    this.touch();
+  }
+
+  /** Go to the next event (or the one before), two seconds early. */
+  nextEvent(by) {
+    const times = this.runs.flatMap((run) => run.events.map((e) => run.start + e.step * run.dt));
+    const sorted = [...new Set(times)].sort((a, b) => a - b);
+    const next = by > 0 ? sorted.find((t) => t > this.time + 1e-6)
+      : sorted.reverse().find((t) => t < this.time - 1e-6);
+    if (next === undefined) return;
+    this.playing = false;
+    this.seek(next);
+  }
+}
+
+function growBox(box, run, agent) {
+  for (let step = 0; step < run.numSteps; step++) {
+    if (!run.valid(agent, step)) continue;
+    const i = agent * run.numSteps + step;
+    box[0] = Math.min(box[0], run.a.x[i] - 5);
+    box[1] = Math.min(box[1], run.a.y[i] - 5);
+    box[2] = Math.max(box[2], run.a.x[i] + 5);
+    box[3] = Math.max(box[3], run.a.y[i] + 5);
+  }
+}

@@ -1,0 +1,134 @@
+// The time line: where we are, and flags where something happens.
+
+const FLAG_COLOURS = { collision: "#d61f2c", other: "#e08a00", plan: "#00996f" };
+
+class Timeline {
+  /** seek(time) is called while the user drags. */
+  constructor(canvas, runs, seek) {
+    this.canvas = canvas;
+    this.runs = runs;
+    this.start = Math.min(...runs.map((run) => run.start));
+    this.end = Math.max(...runs.map((run) => run.end));
+    this.seek = seek;
+    this.hover = null;
+    this.listen();
+  }
+
+  get span() {
+    return Math.max(this.end - this.start, 1e-6);
+  }
+
+  listen() {
+    const timeOf = (event) => {
+      const box = this.canvas.getBoundingClientRect();
+      const share = (event.clientX - box.left - 10) / Math.max(box.width - 20, 1);
+      return this.start + Math.min(Math.max(share, 0), 1) * this.span;
+    };
+    this.canvas.addEventListener("pointerdown", (event) => {
+      this.canvas.setPointerCapture(event.pointerId);
+      this.dragging = true;
+      this.seek(timeOf(event));
+    });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (this.dragging) this.seek(timeOf(event));
+      this.canvas.title = this.describe(timeOf(event));
+    });
+    const release = () => { this.dragging = false; };
+    this.canvas.addEventListener("pointerup", release);
+    this.canvas.addEventListener("pointercancel", release);
+  }
+
+  /** What happens near a time, for the tooltip. */
+  describe(time) {
+    const near = 0.012 * this.span;
+    const lines = [`${(time - this.start).toFixed(1)} s`];
+    for (const run of this.runs)
+      for (const event of run.events)
+        if (Math.abs(run.start + event.step * run.dt - time) <= near)
+          lines.push(describeEvent(run, event));
+    return lines.join("\n");
+  }
+
+  draw(time, colours) {
+    const { canvas } = this;
+    const ratio = window.devicePixelRatio || 1;
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    resizeCanvas(canvas, width, height, ratio);
+    const context = canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    const x = (t) => 10 + (width - 20) * (t - this.start) / this.span;
+    const middle = height - 14;
+    this.ticks(context, x, height, colours);
+    context.lineCap = "round";
+    context.lineWidth = 5;
+    context.strokeStyle = colours.track;
+    line(context, x(this.start), middle, x(this.end), middle);
+    context.strokeStyle = colours.accent;
+    line(context, x(this.start), middle, x(time), middle);
+    this.runs.forEach((run, index) => this.flags(context, run, index, x, middle));
+    context.fillStyle = colours.accent;
+    context.strokeStyle = colours.panel;
+    context.lineWidth = 2;
+    context.beginPath();
+    context.arc(x(time), middle, 7, 0, 2 * Math.PI);
+    context.fill();
+    context.stroke();
+  }
+
+  ticks(context, x, height, colours) {
+    const wanted = Math.max((x(this.end) - x(this.start)) / 60, 2);
+    const gap = [0.5, 1, 2, 5, 10, 20, 60].find((s) => this.span / s <= wanted) || 60;
+    context.font = "10px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "top";
+    for (let t = 0; t <= this.span + 1e-6; t += gap) {
+      context.fillStyle = colours.faint;
+      context.fillRect(x(this.start + t) - 0.5, height - 10, 1, 5);
+      context.fillText(`${+t.toFixed(1)}`, x(this.start + t), 0);
+    }
+  }
+
+  /** Ticks of plans below, flags of events above the track; the second run's hang lower. */
+  flags(context, run, index, x, middle) {
+    for (const plan of run.plans) {
+      context.fillStyle = FLAG_COLOURS.plan;
+      context.globalAlpha = 0.7;
+      context.fillRect(x(run.start + plan.step * run.dt) - 1, middle + 5, 2, 4);
+    }
+    context.globalAlpha = 1;
+    for (const event of run.events) {
+      const at = x(run.start + event.step * run.dt), high = index ? 8 : 13;
+      context.fillStyle = event.collision ? FLAG_COLOURS.collision : FLAG_COLOURS.other;
+      context.fillRect(at - 0.75, middle - high, 1.5, high);
+      context.beginPath();
+      context.moveTo(at - 0.75, middle - high);
+      context.lineTo(at + 7, middle - high + 3);
+      context.lineTo(at - 0.75, middle - high + 6);
+      context.fill();
+    }
+  }
+}
+
+function describeEvent(run, event) {
+  const agent = run.agents[event.agent];
+  const partner = event.partner >= 0 ? run.agents[event.partner] : null;
+  const kind = event.kind.replaceAll("_", " ");
+  return partner ? `${agent.label}: ${kind} with ${partner.label}` : `${agent.label}: ${kind}`;
+}
+
+function line(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}
+
+/** Give a canvas as many pixels as its box has on the screen. */
+function resizeCanvas(canvas, width, height, ratio) {
+  const wide = Math.max(Math.round(width * ratio), 1), high = Math.max(Math.round(height * ratio), 1);
+  if (canvas.width !== wide || canvas.height !== high) {
+    canvas.width = wide;
+    canvas.height = high;
+  }
+}

@@ -1,0 +1,61 @@
+"""A small made-up rollout that has everything a replay can show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from ccdiff_env import embedded_scenes
+from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.view import log_rollout
+
+NUM_STEPS = 81
+
+
+@cache
+def planned_rollout(name: str = "left-turn-00") -> Rollout:
+    """Eight seconds of a log as if CCDiff had driven agents 1 and 2 (2 guided), with events."""
+    log = log_rollout(embedded_scenes()[name])
+    rng = np.random.default_rng(7)
+    ids = log.agent_ids
+    position = log.position[:, :NUM_STEPS].copy()
+    position[1:3] += np.linspace(0.0, 2.0, NUM_STEPS, dtype=np.float32)[:, None]
+    drivers = log.drivers.copy()
+    drivers[1:3] = 4
+    plans = tuple(_plan(position, ids, step, rng) for step in range(0, NUM_STEPS - 1, 10))
+    return replace(
+        log,
+        position=position,
+        heading=log.heading[:, :NUM_STEPS],
+        velocity=log.velocity[:, :NUM_STEPS],
+        valid=log.valid[:, :NUM_STEPS],
+        drivers=drivers,
+        plans=plans,
+        events=(
+            RolloutEvent(30, "ego", ids[1], "collision_front", True),
+            RolloutEvent(30, ids[1], "ego", "collision_side"),
+        ),
+        figures={
+            "route_distance": np.linspace(-1.0, 3.0, NUM_STEPS - 1, dtype=np.float32),
+            "collision": np.zeros(NUM_STEPS - 1, np.float32),
+        },
+        meta={"seed": 7, "planner": "idm", "traffic": "ccdiff"},
+    )
+
+
+def _plan(position: np.ndarray, ids: tuple[str, ...], step: int, rng: np.random.Generator):
+    ahead = np.minimum(step + 1 + np.arange(20), NUM_STEPS - 1)
+    spread = rng.normal(size=(4, 2, 1, 2)) * (np.arange(20) / 10.0)[:, None]
+    return RolloutPlan(
+        step=step,
+        agent_ids=ids[1:3],
+        samples=(position[1:3][:, ahead] + spread).astype(np.float32),
+        chosen=np.array([1, 3]),
+        executed=np.array([True, True]),
+        realism_cost=np.array([0.0, 0.25], np.float32),
+        graph=np.array([[True, True], [False, True]]),
+        ttc_s=np.full((2, 2), np.inf, np.float32),
+        guided=np.array([False, True]),
+    )
