@@ -173,7 +173,7 @@ def test_a_name_is_a_file_a_scene_or_an_error(tmp_path):
         find_rollout("log")
 
 
-def test_the_verb_writes_a_page_a_comparison_a_picture_and_films(tmp_path, capsys):
+def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsys):
     from PIL import Image
 
     planned_rollout().save(tmp_path / "run.npz")
@@ -183,7 +183,6 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_films(tmp_path, capsy
         ("two.html", ["--compare", "log"]),
         ("step.png", ["--png", "30", "--graph"]),
         ("film.gif", ["--gif", "--size", "160", "--speed", "4"]),
-        ("film.mp4", ["--mp4", "--size", "160", "--follow", planned_rollout().agent_ids[1]]),
     ):
         out = tmp_path / name
         assert cli.main(["view", run, "-o", str(out), *options]) == 0
@@ -195,6 +194,18 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_films(tmp_path, capsy
     with Image.open(tmp_path / "film.gif") as film:
         assert film.n_frames == 41  # four times the pace at no more than 20 pictures a second
         assert film.info["duration"] == 50
+
+
+def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):
+    imageio = pytest.importorskip("imageio.v2")
+    pytest.importorskip("imageio_ffmpeg")
+    out = tmp_path / "film.mp4"
+    options = ["--mp4", "--size", "160", "--follow", planned_rollout().agent_ids[1]]
+    assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
+    film = imageio.get_reader(out).get_meta_data()
+    seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1
+    assert film["duration"] == pytest.approx(seconds, abs=0.2)
+    assert film["size"] == (160, 160)
 
 
 def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):

@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write what the arguments ask for; print its path."""
-    kinds = [name for name in ("png", "gif", "mp4") if getattr(args, name) not in (None, False)]
+    asked = {"png": args.png is not None, "gif": args.gif, "mp4": args.mp4}
+    kinds = [name for name, wanted in asked.items() if wanted]
     if len(kinds) > 1:
         raise ConfigError("give one of --png, --gif and --mp4")
     folder = Path(args.what)
