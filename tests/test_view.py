@@ -14,7 +14,7 @@ from view_rollouts import NUM_STEPS, planned_rollout
 
 from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page, write_page
 from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.film import Film
@@ -95,7 +95,22 @@ def test_pairs_are_those_that_the_core_says_will_meet():
             normalised=False,
         )
         np.testing.assert_array_equal(expected[a, b], seconds)
-        assert len(a) == np.count_nonzero(np.triu(expected <= 10.0, 1))
+        kinds = np.array(run.scene.agent_types)
+        alike = kinds[:, None] == kinds[None, :]
+        near = (expected <= 10.0) & ~(alike & np.isin(kinds, ("static", "pedestrian")))
+        assert len(a) == np.count_nonzero(np.triu(near, 1))
+
+
+def test_two_agents_that_follow_the_log_overlap_but_do_not_collide():
+    run = planned_rollout()
+    ids = run.agent_ids
+    events = (
+        RolloutEvent(5, ids[3], ids[4], "collision_side"),
+        RolloutEvent(6, ids[1], ids[4], "collision_side"),
+        RolloutEvent(7, ids[1], None, "off_road"),
+    )
+    shown = unpacked(elements(page(replace(run, events=events)))[0])[0]["run"]["events"]
+    assert [event["collision"] for event in shown] == [False, True, False]
 
 
 def test_names_cannot_break_out_of_the_page():

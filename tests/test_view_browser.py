@@ -262,7 +262,7 @@ def test_hovering_shows_facts_and_a_click_chooses_the_agent(visit):
     assert "m/s" in page.inner_text("#tip")
     page.mouse.click(x, y)
     assert page.state("focus") == second
-    assert second in page.inner_text("#facts-0")
+    assert second in page.inner_text("#facts")
 
 
 def test_collisions_stand_on_the_time_line_and_in_its_tooltip(visit):

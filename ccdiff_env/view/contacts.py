@@ -22,7 +22,7 @@ def contacts(
 ) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
     """Yield for each step the pairs (a < b) that meet within :data:`TTC_CAP_S`, and when.
 
-    Boxes move at constant velocities. Pairs of static obstacles are left out.
+    Boxes move at constant velocities. Pairs of static obstacles and pairs of walkers are left out.
     """
     valid = rollout.valid.T
     speed = np.linalg.norm(rollout.velocity, axis=-1).T
@@ -30,9 +30,10 @@ def contacts(
         rollout.velocity[..., 0] * np.cos(rollout.heading)
         + rollout.velocity[..., 1] * np.sin(rollout.heading)
     ).T
-    static = np.array([kind == "static" for kind in rollout.scene.agent_types])
-    apart = ~(static[:, None] & static[None, :])
-    upper = np.triu(np.ones_like(apart), 1) & apart
+    kinds = np.array(rollout.scene.agent_types)
+    alike = kinds[:, None] == kinds[None, :]
+    dull = np.isin(kinds, ("static", "pedestrian"))
+    upper = np.triu(~(alike & dull), 1)
     for t in range(rollout.num_steps):
         seconds = causal.ttc(
             rollout.position[:, t],
@@ -47,20 +48,18 @@ def contacts(
 
 
 def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
-    """Return where boxes begin to overlap while one of them moves, walkers among themselves aside.
+    """Return where boxes of :func:`contacts` begin to overlap while one of them moves.
 
     In a log this is mostly noise of the annotations.
     """
     speed = np.linalg.norm(rollout.velocity, axis=-1)
-    walker = [kind == "pedestrian" for kind in rollout.scene.agent_types]
     ids = rollout.agent_ids
     events: list[RolloutEvent] = []
     before: set[tuple[int, int]] = set()
     for step, (a, b, seconds) in enumerate(contacts(rollout)):
         touching = {(int(i), int(j)) for i, j, s in zip(a, b, seconds, strict=True) if s <= 0.0}
         for i, j in sorted(touching - before) if step else ():
-            moves = max(speed[i, step], speed[j, step]) > MOVING_MPS
-            if moves and not (walker[i] and walker[j]):
+            if max(speed[i, step], speed[j, step]) > MOVING_MPS:
                 events.append(RolloutEvent(step, ids[i], ids[j], OVERLAP))
         before = touching
     return tuple(events)

@@ -7,7 +7,6 @@ from collections import Counter
 
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
-from ccdiff_env.view.contacts import OVERLAP
 
 #: Titles of drivers, in the order of the legend; names are those of pictures.
 DRIVER_TITLES = {
@@ -68,9 +67,14 @@ def _short(category: str) -> list[str]:
     return [parts[1] if parts[0] == "vehicle" else parts[-1]] if len(parts) > 1 else []
 
 
-def is_collision(event: RolloutEvent) -> bool:
-    """Whether an event is a collision; boxes that overlap in a log are not called that."""
-    return event.partner_id is not None and event.kind != OVERLAP
+def is_collision(rollout: Rollout, event: RolloutEvent) -> bool:
+    """Whether an event is a collision: boxes of two agents that follow the log overlap because
+    annotations are not exact.
+    """
+    if event.partner_id is None:
+        return False
+    both = (rollout.agent_ids.index(name) for name in (event.agent_id, event.partner_id))
+    return any(rollout.driver_names[agent] != "replay" for agent in both)
 
 
 def subtitle(rollout: Rollout) -> str:
@@ -83,9 +87,9 @@ def subtitle(rollout: Rollout) -> str:
     )
     parts = [rollout.scene.location]
     if "ego" in rollout.agent_ids:
-        planner = rollout.meta.get("planner")
+        planner = str(rollout.meta.get("planner", ""))
         ego = driver_title(rollout, rollout.agent_ids.index("ego"))
-        parts.append(f"ego: {planner if isinstance(planner, str) else ego}")
+        parts.append(f"ego: {DRIVER_TITLES.get(planner, planner) or ego}")
     if background:
         parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
     parts.append(f"{len(agents)} agents")
@@ -99,7 +103,7 @@ def collisions(rollout: Rollout) -> set[tuple[int, frozenset[str]]]:
     return {
         (event.step, frozenset((event.agent_id, str(event.partner_id))))
         for event in rollout.events
-        if is_collision(event)
+        if is_collision(rollout, event)
     }
 
 

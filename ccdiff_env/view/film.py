@@ -33,6 +33,8 @@ class Film:
         Id of the agent in the middle; the first agent (the ego) by default.
     graph
         Draw the causal graph of the plan in force.
+    captions
+        Write the scene's name and the time, and draw a scale bar.
     """
 
     def __init__(
@@ -43,12 +45,14 @@ class Film:
         span_m: float = 90.0,
         follow: str | None = None,
         graph: bool = False,
+        captions: bool = True,
     ) -> None:
         follow = follow if follow is not None else rollout.agent_ids[0]
         if follow not in rollout.agent_ids:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout = rollout
-        self._size, self._span_m, self._graph = size, span_m, graph
+        self._size, self._span_m = size, span_m
+        self._graph, self._captions = graph, captions
         self._centres = _centres(rollout, rollout.agent_ids.index(follow))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
@@ -74,7 +78,7 @@ class Film:
         recent = [
             event
             for event in run.events
-            if is_collision(event) and 0 <= step - event.step < MARK_S / run.dt_s
+            if is_collision(run, event) and 0 <= step - event.step < MARK_S / run.dt_s
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
@@ -93,8 +97,8 @@ class Film:
             trails=list(self._trails(step, there)),
             samples=list(self._samples(plan)) if plan else (),
             arrows=self._arrows(plan, there) if plan and self._graph else (),
-            caption=f"{run.scene.name}  {seconds:.1f} s",
-            scale_bar=True,
+            caption=f"{run.scene.name}  {seconds:.1f} s" if self._captions else "",
+            scale_bar=self._captions,
         )
 
     def _trails(

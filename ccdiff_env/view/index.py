@@ -72,7 +72,7 @@ def write_pages(
 def _thumbnail(rollout: Rollout) -> Image:
     """The moment of the first collision, else the middle."""
     first = min((step for step, _ in collisions(rollout)), default=rollout.num_steps // 2)
-    return Film(rollout, size=THUMBNAIL, span_m=90.0).frame(first)
+    return Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False).frame(first)
 
 
 def _data_address(image: Image) -> str:

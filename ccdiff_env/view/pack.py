@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.rollout import Rollout, RolloutPlan
+from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
 from ccdiff_env.view.contacts import TTC_CAP_S, contacts
 from ccdiff_env.view.facts import (
     about,
@@ -42,6 +42,8 @@ PLAN_SPACING_S = 0.4
 PLAN_SAMPLES = 12
 """Samples kept of a plan, at most; the chosen one is always kept."""
 
+#: Figures that the page derives for any agent, or shows as events.
+_SHOWN_ELSEWHERE = {"speed", "acceleration", "collision_kind", "collision_partner"}
 _AREAS = {
     "drivable": "drivable_area",
     "walkways": "walkways",
@@ -137,23 +139,34 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
             "agent": index[event.agent_id],
             "partner": -1 if event.partner_id is None else index[event.partner_id],
             "kind": event.kind,
-            "collision": is_collision(event),
+            "collision": is_collision(rollout, event),
         }
         for event in rollout.events
+        if is_collision(rollout, event) or not _walkers(rollout, event)
     ]
     return {
         "title": title,
-        "subtitle": subtitle(rollout),
+        "subtitle": subtitle(rollout).partition(" · ")[2],
         "about": about(rollout),
         "dt": rollout.dt_s,
         "startStep": rollout.start_step,
         "numSteps": rollout.num_steps,
+        "isLog": all(name == "replay" for name in rollout.driver_names),
         "ttcCap": TTC_CAP_S,
         "graphTtc": GRAPH_TTC_S,
         "graphDistance": GRAPH_DISTANCE_M,
         "agents": agents,
         "events": events,
     }
+
+
+def _walkers(rollout: Rollout, event: RolloutEvent) -> bool:
+    """Whether an event is between two walkers."""
+    both = [event.agent_id, event.partner_id]
+    kinds = rollout.scene.agent_types
+    return all(
+        name is not None and kinds[rollout.agent_ids.index(name)] == "pedestrian" for name in both
+    )
 
 
 def _add_tracks(arrays: _Arrays, rollout: Rollout) -> None:
@@ -233,7 +246,7 @@ def _add_figures(
     index = 0
     for name, values in figures.items():
         known = np.nan_to_num(np.asarray(values, dtype=np.float64))
-        if known.size == 0 or np.ptp(known) < 1e-6:
+        if name in _SHOWN_ELSEWHERE or known.size == 0 or np.ptp(known) < 1e-6:
             continue
         arrays.real(f"figure{index}", known, 1e-4)
         index += 1

@@ -51,10 +51,11 @@ def page(
         f'<script class="run" type="text/plain">{pack(run, name)}</script>'
         for run, name in zip(runs, names, strict=True)
     )
-    heading = rollout.scene.name
-    if compare is not None:
-        heading += f": {titles[0]} and {titles[1]}"
-    line = subtitle(rollout) if compare is None else rollout.scene.location
+    if compare is None:
+        heading, line = rollout.scene.name, subtitle(rollout)
+    else:
+        heading = " and ".join(names)
+        line = f"{rollout.scene.name} · {rollout.scene.location}"
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),

@@ -9,6 +9,14 @@ const ACTOR_COLOURS = {
 const TRAIL_SECONDS = 3;
 const TRAIL_PIECES = 6;
 const FLASH_SECONDS = 1.2; // how long a collision stays marked
+const LEAST_PIXELS = 9; // length of a vehicle on the screen, at least
+const KIND_COLOURS = {
+  light: { ego: "#0057b8", vehicle: "#5f7ea3", pedestrian: "#c2410c", cyclist: "#0f8a6d",
+    motorcycle: "#8b5cb5", static: "#8a7663" },
+  dark: { ego: "#5aa9ff", vehicle: "#8fa9c9", pedestrian: "#ff9a62", cyclist: "#3ecfa8",
+    motorcycle: "#c39be8", static: "#a08c78" },
+};
+const FAST_MPS = 15; // colour scale of speeds ends here
 
 /** Draws the agents of one run at a fractional step. Coordinates are metres; y points north. */
 class Actors {
@@ -17,8 +25,12 @@ class Actors {
     this.driverColours = driverColours;
   }
 
-  colour(agent, theme) {
+  /** Colour of an agent: by driver, by kind, or by speed in its pose. */
+  colour(agent, theme, pose) {
     const { driver, kind } = this.run.agents[agent];
+    if (this.mode === "kind") return KIND_COLOURS[theme][driver === "ego" ? "ego" : kind];
+    if (this.mode === "speed" && pose && kind !== "static")
+      return speedColour(Math.hypot(pose.vx, pose.vy), theme);
     const name = kind === "static" ? "static" : driver;
     return this.driverColours[theme][name] || "#888888";
   }
@@ -26,6 +38,7 @@ class Actors {
   /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), picked agents. */
   draw(context, at, options) {
     const { layers, theme, pixel } = options;
+    this.mode = options.mode;
     const step = Math.floor(at + 1e-6);
     const poses = this.run.agents.map((_, agent) => this.run.pose(agent, at));
     if (layers.trails) this.trails(context, at, poses, theme, pixel);
@@ -36,7 +49,7 @@ class Actors {
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent) });
     });
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
-    if (layers.matrix && options.pair) this.pair(context, poses, options.pair, theme, pixel);
+    if (options.pair) this.pair(context, poses, options.pair, theme, pixel);
     for (const agent of [options.focus, options.hover]) {
       if (agent >= 0 && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
     }
@@ -54,7 +67,7 @@ class Actors {
       if (!pose || !run.valid(agent, first) && Math.hypot(pose.vx, pose.vy) < 0.3) return;
       if (run.valid(agent, first)
         && Math.hypot(pose.x - run.a.x[base + first], pose.y - run.a.y[base + first]) < 0.6) return;
-      context.strokeStyle = this.colour(agent, theme);
+      context.strokeStyle = this.colour(agent, theme, pose);
       for (let piece = 0; piece < TRAIL_PIECES; piece++) {
         const from = step - Math.round(count * (TRAIL_PIECES - piece) / TRAIL_PIECES);
         const to = step - Math.round(count * (TRAIL_PIECES - piece - 1) / TRAIL_PIECES);
@@ -125,10 +138,14 @@ class Actors {
 
   body(context, agent, pose, { theme, pixel, hit }) {
     const { kind, length, width } = this.run.agents[agent];
-    const colours = ACTOR_COLOURS[theme], colour = this.colour(agent, theme);
+    const colours = ACTOR_COLOURS[theme], colour = this.colour(agent, theme, pose);
     context.save();
     context.translate(pose.x, pose.y);
     context.rotate(pose.heading);
+    if (kind === "vehicle" && length < LEAST_PIXELS * pixel) {
+      const larger = LEAST_PIXELS * pixel / length;
+      context.scale(larger, larger);
+    }
     context.lineWidth = hit ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
     context.strokeStyle = hit ? colours.collision : colours.outline;
     context.fillStyle = colour;
@@ -254,7 +271,7 @@ class Actors {
     context.strokeStyle = colours.labelHalo;
     context.fillStyle = colours.label;
     this.run.agents.forEach(({ kind, label, width: wide }, agent) => {
-      const small = kind === "static" || kind === "pedestrian" && camera.scale < 14;
+      const small = kind === "static" || camera.scale < (kind === "pedestrian" ? 14 : 3.5);
       if (small && agent !== focus) return;
       const pose = this.run.pose(agent, at);
       if (!pose) return;
@@ -281,6 +298,14 @@ class Actors {
     });
     return best;
   }
+}
+
+/** Grey where it stands, then from slow (cool) to fast (warm). */
+function speedColour(speed, theme) {
+  if (speed < 0.3) return theme === "dark" ? "#7f8b99" : "#8c96a3";
+  const share = Math.min(speed / FAST_MPS, 1);
+  const hue = 225 - 205 * share;
+  return `hsl(${hue.toFixed(0)} ${theme === "dark" ? "75% 62%" : "70% 46%"})`;
 }
 
 function box(context, length, width, radius) {

@@ -140,7 +140,8 @@ class Run {
     if (plan && plan.edges) return plan.edges.map(([from, to]) => [from, to, 1]);
     const out = [];
     for (const [a, b, ttc] of this.pairs(step)) {
-      if (ttc > this.graphTtc) continue;
+      const solid = this.agents[a].kind === "static" || this.agents[b].kind === "static";
+      if (ttc > this.graphTtc || solid) continue;
       const p = this.pose(a, step), q = this.pose(b, step);
       if (!p || !q || Math.hypot(p.x - q.x, p.y - q.y) > this.graphDistance) continue;
       const weight = 1 - ttc / this.graphTtc;

@@ -4,12 +4,12 @@ const GROUND_COLOURS = {
   light: {
     ground: "#eef0ec", road: "#d3d7dd", kerb: "#a9b0ba", walkway: "#e3ddd0", carpark: "#c8ced6",
     stripe: "#f7f8fa", stop: "#d59c8f", centre: "#b3bac4", laneDivider: "#ffffff",
-    roadDivider: "#dfa32a", grid: "#e4e7e2",
+    roadDivider: "#dfa32a",
   },
   dark: {
-    ground: "#12161c", road: "#29303a", kerb: "#4a5462", walkway: "#20252b", carpark: "#232a33",
-    stripe: "#4c5663", stop: "#7d4a42", centre: "#414b58", laneDivider: "#76818f",
-    roadDivider: "#a77c22", grid: "#181d24",
+    ground: "#11151a", road: "#2f3743", kerb: "#566271", walkway: "#21272e", carpark: "#28303a",
+    stripe: "#5d6979", stop: "#7d4a42", centre: "#4b5766", laneDivider: "#8b97a6",
+    roadDivider: "#b98a26",
   },
 };
 

@@ -7,6 +7,7 @@ const CHROME = {
   dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#8d98a6", text: "#e8edf3",
     runs: ["#5aa9ff", "#ffab57"] },
 };
+const PANEL_MS = 80; // panels change no faster than this while playing
 const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
   lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
@@ -26,6 +27,7 @@ const KEYS = [
   ["T P G", "trails, plans, causal graph", null, []],
   ["L K", "names, lanes", null, []],
   ["O", "ghost of the other run", null, []],
+  ["C", "colour by driver, kind, speed", null, []],
   ["D", "dark or light", null, ["d"]],
   ["S", "panels", null, ["s"]],
   ["?", "this help", null, ["?"]],
@@ -37,32 +39,39 @@ async function main() {
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
   const colours = { light: settings.colours, dark: lighter(settings.colours) };
 
-  let timeline = null, figures = null, contacts = null;
+  let timeline = null, figures = null, recorded = null, contacts = null;
   const player = new Player(runs, $("stage"), colours, () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
   timeline = new Timeline($("timeline"), runs, seek);
   figures = new FiguresPanel($("figures"), runs, seek);
+  recorded = new FiguresPanel($("recorded"), runs, seek);
+  $("recorded-part").hidden = !recorded.showRecorded();
   contacts = new ContactPanel($("contacts"), runs[0], (pair) => {
     player.pair = pair && pair.map((agent) => runs[0].agents[agent].id);
     player.touch();
   });
   document.body.classList.toggle("compare", runs.length > 1);
 
+  let shown = 0;
   const update = () => {
-    const chrome = CHROME[player.theme];
+    const chrome = CHROME[player.theme], now = performance.now();
     timeline.draw(player.time, chrome);
-    figures.choose(player.focus);
+    $("time").textContent = (player.time - player.start).toFixed(1);
+    if (player.playing && now - shown < PANEL_MS) return;
+    shown = now;
+    figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
+    recorded.draw(player.time, chrome);
     const run = runs[0], step = Math.floor(run.stepAt(player.time) + 1e-6);
     const focus = run.indexOf.get(player.focus);
     contacts.draw(step, focus === undefined ? -1 : focus, player.theme);
     showFocus(player);
     showControls(player);
+    showLegend(player, settings);
   };
   wireControls(player);
   wireKeys(player);
   player.panes.forEach((pane) => wirePane(pane, player));
-  showLegend(player, settings);
   showAbout(runs);
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   player.camera.scale = Math.max(player.panes[0].width / 110, 3.2);
@@ -86,9 +95,6 @@ function lighter(colours) {
 function setTheme(player, theme) {
   player.theme = theme;
   document.documentElement.dataset.theme = theme;
-  document.querySelectorAll("[data-driver]").forEach((dot) => {
-    dot.style.background = player.panes[0].actors.driverColours[theme][dot.dataset.driver];
-  });
   player.touch();
 }
 
@@ -104,6 +110,8 @@ function wireControls(player) {
   for (const agent of player.runs[0].agents)
     if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
+  for (const mode of COLOUR_MODES) $("colour").append(new Option(`by ${mode}`, mode));
+  $("colour").addEventListener("change", () => player.colourBy($("colour").value));
   $("heading").addEventListener("click", () => player.toggleHeadingUp());
   $("fit").addEventListener("click", () => player.fit());
   $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
@@ -135,10 +143,10 @@ function togglePanels(player) {
 function showControls(player) {
   $("play").textContent = player.playing ? "❚❚" : "▶";
   $("play").setAttribute("aria-label", player.playing ? "pause" : "play");
-  $("time").textContent = (player.time - player.start).toFixed(1);
   $("length").textContent = ` / ${(player.end - player.start).toFixed(1)} s`;
   $("rate").value = player.rate;
   $("follow").value = player.follow === null ? "" : player.follow;
+  $("colour").value = player.colourMode;
   $("heading").setAttribute("aria-pressed", player.headingUp);
   for (const layer of LAYERS) {
     const chip = $(`layer-${layer}`);
@@ -146,34 +154,55 @@ function showControls(player) {
   }
 }
 
-/** Facts of the chosen agent, one block a run. */
+/** Facts of the chosen agent; where two runs say different things, both stand there. */
 function showFocus(player) {
-  player.runs.forEach((run, i) => {
-    const list = $(`facts-${i}`);
+  const list = $("facts");
+  const knowing = player.runs.filter((run) => run.indexOf.has(player.focus));
+  if (!knowing.length) {
+    list.replaceChildren(element("p", "quiet", "Tap an agent to see its facts."));
+    return;
+  }
+  const known = knowing.map((run) => {
     const agent = run.indexOf.get(player.focus);
-    if (agent === undefined) {
-      list.replaceChildren(i ? "" : element("p", "quiet", "Tap an agent to see its facts."));
-      return;
-    }
-    const title = player.runs.length > 1 ? `${run.agents[agent].title} · ${run.title}` : run.agents[agent].title;
-    showFacts(list, title, factsOf(run, agent, run.stepAt(player.time)));
+    return new Map(factsOf(run, agent, run.stepAt(player.time)));
   });
+  const names = [...new Set(known.flatMap((facts) => [...facts.keys()]))];
+  const rows = names.map((name) => {
+    const values = known.map((facts) => facts.get(name) || "–");
+    return [name, ...(values.every((value) => value === values[0]) ? [values[0]] : values)];
+  });
+  const run = knowing[0];
+  showFacts(list, run.agents[run.indexOf.get(player.focus)].title, rows);
 }
 
+/** What the colours mean, in the mode that is chosen. */
 function showLegend(player, settings) {
-  const seen = new Set();
-  for (const run of player.runs) {
-    for (const agent of run.agents) seen.add(agent.kind === "static" ? "static" : agent.driver);
-    if (run.plans.some((plan) => plan.guided.includes(1))) seen.add("adversary");
+  const key = `${player.theme} ${player.colourMode}`;
+  if ($("legend").dataset.key === key) return;
+  $("legend").dataset.key = key;
+  $("legend").replaceChildren(...legendOf(player, settings).map(([colour, title]) => {
+    const item = element("span", "legend-item"), dot = element("i");
+    dot.style.background = colour;
+    item.append(dot, title);
+    return item;
+  }));
+}
+
+function legendOf(player, settings) {
+  const agents = player.runs.flatMap((run) => run.agents);
+  if (player.colourMode === "speed")
+    return [0, 5, 10, FAST_MPS].map((v) => [speedColour(v, player.theme), `${v} m/s`]);
+  if (player.colourMode === "kind") {
+    const seen = new Set(agents.map((agent) => (agent.driver === "ego" ? "ego" : agent.kind)));
+    return Object.entries(KIND_COLOURS[player.theme])
+      .filter(([kind]) => seen.has(kind))
+      .map(([kind, colour]) => [colour, kind === "static" ? settings.drivers.static : kind]);
   }
-  for (const name of Object.keys(settings.drivers)) {
-    if (!seen.has(name)) continue;
-    const item = element("span", "legend-item");
-    const dot = element("i");
-    dot.dataset.driver = name;
-    item.append(dot, settings.drivers[name]);
-    $("legend").append(item);
-  }
+  const seen = new Set(agents.map((agent) => (agent.kind === "static" ? "static" : agent.driver)));
+  const colours = player.panes[0].actors.driverColours[player.theme];
+  return Object.entries(settings.drivers)
+    .filter(([name]) => seen.has(name))
+    .map(([name, title]) => [colours[name], title]);
 }
 
 function showAbout(runs) {
@@ -240,6 +269,7 @@ function wireKeys(player) {
     "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
     t: () => player.toggle("trails"), p: () => player.toggle("plans"), g: () => player.toggle("graph"),
     l: () => player.toggle("labels"), k: () => player.toggle("lanes"), o: () => player.toggle("ghost"),
+    c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 3]),
     d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
     s: () => togglePanels(player),
     "?": () => $("help").showModal(),

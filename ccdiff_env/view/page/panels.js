@@ -30,17 +30,31 @@ function factsOf(run, agent, at) {
       facts.push(["contact in", `${least[2].toFixed(1)} s with ${other.label}`]);
     }
   }
+  facts.push(...planFacts(run, agent, step));
   facts.push(["heading", `${(wrap(pose.heading) * 180 / Math.PI).toFixed(0)}°`]);
   facts.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`], ["id", id]);
   return facts;
 }
 
-/** Fill a list with facts; the title says whose. */
+/** What the plan in force says of an agent. */
+function planFacts(run, agent, step) {
+  const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
+  if (row < 0) return [];
+  const age = `made ${((step - plan.step) * run.dt).toFixed(1)} s ago`;
+  const facts = [["plan", plan.executed[row] ? age : `${age}, predicted only`]];
+  if (plan.guided[row]) facts.push(["guided, at a cost of", plan.cost[row].toFixed(3)]);
+  return facts;
+}
+
+/** Fill a list with facts: name and value, or a value for each run; the title says whose. */
 function showFacts(list, title, facts) {
   list.replaceChildren(element("div", "facts-title", title));
-  for (const [name, value] of facts) {
+  for (const [name, ...values] of facts) {
     const row = element("div", "fact");
-    row.append(element("span", "fact-name", name), element("span", "fact-value", value));
+    row.append(element("span", "fact-name", name));
+    const both = element("span", "fact-value");
+    values.forEach((value, i) => both.append(element("span", values.length > 1 ? `run-${i}` : "", value)));
+    row.append(both);
     list.append(row);
   }
 }
@@ -54,8 +68,8 @@ class FiguresPanel {
     this.rows = [];
   }
 
-  /** Figures of an agent (by id), then those that the runs recorded of the ego. */
-  choose(agentId) {
+  /** Show the figures of an agent (by id). */
+  showAgent(agentId) {
     if (agentId === this.agentId) return;
     this.agentId = agentId;
     this.rows = [];
@@ -64,36 +78,27 @@ class FiguresPanel {
       const agent = run.indexOf.get(agentId);
       return agent === undefined ? null : run[name](agent);
     });
-    const label = this.labelOf(agentId);
-    if (label) {
-      this.heading(label);
-      this.row("speed", "m/s", of("speeds"));
-      this.row("acceleration", "m/s²", of("accelerations"));
-      this.row("time to contact", "s", of("leastTtc"));
+    if (this.runs.every((run) => !run.indexOf.has(agentId))) {
+      this.container.append(element("p", "quiet", "No agent is chosen."));
+      return;
     }
-    const names = [];
+    this.row("speed", "m/s", of("speeds"));
+    this.row("acceleration", "m/s²", of("accelerations"));
+    this.row("time to contact", "s", of("leastTtc"));
+  }
+
+  /** Show what the runs recorded; returns whether they did. */
+  showRecorded() {
+    const figures = new Map();
     for (const run of this.runs)
-      for (const figure of run.figures)
-        if (!names.some((other) => other.name === figure.name)) names.push(figure);
-    if (names.length) this.heading("recorded of the ego");
-    for (const { name, unit } of names) {
+      for (const { name, unit } of run.figures) figures.set(name, unit);
+    for (const [name, unit] of figures) {
       this.row(name.replaceAll("_", " "), unit, this.runs.map((run) => {
         const figure = run.figures.find((other) => other.name === name);
         return figure ? figure.values : null;
       }));
     }
-  }
-
-  labelOf(agentId) {
-    for (const run of this.runs) {
-      const agent = run.indexOf.get(agentId);
-      if (agent !== undefined) return run.agents[agent].label;
-    }
-    return null;
-  }
-
-  heading(text) {
-    this.container.append(element("div", "figures-title", text));
+    return figures.size > 0;
   }
 
   row(name, unit, series) {

@@ -2,6 +2,7 @@
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
 const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
+const COLOUR_MODES = ["driver", "kind", "speed"];
 
 /** One run on one canvas. */
 class Pane {
@@ -35,7 +36,7 @@ class Pane {
     const at = this.run.stepAt(player.time);
     if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
     this.actors.draw(context, at, {
-      layers, theme, pixel,
+      layers, theme, pixel, mode: player.colourMode,
       focus: this.index(player.focus), hover: this.index(player.hover),
       pair: player.pair && player.pair.map((id) => this.index(id)),
     });
@@ -92,7 +93,8 @@ class Player {
     this.playing = false;
     this.theme = "light";
     this.headingUp = false;
-    this.layers = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false, matrix: true };
+    this.colourMode = runs.every((run) => run.isLog) ? "kind" : "driver";
+    this.layers = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
     this.follow = this.focus;
     this.hover = null;
@@ -171,6 +173,11 @@ class Player {
 
   toggle(layer) {
     this.layers[layer] = !this.layers[layer];
+    this.touch();
+  }
+
+  colourBy(mode) {
+    this.colourMode = mode;
     this.touch();
   }
 
