@@ -19,6 +19,8 @@ from ccdiff_env.certificate import Certificate, replay  # noqa: E402
 from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
 from ccdiff_env.envs import (  # noqa: E402
+    AdversarySelectionEnv,
+    AdversarySelectionVectorEnv,
     AgentVectorEnv,
     EgoEnv,
     EgoVectorEnv,
@@ -33,6 +35,8 @@ from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  
 
 __version__ = "0.1.0"
 __all__ = [
+    "AdversarySelectionEnv",
+    "AdversarySelectionVectorEnv",
     "AgentVectorEnv",
     "Certificate",
     "EgoEnv",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from ccdiff_env.envs.rows import AgentVectorEnv
+from ccdiff_env.envs.selection import AdversarySelectionEnv, AdversarySelectionVectorEnv
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import MissingFeatureError
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EGO_ID",
+    "SELECTION_ID",
+    "AdversarySelectionEnv",
+    "AdversarySelectionVectorEnv",
     "AgentVectorEnv",
     "EgoEnv",
     "EgoVectorEnv",
@@ -27,6 +31,8 @@ __all__ = [
 
 #: Id of the ego environment in Gymnasium's registry.
 EGO_ID = "ccdiff_env/Ego-v0"
+#: Id of the selection of adversaries in Gymnasium's registry.
+SELECTION_ID = "ccdiff_env/AdversarySelection-v0"
 
 
 def register() -> None:
@@ -36,6 +42,12 @@ def register() -> None:
             EGO_ID,
             entry_point="ccdiff_env.envs.single:EgoEnv",
             vector_entry_point="ccdiff_env.envs.vector:EgoVectorEnv",
+        )
+    if SELECTION_ID not in gymnasium.registry:
+        gymnasium.register(
+            SELECTION_ID,
+            entry_point="ccdiff_env.envs.selection:AdversarySelectionEnv",
+            vector_entry_point="ccdiff_env.envs.selection:AdversarySelectionVectorEnv",
         )
 
 

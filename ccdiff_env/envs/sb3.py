@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from ccdiff_env.envs.rows import AgentVectorEnv
+from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
 
@@ -34,7 +35,7 @@ class SB3VecEnv(VecEnv):
         If the environment is in another autoreset mode.
     """
 
-    def __init__(self, env: EgoVectorEnv | AgentVectorEnv) -> None:
+    def __init__(self, env: EgoVectorEnv | AgentVectorEnv | AdversarySelectionVectorEnv) -> None:
         if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise ConfigError(
                 f"autoreset_mode is {env.metadata['autoreset_mode']}, expected SAME_STEP: "
@@ -166,3 +167,25 @@ class AgentSB3VecEnv(SB3VecEnv):
             if dones[i] and not info["played"]:
                 del info["episode"]
         return obs, rewards, dones, infos
+
+
+class SelectionSB3VecEnv(SB3VecEnv):
+    """The worlds of an :class:`AdversarySelectionVectorEnv`, with masks for MaskablePPO.
+
+    Parameters
+    ----------
+    env
+        The worlds.
+    """
+
+    def __init__(self, env: AdversarySelectionVectorEnv) -> None:
+        super().__init__(env)
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Call a method; ``action_masks`` gives the mask of each world."""
+        if method_name != "action_masks":
+            return super().env_method(method_name, *args, indices=indices, **kwargs)
+        masks = self.env.action_masks()  # type: ignore[union-attr]
+        return [masks[i] for i in self._get_indices(indices)]

@@ -1,0 +1,206 @@
+"""E worlds in which adversaries are selected, one decision per plan of the background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.selection.match import Match, Outcome
+from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
+from ccdiff_env.envs.selection.view import observation_space, observe
+from ccdiff_env.envs.worlds import Scenes, Worlds, scene_set, world_config
+from ccdiff_env.errors import ConfigError, ResetNeededError
+from ccdiff_env.key_agents import KeyRanking
+from ccdiff_env.planners import Ego, ego_driver
+
+__all__ = ["BASELINES", "SelectionBatch"]
+
+#: Choosers to compare with: nobody, chance, nearest to the ego, soonest contact with the ego, the
+#: causal ranking (clique occurrences).
+BASELINES: dict[str, KeyRanking | None] = {
+    "none": None,
+    "random": "random",
+    "distance": "distance",
+    "ttc": "ttc",
+    "causal": "cliques",
+}
+
+
+class SelectionBatch:
+    """E worlds, their egos' planner, and the episode of each.
+
+    Parameters
+    ----------
+    num_worlds
+        Number of worlds E.
+    scenes, config
+        As for :class:`~ccdiff_env.envs.single.EgoEnv`.
+    ego
+        The ego's planner, see :func:`ccdiff_env.planners.ego_driver`.
+    action_mode, max_agents, budget, criticality
+        See :class:`SelectionActions`.
+    reward
+        Weights.
+    num_threads, trails
+        As for :class:`~ccdiff_env.envs.worlds.Worlds`.
+    options
+        Fields of :class:`~ccdiff_env.config.WorldConfig`; ``traffic`` is ``"ccdiff"`` by default.
+    """
+
+    def __init__(
+        self,
+        num_worlds: int,
+        *,
+        scenes: Scenes,
+        config: WorldConfig | None,
+        ego: Ego,
+        action_mode: ActionMode,
+        max_agents: int,
+        budget: int,
+        criticality: tuple[float, float] | None,
+        reward: SelectionReward,
+        num_threads: int | None,
+        trails: bool,
+        options: dict[str, Any],
+    ) -> None:
+        for name in ("controlled", "num_slots", "autoreset", "driver"):
+            if name in options:
+                raise ConfigError(f"{name} is not an option of adversary selection")
+        self.actions = SelectionActions(action_mode, max_agents, budget, criticality)
+        self.observation_space = observation_space(max_agents)
+        driver, self._act = ego_driver(ego)
+        chosen = scene_set(scenes)
+        settled = world_config(chosen, config, {"traffic": "ccdiff", **options})
+        # NEXT_STEP: an ended world must not keep the others from going on with their decision
+        settled = settled.with_options(driver=driver, autoreset="next_step")
+        self.worlds = Worlds(
+            chosen, settled, num_worlds=num_worlds, num_threads=num_threads, trails=trails
+        )
+        self.matches: list[Match | None] = [None] * num_worlds
+        self._ended = np.ones(num_worlds, np.bool_)
+        self._obs = np.zeros((num_worlds, self.worlds.layout.size), np.float32)
+        self._reward = reward
+        self.decision_steps = settled.ccdiff.replan_steps
+
+    def match(self, world_idx: int) -> Match:
+        """Return the episode of a world.
+
+        Raises
+        ------
+        ResetNeededError
+            Before its first reset.
+        """
+        found = self.matches[world_idx]
+        if found is None:
+            raise ResetNeededError(f"world {world_idx} was never reset")
+        return found
+
+    def reset(
+        self,
+        seeds: Sequence[int | None],
+        scenes: Sequence[int | None],
+        mask: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Begin episodes in the worlds of a mask."""
+        which = np.ones(self.worlds.num_worlds, np.bool_) if mask is None else mask
+        out = self.worlds.arrays()
+        self.worlds.native.reset(list(seeds), list(scenes), which.tolist(), out)
+        for e in np.flatnonzero(which):
+            self.matches[e] = Match(self.worlds, int(e), self._reward)
+            self._obs[e] = out.obs[e, 0]
+        self._ended[which] = False
+
+    def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
+        """Return what the chooser of a world sees."""
+        rows = self.actions.num_rows
+        return observe(self.match(world_idx).view(rows), rows)
+
+    def mask(self, world_idx: int) -> npt.NDArray[np.bool_]:
+        """Return which rows [M] of a world hold an agent."""
+        rows = self.actions.num_rows
+        present = len(self.match(world_idx).view(rows).rows)
+        return np.arange(rows) < present
+
+    def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
+        """Return the action that a simple chooser of :data:`BASELINES` would take in a world."""
+        if name not in BASELINES:
+            raise unknown("baseline", str(name), BASELINES)
+        ranking = BASELINES[name]
+        match = self.match(world_idx)
+        place = {agent: row for row, agent in enumerate(match.view(self.actions.num_rows).rows)}
+        ranked = [] if ranking is None else match.rank(ranking, seed)
+        rows = [place[agent] for agent in ranked if agent in place]
+        return self.actions.action(rows[: self.actions.budget])
+
+    def decide(self, actions: Sequence[Any]) -> list[Outcome]:
+        """Advance all worlds by one decision.
+
+        Parameters
+        ----------
+        actions
+            One per world.
+
+        Returns
+        -------
+        list
+            What it led to. Worlds that ended are to be reset before the next decision.
+
+        Raises
+        ------
+        ActionError
+            If an action does not fit; nothing has moved then.
+        ResetNeededError
+            If a world has ended or was never reset.
+        """
+        if self._ended.any():
+            world = int(np.flatnonzero(self._ended)[0])
+            raise ResetNeededError(f"world {world} has ended or was never reset")
+        native, num_worlds = self.worlds.native, self.worlds.num_worlds
+        chosen = []
+        for e, action in enumerate(actions):
+            view = self.match(e).view(self.actions.num_rows)
+            mask = np.arange(self.actions.num_rows) < len(view.rows)
+            chosen.append([view.rows[row] for row in self.actions.rows(action, mask)])
+        for e, adversaries in enumerate(chosen):
+            self.match(e).begin(adversaries)
+            if self.worlds.config.traffic == "ccdiff":
+                strength = self.actions.criticality(actions[e])
+                native.command(e, guided=adversaries, criticality=strength)
+        ends: dict[int, tuple[bool, bool, bytes]] = {}
+        for _ in range(self.decision_steps):
+            if len(ends) == num_worlds:
+                break
+            self._step(ends)
+        outcomes = []
+        for e in range(num_worlds):
+            terminated, truncated, saved = ends.get(e, (False, False, b""))
+            if saved and num_worlds > 1:
+                native.restore(e, saved)
+            self._ended[e] = terminated or truncated
+            outcomes.append(self.match(e).finish(terminated, truncated))
+        return outcomes
+
+    def _step(self, ends: dict[int, tuple[bool, bool, bytes]]) -> None:
+        """Advance by one step of the world; notes ended worlds with their last state."""
+        native = self.worlds.native
+        out = self.worlds.arrays()
+        native.step(self._ego_actions(), out)
+        for e in range(self.worlds.num_worlds):
+            if e in ends:
+                continue
+            self.match(e).step()
+            self._obs[e] = out.obs[e, 0]
+            if out.done[e]:
+                ended = bool(out.terminated[e, 0]), bool(out.truncated[e, 0])
+                ends[e] = (*ended, native.snapshot(e))
+
+    def _ego_actions(self) -> npt.NDArray[np.float32]:
+        shape = (self.worlds.num_worlds, *(self.worlds.action_space.shape or ()))
+        if self._act is None:
+            width = self.worlds.native.action_width
+            return np.zeros((self.worlds.num_worlds, 1, width), np.float32)
+        return self.worlds.actions(self._act(self._obs), shape)

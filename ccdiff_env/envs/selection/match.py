@@ -1,0 +1,250 @@
+"""One episode of adversary selection: what happened, and what it is worth."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.envs.selection.options import SelectionReward
+from ccdiff_env.envs.selection.view import SceneView
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.key_agents import KeyRanking, rank_agents
+from ccdiff_env.spaces import Column
+
+__all__ = ["FIGURES", "Match", "Outcome"]
+
+F32 = npt.NDArray[np.float32]
+
+#: Figures of a decision, keys of ``info``.
+FIGURES: tuple[Column, ...] = (
+    Column("reward_collision", "", "weighted reward of collisions that count"),
+    Column("reward_realism", "", "weighted reward of the realism cost of the adversaries' plans"),
+    Column("reward_off_road", "", "weighted reward of adversaries off the road"),
+    Column("reward_comfort", "", "weighted reward of the adversaries' discomfort"),
+    Column("collisions", "", "collisions that count, begun in the decision"),
+    Column("ego_collision", "", "1 if the ego begins to touch anybody in the decision"),
+    Column("ego_at_fault", "", "1 if such a collision counts against the ego"),
+    Column(
+        "realism_cost", "", "total variation of guided from unguided actions, mean of guided agents"
+    ),
+    Column("off_road", "", "share of the adversaries' steps off the road"),
+    Column("discomfort", "", "discomfort of the adversaries, mean over steps"),
+    Column("num_adversaries", "", "adversaries of the decision"),
+    Column(
+        "graph_sparsity", "", "share of pairs of planned agents that the causal graph leaves out"
+    ),
+    Column("steps", "", "steps of the world in the decision"),
+)
+
+
+@dataclass
+class Outcome:
+    """What one decision led to."""
+
+    #: Figures by name, as in :data:`FIGURES`.
+    figures: dict[str, float] = field(default_factory=dict)
+    #: Whether the ego's episode ended by what happened, and whether it was cut off.
+    terminated: bool = False
+    truncated: bool = False
+    #: Ids of the adversaries, and pairs of ids whose collision counts.
+    adversaries: list[str] = field(default_factory=list)
+    pairs: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def reward(self) -> float:
+        """Sum of the components."""
+        names = ("collision", "realism", "off_road", "comfort")
+        return sum(self.figures[f"reward_{name}"] for name in names)
+
+
+class Match:
+    """The present episode of one world.
+
+    Parameters
+    ----------
+    worlds
+        The worlds.
+    world_idx
+        Which of them.
+    reward
+        Weights.
+    """
+
+    def __init__(self, worlds: Worlds, world_idx: int, reward: SelectionReward) -> None:
+        self._worlds, self._world_idx, self._weights = worlds, world_idx, reward
+        native = worlds.native
+        scene_idx, _, _, step, _ = native.status(world_idx)
+        self._scene = worlds.scenes[scene_idx]
+        self.ids = self._scene.agent_ids
+        self.ego = int(native.slot_agents(world_idx)[0] or 0)
+        self._size = self._scene.sizes[:, :2].copy()
+        self._touching = {(i, j) for i, j, *_ in native.contacts(world_idx)}
+        self._ever: set[int] = set()
+        self.before: frozenset[int] = frozenset()
+        self.totals = {"collisions": 0.0, "realism_cost": 0.0, "decisions": 0.0, "adversaries": 0.0}
+        self._history: deque[dict[str, Any]] = deque(maxlen=round(3.0 / worlds.config.dt_s) + 1)
+        self._from_log(step)
+
+    def _from_log(self, step: int) -> None:
+        tracks = self._scene.tracks()
+        for t in range(max(step + 1 - (self._history.maxlen or 1), 0), step):
+            velocity = tracks["velocity"][:, t]
+            self._history.append(
+                {
+                    "position": tracks["position"][:, t],
+                    "heading": tracks["heading"][:, t],
+                    "speed": np.linalg.norm(velocity, axis=-1).astype(np.float32),
+                    "active": tracks["valid"][:, t],
+                }
+            )
+        self.states: dict[str, Any] = dict(self._worlds.native.states(self._world_idx))
+        self._history.append(self.states)
+
+    def candidates(self) -> npt.NDArray[np.bool_]:
+        """Return the agents [A] that the policy drives and can guide."""
+        drivers = self._worlds.native.drivers(self._world_idx)
+        driven = np.array([name == self._worlds.config.traffic for name in drivers])
+        moving = np.array([kind == "vehicle" for kind in self._scene.agent_types])
+        driven &= moving & self.states["active"]
+        driven[self.ego] = False
+        return driven
+
+    def rank(self, ranking: KeyRanking, seed: int = 0) -> list[int]:
+        """Return the candidates by falling importance, from the last three seconds."""
+        stacked = {
+            name: np.stack([states[name] for states in self._history])
+            for name in ("position", "heading", "speed", "active")
+        }
+        return rank_agents(
+            ranking,
+            position=stacked["position"],
+            heading=stacked["heading"],
+            speed=stacked["speed"],
+            size=self._size,
+            valid=stacked["active"],
+            candidates=self.candidates(),
+            ego_idx=self.ego,
+            seed=seed,
+        )
+
+    def view(self, num_rows: int) -> SceneView:
+        """Return what the chooser sees, nearest agents first."""
+        _, _, _, _, elapsed = self._worlds.native.status(self._world_idx)
+        horizon = self._worlds.config.horizon_steps
+        return SceneView(
+            states=self.states,
+            size=self._size,
+            ego=self.ego,
+            rows=self.rank("distance")[:num_rows],
+            before=self.before,
+            plan=self.plan(),
+            time_left=max(horizon - elapsed, 0) / horizon,
+        )
+
+    def plan(self) -> dict[str, Any] | None:
+        """Return what the policy says about its latest plan, ``None`` where there is none."""
+        if self._worlds.config.traffic != "ccdiff":
+            return None
+        plan: dict[str, Any] | None = self._worlds.native.explain(self._world_idx)
+        return plan
+
+    def begin(self, adversaries: list[int]) -> None:
+        """Begin a decision."""
+        self.before = frozenset(adversaries)
+        self._ever.update(adversaries)
+        self._outcome = Outcome(adversaries=[self.ids[i] for i in adversaries])
+        self._counts = {"collisions": 0.0, "ego_collision": 0.0, "ego_at_fault": 0.0}
+        self._off_road: list[float] = []
+        self._discomfort: list[float] = []
+        self._steps = 0
+
+    def step(self) -> None:
+        """Look at the world after one of its steps."""
+        native, world = self._worlds.native, self._world_idx
+        states: dict[str, Any] = dict(native.states(world))
+        rows = [i for i in self.before if states["active"][i] and self.states["active"][i]]
+        if rows:
+            off_road = native.off_road(world)[0]
+            self._off_road.append(float(off_road[rows].mean()))
+            acceleration = states["acceleration"][rows]
+            jerk = (acceleration - self.states["acceleration"][rows]) / self._worlds.config.dt_s
+            lateral = states["speed"][rows] * states["yaw_rate"][rows]
+            cost = (acceleration / 4.0) ** 2 + (jerk / 10.0) ** 2 + (lateral / 4.0) ** 2
+            self._discomfort.append(float(np.minimum(cost, 3.0).mean()))
+        self._contacts()
+        self.states = states
+        self._history.append(states)
+        self._steps += 1
+
+    def _contacts(self) -> None:
+        touching = set()
+        found = self._worlds.native.contacts(self._world_idx)
+        fault = {(i, j): at_fault for i, j, _, _, at_fault in found}
+        for i, j in fault:
+            touching.add((i, j))
+            if (i, j) in self._touching:
+                continue
+            if i == self.ego:
+                self._counts["ego_collision"] = 1.0
+                self._counts["ego_at_fault"] = max(self._counts["ego_at_fault"], float(fault[i, j]))
+            if i < j and self._is_counted(i, j, fault):
+                self._counts["collisions"] += 1.0
+                self._outcome.pairs.append((self.ids[i], self.ids[j]))
+        self._touching = touching
+
+    def _is_counted(self, i: int, j: int, fault: dict[tuple[int, int], bool]) -> bool:
+        if not self._ever & {i, j}:
+            return False
+        if self.ego not in (i, j):
+            vehicles = all(self._scene.agent_types[k] == "vehicle" for k in (i, j))
+            return self._weights.count == "any" and vehicles
+        ego_fault = fault.get((self.ego, i if j == self.ego else j), False)
+        return self._weights.ego_fault or not ego_fault
+
+    def finish(self, terminated: bool, truncated: bool) -> Outcome:
+        """End a decision."""
+        plan = self.plan()
+        cost, sparsity = 0.0, 0.0
+        if plan is not None:
+            if plan["guided"].any():
+                cost = float(plan["realism_cost"][plan["guided"]].mean())
+            m = len(plan["agents"])
+            sparsity = 1.0 - (float(plan["graph"].sum()) - m) / max(m * (m - 1), 1)
+        off_road = float(np.mean(self._off_road)) if self._off_road else 0.0
+        discomfort = float(np.mean(self._discomfort)) if self._discomfort else 0.0
+        weights = self._weights
+        outcome = self._outcome
+        outcome.terminated, outcome.truncated = terminated, truncated
+        outcome.figures = {
+            "reward_collision": weights.collision * self._counts["collisions"],
+            "reward_realism": weights.realism * cost,
+            "reward_off_road": weights.off_road * off_road,
+            "reward_comfort": weights.comfort * discomfort,
+            **self._counts,
+            "realism_cost": cost,
+            "off_road": off_road,
+            "discomfort": discomfort,
+            "num_adversaries": float(len(self.before)),
+            "graph_sparsity": sparsity,
+            "steps": float(self._steps),
+        }
+        self.totals["collisions"] += self._counts["collisions"]
+        self.totals["realism_cost"] += cost
+        self.totals["decisions"] += 1.0
+        self.totals["adversaries"] += len(self.before)
+        return outcome
+
+    def metrics(self) -> dict[str, float]:
+        """Return the figures of the episode so far."""
+        decisions = max(self.totals["decisions"], 1.0)
+        return {
+            "is_success": float(self.totals["collisions"] > 0),
+            "collisions": self.totals["collisions"],
+            "mean_realism_cost": self.totals["realism_cost"] / decisions,
+            "mean_adversaries": self.totals["adversaries"] / decisions,
+            "decisions": self.totals["decisions"],
+        }
