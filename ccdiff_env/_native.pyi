@@ -360,6 +360,9 @@ class VecWorld:
     def step(self, actions: F32, out: _Arrays) -> None:
         """Advance all worlds by one step; actions [E, C, W]."""
 
+    def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
+        """Put a background driver into vehicles of a world."""
+
     def command(
         self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
     ) -> None:

@@ -10,7 +10,7 @@ use crate::world_state;
 use ccdiff_models::traffic::CcdiffConfig;
 use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
-    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
+    COLUMNS, Driver, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
 };
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
@@ -329,6 +329,15 @@ impl PyVecWorld {
         let metrics = self.world.metrics(world_idx).map_err(from_sim)?;
         let shape = [metrics.len(), NUM_METRICS];
         PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
+    }
+
+    /// Puts a background driver into vehicles of a world.
+    fn assign(&mut self, world_idx: usize, agents: Vec<usize>, driver: &str) -> PyResult<()> {
+        self.home.check()?;
+        let known = Driver::ALL.into_iter().find(|d| d.name() == driver);
+        let driver =
+            known.ok_or_else(|| py::UnknownNameError::new_err(format!("unknown driver {driver:?}")))?;
+        self.world.assign(world_idx, &agents, driver).map_err(from_sim)
     }
 
     /// Wishes for a world's next plans: agents to be guided, strength of the guidance.

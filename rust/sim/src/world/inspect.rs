@@ -7,7 +7,7 @@ use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
 use crate::policy::{Command, Explanation};
-use crate::scene::Scene;
+use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::tick::World;
 use std::sync::Arc;
@@ -34,6 +34,28 @@ pub struct WorldStatus<'a> {
 }
 
 impl VecWorld {
+    /// Puts a background driver into vehicles of a world, until its episode ends. Vehicles that have left their log
+    /// do not go back to it by [`Driver::Replay`] without a jump: assign at the start of an episode.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world or agent that does not exist or is no vehicle; [`SimError::Config`] for the
+    /// external driver, or [`Driver::Ccdiff`] in a batch without a policy that plans.
+    pub fn assign(&mut self, world_idx: usize, agents: &[usize], driver: Driver) -> Result<()> {
+        let kinds = &self.begun(world_idx)?.scene.kinds;
+        if let Some(agent) = agents.iter().find(|a| kinds.get(**a) != Some(&AgentKind::Vehicle)) {
+            let expected = "the index of a vehicle".into();
+            return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
+        }
+        let ready = driver != Driver::Ccdiff || self.policies.has_planned();
+        if driver == Driver::External || !ready {
+            let expected = "a background driver of this batch".into();
+            return Err(SimError::Config { field: "driver", got: driver.name().into(), expected });
+        }
+        let drivers = &mut self.worlds[world_idx].episode.drivers;
+        agents.iter().for_each(|a| drivers[*a] = driver);
+        Ok(())
+    }
+
     /// Hands wishes for a world's next plans to the policy that plans.
     ///
     /// # Errors
