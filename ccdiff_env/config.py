@@ -328,6 +328,10 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
             return None
         if isinstance(value, Mapping) and set(value) == {"list"}:
             value = value["list"]
+        if isinstance(value, Mapping):
+            mapping = next((a for a in args if typing.get_origin(a) is Mapping), None)
+            if mapping is not None:
+                return _fitting(path, value, mapping, old)
         literal = next((a for a in args if typing.get_origin(a) is Literal), None)
         if isinstance(value, str) and literal is not None:
             return _fitting(path, value, literal, old)
@@ -340,7 +344,7 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if origin is tuple:
         return _tuple(path, value, args)
     if origin is Mapping:
-        return _lists(path, value)
+        return _settings(path, value) if args[1] is Any else _lists(path, value)
     if dataclasses.is_dataclass(hint):
         return _nested(path, value, typing.cast("type[Any]", hint), old)
     return _scalar(path, value, hint)
@@ -410,6 +414,14 @@ def _tuple(path: str, value: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(_scalar(f"{path}[{i}]", v, args[0]) for i, v in enumerate(values))
 
 
+def _settings(path: str, value: Any) -> dict[str, Any]:
+    try:
+        settings: dict[str, Any] = json.loads(json.dumps(dict(value), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"config: {path}: {error}, expected what JSON can hold") from None
+    return settings
+
+
 def _lists(path: str, value: Any) -> dict[str, tuple[str, ...]]:
     if not isinstance(value, Mapping):
         raise ConfigError(f"config: {path} is {value!r}, expected a name, or ids by scene name")
@@ -443,6 +455,11 @@ def _plain(value: Any) -> Any:
         elif not isinstance(value.controlled, str):
             fields["controlled"] = {"ids": list(value.controlled)}
         return fields
+    if isinstance(value, CcdiffConfig):
+        fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if not isinstance(value.ranking, str):
+            fields["ranking"] = {"list": fields["ranking"]}
+        return fields
     for name, kind in DYNAMICS.items():
         if isinstance(value, kind):
             return {
@@ -451,5 +468,5 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {"list": {name: list(ids) for name, ids in value.items()}}
+        return {name: _plain(entry) for name, entry in value.items()}
     return list(value) if isinstance(value, tuple) else value

@@ -308,6 +308,10 @@ fn adjust_world(
         }
     }
     for a in rows {
+        if situation.strength != 1.0 {
+            let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
+            moved.for_each(|(x, start)| *x = start + situation.strength * (*x - start));
+        }
         let moved = knots[part(a)].iter().zip(&before[part(a)]);
         let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
         shift_sq[a] += squared * (step.gain / step.sigma).powi(2);

@@ -1,8 +1,11 @@
 //! What can be chosen about CCDiff traffic.
 
 use crate::error::{ModelError, Result};
+use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
+use crate::planner::PlanOptions;
 use crate::sampler::{SampleOptions, Solver};
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
+use ccdiff_sim::geom::Real;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -32,6 +35,8 @@ pub enum Ranking {
     First,
     /// A shuffle from the world's own seed.
     Random,
+    /// Alignment of the gradients of realism and guidance (the paper's ideal definition).
+    Gradient,
     /// Lists of agent ids by scene name, as of a human; scenes without a list are filled by nearness.
     List(BTreeMap<String, Vec<String>>),
 }
@@ -44,6 +49,16 @@ pub enum GraphMode {
     Causal,
     /// An edge between all pairs (ablation "Enc" off), as far as the network has slots.
     Full,
+}
+
+/// Contacts with whom count in the collision objectives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Partners {
+    /// The ego, and every vehicle that is driven from outside.
+    Ego,
+    /// Every vehicle (paper).
+    All,
 }
 
 /// Which vehicles stand still for the whole episode.
@@ -82,6 +97,17 @@ pub struct CcdiffConfig {
     pub rerank: bool,
     /// Who drives the other vehicles.
     pub others: Others,
+    /// Share of each move of the guidance that is made, at least 0: 0 is traffic without guidance, 1 the guidance as
+    /// configured. Worlds may be told another one.
+    pub criticality: Real,
+    /// Name of a guidance preset, or a [`GuidanceConfig`].
+    pub guidance: serde_json::Value,
+    /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation "Guide" off).
+    pub mask_guidance: bool,
+    /// Contacts with whom count in the collision objectives.
+    pub partners: Partners,
+    /// Whether plans keep attention and gradient statistics, at some cost.
+    pub explain: bool,
     /// Which vehicles do not move at all.
     pub frozen: Frozen,
 }
@@ -100,6 +126,11 @@ impl Default for CcdiffConfig {
             ranking: Ranking::Cliques,
             rerank: true,
             others: Others::Ccdiff,
+            criticality: 0.0,
+            guidance: "rl".into(),
+            mask_guidance: true,
+            partners: Partners::Ego,
+            explain: false,
             frozen: Frozen::Parked,
         }
     }
@@ -118,8 +149,56 @@ impl CcdiffConfig {
                 expected: "1 up to the horizon of the plans",
             });
         }
-        self.sampling().validated()?;
+        if !(self.criticality >= 0.0 && self.criticality.is_finite()) {
+            return Err(ModelError::Config {
+                field: "ccdiff.criticality",
+                got: self.criticality.to_string(),
+                expected: "a finite number of at least 0",
+            });
+        }
+        self.guided()?.validated()?;
+        self.unguided().validated()?;
         Ok(())
+    }
+
+    /// How the plans of worlds with guidance are drawn.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for an unknown preset or settings of another form.
+    pub fn guided(&self) -> Result<PlanOptions> {
+        let guidance = match &self.guidance {
+            serde_json::Value::String(name) => GuidanceConfig::preset(name)?,
+            settings => serde_json::from_value(settings.clone()).map_err(|e| ModelError::Config {
+                field: "ccdiff.guidance",
+                got: e.to_string(),
+                expected: "the name of a preset, or settings of guidance",
+            })?,
+        };
+        Ok(PlanOptions {
+            sampling: self.sampling(),
+            guidance: Some(guidance),
+            attention: self.explain,
+            gradient_statistics: self.explain,
+        })
+    }
+
+    /// How the plans of worlds without guidance are drawn: of several samples the one that touches least and stays on
+    /// the road is taken, as in the released code (method.md 2.10).
+    pub fn unguided(&self) -> PlanOptions {
+        let filter = GuidanceConfig {
+            objectives: vec![
+                Objective::AgentCollision(AgentCollision { weight: 1.0, ..AgentCollision::default() }),
+                Objective::MapCollision(MapCollision { weight: 1.0, ..MapCollision::default() }),
+            ],
+            gradient_steps: 0,
+            ..GuidanceConfig::released()
+        };
+        PlanOptions {
+            sampling: self.sampling(),
+            guidance: (self.num_samples > 1 && self.denoising_steps != Some(1)).then_some(filter),
+            attention: self.explain,
+            gradient_statistics: false,
+        }
     }
 
     /// Options of the sampler.
@@ -136,6 +215,7 @@ impl CcdiffConfig {
             Ranking::Greedy => Ranker::Greedy(GreedyOrder::default()),
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },
+            Ranking::Gradient => Ranker::Scores,
             Ranking::List(lists) => {
                 let listed = lists.get(scene).into_iter().flatten();
                 Ranker::Human(listed.filter_map(|id| ids.iter().position(|i| i == id)).collect())

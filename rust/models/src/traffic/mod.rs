@@ -7,22 +7,22 @@
 //! at the edge of the map, unless the world is told otherwise (method.md 5.4).
 
 mod config;
+mod planning;
 mod roster;
 
-pub use config::{CcdiffConfig, Frozen, GraphMode, Others, Ranking};
+pub use config::{CcdiffConfig, Frozen, GraphMode, Others, Partners, Ranking};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::planner::{Plan, Planner, WorldView as PlannerView};
+use crate::planner::{PlanOptions, Planner};
 use crate::raster::MapBitmap;
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{BackgroundPolicy, Command, Explanation, Idm, Motion, Replay, WorldView};
 use ccdiff_sim::scene::Scene;
-use roster::Roster;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What a world carries from step to step; all of it is in its snapshots.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -47,6 +47,9 @@ pub struct Ccdiff {
     /// Step and history of the weights.
     model: ModelConfig,
     config: CcdiffConfig,
+    /// How plans are drawn with guidance and without.
+    guided: PlanOptions,
+    unguided: PlanOptions,
     worlds: Vec<WorldPlan>,
     /// Maps drawn for the network, one for each scene that was played.
     bitmaps: Vec<(Arc<Scene>, Arc<MapBitmap>)>,
@@ -65,7 +68,9 @@ impl Ccdiff {
             planner.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
         }
         let model = planner.config().clone();
-        Ok(Self { planner: Mutex::new(planner), model, config, worlds: Vec::new(), bitmaps: Vec::new() })
+        let (guided, unguided) = (config.guided()?, config.unguided());
+        let planner = Mutex::new(planner);
+        Ok(Self { planner, model, config, guided, unguided, worlds: Vec::new(), bitmaps: Vec::new() })
     }
 
     /// Checks that worlds can be planned for.
@@ -121,106 +126,6 @@ impl Ccdiff {
     fn is_due(&self, world: &WorldView<'_>) -> bool {
         let plan = self.worlds.get(world.world_idx).and_then(|w| w.explanation.as_ref());
         plan.is_none_or(|p| world.elapsed_steps >= p.made_at + self.config.replan_steps)
-    }
-
-    fn plan_due(&mut self, worlds: &[&WorldView<'_>]) -> Result<()> {
-        let history_steps = self.model.history_steps;
-        let mut rosters = Vec::with_capacity(worlds.len());
-        let mut bitmaps = Vec::with_capacity(worlds.len());
-        for world in worlds {
-            let frozen = self.config.frozen;
-            let slot = self.slot(world.world_idx);
-            if slot.explanation.is_none() {
-                slot.frozen = roster::frozen(world, frozen);
-                slot.left_log = vec![false; world.states.len()];
-            }
-            rosters.push(Roster::new(world, &slot.frozen, history_steps)?);
-            bitmaps.push(self.bitmap(&world.scene.scene));
-        }
-        let mut rankings = Vec::with_capacity(worlds.len());
-        for (world, roster) in worlds.iter().zip(&rosters) {
-            let slot = &self.worlds[world.world_idx];
-            let known = !self.config.rerank && slot.explanation.is_some();
-            let ranking =
-                if known { slot.first_ranking.clone() } else { roster.ranking(world, &self.config, None)? };
-            rankings.push(ranking);
-        }
-        let views: Vec<PlannerView<'_>> = worlds
-            .iter()
-            .zip(&rosters)
-            .zip(&bitmaps)
-            .map(|((world, roster), bitmap)| PlannerView {
-                window: &roster.window,
-                bitmap: bitmap.as_deref(),
-                seed: world.noise_seed,
-                guide: None,
-            })
-            .collect();
-        let plans = self
-            .planner
-            .get_mut()
-            .unwrap_or_else(PoisonError::into_inner)
-            .plan(&views, &self.config.sampling().into())?;
-        for (((world, roster), ranking), plan) in worlds.iter().zip(&rosters).zip(rankings).zip(plans) {
-            self.adopt(world, roster, ranking, plan);
-        }
-        Ok(())
-    }
-
-    /// Makes a plan the one that a world follows.
-    fn adopt(&mut self, world: &WorldView<'_>, roster: &Roster, ranking: Vec<usize>, plan: Plan) {
-        let (config, slot) = (&self.config, &mut self.worlds[world.world_idx]);
-        let (n, m) = (plan.num_samples, plan.agents.len());
-        let steps = plan.states.len() / (n * m * 6).max(1);
-        let agents: Vec<usize> = plan.agents.iter().map(|row| roster.agents[*row]).collect();
-        let singled_out = roster::singled_out(&ranking, &slot.command, config.num_guided);
-        let drives =
-            |a: &usize| roster.is_ours(*a) && (config.others == Others::Ccdiff || singled_out.contains(a));
-        let executed: Vec<bool> = agents
-            .iter()
-            .map(|a| {
-                drives(a) || (roster.is_ours(*a) && config.others == Others::Replay && slot.left_log[*a])
-            })
-            .collect();
-        for (agent, drives) in agents.iter().zip(&executed) {
-            slot.left_log[*agent] |= *drives;
-        }
-        let mut samples = Vec::with_capacity(n * m * steps * 3);
-        for states in plan.states.chunks_exact((m * steps * 6).max(1)) {
-            for (row, frame) in plan.features.poses.iter().enumerate() {
-                for state in states[row * steps * 6..(row + 1) * steps * 6].chunks_exact(6) {
-                    let at = frame.position + frame.rotate(Vector2::new(state[0], state[1]));
-                    samples.extend([at.x, at.y, frame.heading_rad + state[3]]);
-                }
-            }
-        }
-        let chosen = vec![0usize; m];
-        slot.speed_mps.clear();
-        for (row, sample) in chosen.iter().enumerate() {
-            let from = (sample * m + row) * steps * 6;
-            slot.speed_mps.extend(plan.states[from..from + steps * 6].chunks_exact(6).map(|s| s[2]));
-        }
-        if slot.explanation.is_none() {
-            slot.first_ranking.clone_from(&ranking);
-        }
-        slot.explanation = Some(Explanation {
-            made_at: world.elapsed_steps,
-            guided: vec![false; m],
-            executed,
-            graph: plan.features.graph.as_slice().to_vec(),
-            ttc_s: plan.features.ttc_s.clone(),
-            attention: Vec::new(),
-            ranking,
-            num_samples: n,
-            num_steps: steps,
-            samples,
-            chosen,
-            objectives: Vec::new(),
-            losses: Vec::new(),
-            realism_cost: vec![0.0; m],
-            gradient_cosine: Vec::new(),
-            agents,
-        });
     }
 
     fn map_has(&self, scene: &Arc<Scene>, pose: &Pose2) -> bool {
@@ -319,22 +224,5 @@ impl BackgroundPolicy for Ccdiff {
         }
         *self.slot(world_idx) = plan;
         Ok(())
-    }
-}
-
-impl WorldPlan {
-    /// Whether all arrays have the lengths that following the plan relies on.
-    fn is_whole(&self) -> bool {
-        let Some(p) = &self.explanation else { return true };
-        let m = p.agents.len();
-        let num_agents = self.frozen.len();
-        self.left_log.len() == num_agents
-            && p.agents.iter().chain(&self.first_ranking).all(|a| *a < num_agents)
-            && p.executed.len() == m
-            && p.chosen.len() == m
-            && p.chosen.iter().all(|s| *s < p.num_samples.max(1))
-            && p.samples.len() == p.num_samples * m * p.num_steps * 3
-            && self.speed_mps.len() == m * p.num_steps
-            && p.samples.iter().chain(&self.speed_mps).all(|x| x.is_finite())
     }
 }

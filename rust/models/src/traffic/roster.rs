@@ -3,11 +3,12 @@
 use super::config::{CcdiffConfig, Frozen};
 use crate::error::Result;
 use crate::features::Window;
+use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::policy::{Command, WorldView};
-use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::scene::{AgentKind, EGO_ID};
 use ccdiff_sim::world::Driver;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
@@ -23,6 +24,22 @@ pub(super) struct Roster {
     ours: Vec<bool>,
     /// Their states over the history.
     pub(super) window: Window,
+}
+
+/// What the network says about the importance of agents, where a ranking asks for it.
+#[derive(Debug, Default)]
+pub(super) struct Hints {
+    /// Attention [M, M].
+    pub(super) attention: Option<Vec<Real>>,
+    /// Alignment of the gradients of realism and guidance, [M].
+    pub(super) scores: Option<Vec<Real>>,
+    /// The decision causal graph G.
+    pub(super) graph: Option<CausalGraph>,
+}
+
+/// Whether an agent is the ego or driven from outside.
+pub(super) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
+    world.drivers[agent_idx] == Driver::External || world.scene.scene.agents[agent_idx].id == EGO_ID
 }
 
 /// Which agents of a scene do not move in an episode.
@@ -96,7 +113,7 @@ impl Roster {
         &self,
         world: &WorldView<'_>,
         config: &CcdiffConfig,
-        attention: Option<&[Real]>,
+        hints: &Hints,
     ) -> Result<Vec<usize>> {
         let (m, steps) = (self.agents.len(), self.window.num_steps);
         let by_step = |v: &[Real]| -> Vec<Real> {
@@ -110,8 +127,14 @@ impl Roster {
         let ttc: Vec<Real> = history.ttc_s(Ttc::Oriented).into_iter().map(normalised_ttc).collect();
         let distance: Vec<Real> = history.distance_m()?.into_iter().map(normalised_distance).collect();
         let now = vec![true; m];
-        let input =
-            RankInput { valid: &now, ttc: &ttc, distance: &distance, attention, ..RankInput::default() };
+        let input = RankInput {
+            valid: &now,
+            ttc: &ttc,
+            distance: &distance,
+            graph: hints.graph.as_ref(),
+            attention: hints.attention.as_deref(),
+            scores: hints.scores.as_deref(),
+        };
         let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();
         let ranker = config.ranker(&world.scene.scene.name, &ids, world.noise_seed);
         let ranked = ranker.rank(&input, m)?;

@@ -1,0 +1,236 @@
+//! One round of planning: rosters, rankings, the network, and who follows what.
+
+use super::config::{Others, Partners, Ranking};
+use super::roster::{self, Hints, Roster};
+use super::{Ccdiff, WorldPlan};
+use crate::error::Result;
+use crate::guidance::WorldGuide;
+use crate::planner::{Plan, PlanOptions, WorldView as PlannerView};
+use crate::raster::MapBitmap;
+use crate::sampler::{SampleOptions, Solver};
+use ccdiff_sim::geom::{Real, Vector2};
+use ccdiff_sim::policy::{Explanation, WorldView};
+use std::sync::{Arc, PoisonError};
+
+/// A world that is planned for.
+struct Due<'a> {
+    world: &'a WorldView<'a>,
+    roster: Roster,
+    bitmap: Option<Arc<MapBitmap>>,
+    /// Agents of the scene that may be guided, by falling importance.
+    ranking: Vec<usize>,
+    /// Agents of the scene that are singled out.
+    chosen: Vec<usize>,
+    /// Strength of the guidance.
+    criticality: Real,
+    /// Rows of the window whose plans are moved.
+    guided: Vec<bool>,
+    /// Rows of the window with whom contacts count.
+    partners: Vec<bool>,
+}
+
+impl Due<'_> {
+    fn is_guided(&self) -> bool {
+        self.criticality > 0.0 && self.guided.contains(&true)
+    }
+}
+
+impl Ccdiff {
+    /// Plans for worlds and makes the plans the ones that they follow.
+    pub(super) fn plan_due(&mut self, worlds: &[&WorldView<'_>]) -> Result<()> {
+        let mut due = worlds.iter().map(|w| self.prepare(w)).collect::<Result<Vec<_>>>()?;
+        self.rank(&mut due)?;
+        let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(Due::is_guided);
+        for (worlds, options) in [(with, self.guided.clone()), (without, self.unguided.clone())] {
+            if !worlds.is_empty() {
+                let plans = self.draw(&worlds, &options, true)?;
+                for (world, plan) in worlds.iter().zip(plans) {
+                    self.adopt(world, plan, &options);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn prepare<'a>(&mut self, world: &'a WorldView<'a>) -> Result<Due<'a>> {
+        let rule = self.config.frozen;
+        let slot = self.slot(world.world_idx);
+        if slot.explanation.is_none() {
+            slot.frozen = roster::frozen(world, rule);
+            slot.left_log = vec![false; world.states.len()];
+        }
+        let roster = Roster::new(world, &self.worlds[world.world_idx].frozen, self.model.history_steps)?;
+        let bitmap = self.bitmap(&world.scene.scene);
+        let partners = match self.config.partners {
+            Partners::All => vec![true; roster.agents.len()],
+            Partners::Ego => roster.agents.iter().map(|a| roster::is_ego(world, *a)).collect(),
+        };
+        let (guided, criticality) = (vec![false; roster.agents.len()], 0.0);
+        Ok(Due {
+            world,
+            roster,
+            bitmap,
+            ranking: Vec::new(),
+            chosen: Vec::new(),
+            criticality,
+            guided,
+            partners,
+        })
+    }
+
+    /// Fills in rankings and who is guided.
+    fn rank(&mut self, due: &mut [Due<'_>]) -> Result<()> {
+        let mut hints = self.hints(due)?.into_iter();
+        for d in due {
+            let slot = &self.worlds[d.world.world_idx];
+            let hints = hints.next().unwrap_or_default();
+            d.ranking = if self.config.rerank || slot.explanation.is_none() {
+                d.roster.ranking(d.world, &self.config, &hints)?
+            } else {
+                slot.first_ranking.clone()
+            };
+            d.chosen = roster::singled_out(&d.ranking, &slot.command, self.config.num_guided);
+            d.criticality = slot.command.criticality.unwrap_or(self.config.criticality);
+            let masked = self.config.mask_guidance;
+            let is_guided = |a: &usize| d.chosen.contains(a) || (!masked && d.roster.is_ours(*a));
+            d.guided = d.roster.agents.iter().map(is_guided).collect();
+        }
+        Ok(())
+    }
+
+    /// What some rankings ask the network for: attention, or how the gradients agree. Nothing is guided here.
+    fn hints(&mut self, due: &[Due<'_>]) -> Result<Vec<Hints>> {
+        let greedy = self.config.ranking == Ranking::Greedy;
+        if !greedy && self.config.ranking != Ranking::Gradient {
+            return Ok(Vec::new());
+        }
+        let sampling = SampleOptions {
+            solver: Solver::Ddim { steps: if greedy { 1 } else { 2 } },
+            num_samples: 1,
+            guidance_weight: 1.0,
+        };
+        let guidance = if greedy { None } else { self.guided.guidance.clone() };
+        let options = PlanOptions { sampling, guidance, attention: greedy, gradient_statistics: !greedy };
+        let plans = self.draw(due, &options, false)?;
+        Ok(plans
+            .into_iter()
+            .map(|plan| Hints {
+                attention: plan.attention_matrix(),
+                scores: plan.guidance.and_then(|g| g.conflict).map(|c| c.alignment),
+                graph: Some(plan.features.graph),
+            })
+            .collect())
+    }
+
+    fn draw(&mut self, due: &[Due<'_>], options: &PlanOptions, moves: bool) -> Result<Vec<Plan>> {
+        let nobody: Vec<Vec<bool>> = due.iter().map(|d| vec![false; d.guided.len()]).collect();
+        let views: Vec<PlannerView<'_>> = due
+            .iter()
+            .zip(&nobody)
+            .map(|(d, nobody)| PlannerView {
+                window: &d.roster.window,
+                bitmap: d.bitmap.as_deref(),
+                seed: d.world.noise_seed,
+                guide: options.guidance.is_some().then(|| WorldGuide {
+                    strength: d.criticality,
+                    road: d.world.scene.road.as_ref(),
+                    partners: d.is_guided().then_some(&d.partners),
+                    speed_limit_mps: Some(d.world.config.speed_limit_mps),
+                    ..WorldGuide::new(if moves && d.is_guided() { &d.guided } else { nobody })
+                }),
+            })
+            .collect();
+        self.planner.get_mut().unwrap_or_else(PoisonError::into_inner).plan(&views, options)
+    }
+
+    /// Makes a plan the one that a world follows.
+    fn adopt(&mut self, due: &Due<'_>, plan: Plan, options: &PlanOptions) {
+        let (others, slot) = (self.config.others, &mut self.worlds[due.world.world_idx]);
+        let (n, m) = (plan.num_samples, plan.agents.len());
+        let steps = plan.states.len() / (n * m * 6).max(1);
+        let agents: Vec<usize> = plan.agents.iter().map(|row| due.roster.agents[*row]).collect();
+        let follows = |a: &usize| {
+            due.roster.is_ours(*a)
+                && match others {
+                    Others::Ccdiff => true,
+                    Others::Idm => due.chosen.contains(a),
+                    Others::Replay => due.chosen.contains(a) || slot.left_log[*a],
+                }
+        };
+        let executed: Vec<bool> = agents.iter().map(follows).collect();
+        for (agent, follows) in agents.iter().zip(&executed) {
+            slot.left_log[*agent] |= *follows;
+        }
+        let chosen = plan.chosen();
+        slot.speed_mps = speeds(&plan, &chosen, steps);
+        if slot.explanation.is_none() {
+            slot.first_ranking.clone_from(&due.ranking);
+        }
+        let guided = |row: &usize| due.is_guided() && due.guided[*row];
+        let report = plan.guidance.as_ref();
+        let objectives = options.guidance.as_ref().filter(|_| report.is_some());
+        slot.explanation = Some(Explanation {
+            made_at: due.world.elapsed_steps,
+            executed,
+            guided: plan.agents.iter().map(guided).collect(),
+            graph: plan.features.graph.as_slice().to_vec(),
+            ttc_s: plan.features.ttc_s.clone(),
+            attention: plan.attention_matrix().unwrap_or_default(),
+            ranking: due.ranking.clone(),
+            num_samples: n,
+            num_steps: steps,
+            samples: poses(&plan, steps),
+            chosen,
+            objectives: objectives
+                .map(|g| g.objectives.iter().map(|o| o.name().into()).collect())
+                .unwrap_or_default(),
+            losses: report.map(|r| r.losses.clone()).unwrap_or_default(),
+            realism_cost: report.map_or_else(|| vec![0.0; m], |r| r.realism_cost.clone()),
+            gradient_cosine: report
+                .and_then(|r| r.conflict.as_ref())
+                .map(|c| c.objective_cosine.clone())
+                .unwrap_or_default(),
+            agents,
+        });
+    }
+}
+
+impl WorldPlan {
+    /// Whether all arrays have the lengths that following the plan relies on.
+    pub(super) fn is_whole(&self) -> bool {
+        let Some(p) = &self.explanation else { return true };
+        let (m, num_agents) = (p.agents.len(), self.frozen.len());
+        self.left_log.len() == num_agents
+            && p.agents.iter().chain(&self.first_ranking).all(|a| *a < num_agents)
+            && p.executed.len() == m
+            && p.chosen.len() == m
+            && p.chosen.iter().all(|s| *s < p.num_samples.max(1))
+            && p.samples.len() == p.num_samples * m * p.num_steps * 3
+            && self.speed_mps.len() == m * p.num_steps
+            && p.samples.iter().chain(&self.speed_mps).all(|x| x.is_finite())
+    }
+}
+
+/// Poses of all samples in the scene frame, [N, M, T, 3].
+fn poses(plan: &Plan, steps: usize) -> Vec<Real> {
+    let frames = plan.features.poses.iter().cycle();
+    let trajectories = plan.states.chunks_exact((steps * 6).max(1));
+    let mut out = Vec::with_capacity(plan.states.len() / 2);
+    for (frame, states) in frames.zip(trajectories) {
+        for state in states.chunks_exact(6) {
+            let at = frame.position + frame.rotate(Vector2::new(state[0], state[1]));
+            out.extend([at.x, at.y, frame.heading_rad + state[3]]);
+        }
+    }
+    out
+}
+
+/// Speeds of the chosen samples, [M, T].
+fn speeds(plan: &Plan, chosen: &[usize], steps: usize) -> Vec<Real> {
+    let m = plan.agents.len();
+    let of_row = |(row, sample): (usize, &usize)| {
+        let from = (sample * m + row) * steps * 6;
+        plan.states[from..from + steps * 6].chunks_exact(6).map(|s| s[2]).collect::<Vec<_>>()
+    };
+    chosen.iter().enumerate().flat_map(of_row).collect()
+}
