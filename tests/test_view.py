@@ -15,7 +15,7 @@ from view_rollouts import NUM_STEPS, planned_rollout
 from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.view import find_rollout, log_rollout, page, write_page
+from ccdiff_env.view import find_rollout, log_rollout, page, play_scene, write_page
 from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.film import Film
 
@@ -209,6 +209,29 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsy
     with Image.open(tmp_path / "film.gif") as film:
         assert film.n_frames == 41  # four times the pace at no more than 20 pictures a second
         assert film.info["duration"] == 50
+
+
+def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
+    out, kept = tmp_path / "page.html", tmp_path / "run.npz"
+    options = ["--traffic", "idm", "--seed", "3", "--compare", "log", "--save", str(kept)]
+    assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
+    run = Rollout.load(kept)
+    assert (run.meta["seed"], run.meta["traffic"], run.meta["planner"]) == (3, "idm", "idm")
+    first, second = (unpacked(e)[0]["run"] for e in elements(out.read_text(encoding="utf-8")))
+    assert (first["title"], second["title"]) == ("IDM", "log")
+    assert first["startStep"] == second["startStep"] == run.start_step
+    assert cli.main(["view", str(kept), "--traffic", "idm"]) == 2
+    assert "an episode already" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_scene_played_with_ccdiff_traffic_shows_its_plans():
+    run = play_scene(embedded_scenes()["left-turn-00"], traffic="ccdiff", num_samples=3)
+    header, arrays = unpacked(elements(page(run))[0])
+    assert len(header["plans"]) == len(run.plans) > 1
+    assert header["plans"][0]["numSamples"] == 3
+    assert np.isfinite(arrays["plan0x"]).all()
+    assert "ccdiff" in {agent["driver"] for agent in header["run"]["agents"]}
 
 
 def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):

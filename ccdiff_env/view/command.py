@@ -8,10 +8,11 @@ from pathlib import Path
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, find_rollout
+from ccdiff_env.view.sources import LOG, find_rollout, find_scene, play_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, help="page to write, or folder of pages")
     parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
+    parser.add_argument(
+        "--traffic", help="play the scene first, with this traffic: ccdiff, idm, replay, ..."
+    )
+    parser.add_argument("--driver", default="idm", help="who drives the ego then")
+    parser.add_argument("--seed", type=int, default=0, help="seed of that episode")
+    parser.add_argument("--samples", type=int, default=8, help="samples per plan of CCDiff")
+    parser.add_argument("--save", type=Path, help="keep that episode in this file (.npz)")
     parser.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step instead")
     parser.add_argument("--gif", action="store_true", help="write a GIF instead of a page")
     parser.add_argument("--mp4", action="store_true", help="write an MP4 instead of a page")
@@ -44,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.what)
     if folder.is_dir():
         return _folder(args, folder, kinds)
-    rollout = find_rollout(args.what, dataroot=args.dataroot, version=args.version)
+    rollout = _rollout(args)
     suffix = kinds[0] if kinds else "html"
     out = args.out or Path(f"{rollout.scene.name}.{suffix}")
     if kinds:
@@ -53,19 +61,41 @@ def run(args: argparse.Namespace) -> int:
         other = args.compare and find_rollout(
             args.compare, dataroot=args.dataroot, version=args.version, like=rollout
         )
-        titles = (_title(args.what), _title(args.compare or ""))
+        titles = (_title(args.traffic or args.what), _title(args.compare or ""))
         write_page(rollout, out, compare=other or None, titles=titles)
     print(out)
     return 0
 
 
+def _rollout(args: argparse.Namespace) -> Rollout:
+    if args.traffic is None:
+        if args.save is not None:
+            raise ConfigError("--save keeps an episode that is played: give --traffic too")
+        return find_rollout(args.what, dataroot=args.dataroot, version=args.version)
+    if Path(args.what).is_file():
+        raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
+    scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
+    rollout = play_scene(
+        scene,
+        traffic=args.traffic,
+        driver=args.driver,
+        seed=args.seed,
+        num_samples=args.samples,
+    )
+    if args.save is not None:
+        rollout.save(args.save)
+    return rollout
+
+
 def _title(word: str) -> str:
-    """Short name of a run: its file's name without the suffix, else the word itself."""
+    """Short name of a run: its file's name without the suffix, the traffic's, else the word."""
+    if word in DRIVER_TITLES:
+        return DRIVER_TITLES[word]
     return Path(word).stem if Path(word).is_file() else word
 
 
 def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
-    if kinds or args.compare not in (None, LOG):
+    if kinds or args.traffic or args.compare not in (None, LOG):
         raise ConfigError('a folder gives pages; of the options only --compare "log" goes with it')
     out = args.out or folder / "replays"
     print(write_pages(folder, out, compare_log=args.compare == LOG)[0])

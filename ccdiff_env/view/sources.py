@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,58 @@ def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:
     return replace(rollout, events=overlaps(rollout))
 
 
+def play_scene(
+    scene: Scene,
+    *,
+    traffic: str = "ccdiff",
+    driver: str = "idm",
+    seed: int = 0,
+    num_samples: int = 8,
+    **options: Any,
+) -> Rollout:
+    """Simulate a scene once and return what happened.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    traffic, driver
+        Who drives the other vehicles, and the ego: ``"ccdiff"``, ``"idm"``, ``"replay"`` or
+        ``"constant_velocity"``.
+    seed
+        Seed of the episode.
+    num_samples
+        Samples per plan where CCDiff drives.
+    options
+        Further ones of :class:`~ccdiff_env.EgoEnv`.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or out of range, or if the ego would be driven from outside.
+    SceneError
+        If the scene cannot be played: it has no ego, or is too short.
+    """
+    # imported here: most pages are of recorded episodes
+    from ccdiff_env.envs import EgoEnv
+    from ccdiff_env.recorder import Recorder
+
+    if driver == "external":
+        raise ConfigError('driver is "external": nobody is outside here; record with Recorder')
+    options = {"ccdiff": {"num_samples": num_samples}, **options}
+    env = EgoEnv(scenes=scene, traffic=traffic, driver=driver, **options)
+    env.reset(seed=seed)
+    recorder = Recorder(env, planner=driver)
+    recorder.start()
+    idle, done = np.zeros(env.action_space.shape or (), np.float32), False
+    while not done:
+        _, _, terminated, truncated, _ = env.step(idle)
+        recorder.step()
+        done = terminated or truncated
+    env.close()
+    return recorder.rollout()
+
+
 def find_rollout(
     name: str,
     *,
@@ -79,15 +132,28 @@ def find_rollout(
         if like is None:
             raise ConfigError(f"{LOG!r} stands for the log of another run: use it with --compare")
         return log_rollout(like.scene, like=like)
+    return log_rollout(find_scene(name, dataroot=dataroot, version=version))
+
+
+def find_scene(
+    name: str, *, dataroot: str | Path | None = None, version: str = "v1.0-mini"
+) -> Scene:
+    """Return a scene by name: of nuScenes where ``dataroot`` is given, else of the embedded ones.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such scene.
+    """
     if dataroot is not None:
-        return log_rollout(load_nuscenes(dataroot, version, scenes=[name])[0])
+        return load_nuscenes(dataroot, version, scenes=[name])[0]
     scenes = embedded_scenes()
     if name not in scenes:
         raise UnknownNameError(
             f"no file {name!r}, and no embedded scene of that name "
             f"({', '.join(scenes.names[:4])}, ...); for nuScenes give --dataroot"
         )
-    return log_rollout(scenes[name])
+    return scenes[name]
 
 
 def rollout_files(folder: Path) -> list[Path]:
