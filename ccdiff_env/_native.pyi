@@ -317,8 +317,14 @@ class Planner:
         solver_steps: int | None,
         num_samples: int,
         guidance_weight: float,
+        guidance: str | None,
+        guided: list[list[int]] | None,
+        partners: list[list[int]] | None,
+        attention: bool,
+        gradient_statistics: bool,
     ) -> list[dict[str, Any]]: ...
 
+def guidance_preset(name: str) -> str: ...
 def model_preset(name: str) -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
 

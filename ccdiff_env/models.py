@@ -6,7 +6,7 @@ import csv
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene
 
-__all__ = ["Planner", "ScenePlan", "shipped_weights", "train"]
+__all__ = ["Planner", "ScenePlan", "guidance_preset", "shipped_weights", "train"]
 
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
@@ -35,6 +35,15 @@ def shipped_weights() -> Path:
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
     return Path(__file__).parent / "data" / "ccdiff_fast.safetensors"
+
+
+def guidance_preset(name: str) -> dict[str, Any]:
+    """Return the settings of a guidance preset: ``"paper"``, ``"released"`` or ``"rl"``.
+
+    docs/method.md says what they mean; every one of them may be changed.
+    """
+    settings: dict[str, Any] = json.loads(_native.guidance_preset(name))
+    return settings
 
 
 def weights_path(weights: str | os.PathLike[str]) -> Path:
@@ -61,6 +70,16 @@ class ScenePlan:
         The decision causal graph G, ``[M, M]``; entry (i, j): j may influence i.
     ttc
         Times to contact, seconds, ``[M, M]``.
+    attention
+        Attention of vehicle i to vehicle j, zero outside of G, ``[M, M]``; ``None``
+        if not asked for.
+    chosen
+        Sample that guidance chose for each vehicle, ``[M]``; 0 without guidance.
+    guidance
+        ``losses [J, N, M]`` of the objectives, ``realism_cost [M]`` (C(τ), total variation in
+        [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and, if asked for,
+        ``alignment``, ``gradient_cosine``, ``conflict_share`` ``[M]`` and
+        ``objective_cosine [J, J]``; ``None`` without guidance.
     """
 
     agents: npt.NDArray[np.int64]
@@ -69,6 +88,9 @@ class ScenePlan:
     poses: npt.NDArray[np.float32]
     graph: npt.NDArray[np.bool_]
     ttc: npt.NDArray[np.float32]
+    attention: npt.NDArray[np.float32] | None
+    chosen: npt.NDArray[np.int64]
+    guidance: dict[str, npt.NDArray[np.float32]] | None
 
     def positions(self) -> npt.NDArray[np.float32]:
         """Return the planned centres in the scene frame, metres, ``[N, M, T, 2]``."""
@@ -121,6 +143,11 @@ class Planner:
         solver_steps: int | None = 5,
         num_samples: int = 1,
         guidance_weight: float = 1.0,
+        guidance: str | Mapping[str, Any] | None = None,
+        guided: Sequence[Sequence[int]] | None = None,
+        partners: Sequence[Sequence[int]] | None = None,
+        attention: bool = False,
+        gradient_statistics: bool = False,
     ) -> list[ScenePlan]:
         """Plan for all vehicles of some scenes from their logged histories, in one batch.
 
@@ -138,8 +165,30 @@ class Planner:
             Samples N per plan.
         guidance_weight
             w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the unconditional pass.
+        guidance
+            Name of a preset or settings, see :func:`guidance_preset`; settings that are absent are
+            those of ``"released"``. Needs two solver steps or more.
+        guided
+            Agents of each scene whose plans are guided; needs ``guidance``.
+        partners
+            If given, only contacts with these agents of each scene count in collision objectives.
+        attention
+            Whether plans come with the attention between vehicles.
+        gradient_statistics
+            Whether guided plans come with the statistics of gradients.
+
+        Raises
+        ------
+        ConfigError
+            A setting is unknown or out of range; the message names it.
+        ShapeError
+            There is not one entry per scene.
         """
+        if (guidance is None) != (guided is None):
+            raise ConfigError("give guidance and guided together, or neither")
         chosen = list(range(len(scenes))) if seeds is None else list(seeds)
+        if isinstance(guidance, str):
+            guidance = guidance_preset(guidance)
         plans = self._native.plan_scenes(
             list(scenes),
             list(steps),
@@ -147,6 +196,11 @@ class Planner:
             solver_steps=solver_steps,
             num_samples=num_samples,
             guidance_weight=guidance_weight,
+            guidance=None if guidance is None else json.dumps(dict(guidance)),
+            guided=None if guided is None else [list(g) for g in guided],
+            partners=None if partners is None else [list(p) for p in partners],
+            attention=attention,
+            gradient_statistics=gradient_statistics,
         )
         return [ScenePlan(**plan) for plan in plans]
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
-from ccdiff_env.models import Planner, shipped_weights, train
+from ccdiff_env.models import Planner, guidance_preset, shipped_weights, train
 from ccdiff_env.scenes import Scene, load_nuscenes
 
 QUICK = {"batch_scenes": 2, "warmup_steps": 0}
@@ -202,3 +202,49 @@ def test_the_shipped_network_beats_constant_velocity_on_validation_scenes() -> N
         distance = np.linalg.norm(plan.positions()[:, rows] - logged[None], axis=-1)
         ours.append(distance.mean(axis=-1).min(axis=0))
     assert np.concatenate(ours).mean() < 0.8 * np.concatenate(constant).mean()
+
+
+def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights() -> None:
+    planner = Planner(shipped_weights())
+    settings = guidance_preset("rl")
+    names = [objective["kind"] for objective in settings["objectives"]]
+    closeness = {}
+    for sign in (-1.0, 0.0, 1.0):
+        changed = dict(settings, gradient_steps=0 if sign == 0.0 else 2)
+        for objective in changed["objectives"]:
+            if objective["kind"] != "map_collision":
+                objective["weight"] = abs(objective["weight"]) * (sign or -1.0)
+        plan = planner.plan(
+            [road()],
+            [40],
+            num_samples=4,
+            guidance=changed,
+            guided=[[0]],
+            attention=True,
+            gradient_statistics=True,
+        )[0]
+        assert plan.guidance is not None
+        assert plan.attention is not None
+        losses = plan.guidance["losses"]
+        assert losses.shape == (3, 4, 2)
+        assert plan.guidance["objective_cosine"].shape == (3, 3)
+        assert (plan.guidance["realism_cost"] > 0).tolist() == [sign != 0.0, False]
+        np.testing.assert_allclose(plan.attention, [[0.0, 1.0], [1.0, 0.0]] * plan.graph, atol=1e-5)
+        closeness[sign] = losses[names.index("approach"), plan.chosen[0], 0]
+    assert closeness[-1.0] > closeness[0.0] > closeness[1.0]
+
+
+def test_guidance_settings_that_are_unknown_or_out_of_range_are_named() -> None:
+    planner = Planner(shipped_weights())
+    for wrong, named in [
+        ({"gradient_step": 1}, "gradient_step"),
+        ({"discount": 2.0}, "guidance.discount"),
+        ({"objectives": [{"kind": "agent_collision", "wieght": 1.0}]}, "wieght"),
+        ("hard", "guidance.preset"),
+    ]:
+        with pytest.raises(ConfigError, match=named):
+            planner.plan([road()], [40], guidance=wrong, guided=[[0]])
+    with pytest.raises(ConfigError, match="guided"):
+        planner.plan([road()], [40], guidance="rl")
+    with pytest.raises(ShapeError, match="lists of agents"):
+        planner.plan([road()], [40], guidance="rl", guided=[[0], [1]])

@@ -13,6 +13,8 @@ use ccdiff_models::guidance::{
     TargetSpeed, WorldGuide, choose_samples,
 };
 use ccdiff_models::noise::Noise;
+use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
+use ccdiff_models::sampler::{SampleOptions, Solver};
 use ccdiff_models::unicycle;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use proptest::prelude::*;
@@ -528,6 +530,85 @@ fn gradient_statistics_say_who_pulls_which_way() {
     assert!(found.alignment[0] > 0.0 && found.alignment[1] < 0.0);
     assert!((found.objective_cosine[0] - 1.0).abs() < 1e-5);
     assert_eq!(found.objective_cosine[1], found.objective_cosine[2]);
+}
+
+fn shipped() -> Planner {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../ccdiff_env/data/ccdiff_fast.safetensors");
+    Planner::load(&path, tch::Device::Cpu).unwrap()
+}
+
+/// Plans of the shipped network for a follower, its leader and a third vehicle far off.
+fn planned(
+    planner: &mut Planner,
+    guided: &[bool],
+    guidance: Option<GuidanceConfig>,
+    seeds: &[u64],
+) -> Vec<Plan> {
+    let scene = common::closing_pair();
+    let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
+    let (bitmap, region) = (planner.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
+    let guide = WorldGuide { road: Some(&region), ..WorldGuide::new(guided) };
+    let view =
+        |seed: &u64| WorldView { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
+    let views: Vec<_> = seeds.iter().map(view).collect();
+    let sampling = SampleOptions { num_samples: 2, ..SampleOptions::default() };
+    let options = PlanOptions { sampling, guidance, attention: true, gradient_statistics: false };
+    planner.plan(&views, &options).unwrap()
+}
+
+#[test]
+fn a_network_plans_contacts_or_avoids_them_as_the_sign_says_and_lone_agents_keep_their_bits() {
+    let mut planner = shipped();
+    let seeds: Vec<u64> = (0..6).collect();
+    let guided = [true, false, false];
+    let with = |weight: f32, steps: usize| GuidanceConfig {
+        gradient_steps: steps,
+        ..config(vec![
+            collision(weight),
+            approach(weight / 5.0),
+            Objective::MapCollision(MapCollision::default()),
+        ])
+    };
+    let free = planned(&mut planner, &guided, None, &seeds);
+    assert!(free.iter().all(|p| p.guidance.is_none() && p.chosen() == [0, 0, 0]));
+    let mut closeness = |config: GuidanceConfig| -> f32 {
+        let plans = planned(&mut planner, &guided, Some(config.clone()), &seeds);
+        for (plan, free) in plans.iter().zip(&free) {
+            let report = plan.guidance.as_ref().unwrap();
+            assert_eq!((report.losses.len(), report.chosen.len()), (3 * 2 * 3, 3));
+            assert_eq!(report.realism_cost[0] > 0.0, config.gradient_steps > 0);
+            assert_eq!(report.realism_cost[1..], [0.0, 0.0]);
+            // the third vehicle has no edge in G: nothing that guidance does can reach it
+            for sample in 0..2 {
+                let own = (sample * 3 + 2) * T * 2..(sample * 3 + 3) * T * 2;
+                assert_eq!(plan.actions[own.clone()], free.actions[own]);
+            }
+        }
+        let losses = |p: &Plan| p.guidance.as_ref().map_or(0.0, |g| g.losses[6 + 3 * g.chosen[0]]);
+        plans.iter().map(losses).sum()
+    };
+    let [seek, none, avoid] = [with(-50.0, 2), with(-50.0, 0), with(50.0, 2)].map(&mut closeness);
+    assert!(seek > 1.1 * none && none > 1.1 * avoid, "{seek} {none} {avoid}");
+}
+
+#[test]
+fn attention_is_given_between_joined_agents_and_adds_up_to_one() {
+    let plan = planned(&mut shipped(), &[true; 3], None, &[3]).remove(0);
+    let matrix = plan.attention_matrix().unwrap();
+    assert_eq!(matrix.len(), 9);
+    for (k, weight) in matrix.iter().enumerate() {
+        let joined = plan.features.graph.contains(k / 3, k % 3) && k / 3 != k % 3;
+        assert_eq!(*weight > 0.0, joined, "{k}");
+    }
+    assert!((matrix[..3].iter().sum::<f32>() - 1.0).abs() < 1e-5, "{matrix:?}");
+}
+
+#[test]
+fn guidance_needs_more_than_one_solver_step() {
+    let sampling = SampleOptions { solver: Solver::Ddim { steps: 1 }, ..SampleOptions::default() };
+    let options = PlanOptions { sampling, guidance: Some(GuidanceConfig::rl()), ..PlanOptions::default() };
+    assert!(options.validated().unwrap_err().to_string().contains("solver.steps"));
 }
 
 #[test]

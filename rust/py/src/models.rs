@@ -5,10 +5,12 @@ use crate::scene::PyScene;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
-use ccdiff_models::planner::{Plan, Planner, WorldView};
+use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuide};
+use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
 use ccdiff_models::sampler::{SampleOptions, Solver};
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::{ModelError, device_named};
+use ccdiff_sim::geom::Region;
 use ccdiff_sim::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyOSError;
@@ -22,6 +24,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyTrainer>()?;
     module.add_class::<PyPlanner>()?;
     module.add_function(wrap_pyfunction!(model_preset, module)?)?;
+    module.add_function(wrap_pyfunction!(guidance_preset, module)?)?;
     module.add_function(wrap_pyfunction!(training_settings, module)?)
 }
 
@@ -66,6 +69,12 @@ fn options(steps: Option<usize>, num_samples: usize, guidance_weight: f64) -> Sa
 fn model_preset(name: &str) -> PyResult<(String, String)> {
     let model = ModelConfig::preset(name).map_err(from_model)?;
     Ok((to_json(&model)?, to_json(&TrainConfig::preset(name))?))
+}
+
+/// Settings of a guidance preset, as JSON.
+#[pyfunction]
+fn guidance_preset(name: &str) -> PyResult<String> {
+    to_json(&GuidanceConfig::preset(name).map_err(from_model)?)
 }
 
 /// Model and training settings of a training state, as JSON.
@@ -215,8 +224,10 @@ impl PyPlanner {
         lock(&self.0).num_parameters()
     }
 
-    /// Plans from logged histories: one dictionary per (scene, step).
-    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight))]
+    /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` and
+    /// `partners` list agents of each scene.
+    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, partners,
+        attention, gradient_statistics))]
     fn plan_scenes<'py>(
         &self,
         py: Python<'py>,
@@ -226,49 +237,87 @@ impl PyPlanner {
         solver_steps: Option<usize>,
         num_samples: usize,
         guidance_weight: f64,
+        guidance: Option<&str>,
+        guided: Option<Vec<Vec<usize>>>,
+        partners: Option<Vec<Vec<usize>>>,
+        attention: bool,
+        gradient_statistics: bool,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let scenes = arcs(scenes);
-        if steps.len() != scenes.len() || seeds.len() != scenes.len() {
-            let got = format!("{} steps and {} seeds", steps.len(), seeds.len());
+        let lists = [&guided, &partners].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
+        if [steps.len(), seeds.len(), lists[0], lists[1]].iter().any(|got| *got != scenes.len()) {
+            let got = format!("{} steps, {} seeds, {lists:?} lists of agents", steps.len(), seeds.len());
             return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
         }
-        let options = options(solver_steps, num_samples, guidance_weight);
-        let plans = py.detach(|| plan_logged(&mut lock(&self.0), &scenes, &steps, &seeds, options));
+        let options = PlanOptions {
+            sampling: options(solver_steps, num_samples, guidance_weight),
+            guidance: guidance.map(|text| parsed("guidance", text)).transpose()?,
+            attention,
+            gradient_statistics,
+        };
+        let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, partners };
+        let plans = py.detach(|| plan_logged(&mut lock(&self.0), &logged, &options));
         let plans = plans.map_err(from_model)?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
     }
 }
 
+/// What is planned for: scenes at steps, who is guided, and contacts with whom count.
+struct Logged<'a> {
+    scenes: &'a [Arc<Scene>],
+    steps: &'a [usize],
+    seeds: &'a [u64],
+    guided: Option<Vec<Vec<usize>>>,
+    partners: Option<Vec<Vec<usize>>>,
+}
+
+impl Logged<'_> {
+    /// Whether each vehicle of each scene is on a list; `None` without lists.
+    fn listed(&self, lists: Option<&Vec<Vec<usize>>>) -> Option<Vec<Vec<bool>>> {
+        let flags = |(scene, list): (&Arc<Scene>, &Vec<usize>)| {
+            vehicles(scene).iter().map(|agent| list.contains(agent)).collect()
+        };
+        lists.map(|lists| self.scenes.iter().zip(lists).map(flags).collect())
+    }
+}
+
 fn plan_logged(
     planner: &mut Planner,
-    scenes: &[Arc<Scene>],
-    steps: &[usize],
-    seeds: &[u64],
-    options: SampleOptions,
+    logged: &Logged<'_>,
+    options: &PlanOptions,
 ) -> ccdiff_models::Result<Vec<Plan>> {
     let history = planner.config().history_steps;
-    let bitmaps: Vec<_> = scenes.iter().map(|s| planner.bitmap(s)).collect();
-    let windows: Vec<Window> = scenes
+    let bitmaps: Vec<_> = logged.scenes.iter().map(|s| planner.bitmap(s)).collect();
+    let windows: Vec<Window> = logged
+        .scenes
         .iter()
-        .zip(steps)
+        .zip(logged.steps)
         .map(|(scene, step)| Window::from_scene(scene, *step, &vehicles(scene), history))
         .collect();
+    let guided = logged.listed(logged.guided.as_ref());
+    let partners = logged.listed(logged.partners.as_ref());
+    let guides = guided.is_some();
+    let roads: Vec<Option<Region>> =
+        logged.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
     let worlds: Vec<WorldView<'_>> = windows
         .iter()
-        .zip(&bitmaps)
-        .zip(seeds)
-        .map(|((window, bitmap), seed)| WorldView {
+        .enumerate()
+        .map(|(k, window)| WorldView {
             window,
-            bitmap: bitmap.as_ref(),
-            seed: *seed,
-            guide: None,
+            bitmap: bitmaps[k].as_ref(),
+            seed: logged.seeds[k],
+            guide: guided.as_ref().map(|flags| WorldGuide {
+                road: roads[k].as_ref(),
+                partners: partners.as_ref().map(|p| p[k].as_slice()),
+                ..WorldGuide::new(&flags[k])
+            }),
         })
         .collect();
-    planner.plan(&worlds, &options.into())
+    planner.plan(&worlds, options)
 }
 
 /// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`
-/// [M, M].
+/// [M, M], `attention` [M, M] or `None`, `chosen` [M], `guidance` or `None`.
 fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
     let (n, m) = (plan.num_samples, plan.agents.len());
     let list = vehicles(scene);
@@ -277,11 +326,40 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     let poses: Vec<f32> =
         plan.features.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]).collect();
     let dict = PyDict::new(py);
+    let attention = plan.attention_matrix().map(|a| a.into_pyarray(py).reshape([m, m])).transpose()?;
+    dict.set_item("attention", attention)?;
+    let chosen: Vec<i64> = plan.chosen().iter().map(|c| *c as i64).collect();
+    dict.set_item("chosen", PyArray1::from_vec(py, chosen))?;
+    dict.set_item("guidance", plan.guidance.map(|g| guidance_dict(py, n, m, g)).transpose()?)?;
     dict.set_item("agents", PyArray1::from_vec(py, agents))?;
     dict.set_item("actions", plan.actions.into_pyarray(py).reshape([n, m, steps, 2])?)?;
     dict.set_item("states", plan.states.into_pyarray(py).reshape([n, m, steps, 6])?)?;
     dict.set_item("poses", poses.into_pyarray(py).reshape([m, 3])?)?;
     dict.set_item("graph", plan.features.graph.as_slice().to_vec().into_pyarray(py).reshape([m, m])?)?;
     dict.set_item("ttc", plan.features.ttc_s.into_pyarray(py).reshape([m, m])?)?;
+    Ok(dict)
+}
+
+/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
+/// `conflict_share` [M], `objective_cosine` [J, J].
+fn guidance_dict(
+    py: Python<'_>,
+    num_samples: usize,
+    num_agents: usize,
+    report: GuidanceReport,
+) -> PyResult<Bound<'_, PyDict>> {
+    let dict = PyDict::new(py);
+    let objectives = report.losses.len() / (num_samples * num_agents).max(1);
+    let losses = report.losses.into_pyarray(py).reshape([objectives, num_samples, num_agents])?;
+    dict.set_item("losses", losses)?;
+    dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
+    dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
+    if let Some(found) = report.conflict {
+        let cosines = found.objective_cosine.into_pyarray(py).reshape([objectives, objectives])?;
+        dict.set_item("alignment", found.alignment.into_pyarray(py))?;
+        dict.set_item("gradient_cosine", found.cosine.into_pyarray(py))?;
+        dict.set_item("conflict_share", found.conflict_share.into_pyarray(py))?;
+        dict.set_item("objective_cosine", cosines)?;
+    }
     Ok(dict)
 }

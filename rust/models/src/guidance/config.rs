@@ -195,7 +195,7 @@ impl GuidanceConfig {
                 Objective::MapCollision(MapCollision::default()),
             ],
             discount: 0.98,
-            gradient_steps: 3,
+            gradient_steps: 2,
             target: Target::X0,
             ..Self::released()
         }
