@@ -111,11 +111,12 @@ fn best_ns(rows: usize, mut write: impl FnMut()) -> f64 {
 fn report(name: &str, city: &City, config: &ObservationConfig) -> Result<()> {
     let layout = Layout::new(config)?;
     let (num_agents, size) = (city.scene.num_agents(), layout.size);
-    let mut observer = Observer::new(layout, num_agents);
+    let mut observer = Observer::new(layout);
     let mut out = vec![0.0_f32; num_agents * size];
     let mut tick = 0;
     let write_ns = best_ns(num_agents, || {
         tick += 1;
+        observer.prepare(&city.states[tick % city.states.len()], &city.bodies);
         for (a, row) in out.chunks_exact_mut(size).enumerate() {
             observer.write(&city.view(tick, a), row);
         }

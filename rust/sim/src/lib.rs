@@ -10,6 +10,7 @@ pub mod observe;
 pub mod policy;
 pub mod scene;
 pub mod state;
+mod wide;
 pub mod world;
 
 pub use error::{Result, SimError};

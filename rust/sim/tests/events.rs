@@ -1,6 +1,6 @@
 //! Contacts and leaving the road, against the `geo` crate and hand-made situations.
 
-use ccdiff_sim::events::{Collisions, ContactKind, OffRoad, off_road};
+use ccdiff_sim::events::{Collisions, ContactKind, LeastTimes, OffRoad, off_road, time_to_contact};
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Region, Vector2};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::state::{AgentStates, Body};
@@ -143,6 +143,27 @@ proptest! {
         let in_pairs = |i: usize| circles.pairs().iter().any(|(a, b)| *a as usize == i || *b as usize == i);
         for i in 0..agents.len() {
             prop_assert_eq!(circles.first_partner(i).is_some(), in_pairs(i));
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_least_time_to_contact_is_the_least_over_all_pairs(
+        agents in prop::collection::vec((-60f32..60.0, -60f32..60.0, -4f32..4.0, -2f32..15.0), 1..40),
+        away in prop::collection::vec(any::<bool>(), 40),
+    ) {
+        let (mut states, bodies, _) = cars(&agents);
+        for a in 1..agents.len() {
+            states.active[a] = !away[a];
+        }
+        let mut times = LeastTimes::default();
+        times.prepare(&states, &bodies);
+        for a in (0..agents.len()).filter(|a| states.active[*a]) {
+            let of_pair = |j: usize| time_to_contact(&states, &bodies, a, j, 10.0).unwrap_or(10.0);
+            let others = (0..agents.len()).filter(|j| *j != a && states.active[*j]);
+            let expected = others.map(of_pair).fold(10.0, f32::min);
+            prop_assert_eq!(times.of(&states, &bodies, a, 10.0), expected);
         }
     }
 }

@@ -135,15 +135,16 @@ proptest! {
 fn map_pieces_cover_their_lines_and_the_cut_is_left_out() {
     let scene = GridCity { num_roads: 1, ..GridCity::default() }.scene();
     let pieces = MapPieces::new(&scene.map);
-    let total: f32 = pieces.pieces().iter().map(|p| 2.0 * p.half_length_m).sum();
+    let total: f32 = pieces.pieces().map(|p| 2.0 * p.half_length_m).sum();
     // two roads of 80 m: two lanes and a divider each; the edges of the crossing roads but for the ends, which lie on
     // the rectangle of the crop
     let expected = 2.0 * 80.0 * 3.0 + 2.0 * 2.0 * 80.0;
     assert!((total - expected).abs() < 1.0, "{total} against {expected}");
-    assert!(pieces.pieces().iter().all(|p| p.half_length_m <= 2.51));
+    assert!(pieces.pieces().all(|p| p.half_length_m <= 2.51));
     let near = pieces.nearest(Point2::new(3.0, -2.0));
+    let all: Vec<_> = pieces.pieces().collect();
     let distance = |k: u32| {
-        let piece = pieces.pieces()[k as usize];
+        let piece = all[k as usize];
         (piece.x - 3.0).hypot(piece.y + 2.0)
     };
     assert!(near.windows(2).all(|w| distance(w[0]) <= distance(w[1]) + 5.7));
@@ -178,4 +179,59 @@ fn the_observation_page_is_up_to_date() {
     let text = std::fs::read_to_string(page).unwrap();
     let layout = Layout::new(&ObservationConfig::default()).unwrap();
     assert!(text == layout.to_markdown(), "run: cargo run -p ccdiff-sim --example observation_page");
+}
+
+/// Observations of all agents of a city after a few steps.
+fn observed(observation: ObservationConfig, num_agents: usize) -> (Layout, Vec<f32>) {
+    let config = WorldConfig {
+        controlled: ccdiff_sim::world::Controlled::Vehicles,
+        num_slots: num_agents,
+        on_collision: ccdiff_sim::world::Consequence::Ignore,
+        on_off_road: ccdiff_sim::world::Consequence::Ignore,
+        observation,
+        ..config()
+    };
+    let mut batch = Batch::new(vec![city(num_agents)], config, 1, 1);
+    batch.reset_all(7);
+    for t in 0..5 {
+        batch.step(&actions(t, 2 * num_agents)).unwrap();
+    }
+    (batch.world.layout().clone(), batch.obs)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// Some rows are written by loops of their own, those of the comparison and the whole rows of the map among them.
+    #[test]
+    fn chosen_columns_are_the_columns_of_whole_rows(
+        num_agents in 2usize..90, rows in 0usize..70, pieces in 0usize..250, columns in 0usize..3,
+    ) {
+        let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>());
+        let agent_columns = ["x", "y", "cos", "sin", "speed", "length", "width"];
+        let map_columns = match columns {
+            0 => vec!["x", "y", "cos", "sin", "half_length", "is_road_edge", "is_lane"],
+            1 => vec!["is_lane", "y", "x"],
+            _ => vec!["x", "y", "cos", "sin", "half_length"],
+        };
+        let whole = ObservationConfig { num_agents: rows, num_map_pieces: pieces, ..ObservationConfig::default() };
+        let chosen = ObservationConfig {
+            agent_columns: names(&agent_columns), map_columns: names(&map_columns), ..whole.clone()
+        };
+        let (of_whole, of_chosen) = (observed(whole, num_agents), observed(chosen, num_agents));
+        for (entry, names) in [("agents", &agent_columns[..]), ("map", &map_columns[..])] {
+            let Some(e) = of_whole.0.entry(entry) else { continue };
+            let f = of_chosen.0.entry(entry).unwrap();
+            for a in 0..num_agents {
+                for row in 0..e.shape[0] {
+                    for (k, name) in names.iter().enumerate() {
+                        let column = e.columns.iter().position(|c| c.name == *name).unwrap();
+                        let expected = of_whole.1[a * of_whole.0.size + e.offset + row * e.shape[1] + column];
+                        let got = of_chosen.1[a * of_chosen.0.size + f.offset + row * f.shape[1] + k];
+                        prop_assert_eq!(got, expected, "{} of row {} of {}", name, row, entry);
+                    }
+                }
+            }
+        }
+    }
 }

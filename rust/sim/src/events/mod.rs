@@ -11,4 +11,4 @@ mod ttc;
 pub use collision::{Collisions, Contact, ContactKind};
 pub use lane_facts::{LaneFacts, WRONG_WAY_CLEARANCE_M, lane_facts};
 pub use off_road::{OffRoad, off_road};
-pub use ttc::time_to_contact;
+pub use ttc::{LeastTimes, time_to_contact};

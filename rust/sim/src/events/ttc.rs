@@ -1,7 +1,92 @@
-//! Time to contact of two agents of a world.
+//! Time to contact of the agents of a world.
 
 use crate::geom::Real;
 use crate::state::{AgentStates, Body};
+use crate::wide::wide;
+
+/// Agents asked about at once.
+const LANES: usize = 8;
+
+/// Finds the least time to contact of one agent after the other; holds the memory that it works in.
+#[derive(Debug, Clone, Default)]
+pub struct LeastTimes {
+    /// Radii of the circles round the boxes; negative without end for agents that are not there.
+    radius_m: Vec<Real>,
+    may_meet: Vec<bool>,
+}
+
+impl LeastTimes {
+    /// Takes what all questions about a step have in common.
+    pub fn prepare(&mut self, states: &AgentStates, bodies: &[Body]) {
+        self.radius_m.clear();
+        self.radius_m.extend(
+            bodies.iter().zip(&states.active).map(
+                |(body, active)| {
+                    if *active { body.radius_m } else { Real::NEG_INFINITY }
+                },
+            ),
+        );
+    }
+
+    /// First time at which an agent touches any other when all keep their velocities, seconds, at most the horizon.
+    pub fn of(&mut self, states: &AgentStates, bodies: &[Body], agent_idx: usize, horizon_s: Real) -> Real {
+        let num_agents = states.len();
+        self.may_meet.clear();
+        self.may_meet.resize(num_agents, false);
+        circles_may_meet(
+            states,
+            &self.radius_m,
+            bodies[agent_idx].radius_m,
+            agent_idx,
+            horizon_s,
+            &mut self.may_meet,
+        );
+        self.may_meet[agent_idx] = false;
+        let mut least_s = horizon_s;
+        for (block, may_meet) in self.may_meet.chunks(LANES).enumerate() {
+            if !may_meet.contains(&true) {
+                continue;
+            }
+            for (lane, may_meet) in may_meet.iter().enumerate() {
+                if *may_meet {
+                    let other = block * LANES + lane;
+                    least_s = time_to_contact(states, bodies, agent_idx, other, least_s).unwrap_or(least_s);
+                }
+            }
+        }
+        least_s
+    }
+}
+
+wide! {
+    /// Which agents' circles touch the one of an agent within the horizon; true also where that is not sure.
+    fn circles_may_meet(
+        states: &AgentStates,
+        radius_m: &[Real],
+        own_radius_m: Real,
+        agent_idx: usize,
+        horizon_s: Real,
+        may_meet: &mut [bool],
+    ) {
+        let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
+        let (vx, vy) = (states.velocity_x_mps[agent_idx], states.velocity_y_mps[agent_idx]);
+        let n = may_meet.len();
+        let (xs, ys, radius_m) = (&states.x[..n], &states.y[..n], &radius_m[..n]);
+        let (vxs, vys) = (&states.velocity_x_mps[..n], &states.velocity_y_mps[..n]);
+        for j in 0..n {
+            let (dx, dy) = (xs[j] - x, ys[j] - y);
+            let (wx, wy) = (vxs[j] - vx, vys[j] - vy);
+            let reach = radius_m[j] + own_radius_m;
+            let (dw, ww) = (dx * wx + dy * wy, wx * wx + wy * wy);
+            let gap = dx * dx + dy * dy - reach * reach;
+            // the circles touch when |d + w t| = reach: at t = (−dw − √(dw² − ww gap)) / ww
+            let discriminant = dw * dw - ww * gap;
+            let late = -dw - discriminant.sqrt() > horizon_s * ww;
+            let apart = (gap > 0.0) & ((dw >= 0.0) | (discriminant < 0.0) | late);
+            may_meet[j] = !apart & (reach >= 0.0);
+        }
+    }
+}
 
 /// First time at which two agents touch when both keep their velocities, seconds; `None` beyond the horizon.
 ///

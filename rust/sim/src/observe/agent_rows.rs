@@ -1,11 +1,13 @@
 //! Rows of other agents.
 
-use super::frame::{Frame, clip};
+use super::frame::{Eight, Frame, Lanes, Unturned, clip, put_rows};
 use super::layout::{AGENT, Layout, TTC_SCALE_S};
 use super::nearest_agents::NearestAgents;
 use super::observer::View;
 use crate::events::time_to_contact;
 use crate::geom::Real;
+use crate::state::{AgentStates, Body};
+use crate::wide::wide;
 
 /// Index of `ttc` among the columns.
 const TTC: usize = 10;
@@ -22,25 +24,59 @@ const DISTANCE_FACTOR: Real = 1.0 / AGENT[9].scale;
 /// Columns of the comparison with other simulators: place, direction, speed, size.
 const COMPARISON: [usize; 7] = [0, 1, 2, 3, 6, 7, 8];
 
+const COMPARISON_FACTOR: [Real; 8] = [
+    PLACE_FACTOR[0],
+    PLACE_FACTOR[1],
+    PLACE_FACTOR[2],
+    PLACE_FACTOR[3],
+    SPEED_FACTOR,
+    LENGTH_FACTOR,
+    WIDTH_FACTOR,
+    0.0,
+];
+
+const NOTHING: Eight = Eight([0.0; 8]);
+
 /// Writes the nearest agents.
 #[derive(Debug, Clone)]
 pub(super) struct AgentRows {
     chosen: Vec<usize>,
     num_rows: usize,
-    radius_m: Real,
     wants_ttc: bool,
     nearest: NearestAgents,
+    /// Rows of all agents before they are turned; only for the columns of the comparison.
+    rows: Vec<Unturned>,
 }
 
 impl AgentRows {
-    pub(super) fn new(layout: &Layout, max_agents: usize) -> Self {
+    pub(super) fn new(layout: &Layout) -> Self {
         let chosen = layout.chosen[1].clone();
+        let config = &layout.config;
         Self {
-            num_rows: layout.config.num_agents,
-            radius_m: layout.config.radius_m,
+            num_rows: config.num_agents,
             wants_ttc: chosen.contains(&TTC),
-            nearest: NearestAgents::new(max_agents),
+            nearest: NearestAgents::new(config.num_agents, config.radius_m),
+            rows: Vec::new(),
             chosen,
+        }
+    }
+
+    /// Takes what the rows of all observers have in common from the states.
+    pub(super) fn prepare(&mut self, states: &AgentStates, bodies: &[Body]) {
+        self.rows.clear();
+        if self.num_rows > 0 && self.chosen == COMPARISON {
+            self.rows.extend(bodies.iter().enumerate().map(|(j, body)| {
+                Eight([
+                    states.x[j],
+                    states.y[j],
+                    states.cos[j],
+                    states.sin[j],
+                    states.speed_mps[j],
+                    body.half_length_m,
+                    body.half_width_m,
+                    0.0,
+                ])
+            }));
         }
     }
 
@@ -54,18 +90,11 @@ impl AgentRows {
         if out.is_empty() {
             return;
         }
-        let keys = self.nearest.find(view.states, view.agent_idx, self.radius_m);
-        let keys = &keys[..keys.len().min(self.num_rows)];
+        let keys = self.nearest.find(view.states, view.agent_idx);
         let width = self.chosen.len();
         let (rows, absent) = out.split_at_mut(keys.len() * width);
         if self.chosen == COMPARISON {
-            let (rows, _) = rows.as_chunks_mut::<{ COMPARISON.len() }>();
-            for (row, key) in rows.iter_mut().zip(keys) {
-                let j = (key & 0xffff_ffff) as usize;
-                let [x, y, cos, sin] = place(view, frame, j);
-                let [speed, length, width] = speed_and_size(view, j);
-                *row = [x, y, cos, sin, speed, length, width];
-            }
+            fill_comparison(&self.rows, keys, &frame.lanes(COMPARISON_FACTOR), rows);
         } else {
             for (row, key) in rows.chunks_exact_mut(width).zip(keys) {
                 let full = full_row(view, frame, *key, self.wants_ttc);
@@ -79,6 +108,15 @@ impl AgentRows {
             mask[..keys.len()].fill(1.0);
             mask[keys.len()..].fill(0.0);
         }
+    }
+}
+
+wide! {
+    fn fill_comparison(all: &[Unturned], keys: &[u64], lanes: &Lanes, rows: &mut [Real])
+    with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
+        put_rows::<{ COMPARISON.len() }, 8>(rows, keys.iter().map(|key| {
+            turn(lanes, (&all[(key & 0xffff_ffff) as usize], &NOTHING))
+        }));
     }
 }
 

@@ -1,5 +1,6 @@
 //! The map as short straight pieces, and the nearest of them for every place.
 
+use super::frame::{Eight, Unturned};
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::OnceLock;
@@ -40,8 +41,28 @@ pub enum PieceKind {
 }
 
 impl PieceKind {
-    /// Number of kinds.
+    /// Number of kinds, a power of two.
     pub(crate) const COUNT: usize = 8;
+    const ALL: [Self; Self::COUNT] = [
+        Self::Lane,
+        Self::Connector,
+        Self::RoadDivider,
+        Self::LaneDivider,
+        Self::RoadEdge,
+        Self::Crossing,
+        Self::StopLine,
+        Self::Walkway,
+    ];
+}
+
+/// The number 1 with a kind in its lowest bits: a float like any other, from which the kind is read by a mask.
+fn of_kind(kind: PieceKind) -> Real {
+    Real::from_bits(Real::to_bits(1.0) | kind as u32)
+}
+
+#[inline(always)]
+fn kind_idx(of_kind: Real) -> usize {
+    of_kind.to_bits() as usize % PieceKind::COUNT
 }
 
 /// A short straight part of a line of the map.
@@ -67,10 +88,11 @@ pub struct Piece {
 /// "nearest" is meant up to the cell's half diagonal, 2.8 m (places off the map take the cell at its border). Ties go
 /// to the lower index.
 ///
-/// Memory: 24 bytes a piece, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
+/// Memory: 32 bytes a piece, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
 #[derive(Debug, Default)]
 pub struct MapPieces {
-    pieces: Vec<Piece>,
+    /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each piece.
+    places: Vec<Unturned>,
     low: [Real; 2],
     cell_m: Real,
     num_cells: [usize; 2],
@@ -111,24 +133,34 @@ impl MapPieces {
     }
 
     /// All pieces.
-    pub fn pieces(&self) -> &[Piece] {
-        &self.pieces
+    pub fn pieces(&self) -> impl ExactSizeIterator<Item = Piece> {
+        self.places.iter().map(|place| {
+            let [x, y, cos, sin, half_length_m, _, _, kind] = place.0;
+            Piece { x, y, cos, sin, half_length_m, kind: PieceKind::ALL[kind_idx(kind)] }
+        })
+    }
+
+    /// A piece as a row to be turned, whose last number is to be ignored, and the index of its kind.
+    #[inline(always)]
+    pub(super) fn row(&self, piece_idx: u32) -> (&Unturned, usize) {
+        let row = &self.places[piece_idx as usize];
+        (row, kind_idx(row.0[7]))
     }
 
     /// Number of pieces.
     pub fn len(&self) -> usize {
-        self.pieces.len()
+        self.places.len()
     }
 
     /// Whether the map has no line.
     pub fn is_empty(&self) -> bool {
-        self.pieces.is_empty()
+        self.places.is_empty()
     }
 
     /// Bytes held on the heap now; grows as agents come to new cells.
     pub fn num_bytes(&self) -> usize {
         let lists = self.cells.iter().filter_map(OnceLock::get);
-        size_of_val(self.pieces.as_slice())
+        size_of_val(self.places.as_slice())
             + size_of_val(self.cells.as_slice())
             + lists.map(|list| size_of_val::<[u32]>(list)).sum::<usize>()
     }
@@ -152,12 +184,12 @@ impl MapPieces {
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
-        let key = |(k, piece): (usize, &Piece)| {
-            let (dx, dy) = (piece.x - centre.x, piece.y - centre.y);
+        let key = |(k, place): (usize, &Unturned)| {
+            let (dx, dy) = (place.0[0] - centre.x, place.0[1] - centre.y);
             // distances are not negative, so their bits sort as they do
             u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
         };
-        let mut keys: Vec<u64> = self.pieces.iter().enumerate().map(key).collect();
+        let mut keys: Vec<u64> = self.places.iter().enumerate().map(key).collect();
         if keys.len() > MAX_PIECES {
             keys.select_nth_unstable(MAX_PIECES);
             keys.truncate(MAX_PIECES);
@@ -174,7 +206,7 @@ impl MapPieces {
         }
         let middle = nalgebra::center(&a, &b);
         let (cos, sin) = (d.x / length, d.y / length);
-        self.pieces.push(Piece { x: middle.x, y: middle.y, cos, sin, half_length_m: 0.5 * length, kind });
+        self.places.push(Eight([middle.x, middle.y, cos, sin, 0.5 * length, 0.0, 0.0, of_kind(kind)]));
     }
 
     /// Joins the short segments of a line to pieces up to a bend, and cuts the long ones.
@@ -229,7 +261,7 @@ impl MapPieces {
         if self.is_empty() {
             return;
         }
-        let (low, high) = bounds(self.pieces.iter().map(|p| Point2::new(p.x, p.y)));
+        let (low, high) = bounds(self.places.iter().map(|p| Point2::new(p.0[0], p.0[1])));
         let (width, height) = (high.x - low.x, high.y - low.y);
         self.low = [low.x, low.y];
         self.cell_m = CELL_M;
@@ -282,7 +314,7 @@ mod tests {
     }
 
     fn length_of(pieces: &MapPieces, kind: PieceKind) -> Real {
-        pieces.pieces().iter().filter(|p| p.kind == kind).map(|p| 2.0 * p.half_length_m).sum()
+        pieces.pieces().filter(|p| p.kind == kind).map(|p| 2.0 * p.half_length_m).sum()
     }
 
     #[test]

@@ -1,23 +1,34 @@
 //! Rows of map pieces.
 
-use super::frame::{Frame, clip};
+use super::frame::{Eight, Frame, Lanes, Unturned, put_rows};
 use super::layout::{Layout, MAP};
-use super::map_pieces::{MapPieces, Piece, PieceKind};
+use super::map_pieces::{MapPieces, PieceKind};
 use crate::geom::{Point2, Real};
+use crate::wide::wide;
 
 /// Columns that depend on the place of a piece; all others depend on its kind alone.
 const NUM_PLACE: usize = 5;
-const FACTOR: [Real; 4] = [1.0 / MAP[0].scale, 1.0 / MAP[1].scale, 1.0 / MAP[2].scale, 1.0 / MAP[3].scale];
-const HALF_LENGTH_FACTOR: Real = 1.0 / MAP[4].scale;
+const FACTOR: [Real; 8] = [
+    1.0 / MAP[0].scale,
+    1.0 / MAP[1].scale,
+    1.0 / MAP[2].scale,
+    1.0 / MAP[3].scale,
+    1.0 / MAP[4].scale,
+    0.0,
+    0.0,
+    0.0,
+];
+
+/// For each kind of piece the columns that depend on it, with zeros for the place: the first eight, then the others.
+type Templates = [[Eight; PieceKind::COUNT]; 2];
 
 /// Writes the nearest map pieces.
 #[derive(Debug, Clone)]
 pub(super) struct MapRows {
     chosen: Vec<usize>,
     num_rows: usize,
-    /// A row of each kind of piece [kinds, width], with zeros for the place: of the chosen columns where rows are
-    /// filled whole, of all columns otherwise.
-    templates: Vec<Real>,
+    /// Of the chosen columns where rows are filled whole, of all columns otherwise.
+    templates: Templates,
     /// The columns begin with the place, and there is a loop made for their number.
     fills_whole: bool,
 }
@@ -30,9 +41,13 @@ impl MapRows {
             && chosen[NUM_PLACE..].iter().all(|column| *column >= NUM_PLACE);
         let all: Vec<usize> = (0..MAP.len()).collect();
         let columns = if fills_whole { &chosen } else { &all };
-        let templates = (0..PieceKind::COUNT)
-            .flat_map(|kind| columns.iter().map(move |c| if *c == kind + NUM_PLACE { 1.0 } else { 0.0 }))
-            .collect();
+        let mut templates = Templates::default();
+        for kind in 0..PieceKind::COUNT {
+            for (i, column) in columns.iter().enumerate() {
+                let of_kind = *column == kind + NUM_PLACE;
+                templates[i / 8][kind].0[i % 8] = if of_kind { 1.0 } else { 0.0 };
+            }
+        }
         Self { num_rows: layout.config.num_map_pieces, chosen, templates, fills_whole }
     }
 
@@ -50,11 +65,11 @@ impl MapRows {
         let nearest = pieces.nearest(Point2::new(frame.x, frame.y));
         let nearest = &nearest[..nearest.len().min(self.num_rows)];
         let (rows, absent) = out.split_at_mut(nearest.len() * width);
-        let all = pieces.pieces();
+        let lanes = frame.lanes(FACTOR);
         match width {
-            7 if self.fills_whole => self.fill::<7>(all, nearest, frame, rows),
-            13 if self.fills_whole => self.fill::<13>(all, nearest, frame, rows),
-            _ => self.pick(all, nearest, frame, rows),
+            7 if self.fills_whole => fill_7(pieces, nearest, &lanes, &self.templates, rows),
+            13 if self.fills_whole => fill_13(pieces, nearest, &lanes, &self.templates, rows),
+            _ => self.pick(pieces, nearest, &lanes, rows),
         }
         absent.fill(0.0);
         if !mask.is_empty() {
@@ -63,23 +78,14 @@ impl MapRows {
         }
     }
 
-    /// Rows that begin with the place.
-    fn fill<const W: usize>(&self, all: &[Piece], nearest: &[u32], frame: &Frame, rows: &mut [Real]) {
-        let (templates, _) = self.templates.as_chunks::<W>();
-        for (row, k) in rows.as_chunks_mut::<W>().0.iter_mut().zip(nearest) {
-            let piece = &all[*k as usize];
-            *row = templates[piece.kind as usize];
-            row[..NUM_PLACE].copy_from_slice(&place(piece, frame));
-        }
-    }
-
     /// Rows of any columns.
-    fn pick(&self, all: &[Piece], nearest: &[u32], frame: &Frame, rows: &mut [Real]) {
-        let (templates, _) = self.templates.as_chunks::<{ MAP.len() }>();
+    fn pick(&self, pieces: &MapPieces, nearest: &[u32], lanes: &Lanes, rows: &mut [Real]) {
         for (row, k) in rows.chunks_exact_mut(self.chosen.len()).zip(nearest) {
-            let piece = &all[*k as usize];
-            let mut full = templates[piece.kind as usize];
-            full[..NUM_PLACE].copy_from_slice(&place(piece, frame));
+            let (piece, kind) = pieces.row(*k);
+            let first = lanes.turn((piece, &self.templates[0][kind]));
+            let mut full = [0.0; 16];
+            full[..8].copy_from_slice(&first);
+            full[8..].copy_from_slice(&self.templates[1][kind].0);
             for (to, column) in row.iter_mut().zip(&self.chosen) {
                 *to = full[*column];
             }
@@ -87,8 +93,23 @@ impl MapRows {
     }
 }
 
-#[inline(always)]
-fn place(piece: &Piece, frame: &Frame) -> [Real; NUM_PLACE] {
-    let [x, y, cos, sin] = frame.turn([piece.x - frame.x, piece.y - frame.y, piece.cos, piece.sin], FACTOR);
-    [x, y, cos, sin, clip(piece.half_length_m * HALF_LENGTH_FACTOR, 0.0, 1.0)]
+wide! {
+    fn fill_7(pieces: &MapPieces, nearest: &[u32], lanes: &Lanes, templates: &Templates, rows: &mut [Real])
+    with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
+        put_rows::<7, 8>(rows, nearest.iter().map(|k| {
+            let (piece, kind) = pieces.row(*k);
+            turn(lanes, (piece, &templates[0][kind]))
+        }));
+    }
+
+    fn fill_13(pieces: &MapPieces, nearest: &[u32], lanes: &Lanes, templates: &Templates, rows: &mut [Real])
+    with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
+        put_rows::<13, 16>(rows, nearest.iter().map(|k| {
+            let (piece, kind) = pieces.row(*k);
+            let mut row = [0.0; 16];
+            row[..8].copy_from_slice(&turn(lanes, (piece, &templates[0][kind])));
+            row[8..].copy_from_slice(&templates[1][kind].0);
+            row
+        }));
+    }
 }

@@ -2,82 +2,194 @@
 
 use crate::geom::Real;
 use crate::state::AgentStates;
+use crate::wide::wide;
+
+/// Most candidates that are put in order by counting for each those that are nearer.
+const MOST_COUNTED: usize = 128;
+/// Candidates that are counted at once.
+const LANES: usize = 32;
+/// Distances are counted in whole steps; so many make the radius.
+const STEPS: Real = 32_000.0;
+/// Steps of what is beyond every candidate.
+const BEYOND: i16 = i16::MAX;
 
 /// Finds the nearest agents of one observer after the other.
 ///
-/// From one step to the next the order hardly changes, so each observer's last order is kept and mended by insertion.
-/// It is a hint only: keys of different agents differ, so the outcome is the same from whatever order one starts.
+/// Each observer's last answer is a hint for its next: no agent farther than the farthest of them now can be among
+/// the nearest. The outcome is the same whatever the hint.
 ///
-/// Memory: 4 bytes for each pair of an observing agent and an agent.
+/// Memory: 4 bytes for each row of each observing agent, where there are more agents than rows.
 #[derive(Debug, Clone)]
 pub(super) struct NearestAgents {
+    most: usize,
+    radius_m: Real,
     distance_sq: Vec<Real>,
-    /// (squared distance, agent), sortable as numbers.
+    /// (squared distance, agent) of the candidates, sortable as numbers.
     keys: Vec<u64>,
-    orders: Vec<Vec<u32>>,
+    sorted: Vec<u64>,
+    /// Distances of the candidates in steps, and the number of those that are nearer.
+    steps: Box<[i16; MOST_COUNTED]>,
+    ranks: Box<[i16; MOST_COUNTED]>,
+    last: Vec<Vec<u32>>,
 }
-
-/// Mending is given up for sorting after this many moves per agent.
-const MOVES_PER_AGENT: usize = 8;
 
 impl NearestAgents {
-    pub(super) fn new(max_agents: usize) -> Self {
-        let (distance_sq, keys) = (Vec::with_capacity(max_agents), Vec::with_capacity(max_agents));
-        Self { distance_sq, keys, orders: vec![Vec::new(); max_agents] }
+    /// For up to `most` agents within a distance.
+    pub(super) fn new(most: usize, radius_m: Real) -> Self {
+        Self {
+            most,
+            radius_m,
+            distance_sq: Vec::new(),
+            keys: Vec::new(),
+            sorted: Vec::new(),
+            steps: Box::new([0; MOST_COUNTED]),
+            ranks: Box::new([0; MOST_COUNTED]),
+            last: Vec::new(),
+        }
     }
 
-    /// Active agents other than `agent_idx` within a distance, nearest first, ties by index: the agent in the low,
+    /// Active agents other than `agent_idx` within the distance, nearest first, ties by index: the agent in the low,
     /// the bits of the squared distance in the high half of each number.
-    pub(super) fn find(&mut self, states: &AgentStates, agent_idx: usize, radius_m: Real) -> &[u64] {
+    pub(super) fn find(&mut self, states: &AgentStates, agent_idx: usize) -> &[u64] {
         let num_agents = states.len();
-        let (x, y, reach_sq) = (states.x[agent_idx], states.y[agent_idx], radius_m * radius_m);
-        self.distance_sq.clear();
-        self.distance_sq.extend(states.x.iter().zip(&states.y).zip(&states.active).map(
-            |((px, py), active)| {
-                let (dx, dy) = (px - x, py - y);
-                let d = dx * dx + dy * dy;
-                if *active & (d <= reach_sq) { d } else { Real::INFINITY }
-            },
-        ));
-        self.distance_sq[agent_idx] = Real::INFINITY;
-        if self.orders.len() < num_agents {
-            self.orders.resize(num_agents, Vec::new());
+        let reach_sq = self.radius_m * self.radius_m;
+        self.distance_sq.resize(num_agents, 0.0);
+        measure(states, agent_idx, reach_sq, &mut self.distance_sq);
+        let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
+        self.keys.resize(num_agents, 0);
+        let num_keys = gather(&self.distance_sq, limit_sq.min(reach_sq), &mut self.keys);
+        if num_keys <= MOST_COUNTED {
+            self.sort_by_counting(num_keys);
+        } else {
+            self.sorted.clear();
+            self.sorted.extend(&self.keys[..num_keys]);
+            self.sorted.sort_unstable();
         }
-        let order = &mut self.orders[agent_idx];
-        if order.len() != num_agents {
-            order.clear();
-            order.extend(0..num_agents as u32);
+        self.sorted.truncate(self.most);
+        if num_agents > self.most + 1 {
+            let last = &mut self.last[agent_idx];
+            last.clear();
+            last.extend(self.sorted.iter().map(|key| (key & 0xffff_ffff) as u32));
         }
-        let distance_sq = &self.distance_sq;
-        let key = |j: &u32| u64::from(distance_sq[*j as usize].to_bits()) << 32 | u64::from(*j);
-        self.keys.clear();
-        self.keys.extend(order.iter().map(key));
-        mend(&mut self.keys);
-        for (j, key) in order.iter_mut().zip(&self.keys) {
-            *j = (key & 0xffff_ffff) as u32;
+        &self.sorted
+    }
+
+    /// A squared distance within which there are as many agents as there are rows, if the last answer gives one.
+    fn hinted_limit_sq(&mut self, agent_idx: usize) -> Real {
+        if self.last.len() < self.distance_sq.len() {
+            self.last.resize(self.distance_sq.len(), Vec::new());
         }
-        let absent = u64::from(Real::INFINITY.to_bits()) << 32;
-        let num_near = self.keys.partition_point(|key| *key < absent);
-        &self.keys[..num_near]
+        let last = &self.last[agent_idx];
+        if last.len() < self.most {
+            return Real::INFINITY;
+        }
+        // an agent of another scene may be none of this one
+        let far = |j: &u32| self.distance_sq.get(*j as usize).copied().unwrap_or(Real::INFINITY);
+        last.iter().map(far).fold(0.0, Real::max)
+    }
+
+    /// Puts the first keys in order: by the distance in steps first, what is left by insertion.
+    fn sort_by_counting(&mut self, num_keys: usize) {
+        let (keys, steps) = (&self.keys[..num_keys], &mut self.steps);
+        let num_padded = num_keys.next_multiple_of(LANES);
+        to_steps(keys, STEPS / self.radius_m, &mut steps[..]);
+        steps[num_keys..num_padded].fill(BEYOND);
+        count_nearer(&steps[..num_padded], num_keys, &mut self.ranks[..]);
+        // those at the same number of steps have the same rank and take places one after the other
+        let mut num_placed = [0u8; MOST_COUNTED];
+        self.sorted.clear();
+        self.sorted.resize(num_keys, 0);
+        let sorted = &mut self.sorted[..num_keys];
+        for (key, rank) in keys.iter().zip(self.ranks.iter()) {
+            let rank = *rank as usize % MOST_COUNTED;
+            sorted[rank + usize::from(num_placed[rank])] = *key;
+            num_placed[rank] += 1;
+        }
+        for i in 1..num_keys {
+            let (key, mut at) = (sorted[i], i);
+            while at > 0 && sorted[at - 1] > key {
+                sorted[at] = sorted[at - 1];
+                at -= 1;
+            }
+            sorted[at] = key;
+        }
     }
 }
 
-/// Sorts numbers that are nearly sorted.
-fn mend(keys: &mut [u64]) {
-    let mut moves_left = MOVES_PER_AGENT * keys.len();
-    for i in 1..keys.len() {
-        let key = keys[i];
-        let mut at = i;
-        while at > 0 && keys[at - 1] > key {
-            keys[at] = keys[at - 1];
-            at -= 1;
+wide! {
+    /// Squared distances from an agent; infinite for itself, and for agents that are out of reach or not there.
+    fn measure(states: &AgentStates, agent_idx: usize, reach_sq: Real, distance_sq: &mut [Real]) {
+        let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
+        let places = states.x.iter().zip(&states.y).zip(&states.active);
+        for (d, ((px, py), active)) in distance_sq.iter_mut().zip(places) {
+            let (dx, dy) = (px - x, py - y);
+            let sq = dx * dx + dy * dy;
+            *d = if *active & (sq <= reach_sq) { sq } else { Real::INFINITY };
         }
-        keys[at] = key;
-        if i - at > moves_left {
-            return keys.sort_unstable();
-        }
-        moves_left -= i - at;
+        distance_sq[agent_idx] = Real::INFINITY;
     }
+
+    /// Distances of keys in whole steps; never fewer steps for a greater distance.
+    fn to_steps(keys: &[u64], steps_per_metre: Real, steps: &mut [i16]) {
+        for (step, key) in steps.iter_mut().zip(keys) {
+            // added to this number, a float has its whole part in its lowest bits
+            let whole = Real::from_bits((key >> 32) as u32).sqrt() * steps_per_metre + 8_388_608.0;
+            *step = (whole.to_bits() & 0x7fff) as i16;
+        }
+    }
+
+    /// For each of the first steps the number of lesser ones among all.
+    fn count_nearer(steps: &[i16], num_keys: usize, ranks: &mut [i16])
+    with count [Fn(&[i16; LANES], &[i16]) -> [i16; LANES]] = count_less, count_less_avx2 {
+        let (own, _) = steps.as_chunks::<LANES>();
+        let (ranks, _) = ranks.as_chunks_mut::<LANES>();
+        for (ranks, own) in ranks.iter_mut().zip(own) {
+            *ranks = count(own, &steps[..num_keys]);
+        }
+    }
+}
+
+/// For each of some numbers the count of others that are less.
+#[inline(always)]
+fn count_less(own: &[i16; LANES], others: &[i16]) -> [i16; LANES] {
+    let mut counts = [0; LANES];
+    for other in others {
+        for lane in 0..LANES {
+            counts[lane] += i16::from(*other < own[lane]);
+        }
+    }
+    counts
+}
+
+/// [`count_less`] in two vectors.
+#[cfg(target_arch = "x86_64")]
+#[inline]
+#[target_feature(enable = "avx2")]
+#[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
+fn count_less_avx2(own: &[i16; LANES], others: &[i16]) -> [i16; LANES] {
+    use std::arch::x86_64::*;
+    // SAFETY: 32 numbers of 16 bits
+    let own: [__m256i; 2] = unsafe { std::mem::transmute(*own) };
+    let mut counts = [_mm256_setzero_si256(); 2];
+    for other in others {
+        let other = _mm256_set1_epi16(*other);
+        // true is minus one
+        counts[0] = _mm256_sub_epi16(counts[0], _mm256_cmpgt_epi16(own[0], other));
+        counts[1] = _mm256_sub_epi16(counts[1], _mm256_cmpgt_epi16(own[1], other));
+    }
+    // SAFETY: as above
+    unsafe { std::mem::transmute(counts) }
+}
+
+/// Writes the keys of the agents within a distance; returns their number.
+fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64]) -> usize {
+    let mut num_keys = 0;
+    for (j, d) in distance_sq.iter().enumerate() {
+        // written always, kept if near: no branch to guess
+        keys[num_keys] = u64::from(d.to_bits()) << 32 | j as u64;
+        num_keys += usize::from(*d <= limit_sq);
+    }
+    num_keys
 }
 
 #[cfg(test)]
@@ -86,7 +198,7 @@ mod tests {
     use crate::geom::{Pose2, Vector2};
     use proptest::prelude::*;
 
-    fn states(places: &[(i8, i8, bool)]) -> AgentStates {
+    fn states(places: &[(i16, i16, bool)]) -> AgentStates {
         let mut states = AgentStates::new(places.len());
         for (a, (x, y, active)) in places.iter().enumerate() {
             states.place(a, Pose2::new(Real::from(*x), Real::from(*y), 0.0), Vector2::zeros());
@@ -95,25 +207,31 @@ mod tests {
         states
     }
 
+    fn places(most: usize) -> impl Strategy<Value = Vec<(i16, i16, bool)>> {
+        let wide = prop::collection::vec((-90i16..90, -90i16..90, any::<bool>()), 1..most);
+        let narrow = prop::collection::vec((-9i16..9, -9i16..9, any::<bool>()), 1..most);
+        prop_oneof![wide, narrow]
+    }
+
     proptest! {
         #[test]
-        fn the_order_is_that_of_a_sort_from_whatever_order_it_starts(
-            before in prop::collection::vec((-9i8..9, -9i8..9, any::<bool>()), 1..60),
-            after in prop::collection::vec((-9i8..9, -9i8..9, any::<bool>()), 1..60),
+        fn the_order_is_that_of_a_sort_whatever_was_asked_before(
+            before in places(300), after in places(300), most in 0usize..80,
         ) {
-            let mut nearest = NearestAgents::new(4);
+            let mut nearest = NearestAgents::new(most, 70.0);
             for places in [&before, &after, &after] {
                 let states = states(places);
                 let mut expected: Vec<(i32, usize)> = (1..places.len())
                     .filter(|j| places[*j].2)
                     .map(|j| {
-                        let (dx, dy) = (i32::from(places[j].0) - i32::from(places[0].0), i32::from(places[j].1) - i32::from(places[0].1));
-                        (dx * dx + dy * dy, j)
+                        let (dx, dy) = (places[j].0 - places[0].0, places[j].1 - places[0].1);
+                        (i32::from(dx).pow(2) + i32::from(dy).pow(2), j)
                     })
-                    .filter(|(d, _)| *d <= 100)
+                    .filter(|(d, _)| *d <= 4900)
                     .collect();
                 expected.sort_unstable();
-                let got: Vec<usize> = nearest.find(&states, 0, 10.0).iter().map(|k| (k & 0xffff_ffff) as usize).collect();
+                expected.truncate(most);
+                let got: Vec<usize> = nearest.find(&states, 0).iter().map(|k| (k & 0xffff_ffff) as usize).collect();
                 prop_assert_eq!(got, expected.into_iter().map(|(_, j)| j).collect::<Vec<_>>());
             }
         }

@@ -65,9 +65,15 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Observer for scenes of up to `max_agents` agents.
-    pub fn new(layout: Layout, max_agents: usize) -> Self {
-        Self { agents: AgentRows::new(&layout, max_agents), map: MapRows::new(&layout), layout }
+    /// Observer of worlds with this layout.
+    pub fn new(layout: Layout) -> Self {
+        Self { agents: AgentRows::new(&layout), map: MapRows::new(&layout), layout }
+    }
+
+    /// Takes what all rows of a step have in common from the states; to be called before [`Observer::write`] whenever
+    /// they have changed.
+    pub fn prepare(&mut self, states: &AgentStates, bodies: &[Body]) {
+        self.agents.prepare(states, bodies);
     }
 
     /// Writes the row of one agent: `layout.size` floats.

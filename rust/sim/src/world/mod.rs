@@ -141,10 +141,9 @@ impl VecWorld {
             check_scene(scene, &config)?;
         }
         let layout = Layout::new(&config.observation)?;
-        let max_agents = scenes.iter().map(|s| s.num_agents()).max().unwrap_or(0);
         let num_scenes = scenes.len();
         let scenes = Scenes { list: scenes.into_iter().map(|s| (s, OnceLock::new())).collect() };
-        let observer = Observer::new(layout.clone(), max_agents);
+        let observer = Observer::new(layout.clone());
         let first = scenes.prepared(0);
         let worlds = (0..num_worlds)
             .map(|i| World::new(i, num_scenes, Arc::clone(&first), observer.clone()))

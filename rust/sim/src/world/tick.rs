@@ -2,7 +2,7 @@
 
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
-use crate::events::{Collisions, Contact, ContactKind, lane_facts, off_road, time_to_contact};
+use crate::events::{Collisions, Contact, ContactKind, LeastTimes, lane_facts, off_road};
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
 use crate::observe::{EgoFacts, Observer, View};
 use crate::policy::{Motion, WorldView};
@@ -57,6 +57,7 @@ pub(crate) struct World {
     /// Metrics of the slots in the last episode that ended.
     pub(crate) ended: Vec<Metrics>,
     collisions: Collisions,
+    least_times: LeastTimes,
     observer: Observer,
 }
 
@@ -80,6 +81,7 @@ impl World {
             contacts: Vec::new(),
             ended: Vec::new(),
             collisions: Collisions::new(),
+            least_times: LeastTimes::default(),
             observer,
         }
     }
@@ -269,6 +271,7 @@ impl World {
         let e = &mut self.episode;
         let at_end = e.elapsed_steps >= config.horizon_steps
             || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
+        self.least_times.prepare(&e.states, &self.scene.bodies);
         for c in 0..e.slots.len() {
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             columns.fill(0.0);
@@ -277,7 +280,7 @@ impl World {
             let contact = self.contacts[c];
             let facts = StepFacts {
                 contact: contact.filter(|_| !e.slots[c].touching),
-                ttc_s: least_ttc(&e.states, &self.scene, a),
+                ttc_s: self.least_times.of(&e.states, &self.scene.bodies, a, TTC_HORIZON_S),
                 log_distance_m: log_distance(e, &self.scene, a),
             };
             let slot = &mut e.slots[c];
@@ -326,6 +329,7 @@ impl World {
     /// step. Rows of the others are zero.
     pub(crate) fn observe(&mut self, config: &WorldConfig, obs: &mut [Real], row: usize) {
         let e = &self.episode;
+        self.observer.prepare(&e.states, &self.scene.bodies);
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * row..(c + 1) * row];
             let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
@@ -472,13 +476,6 @@ fn road_and_lane(
         slot.off_road = off.corner && slot.been_on_road;
         slot.off_road_centroid = off.centroid && slot.been_on_road;
     }
-}
-
-/// Least time to contact of an agent with any other one at constant velocities, seconds.
-fn least_ttc(states: &AgentStates, scene: &PreparedScene, a: usize) -> Real {
-    (0..states.len())
-        .filter(|j| *j != a && states.active[*j])
-        .fold(TTC_HORIZON_S, |best, j| time_to_contact(states, &scene.bodies, a, j, best).unwrap_or(best))
 }
 
 fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {

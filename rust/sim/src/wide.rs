@@ -1,0 +1,37 @@
+//! Loops over many numbers, compiled twice: for every processor, and for those with 256-bit vectors (AVX2).
+//!
+//! Which of the two runs is found out while the program runs. The bits are the same: both do the same IEEE 754
+//! operations in the same order, because Rust neither fuses nor reorders floating-point operations.
+
+/// Defines functions that exist twice, see the module. Their bodies, and what they call, must be `#[inline(always)]`
+/// loops over slices.
+///
+/// Where the compiler does not find the vectors by itself, `fn name(…) with f[bound] = portable, avx2 { … }` gives the
+/// body a function `f` of two arguments that is one of the two named, the second with
+/// `#[target_feature(enable = "avx2")]`.
+macro_rules! wide {
+    ($($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?)
+        $(with $f:ident [$($bound:tt)+] = $portable:path, $avx2:path)? $body:block)+) => {$(
+        $(#[$doc])*
+        $vis fn $name($($arg: $ty),*) {
+            #[inline(always)]
+            fn each($($arg: $ty,)* $($f: impl $($bound)+)?) $body
+
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn avx2($($arg: $ty),*) {
+                    each($($arg,)* $(|a, b| $avx2(a, b))?);
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    #[allow(unsafe_code, reason = "the compiler cannot know what the processor was just asked")]
+                    // SAFETY: the processor has AVX2
+                    return unsafe { avx2($($arg),*) };
+                }
+            }
+            each($($arg,)* $(|a, b| $portable(a, b))?);
+        }
+    )+};
+}
+
+pub(crate) use wide;
