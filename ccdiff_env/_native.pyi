@@ -337,7 +337,7 @@ class StateArrays(TypedDict):
     yaw_rate: F32
     active: Bool
 
-_Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None]
+_Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None, U8 | None, U8 | None]
 
 @final
 class VecWorld:
@@ -360,7 +360,8 @@ class VecWorld:
         out: _Arrays,
     ) -> None:
         """Begin episodes. ``out``: obs [E, C, D], reward, terminated, truncated, alive [E, C],
-        columns [E, C, M], done, was_reset [E], final_obs [E, C, D] (SAME_STEP) or None.
+        columns [E, C, M], done, was_reset [E], final_obs [E, C, D] (SAME_STEP) or None, bev
+        [E, C, P, S, S] or None, final_bev likewise.
         """
 
     def step(self, actions: F32, out: _Arrays) -> None:
@@ -377,8 +378,8 @@ class VecWorld:
     def explain(self, world_idx: int) -> dict[str, Any] | None:
         """Return the plan that a world follows, ``None`` before the first one."""
 
-    def observe(self, world_idx: int, obs: F32) -> None:
-        """Write the present observations [C, D] of a world."""
+    def observe(self, world_idx: int, obs: F32, bev: U8 | None = None) -> None:
+        """Write the present observations [C, D] and rasters [C, P, S, S] of a world."""
 
     @property
     def config_json(self) -> str:

@@ -21,6 +21,7 @@ from ccdiff_env.traffic import CcdiffConfig
 __all__ = [
     "ActionConfig",
     "ActionGrid",
+    "BevConfig",
     "BicycleLimits",
     "CcdiffConfig",
     "DeltaPoseLimits",
@@ -129,6 +130,18 @@ class ActionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BevConfig:
+    """Choice of the bird's-eye raster, uint8 [channels, S, S]."""
+
+    #: Rows and columns S, 8 to 1024.
+    size_px: int = 84
+    #: Side of a pixel, m, in [0.05, 10].
+    metres_per_px: float = 0.6
+    #: Share of the rows that lies behind the observing agent's centre, 0 to 1.
+    behind_share: float = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
 class ObservationConfig:
     """Choice of rows and columns of the observation."""
 
@@ -150,6 +163,8 @@ class ObservationConfig:
     agent_columns: tuple[str, ...] | None = None
     #: Columns of ``map``; all if ``None``.
     map_columns: tuple[str, ...] | None = None
+    #: Bird's-eye raster beside the row; none if ``None``.
+    bev: BevConfig | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +269,8 @@ class WorldConfig:
         ----------
         **options
             Fields by name. Nested configurations may be dataclasses, or dictionaries of the fields
-            to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``.
+            to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``,
+            ``bev`` as the field of ``observation``.
 
         Raises
         ------
@@ -264,10 +280,14 @@ class WorldConfig:
         shortcuts: dict[str, Any] = {
             k: options.pop(k) for k in ("dynamics", "discrete", "grid") if k in options
         }
+        rasters = {"bev": options.pop("bev")} if "bev" in options else {}
         config = _replaced(self, options, "")
         if shortcuts:
             action = _replaced(config.action, shortcuts, "action.")
             config = dataclasses.replace(config, action=action)
+        if rasters:
+            observation = _replaced(config.observation, rasters, "observation.")
+            config = dataclasses.replace(config, observation=observation)
         return config
 
     def to_json(self) -> str:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-__all__ = ["Column", "Entry", "Layout", "action_space", "read_columns"]
+__all__ = ["FORMS", "Column", "Entry", "Form", "Layout", "action_space", "read_columns"]
 
 F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
+#: Forms of observations: the row, a dictionary of its entries and the raster, the raster alone.
+Form: TypeAlias = Literal["flat", "dict", "bev"]
+FORMS: tuple[Form, ...] = ("flat", "dict", "bev")
 
 
 @dataclass(frozen=True)
@@ -74,10 +78,24 @@ class Entry:
 
 @dataclass(frozen=True)
 class Layout:
-    """The schema of the observation row: entries one after the other, ``size`` floats in all."""
+    """The schema of observations: entries of a row one after the other, and a raster.
+
+    Parameters
+    ----------
+    entries
+        Parts of the row.
+    size
+        Floats of the row D.
+    raster
+        Shape [channels, S, S] of the bird's-eye raster, where there is one.
+    channels
+        Names of its channels.
+    """
 
     entries: tuple[Entry, ...]
     size: int
+    raster: tuple[int, int, int] | None = None
+    channels: tuple[str, ...] = ()
 
     @classmethod
     def from_json(cls, text: str) -> Layout:
@@ -95,7 +113,37 @@ class Layout:
             )
             for entry in schema["entries"]
         )
-        return cls(entries, schema["size"])
+        bev = schema["bev"]
+        if bev is None:
+            return cls(entries, schema["size"])
+        channels = tuple(channel["name"] for channel in bev["channels"])
+        return cls(entries, schema["size"], tuple(bev["shape"]), channels)
+
+    def space(self, form: Form) -> gymnasium.Space[Any]:
+        """Space of observations in a form."""
+        if form == "bev":
+            return self.raster_space()
+        if form == "flat":
+            return self.flat_space()
+        parts = dict(self.dict_space().spaces)
+        if self.raster is not None:
+            parts["bev"] = self.raster_space()
+        return spaces.Dict(parts)
+
+    def observation(self, form: Form, rows: F32, bev: U8 | None) -> Any:
+        """Observations in a form, of rows [..., D] and rasters [..., channels, S, S]: views."""
+        if form == "bev":
+            assert bev is not None, "this form goes with a raster"
+            return bev
+        if form == "flat":
+            return rows
+        parts = self.split(rows)
+        return parts if bev is None else {**parts, "bev": bev}
+
+    def raster_space(self) -> spaces.Box:
+        """Box [channels, S, S] uint8 of the raster."""
+        assert self.raster is not None, "this form goes with a raster"
+        return spaces.Box(0, 255, self.raster, np.uint8)
 
     def flat_space(self) -> spaces.Box:
         """Box [D] float32 of the flat row."""

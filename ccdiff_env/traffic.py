@@ -35,9 +35,9 @@ class CcdiffConfig:
     graph: Literal["causal", "full"] = "causal"
     #: Vehicles that are guided K; all if ``None``.
     num_guided: int | None = 5
-    #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times attention,
-    #: cliques of the distance graph, the scene's order, a shuffle, agreement of the gradients of
-    #: realism and guidance, or agent ids by scene name.
+    #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
+    #: attention, cliques of the distance graph, the scene's order, a shuffle, agreement of the
+    #: gradients of realism and guidance, or agent ids by scene name.
     ranking: Ranking | Mapping[str, tuple[str, ...]] = "cliques"
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True

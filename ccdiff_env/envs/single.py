@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,8 +18,10 @@ from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed, scene_set, world_config
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
 
 
 class EgoEnv(gymnasium.Env[Any, Any]):
@@ -32,7 +34,8 @@ class EgoEnv(gymnasium.Env[Any, Any]):
     config
         Configuration to start from.
     observation
-        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
+        a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
         ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
         ``"none"``: only scene and seed at resets.
@@ -43,7 +46,8 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         ``route``, ``labels``.
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
-        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``.
+        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
+        ``bev={"size_px": 64}``.
 
     Notes
     -----
@@ -57,27 +61,27 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         *,
         scenes: Scenes = None,
         config: WorldConfig | None = None,
-        observation: Literal["flat", "dict"] = "flat",
+        observation: Form = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
         picture: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
-        check_choices(observation, info)
+        check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("human", "rgb_array"))
         self._picture = picture_options(picture)
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options).with_options(autoreset="disabled")
+        settled = world_config(chosen, config, options, observation).with_options(
+            autoreset="disabled"
+        )
         self.worlds = Worlds(
             chosen, settled, num_worlds=1, num_threads=1, trails=render_mode is not None
         )
         self.render_mode = render_mode
         layout = self.worlds.layout
-        self._as_dict = observation == "dict"
-        self.observation_space: gymnasium.Space[Any] = (
-            layout.dict_space() if self._as_dict else layout.flat_space()
-        )
+        self._form: Form = observation
+        self.observation_space: gymnasium.Space[Any] = layout.space(observation)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._info: InfoLevel = info
         self._actions: list[bytes] | None = []
@@ -131,7 +135,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         self._actions = []
         if self.render_mode == "human":
             self.render()
-        return self._observation(out.obs[0, 0]), self.worlds.reset_info(0)
+        return self._observation(out.obs, out.bev), self.worlds.reset_info(0)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one step.
@@ -169,14 +173,17 @@ class EgoEnv(gymnasium.Env[Any, Any]):
             self.render()
         reward = float(out.reward[0, 0])
         terminated, truncated = bool(out.terminated[0, 0]), bool(out.truncated[0, 0])
-        return self._observation(out.obs[0, 0]), reward, terminated, truncated, info
+        return self._observation(out.obs, out.bev), reward, terminated, truncated, info
 
-    def _observation(self, row: F32) -> Any:
-        return self.worlds.layout.split(row) if self._as_dict else row
+    def _observation(self, obs: F32, bev: U8 | None) -> Any:
+        """Observation of arrays [E, C, ...] in the chosen form."""
+        raster = None if bev is None else bev[0, 0]
+        return self.worlds.layout.observation(self._form, obs[0, 0], raster)
 
     def observation(self) -> Any:
         """Return the present observation once more, as a new array."""
-        return self._observation(self.worlds.observation(0)[0])
+        rows, bev = self.worlds.observe(0)
+        return self._observation(rows[None], None if bev is None else bev[None])
 
     def expert_action(self) -> Any:
         """Return the action that leads from here towards the ego's next logged state."""
@@ -267,7 +274,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         return {
             "scenes": self.worlds.scenes,
             "config": self.config,
-            "observation": "dict" if self._as_dict else "flat",
+            "observation": self._form,
             "info": self._info,
             "render_mode": self.render_mode,
             "picture": self._picture,

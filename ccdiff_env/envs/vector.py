@@ -25,6 +25,7 @@ from ccdiff_env.envs.worlds import (
     world_config,
 )
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -47,10 +48,10 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ConfigError(f"autoreset_mode is {mode!r}, expected one of {names}")
 
 
-def check_choices(observation: str, info: str) -> None:
+def check_choices(observation: str, info: str, forms: Sequence[str] = ("flat", "dict")) -> None:
     """Refuse a form of observation, or a level of info, that does not exist."""
-    if observation not in ("flat", "dict"):
-        raise unknown("observation form", str(observation), ("flat", "dict"))
+    if observation not in forms:
+        raise unknown("observation form", str(observation), forms)
     if info not in ("full", "end", "none"):
         raise unknown("info level", str(info), ("full", "end", "none"))
 
@@ -79,7 +80,8 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         When an ended world begins anew: ``"next_step"``, ``"same_step"`` or ``"disabled"``
         (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's ``AutoresetMode``.
     observation
-        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
+        a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
         ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
         ``"none"``: only scene and seed at resets.
@@ -96,7 +98,8 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         ``route``, ``labels``.
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
-        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``.
+        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
+        ``bev={"size_px": 64}``.
 
     Notes
     -----
@@ -114,7 +117,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        observation: Literal["flat", "dict"] = "flat",
+        observation: Form = "flat",
         info: InfoLevel = "full",
         copy: bool = True,
         num_threads: int | None = None,
@@ -123,12 +126,14 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         **options: Any,
     ) -> None:
         mode = _mode(autoreset_mode)
-        check_choices(observation, info)
+        check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("rgb_array",))
         self._picture = picture_options(picture)
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options).with_options(autoreset=_AUTORESET[mode])
+        settled = world_config(chosen, config, options, observation).with_options(
+            autoreset=_AUTORESET[mode]
+        )
         self.worlds = Worlds(
             chosen,
             settled,
@@ -140,10 +145,8 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
         layout = self.worlds.layout
-        self._as_dict = observation == "dict"
-        self.single_observation_space: gymnasium.Space[Any] = (
-            layout.dict_space() if self._as_dict else layout.flat_space()
-        )
+        self._form: Form = observation
+        self.single_observation_space: gymnasium.Space[Any] = layout.space(observation)
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -196,13 +199,13 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         arrays = self._kept or self.worlds.arrays()
         if mask is not None and self._kept is None:
             for i in np.flatnonzero(~mask):
-                arrays.obs[i] = self.worlds.observation(int(i))
+                self._keep(arrays, int(i))
         listed = None if mask is None else mask.tolist()
         self.worlds.native.reset(seeds, scenes, listed, arrays)
         rows = slice(None) if mask is None else mask
         self._begun[rows] = True
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
-        return self._observation(arrays.obs), self._reset_infos({}, done)
+        return self._observation(arrays), self._reset_infos({}, done)
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Advance all worlds by one step.
@@ -234,7 +237,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         infos = self._step_infos(out, columns)
         if self._copy and self._kept is not None:
             reward, terminated, truncated = reward.copy(), terminated.copy(), truncated.copy()
-        return self._observation(out.obs), reward, terminated, truncated, infos
+        return self._observation(out), reward, terminated, truncated, infos
 
     def _step_infos(self, out: StepArrays, columns: F32) -> Info:
         same_step = out.final_obs is not None
@@ -281,8 +284,9 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         assert out.final_obs is not None
         final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(out.done):
+            bev = None if out.final_bev is None else out.final_bev[i, 0].copy()
             row = out.final_obs[i, 0].copy()
-            final[i] = self.worlds.layout.split(row) if self._as_dict else row
+            final[i] = self.worlds.layout.observation(self._form, row, bev)
         return final
 
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
@@ -297,11 +301,19 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
                 infos[name][i] = value
         return infos
 
-    def _observation(self, obs: F32) -> Any:
-        rows = obs[:, 0]
+    def _observation(self, out: StepArrays) -> Any:
+        rows, bev = out.obs[:, 0], None if out.bev is None else out.bev[:, 0]
         if self._copy and self._kept is not None:
-            rows = rows.copy()
-        return self.worlds.layout.split(rows) if self._as_dict else rows
+            rows, bev = rows.copy(), None if bev is None else bev.copy()
+        return self.worlds.layout.observation(self._form, rows, bev)
+
+    def _keep(self, arrays: StepArrays, world_idx: int) -> Any:
+        """Write a world's present observation into arrays and return it as a single one's."""
+        rows, bev = self.worlds.observe(world_idx)
+        arrays.obs[world_idx] = rows
+        if bev is not None and arrays.bev is not None:
+            arrays.bev[world_idx] = bev
+        return self.worlds.layout.observation(self._form, rows[0], None if bev is None else bev[0])
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: list[int | None]
@@ -374,11 +386,8 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         """
         self.worlds.check_world(world_idx)
         self.worlds.native.restore(world_idx, Snapshot.from_bytes(snapshot).world)
-        row = self.worlds.observation(world_idx)[0]
-        if self._kept is not None:
-            self._kept.obs[world_idx, 0] = row
         self._begun[world_idx] = True
-        return self.worlds.layout.split(row) if self._as_dict else row
+        return self._keep(self._kept or self.worlds.arrays(), world_idx)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing: the worlds go with the environment."""

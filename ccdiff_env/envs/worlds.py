@@ -12,14 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import BevConfig, WorldConfig, unknown
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.spaces import Layout, action_space, read_columns
+from ccdiff_env.spaces import Form, Layout, action_space, read_columns
 
 F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 #: Scenes by themselves, or the name of a split of the embedded ones.
 Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
@@ -53,15 +54,29 @@ def scene_set(scenes: Scenes) -> SceneSet:
 
 
 def world_config(
-    scenes: SceneSet, config: WorldConfig | None, options: dict[str, Any]
+    scenes: SceneSet,
+    config: WorldConfig | None,
+    options: dict[str, Any],
+    observation: Form | None = None,
 ) -> WorldConfig:
-    """Return the configuration of plain keywords over a base; the step is that of the scenes."""
+    """Return the configuration of plain keywords over a base; the step is that of the scenes.
+
+    Rasters are drawn where the form of observation shows them, and refused elsewhere.
+    """
     for name, known in (("traffic", TRAFFIC), ("driver", DRIVERS)):
         if name in options and options[name] not in known:
             raise unknown(name, str(options[name]), known)
     if config is None and "dt_s" not in options:
         options = {**options, "dt_s": scenes[0].dt}
-    return (config or WorldConfig()).with_options(**options)
+    settled = (config or WorldConfig()).with_options(**options)
+    if observation == "bev" and settled.observation.bev is None:
+        return settled.with_options(bev=BevConfig())
+    if observation not in ("dict", "bev") and settled.observation.bev is not None:
+        raise ConfigError(
+            f"observation.bev is {settled.observation.bev}, expected None: rasters are shown by "
+            'environments of one ego with observation="dict" or "bev"'
+        )
+    return settled
 
 
 def fold_seed(seed: Any) -> int:
@@ -84,7 +99,10 @@ def _num_processors() -> int:
 
 
 class StepArrays(NamedTuple):
-    """Arrays that a reset or step writes; E worlds, C slots, D floats of a row, M figures."""
+    """Arrays that a reset or step writes.
+
+    E worlds, C slots, D floats of a row, M figures, rasters of P channels.
+    """
 
     #: Observations [E, C, D] float32.
     obs: F32
@@ -104,6 +122,10 @@ class StepArrays(NamedTuple):
     was_reset: Bool
     #: SAME_STEP: last observations of ended episodes [E, C, D]; else ``None``.
     final_obs: F32 | None
+    #: Rasters [E, C, P, S, S] uint8; ``None`` without them.
+    bev: U8 | None
+    #: Rasters beside ``final_obs``.
+    final_bev: U8 | None
 
 
 class Worlds:
@@ -166,6 +188,7 @@ class Worlds:
         """Return new arrays for a reset or step, and keep them as :attr:`last`."""
         e, c = self.num_worlds, self.num_slots
         row = (e, c, self.layout.size)
+        raster = None if self.layout.raster is None else (e, c, *self.layout.raster)
         same_step = self.config.autoreset == "same_step"
         self.last = StepArrays(
             np.empty(row, np.float32),
@@ -177,6 +200,8 @@ class Worlds:
             np.empty(e, np.bool_),
             np.empty(e, np.bool_),
             np.empty(row, np.float32) if same_step else None,
+            None if raster is None else np.empty(raster, np.uint8),
+            None if raster is None or not same_step else np.empty(raster, np.uint8),
         )
         return self.last
 
@@ -246,6 +271,12 @@ class Worlds:
 
     def observation(self, world_idx: int) -> F32:
         """Return the present observations [C, D] of a world as a new array."""
+        return self.observe(world_idx)[0]
+
+    def observe(self, world_idx: int) -> tuple[F32, U8 | None]:
+        """Return the present observations [C, D] and rasters [C, P, S, S] of a world anew."""
         rows = np.empty((self.num_slots, self.layout.size), np.float32)
-        self.native.observe(world_idx, rows)
-        return rows
+        raster = self.layout.raster
+        bev = None if raster is None else np.empty((self.num_slots, *raster), np.uint8)
+        self.native.observe(world_idx, rows, bev)
+        return rows, bev

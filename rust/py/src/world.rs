@@ -112,10 +112,12 @@ struct Outputs<'py> {
     done: PyReadwriteArrayDyn<'py, bool>,
     was_reset: PyReadwriteArrayDyn<'py, bool>,
     final_obs: Option<PyReadwriteArrayDyn<'py, f32>>,
+    bev: Option<PyReadwriteArrayDyn<'py, u8>>,
+    final_bev: Option<PyReadwriteArrayDyn<'py, u8>>,
 }
 
 /// The arguments of a call as Python gives them: obs, reward, terminated, truncated, alive, columns, done, was_reset,
-/// final_obs.
+/// final_obs, bev, final_bev.
 type Given<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
@@ -126,13 +128,29 @@ type Given<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
     Option<Bound<'py, PyAny>>,
+    Option<Bound<'py, PyAny>>,
+    Option<Bound<'py, PyAny>>,
 );
+
+/// Shape of rasters [E, C, P, S, S]; P = S = 0 without them.
+fn raster_shape(world: &VecWorld) -> [usize; 5] {
+    let [p, rows, columns] = world.layout().bev.as_ref().map_or([0; 3], |bev| bev.shape);
+    [world.num_worlds(), world.config().num_slots, p, rows, columns]
+}
+
+/// The bytes of an array that may be absent.
+fn bytes<'a>(array: &'a mut Option<PyReadwriteArrayDyn<'_, u8>>) -> PyResult<&'a mut [u8]> {
+    Ok(match array {
+        Some(array) => array.as_slice_mut()?,
+        None => &mut [],
+    })
+}
 
 impl<'py> Outputs<'py> {
     fn check(given: &Given<'py>, world: &VecWorld) -> PyResult<Self> {
         let (e, c) = (world.num_worlds(), world.config().num_slots);
         let row = world.layout().size;
-        let slots = [e, c];
+        let (slots, rasters) = ([e, c], raster_shape(world));
         Ok(Self {
             obs: writable("obs", &given.0, &[e, c, row])?,
             reward: writable("reward", &given.1, &slots)?,
@@ -143,6 +161,8 @@ impl<'py> Outputs<'py> {
             done: writable("done", &given.6, &[e])?,
             was_reset: writable("was_reset", &given.7, &[e])?,
             final_obs: given.8.as_ref().map(|a| writable("final_obs", a, &[e, c, row])).transpose()?,
+            bev: given.9.as_ref().map(|a| writable("bev", a, &rasters)).transpose()?,
+            final_bev: given.10.as_ref().map(|a| writable("final_bev", a, &rasters)).transpose()?,
         })
     }
 
@@ -161,6 +181,8 @@ impl<'py> Outputs<'py> {
             done: self.done.as_slice_mut()?,
             was_reset: self.was_reset.as_slice_mut()?,
             final_obs,
+            bev: bytes(&mut self.bev)?,
+            final_bev: bytes(&mut self.final_bev)?,
         })
     }
 }
@@ -230,12 +252,20 @@ impl PyVecWorld {
         Ok(())
     }
 
-    /// Writes the present observations [C, D] of one world.
-    fn observe<'py>(&mut self, world_idx: usize, obs: &Bound<'py, PyAny>) -> PyResult<()> {
+    /// Writes the present observations [C, D] and rasters [C, P, S, S] of one world.
+    #[pyo3(signature = (world_idx, obs, bev=None))]
+    fn observe<'py>(
+        &mut self,
+        world_idx: usize,
+        obs: &Bound<'py, PyAny>,
+        bev: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<()> {
         self.home.check()?;
         let shape = [self.world.config().num_slots, self.world.layout().size];
         let mut obs = writable::<f32>("obs", obs, &shape)?;
-        self.world.observe(world_idx, obs.as_slice_mut()?).map_err(from_sim)
+        let rasters = raster_shape(&self.world);
+        let mut bev = bev.map(|a| writable::<u8>("bev", a, &rasters[1..])).transpose()?;
+        self.world.observe(world_idx, obs.as_slice_mut()?, bytes(&mut bev)?).map_err(from_sim)
     }
 
     /// The configuration as JSON, defaults filled in.

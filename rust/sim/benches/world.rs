@@ -106,6 +106,8 @@ impl Bench {
             done,
             was_reset,
             final_obs: &mut self.final_obs,
+            bev: &mut [],
+            final_bev: &mut [],
         };
         (&mut self.world, out, &self.actions)
     }

@@ -4,6 +4,7 @@
 //! bit-reproducible on every machine: transcendental functions come from [`math`], never from the
 //! platform's C library.
 
+mod bitmap;
 mod lane_index;
 pub mod math;
 mod obb;
@@ -12,6 +13,8 @@ mod polyline;
 mod pose;
 mod region;
 
+pub use bitmap::Bitmap;
+pub(crate) use bitmap::visit_band;
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use obb::OrientedBox;
 pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};

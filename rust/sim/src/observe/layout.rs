@@ -2,6 +2,7 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
+use crate::observe::bev::{BEV_CHANNELS, BevChannel, BevConfig};
 use crate::observe::map_pieces::MAX_PIECES;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -28,6 +29,8 @@ pub struct ObservationConfig {
     pub agent_columns: Option<Vec<String>>,
     /// Columns of `map`; all if absent.
     pub map_columns: Option<Vec<String>>,
+    /// Bird's-eye raster beside the row; none if absent.
+    pub bev: Option<BevConfig>,
 }
 
 impl Default for ObservationConfig {
@@ -42,6 +45,7 @@ impl Default for ObservationConfig {
             ego_columns: None,
             agent_columns: None,
             map_columns: None,
+            bev: None,
         }
     }
 }
@@ -88,6 +92,15 @@ pub struct Entry {
     pub columns: Vec<Column>,
 }
 
+/// The bird's-eye raster beside the row.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Raster {
+    /// Channels, rows, columns.
+    pub shape: [usize; 3],
+    /// The channels.
+    pub channels: [BevChannel; BEV_CHANNELS.len()],
+}
+
 /// The schema: entries one after the other, `size` floats in all.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Layout {
@@ -95,6 +108,8 @@ pub struct Layout {
     pub entries: Vec<Entry>,
     /// Floats of a row, D.
     pub size: usize,
+    /// The raster, where there is one.
+    pub bev: Option<Raster>,
     #[serde(skip)]
     pub(crate) config: ObservationConfig,
     /// Chosen columns of `ego`, `agents` and `map` as indices of the full lists.
@@ -212,14 +227,26 @@ impl Layout {
                 return Err(SimError::Config { field, got: value.to_string(), expected });
             }
         }
+        if let Some(bev) = &c.bev {
+            bev.validate()?;
+        }
+        let raster = |b: BevConfig| Raster {
+            shape: [BEV_CHANNELS.len(), b.size_px, b.size_px],
+            channels: BEV_CHANNELS,
+        };
         let chosen = [
             choose("observation.ego_columns", &EGO, c.ego_columns.as_ref())?,
             choose("observation.agent_columns", &AGENT, c.agent_columns.as_ref())?,
             choose("observation.map_columns", &MAP, c.map_columns.as_ref())?,
         ];
         let pick = |all: &[Column], which: &[usize]| which.iter().map(|i| all[*i].clone()).collect();
-        let mut layout =
-            Self { entries: Vec::new(), size: 0, config: config.clone(), chosen: chosen.clone() };
+        let mut layout = Self {
+            entries: Vec::new(),
+            size: 0,
+            bev: c.bev.map(raster),
+            config: config.clone(),
+            chosen: chosen.clone(),
+        };
         layout.push("ego", None, pick(&EGO, &chosen[0]));
         layout.push("route", Some(("route_mask", c.num_route_points)), ROUTE.to_vec());
         layout.push("agents", Some(("agents_mask", c.num_agents)), pick(&AGENT, &chosen[1]));
@@ -253,6 +280,11 @@ impl Layout {
         }
     }
 
+    /// Bytes of a raster; 0 without one.
+    pub fn raster_size(&self) -> usize {
+        self.config.bev.map_or(0, |bev| bev.num_bytes())
+    }
+
     /// The entry of a name.
     pub fn entry(&self, name: &str) -> Option<&Entry> {
         self.entries.iter().find(|e| e.name == name)
@@ -284,6 +316,26 @@ impl Layout {
                 );
             }
         }
-        text
+        text + &bev_markdown()
     }
+}
+
+/// The part of `docs/observation.md` about the raster.
+fn bev_markdown() -> String {
+    let BevConfig { size_px, metres_per_px, behind_share } = BevConfig::default();
+    let mut text = format!(
+        "\n## `bev` uint8 [{}, S, S], off by default\n\n\
+         A bird's-eye raster round the agent: its heading points up, its left is left. `bev={{}}` asks for it with\n\
+         S = `size_px` = {size_px} rows and columns of `metres_per_px` = {metres_per_px} m, `behind_share` = \
+         {behind_share} of the rows\n\
+         behind the agent's centre. In the dictionary form it is one more entry; the form `observation=\"bev\"` is the\n\
+         raster alone. A single raster shows no speeds: stack frames, or take the dictionary.\n\n\
+         | channel | name | bytes |\n|---:|---|---|\n",
+        BEV_CHANNELS.len(),
+    );
+    for (i, c) in BEV_CHANNELS.iter().enumerate() {
+        // writing to a String cannot fail
+        let _ = writeln!(text, "| {i} | {} | {} |", c.name, c.doc);
+    }
+    text
 }

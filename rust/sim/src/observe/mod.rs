@@ -2,9 +2,11 @@
 //!
 //! [`Layout`] is the schema: from it come the sizes of buffers, the Gymnasium spaces and `docs/observation.md`.
 //! [`Observer`] writes rows. Everything is in the frame of the observing agent (x ahead, y left), scaled and clipped to
-//! the bounds of its column; rows for what is not there are zero and masked. There is never a NaN.
+//! the bounds of its column; rows for what is not there are zero and masked. There is never a NaN. [`BevConfig`] asks
+//! for a bird's-eye raster beside the row.
 
 mod agent_rows;
+mod bev;
 mod frame;
 mod layout;
 mod map_pieces;
@@ -12,6 +14,7 @@ mod map_rows;
 mod nearest_agents;
 mod observer;
 
+pub use bev::{BEV_CHANNELS, BevChannel, BevConfig};
 pub use layout::{Column, Entry, EntryKind, Layout, ObservationConfig};
 pub use map_pieces::{MapPieces, Piece, PieceKind};
 pub use observer::{EgoFacts, Observer, View};

@@ -4,7 +4,19 @@ use crate::error::{Result, SimError};
 use crate::world::columns::NUM_COLUMNS;
 use crate::world::config::Autoreset;
 
-/// Output of a reset or a step. D is the size of the observation row, M the number of columns.
+/// Sizes that every world's part of the buffers has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Extent {
+    /// Slots C.
+    pub slots: usize,
+    /// Floats of an observation row D.
+    pub row: usize,
+    /// Bytes of a raster B, 0 without rasters.
+    pub raster: usize,
+}
+
+/// Output of a reset or a step. D is the size of the observation row, M the number of columns,
+/// B the size of the raster (0 without one).
 #[derive(Debug)]
 pub struct StepBuffers<'a> {
     /// Observations [E, C, D]; zero for slots without a living agent.
@@ -25,6 +37,10 @@ pub struct StepBuffers<'a> {
     pub was_reset: &'a mut [bool],
     /// In SAME_STEP mode the last observation of an ended episode [E, C, D]; empty in the other modes.
     pub final_obs: &'a mut [f32],
+    /// Rasters [E, C, B]; zero where `obs` is.
+    pub bev: &'a mut [u8],
+    /// Rasters beside `final_obs` [E, C, B].
+    pub final_bev: &'a mut [u8],
 }
 
 /// The part of [`StepBuffers`] that belongs to one world.
@@ -38,6 +54,8 @@ pub(crate) struct WorldOut<'a> {
     pub(crate) done: &'a mut bool,
     pub(crate) was_reset: &'a mut bool,
     pub(crate) final_obs: &'a mut [f32],
+    pub(crate) bev: &'a mut [u8],
+    pub(crate) final_bev: &'a mut [u8],
 }
 
 impl WorldOut<'_> {
@@ -56,8 +74,10 @@ impl<'a> StepBuffers<'a> {
     ///
     /// # Errors
     /// [`SimError::Length`] names the first array that does not fit.
-    pub fn check(&self, num_envs: usize, num_slots: usize, row: usize, autoreset: Autoreset) -> Result<()> {
-        let slots = num_envs * num_slots;
+    pub fn check(&self, num_envs: usize, extent: Extent, autoreset: Autoreset) -> Result<()> {
+        let Extent { row, raster, .. } = extent;
+        let slots = num_envs * extent.slots;
+        let final_slots = if autoreset == Autoreset::SameStep { slots } else { 0 };
         let lengths = [
             ("obs", self.obs.len(), slots * row),
             ("reward", self.reward.len(), slots),
@@ -67,11 +87,9 @@ impl<'a> StepBuffers<'a> {
             ("columns", self.columns.len(), slots * NUM_COLUMNS),
             ("done", self.done.len(), num_envs),
             ("was_reset", self.was_reset.len(), num_envs),
-            (
-                "final_obs",
-                self.final_obs.len(),
-                if autoreset == Autoreset::SameStep { slots * row } else { 0 },
-            ),
+            ("final_obs", self.final_obs.len(), final_slots * row),
+            ("bev", self.bev.len(), slots * raster),
+            ("final_bev", self.final_bev.len(), final_slots * raster),
         ];
         for (what, got, expected) in lengths {
             if got != expected {
@@ -82,8 +100,9 @@ impl<'a> StepBuffers<'a> {
     }
 
     /// The buffers of the first `worlds` worlds, and those of the rest.
-    pub(crate) fn split_at(self, worlds: usize, num_slots: usize, row: usize) -> (Self, Self) {
-        let slots = worlds * num_slots;
+    pub(crate) fn split_at(self, worlds: usize, extent: Extent) -> (Self, Self) {
+        let Extent { row, raster, .. } = extent;
+        let slots = worlds * extent.slots;
         let (obs, obs_rest) = self.obs.split_at_mut(slots * row);
         let (reward, reward_rest) = self.reward.split_at_mut(slots);
         let (terminated, terminated_rest) = self.terminated.split_at_mut(slots);
@@ -94,8 +113,23 @@ impl<'a> StepBuffers<'a> {
         let (was_reset, was_reset_rest) = self.was_reset.split_at_mut(worlds);
         let middle = (slots * row).min(self.final_obs.len());
         let (final_obs, final_obs_rest) = self.final_obs.split_at_mut(middle);
+        let (bev, bev_rest) = self.bev.split_at_mut(slots * raster);
+        let middle = (slots * raster).min(self.final_bev.len());
+        let (final_bev, final_bev_rest) = self.final_bev.split_at_mut(middle);
         (
-            Self { obs, reward, terminated, truncated, alive, columns, done, was_reset, final_obs },
+            Self {
+                obs,
+                reward,
+                terminated,
+                truncated,
+                alive,
+                columns,
+                done,
+                was_reset,
+                final_obs,
+                bev,
+                final_bev,
+            },
             Self {
                 obs: obs_rest,
                 reward: reward_rest,
@@ -106,15 +140,19 @@ impl<'a> StepBuffers<'a> {
                 done: done_rest,
                 was_reset: was_reset_rest,
                 final_obs: final_obs_rest,
+                bev: bev_rest,
+                final_bev: final_bev_rest,
             },
         )
     }
 
     /// The buffers of one world.
-    pub(crate) fn world(&mut self, i: usize, num_slots: usize, row: usize) -> WorldOut<'_> {
-        let slots = i * num_slots..(i + 1) * num_slots;
-        let rows = slots.start * row..slots.end * row;
+    pub(crate) fn world(&mut self, i: usize, extent: Extent) -> WorldOut<'_> {
+        let slots = i * extent.slots..(i + 1) * extent.slots;
+        let rows = slots.start * extent.row..slots.end * extent.row;
+        let rasters = slots.start * extent.raster..slots.end * extent.raster;
         let final_rows = if self.final_obs.is_empty() { 0..0 } else { rows.clone() };
+        let final_rasters = if self.final_bev.is_empty() { 0..0 } else { rasters.clone() };
         WorldOut {
             obs: &mut self.obs[rows],
             reward: &mut self.reward[slots.clone()],
@@ -125,6 +163,8 @@ impl<'a> StepBuffers<'a> {
             done: &mut self.done[i],
             was_reset: &mut self.was_reset[i],
             final_obs: &mut self.final_obs[final_rows],
+            bev: &mut self.bev[rasters],
+            final_bev: &mut self.final_bev[final_rasters],
         }
     }
 }

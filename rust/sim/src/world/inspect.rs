@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Driver, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Driver, Extent, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -101,6 +101,12 @@ impl VecWorld {
     /// Number of worlds E.
     pub fn num_worlds(&self) -> usize {
         self.worlds.len()
+    }
+
+    /// Sizes of each world's part of the buffers.
+    pub fn extent(&self) -> Extent {
+        let raster = self.layout.raster_size();
+        Extent { slots: self.config.num_slots, row: self.layout.size, raster }
     }
 
     /// Number of scenes.
@@ -267,17 +273,20 @@ impl VecWorld {
         Ok(&self.world(world_idx)?.ended)
     }
 
-    /// Writes the present observations [C, D] of one world once more.
+    /// Writes the present observations [C, D] and rasters [C, B] of one world once more.
     ///
     /// # Errors
     /// As [`VecWorld::status`], and [`SimError::Length`] for a buffer of another size.
-    pub fn observe(&mut self, world_idx: usize, obs: &mut [Real]) -> Result<()> {
+    pub fn observe(&mut self, world_idx: usize, obs: &mut [Real], bev: &mut [u8]) -> Result<()> {
         self.begun(world_idx)?;
-        let expected = self.config.num_slots * self.layout.size;
-        if obs.len() != expected {
-            return Err(SimError::Length { what: "obs", got: obs.len(), expected });
+        let extent = self.extent();
+        for (what, got, size) in [("obs", obs.len(), extent.row), ("bev", bev.len(), extent.raster)] {
+            let expected = extent.slots * size;
+            if got != expected {
+                return Err(SimError::Length { what, got, expected });
+            }
         }
-        self.worlds[world_idx].observe(&self.config, obs, self.layout.size);
+        self.worlds[world_idx].observe(&self.config, extent, obs, bev);
         Ok(())
     }
 

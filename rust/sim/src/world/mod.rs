@@ -23,7 +23,7 @@ mod tally;
 mod tick;
 
 pub use actions::ActionDecoder;
-pub use buffers::StepBuffers;
+pub use buffers::{Extent, StepBuffers};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Driver, IdmConfig, RewardConfig, SceneOrder,
@@ -39,7 +39,7 @@ pub use tick::TickPhase;
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::observe::{Layout, Observer};
+use crate::observe::{BevConfig, Layout, Observer};
 use crate::policy::{BackgroundPolicy, WorldView};
 use crate::scene::Scene;
 use episode::{Episode, Phase};
@@ -55,12 +55,14 @@ const GRAIN_WORLDS: usize = 4;
 /// The scenes of a batch, each prepared when it is first played.
 struct Scenes {
     list: Vec<(Arc<Scene>, OnceLock<Arc<PreparedScene>>)>,
+    bev: Option<BevConfig>,
 }
 
 impl Scenes {
     fn prepared(&self, scene_idx: usize) -> Arc<PreparedScene> {
         let (scene, slot) = &self.list[scene_idx];
-        Arc::clone(slot.get_or_init(|| Arc::new(PreparedScene::new(Arc::clone(scene)))))
+        let prepare = || Arc::new(PreparedScene::new(Arc::clone(scene), self.bev.as_ref()));
+        Arc::clone(slot.get_or_init(prepare))
     }
 
     /// Scene of a world's next episode, by the configured order.
@@ -142,7 +144,8 @@ impl VecWorld {
         }
         let layout = Layout::new(&config.observation)?;
         let num_scenes = scenes.len();
-        let scenes = Scenes { list: scenes.into_iter().map(|s| (s, OnceLock::new())).collect() };
+        let list = scenes.into_iter().map(|s| (s, OnceLock::new())).collect();
+        let scenes = Scenes { list, bev: config.observation.bev };
         let observer = Observer::new(layout.clone());
         let first = scenes.prepared(0);
         let worlds = (0..num_worlds)
@@ -171,7 +174,7 @@ impl VecWorld {
     /// [`SimError::Length`] and [`SimError::Unknown`] before anything changes.
     pub fn reset(&mut self, request: &ResetRequest<'_>, out: StepBuffers<'_>) -> Result<()> {
         let num_worlds = self.worlds.len();
-        out.check(num_worlds, self.config.num_slots, self.layout.size, self.config.autoreset)?;
+        out.check(num_worlds, self.extent(), self.config.autoreset)?;
         let length = |what, got| Err(SimError::Length { what, got, expected: num_worlds });
         if request.seeds.len() != num_worlds {
             return length("seeds", request.seeds.len());
@@ -197,7 +200,7 @@ impl VecWorld {
             config: &self.config,
             decoder: &self.decoder,
             policies: &self.policies,
-            row: self.layout.size,
+            extent: self.extent(),
         };
         let scenes = &self.scenes;
         let job = |i: usize, world: &mut World, _: &[Real], mut out: buffers::WorldOut<'_>| {
@@ -217,7 +220,7 @@ impl VecWorld {
             *out.was_reset = true;
             world.finish(&shared, &mut out);
         };
-        run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, self.config.num_slots, self.layout.size, &job);
+        run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, shared.extent, &job);
         Ok(())
     }
 
@@ -233,16 +236,15 @@ impl VecWorld {
             config: &self.config,
             decoder: &self.decoder,
             policies: &self.policies,
-            row: self.layout.size,
+            extent: self.extent(),
         };
         let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
         let job = |_: usize, world: &mut World, actions: &[Real], mut out: buffers::WorldOut<'_>| {
             let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
             world.step(actions, &shared, next, &mut out, &mut |_| {});
         };
-        let (slots, row) = (self.config.num_slots, self.layout.size);
-        let width = self.decoder.width() * slots;
-        run(self.pool.as_ref(), &mut self.worlds, actions, width, out, slots, row, &job);
+        let width = self.decoder.width() * shared.extent.slots;
+        run(self.pool.as_ref(), &mut self.worlds, actions, width, out, shared.extent, &job);
         self.forget_plans();
         Ok(())
     }
@@ -263,14 +265,14 @@ impl VecWorld {
             config: &self.config,
             decoder: &self.decoder,
             policies: &self.policies,
-            row: self.layout.size,
+            extent: self.extent(),
         };
         let (num_worlds, order) = (self.worlds.len(), self.config.scene_order);
         let width = self.decoder.width() * self.config.num_slots;
         for (i, world) in self.worlds.iter_mut().enumerate() {
             let next = |episode: &mut Episode| self.scenes.next(episode, order, num_worlds);
             let actions = &actions[i * width..(i + 1) * width];
-            let mut out = out.world(i, self.config.num_slots, self.layout.size);
+            let mut out = out.world(i, shared.extent);
             world.step(actions, &shared, next, &mut out, lap);
         }
         self.forget_plans();
@@ -279,7 +281,7 @@ impl VecWorld {
 
     fn prepare_step(&mut self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
         let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
-        out.check(num_worlds, slots, self.layout.size, self.config.autoreset)?;
+        out.check(num_worlds, self.extent(), self.config.autoreset)?;
         let width = self.decoder.width() * slots;
         if actions.len() != num_worlds * width {
             return Err(SimError::Length {
@@ -352,17 +354,16 @@ fn run<J>(
     actions: &[Real],
     width: usize,
     out: StepBuffers<'_>,
-    slots: usize,
-    row: usize,
+    extent: Extent,
     job: &J,
 ) where
     J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
 {
     match pool {
         Some(pool) if worlds.len() >= MIN_PARALLEL_WORLDS => {
-            pool.install(|| halve(worlds, actions, width, out, slots, row, job));
+            pool.install(|| halve(worlds, actions, width, out, extent, job));
         }
-        _ => each(worlds, actions, width, out, slots, row, job),
+        _ => each(worlds, actions, width, out, extent, job),
     }
 }
 
@@ -371,22 +372,21 @@ fn halve<J>(
     actions: &[Real],
     width: usize,
     out: StepBuffers<'_>,
-    slots: usize,
-    row: usize,
+    extent: Extent,
     job: &J,
 ) where
     J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
 {
     if worlds.len() <= GRAIN_WORLDS {
-        return each(worlds, actions, width, out, slots, row, job);
+        return each(worlds, actions, width, out, extent, job);
     }
     let middle = worlds.len() / 2;
     let (left, right) = worlds.split_at_mut(middle);
     let (left_actions, right_actions) = actions.split_at(middle * width);
-    let (left_out, right_out) = out.split_at(middle, slots, row);
+    let (left_out, right_out) = out.split_at(middle, extent);
     rayon::join(
-        || halve(left, left_actions, width, left_out, slots, row, job),
-        || halve(right, right_actions, width, right_out, slots, row, job),
+        || halve(left, left_actions, width, left_out, extent, job),
+        || halve(right, right_actions, width, right_out, extent, job),
     );
 }
 
@@ -395,14 +395,13 @@ fn each<J>(
     actions: &[Real],
     width: usize,
     mut out: StepBuffers<'_>,
-    slots: usize,
-    row: usize,
+    extent: Extent,
     job: &J,
 ) where
     J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
 {
     for (i, world) in worlds.iter_mut().enumerate() {
         let actions = &actions[i * width..(i + 1) * width];
-        job(world.idx, world, actions, out.world(i, slots, row));
+        job(world.idx, world, actions, out.world(i, extent));
     }
 }

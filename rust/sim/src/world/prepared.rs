@@ -1,7 +1,7 @@
 //! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
 
-use crate::geom::{LaneIndex, Region};
-use crate::observe::MapPieces;
+use crate::geom::{Bitmap, LaneIndex, Region};
+use crate::observe::{BevConfig, MapPieces};
 use crate::scene::{AgentKind, Scene};
 use crate::state::Body;
 use crate::world::route::Route;
@@ -25,11 +25,13 @@ pub struct PreparedScene {
     pub routes: Vec<Route>,
     /// Map pieces for observations.
     pub pieces: MapPieces,
+    /// What does not move in bird's-eye rasters; `None` without rasters.
+    pub(crate) ground: Option<Bitmap>,
 }
 
 impl PreparedScene {
-    /// Derives everything from a scene.
-    pub fn new(scene: Arc<Scene>) -> Self {
+    /// Derives everything from a scene; the ground for rasters where there are some.
+    pub fn new(scene: Arc<Scene>, bev: Option<&BevConfig>) -> Self {
         let map = &scene.map;
         let road = if map.drivable_area.is_empty() {
             let lanes: Vec<_> = map.lanes.iter().map(|l| l.polygon.clone()).collect();
@@ -43,6 +45,7 @@ impl PreparedScene {
             bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             pieces: MapPieces::new(map),
+            ground: bev.map(|bev| bev.ground(map)),
             road,
             lanes,
             routes,

@@ -9,7 +9,7 @@ use crate::policy::{Motion, WorldView};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::actions::ActionDecoder;
-use crate::world::buffers::WorldOut;
+use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, Driver, WorldConfig};
 use crate::world::episode::{Episode, Phase, Slot};
@@ -66,7 +66,7 @@ pub(crate) struct Shared<'a> {
     pub(crate) config: &'a WorldConfig,
     pub(crate) decoder: &'a ActionDecoder,
     pub(crate) policies: &'a Policies,
-    pub(crate) row: usize,
+    pub(crate) extent: Extent,
 }
 
 impl World {
@@ -326,15 +326,17 @@ impl World {
     }
 
     /// Writes the observations of all slots: of agents that go on, and of those whose episode ended in this very
-    /// step. Rows of the others are zero.
-    pub(crate) fn observe(&mut self, config: &WorldConfig, obs: &mut [Real], row: usize) {
+    /// step. Rows and rasters of the others are zero.
+    pub(crate) fn observe(&mut self, config: &WorldConfig, extent: Extent, obs: &mut [Real], bev: &mut [u8]) {
         let e = &self.episode;
         self.observer.prepare(&e.states, &self.scene.bodies);
         for (c, slot) in e.slots.iter().enumerate() {
-            let out = &mut obs[c * row..(c + 1) * row];
+            let out = &mut obs[c * extent.row..(c + 1) * extent.row];
+            let raster = &mut bev[c * extent.raster..(c + 1) * extent.raster];
             let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
             let Some(a) = slot.agent_idx.filter(|_| shown) else {
                 out.fill(0.0);
+                raster.fill(0);
                 continue;
             };
             let route = &self.scene.routes[a].path;
@@ -360,6 +362,9 @@ impl World {
                 facts,
             };
             self.observer.write(&view, out);
+            if let (Some(bev), Some(ground)) = (&config.observation.bev, &self.scene.ground) {
+                bev.draw(&view, ground, raster);
+            }
         }
     }
 
@@ -382,7 +387,7 @@ impl World {
         }
         let ends_now = *out.done && shared.config.autoreset == Autoreset::SameStep;
         if ends_now {
-            self.observe(shared.config, out.final_obs, shared.row);
+            self.observe(shared.config, shared.extent, out.final_obs, out.final_bev);
         }
         if owed || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
@@ -398,7 +403,7 @@ impl World {
         for (alive, slot) in out.alive.iter_mut().zip(&self.episode.slots) {
             *alive = slot.alive;
         }
-        self.observe(shared.config, out.obs, shared.row);
+        self.observe(shared.config, shared.extent, out.obs, out.bev);
     }
 }
 

@@ -22,6 +22,8 @@ pub(crate) struct Batch {
     pub(crate) done: Vec<bool>,
     pub(crate) was_reset: Vec<bool>,
     pub(crate) final_obs: Vec<f32>,
+    pub(crate) bev: Vec<u8>,
+    pub(crate) final_bev: Vec<u8>,
 }
 
 macro_rules! buffers {
@@ -36,6 +38,8 @@ macro_rules! buffers {
             done: &mut $b.done,
             was_reset: &mut $b.was_reset,
             final_obs: &mut $b.final_obs,
+            bev: &mut $b.bev,
+            final_bev: &mut $b.final_bev,
         }
     };
 }
@@ -50,6 +54,7 @@ impl Batch {
         let same_step = config.autoreset == Autoreset::SameStep;
         let world = VecWorld::new(scenes, config, envs, threads, None).unwrap();
         let row = world.layout().size;
+        let rasters = slots * world.extent().raster;
         Self {
             obs: vec![0.0; slots * row],
             reward: vec![0.0; slots],
@@ -60,6 +65,8 @@ impl Batch {
             done: vec![false; envs],
             was_reset: vec![false; envs],
             final_obs: vec![0.0; if same_step { slots * row } else { 0 }],
+            bev: vec![0; rasters],
+            final_bev: vec![0; if same_step { rasters } else { 0 }],
             world,
         }
     }
@@ -90,7 +97,9 @@ impl Batch {
         let reals = self.obs.iter().chain(&self.reward).chain(&self.columns);
         let flags = self.terminated.iter().chain(&self.truncated).chain(&self.alive);
         let worlds = self.done.iter().chain(&self.was_reset);
-        reals.map(|x| x.to_bits()).chain(flags.chain(worlds).map(|b| u32::from(*b))).collect()
+        let bytes = self.bev.iter().map(|b| u32::from(*b));
+        let flags = flags.chain(worlds).map(|b| u32::from(*b));
+        reals.map(|x| x.to_bits()).chain(flags).chain(bytes).collect()
     }
 }
 

@@ -1,0 +1,224 @@
+//! A bird's-eye raster round the observing agent: bytes [channels, S, S], ahead is up.
+//!
+//! What does not move (drivable area, lines) is drawn once per scene into a bitmap with two pixels to one of the
+//! raster, and cut out of it turned; the rest is drawn for each raster.
+
+use super::observer::View;
+use crate::error::{Result, SimError};
+use crate::geom::{Bitmap, Point2, Pose2, Real, visit_band};
+use crate::scene::{AgentKind, Map};
+use serde::{Deserialize, Serialize};
+
+/// Choice of the bird's-eye raster.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BevConfig {
+    /// Rows and columns S.
+    pub size_px: usize,
+    /// Side of a pixel, metres.
+    pub metres_per_px: Real,
+    /// Share of the rows that lies behind the observing agent's centre.
+    pub behind_share: Real,
+}
+
+impl Default for BevConfig {
+    fn default() -> Self {
+        Self { size_px: 84, metres_per_px: 0.6, behind_share: 0.25 }
+    }
+}
+
+/// A channel of the raster.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BevChannel {
+    /// Name.
+    pub name: &'static str,
+    /// What its bytes mean; 0 is nothing.
+    pub doc: &'static str,
+}
+
+const fn channel(name: &'static str, doc: &'static str) -> BevChannel {
+    BevChannel { name, doc }
+}
+
+/// The channels in order.
+pub const BEV_CHANNELS: [BevChannel; 5] = [
+    channel("drivable", "255: drivable area (of the lanes where the map has none)"),
+    channel("lines", "255: dividers; 128: centre lines of lanes and connectors"),
+    channel("route", "the way ahead; 255 up to the goal, 128 beyond"),
+    channel(
+        "agents",
+        "boxes of others; 255: vehicles, motorcycles; 170: pedestrians, cyclists; 85: obstacles",
+    ),
+    channel("ego", "255: box of the observing agent"),
+];
+
+/// Flags of the bitmap of a scene.
+const DRIVABLE: u8 = 1;
+const LANE: u8 = 2;
+const DIVIDER: u8 = 4;
+/// Byte of the channel of lines for the flags [`LANE`] and [`DIVIDER`], in units of the first.
+const LINES: [u8; 4] = [0, 128, 255, 255];
+/// Half the width of the route, metres.
+const ROUTE_HALF_WIDTH_M: Real = 1.0;
+
+impl BevConfig {
+    /// Bytes of a raster.
+    pub fn num_bytes(&self) -> usize {
+        BEV_CHANNELS.len() * self.size_px * self.size_px
+    }
+
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] names the first field that is out of its range.
+    pub fn validate(&self) -> Result<()> {
+        let fail = |field, got: String, expected: &str| {
+            Err(SimError::Config { field, got, expected: expected.into() })
+        };
+        if !(8..=1024).contains(&self.size_px) {
+            return fail("observation.bev.size_px", self.size_px.to_string(), "8 to 1024");
+        }
+        if !(self.metres_per_px >= 0.05 && self.metres_per_px <= 10.0) {
+            let got = self.metres_per_px.to_string();
+            return fail("observation.bev.metres_per_px", got, "metres in [0.05, 10]");
+        }
+        if !(0.0..=1.0).contains(&self.behind_share) {
+            return fail("observation.bev.behind_share", self.behind_share.to_string(), "0 to 1");
+        }
+        Ok(())
+    }
+
+    /// What does not move on a map.
+    pub(crate) fn ground(&self, map: &Map) -> Bitmap {
+        let lane_areas = map.lanes.iter().map(|l| &l.polygon);
+        let areas: Vec<_> = if map.drivable_area.is_empty() {
+            lane_areas.collect()
+        } else {
+            map.drivable_area.iter().collect()
+        };
+        let dividers = || map.road_dividers.iter().chain(&map.lane_dividers);
+        let centrelines = || map.lanes.iter().map(|l| &l.centreline);
+        let points = areas.iter().flat_map(|p| &p.exterior).chain(dividers().chain(centrelines()).flatten());
+        let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
+        let (min, max) = points.fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
+        let (min, max) = if min.x <= max.x { (min, max) } else { (Point2::origin(), Point2::origin()) };
+        let mut ground = Bitmap::new(min, max, 2.0 / self.metres_per_px);
+        areas.iter().for_each(|area| ground.fill(area, DRIVABLE));
+        // no sample of the raster falls between two sides of a line
+        let half_width_m = (0.5 * self.metres_per_px).max(1.0 / ground.px_per_m());
+        centrelines().for_each(|line| ground.stroke(line, half_width_m, LANE));
+        dividers().for_each(|line| ground.stroke(line, half_width_m, DIVIDER));
+        ground
+    }
+
+    /// Row of the observing agent's centre, in pixels from the top.
+    fn ego_row(&self) -> Real {
+        self.size_px as Real * (1.0 - self.behind_share)
+    }
+
+    /// Column and row of a point in the frame of the observing agent.
+    fn to_px(self, local: Point2) -> [Real; 2] {
+        [
+            0.5 * self.size_px as Real - local.y / self.metres_per_px,
+            self.ego_row() - local.x / self.metres_per_px,
+        ]
+    }
+
+    /// Draws the raster of one agent, [`Self::num_bytes`] bytes.
+    pub(crate) fn draw(&self, view: &View<'_>, ground: &Bitmap, out: &mut [u8]) {
+        let frame = view.states.pose(view.agent_idx);
+        let plane = self.size_px * self.size_px;
+        let (drivable, out) = out.split_at_mut(plane);
+        let (lines, out) = out.split_at_mut(plane);
+        self.cut(&frame, ground, drivable, lines);
+        out.fill(0);
+        let (route, out) = out.split_at_mut(plane);
+        self.draw_route(view, &frame, route);
+        let (agents, ego) = out.split_at_mut(plane);
+        for j in (0..view.states.len()).filter(|j| *j != view.agent_idx && view.states.active[*j]) {
+            self.draw_box(view, &frame, j, agents);
+        }
+        self.draw_box(view, &frame, view.agent_idx, ego);
+    }
+
+    /// Cuts the channels that do not move out of the ground.
+    fn cut(&self, frame: &Pose2, ground: &Bitmap, drivable: &mut [u8], lines: &mut [u8]) {
+        let step = self.metres_per_px * ground.px_per_m();
+        let (cos, sin) = (frame.cos * step, frame.sin * step);
+        let [x0, y0] = ground.to_px(frame.position);
+        let rows = drivable.chunks_exact_mut(self.size_px).zip(lines.chunks_exact_mut(self.size_px));
+        for (row, (drivable, lines)) in rows.enumerate() {
+            let ahead = self.ego_row() - row as Real - 0.5;
+            let (x, y) = (x0 + ahead * cos, y0 + ahead * sin);
+            for (column, (drivable, line)) in drivable.iter_mut().zip(lines).enumerate() {
+                let left = 0.5 * self.size_px as Real - column as Real - 0.5;
+                let flags = ground.at_px(x - left * sin, y + left * cos);
+                *drivable = if flags & DRIVABLE == 0 { 0 } else { 255 };
+                *line = LINES[usize::from((flags & (LANE | DIVIDER)) / LANE)];
+            }
+        }
+    }
+
+    fn draw_route(&self, view: &View<'_>, frame: &Pose2, out: &mut [u8]) {
+        let size = self.size_px as Real;
+        let goal_s = view.route_s_m + view.facts.route_remaining_m;
+        let reach_m = 2.0 * size * self.metres_per_px;
+        let half_width = (ROUTE_HALF_WIDTH_M / self.metres_per_px).max(0.5);
+        let mut band = |from: Point2, to: Point2, byte: u8| {
+            let (a, b) = (self.to_px(frame.to_local(from)), self.to_px(frame.to_local(to)));
+            visit_band(a, b, half_width, [size, size], |x, y| {
+                let at = y as usize * self.size_px + x as usize;
+                out[at] = out[at].max(byte);
+            });
+        };
+        let points = view.route.points().iter().zip(view.route.arc_lengths_m());
+        let mut from = view.route.at(view.route_s_m).position;
+        for (to, s) in points.skip_while(|(_, s)| **s <= view.route_s_m) {
+            if *s > view.route_s_m + reach_m {
+                break;
+            }
+            band(from, *to, if *s <= goal_s + 0.5 { 255 } else { 128 });
+            from = *to;
+        }
+    }
+
+    /// Draws the box of an agent, a pixel wide at least.
+    fn draw_box(&self, view: &View<'_>, frame: &Pose2, agent_idx: usize, out: &mut [u8]) {
+        let byte = match view.kinds[agent_idx] {
+            _ if agent_idx == view.agent_idx => 255,
+            AgentKind::Vehicle | AgentKind::Motorcycle => 255,
+            AgentKind::Pedestrian | AgentKind::Cyclist => 170,
+            AgentKind::Static => 85,
+        };
+        let (pose, body) = (view.states.pose(agent_idx), &view.bodies[agent_idx]);
+        let size = self.size_px as Real;
+        let [u, v] = self.to_px(frame.to_local(pose.position));
+        let px = |metres: Real| (metres / self.metres_per_px).max(0.5);
+        let (half_length, half_width) = (px(body.half_length_m), px(body.half_width_m));
+        // the heading in columns and rows
+        let cos = pose.cos * frame.cos + pose.sin * frame.sin;
+        let sin = pose.sin * frame.cos - pose.cos * frame.sin;
+        let (hu, hv) = (-sin, -cos);
+        let reach_u = half_length * hu.abs() + half_width * hv.abs();
+        let reach_v = half_length * hv.abs() + half_width * hu.abs();
+        if u + reach_u < 0.0 || v + reach_v < 0.0 || u - reach_u >= size || v - reach_v >= size {
+            return;
+        }
+        let span = |middle: Real, reach: Real| {
+            let last = ((middle + reach) as usize).min(self.size_px - 1);
+            (middle - reach) as usize..last + 1
+        };
+        for row in span(v, reach_v) {
+            for column in span(u, reach_u) {
+                let (du, dv) = (column as Real + 0.5 - u, row as Real + 0.5 - v);
+                if (du * hu + dv * hv).abs() <= half_length && (dv * hu - du * hv).abs() <= half_width {
+                    out[row * self.size_px + column] = byte;
+                }
+            }
+        }
+        // what is small may hold no centre of a pixel
+        if u >= 0.0 && v >= 0.0 && u < size && v < size {
+            out[v as usize * self.size_px + u as usize] = byte;
+        }
+    }
+}

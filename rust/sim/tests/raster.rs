@@ -1,0 +1,135 @@
+//! Bird's-eye rasters against slow tests of every pixel.
+
+mod common;
+
+use ccdiff_sim::geom::{OrientedBox, Point2, Pose2};
+use ccdiff_sim::observe::{BevConfig, Layout, ObservationConfig};
+use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::world::{Autoreset, Driver, WorldConfig};
+use common::{Batch, actions, city};
+
+const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share: 0.3 };
+
+fn config() -> WorldConfig {
+    WorldConfig {
+        autoreset: Autoreset::SameStep,
+        traffic: Driver::Idm,
+        observation: ObservationConfig { bev: Some(BEV), ..ObservationConfig::default() },
+        ..WorldConfig::default()
+    }
+}
+
+/// The centre of a pixel in the scene frame.
+fn centre(ego: &Pose2, row: usize, column: usize) -> Point2 {
+    let ahead = 42.0 - (row as f32 + 0.5);
+    let left = 30.0 - (column as f32 + 0.5);
+    ego.to_outer(Point2::new(ahead * 0.5, left * 0.5))
+}
+
+#[test]
+fn channels_show_what_is_at_the_centres_of_their_pixels() {
+    let mut batch = Batch::new(vec![city(40)], config(), 1, 1);
+    batch.reset_all(3);
+    let plane = 60 * 60;
+    for t in 0..40 {
+        batch.step(&actions(t, 2)).unwrap();
+        let status = batch.world.status(0).unwrap();
+        let scene = batch.world.prepared(status.scene_idx).unwrap();
+        let (states, road) = (status.states, scene.road.as_ref().unwrap());
+        let ego = states.pose(0);
+        let others: Vec<usize> = (1..states.len()).filter(|j| states.active[*j]).collect();
+        let near = |a: usize, at: Point2, margin_m: f32| {
+            let mut body = scene.bodies[a];
+            body.half_length_m += margin_m;
+            body.half_width_m += margin_m;
+            let probe = ccdiff_sim::state::Body::new(1e-3, 1e-3);
+            let there = Pose2::new(at.x, at.y, 0.0);
+            OrientedBox::new(&states.pose(a), &body).overlaps(&OrientedBox::new(&there, &probe))
+        };
+        let mut road_pixels = 0;
+        for row in 0..60 {
+            for column in 0..60 {
+                let (p, at) = (centre(&ego, row, column), row * 60 + column);
+                // the ground is drawn in pixels of 0.25 m: their centres are within 0.18 m
+                let around: Vec<bool> = (0..16)
+                    .map(|k| {
+                        let angle = k as f32 * std::f32::consts::TAU / 16.0;
+                        road.contains(Point2::new(p.x + 0.2 * angle.cos(), p.y + 0.2 * angle.sin()))
+                    })
+                    .collect();
+                if around.iter().all(|b| *b == around[0]) {
+                    assert_eq!(batch.bev[at] == 255, around[0], "drivable {row} {column}");
+                }
+                road_pixels += usize::from(around[0]);
+                let own = batch.bev[4 * plane + at] == 255;
+                assert!(!own || near(0, p, 0.05));
+                assert!(own || !near(0, p, -0.05));
+                let byte = batch.bev[3 * plane + at];
+                let inside = others.iter().find(|j| near(**j, p, -0.05));
+                if let Some(j) = inside {
+                    let expected = match scene.kinds[*j] {
+                        AgentKind::Vehicle | AgentKind::Motorcycle => 255,
+                        AgentKind::Pedestrian | AgentKind::Cyclist => 170,
+                        AgentKind::Static => 85,
+                    };
+                    assert_eq!(byte, expected);
+                } else if byte != 0 {
+                    assert!(others.iter().any(|j| near(*j, p, 0.4)));
+                }
+            }
+        }
+        assert!(road_pixels > 300, "{road_pixels}");
+        let ahead_of_ego = batch.bev[2 * plane + 38 * 60 + 30];
+        assert!(status.elapsed_steps > 5 || ahead_of_ego == 255, "the route begins at the agent");
+        // the channels of lines and of the route hold no other bytes than theirs
+        assert!(batch.bev[plane..3 * plane].iter().all(|b| [0, 128, 255].contains(b)));
+    }
+}
+
+#[test]
+fn rasters_do_not_depend_on_threads_and_change_nothing_else() {
+    let run = |config: WorldConfig, threads: usize| {
+        let mut batch = Batch::new(vec![city(40), city(7)], config, 16, threads);
+        batch.reset_all(5);
+        let mut all = Vec::new();
+        for t in 0..120 {
+            batch.step(&actions(t, 32)).unwrap();
+            all.push((batch.bits(), batch.final_bev.clone()));
+        }
+        (all, batch.bits().len() - batch.bev.len())
+    };
+    let (one, rest) = run(config(), 1);
+    assert!(one == run(config(), 3).0);
+    let (without, _) = run(WorldConfig { observation: ObservationConfig::default(), ..config() }, 1);
+    assert!(one.iter().zip(&without).all(|(a, b)| a.0[..rest] == b.0));
+}
+
+#[test]
+fn the_last_raster_of_an_episode_is_kept_where_the_next_one_begins() {
+    let mut batch = Batch::new(vec![city(20)], WorldConfig { horizon_steps: 3, ..config() }, 1, 1);
+    batch.reset_all(1);
+    let first = batch.bev.clone();
+    for _ in 0..3 {
+        batch.step(&[0.5, 0.0]).unwrap();
+    }
+    assert!(batch.was_reset[0]);
+    assert_eq!(batch.bev, first, "the same scene begins anew");
+    assert_ne!(batch.final_bev, first);
+    assert!(batch.final_bev.iter().any(|b| *b > 0));
+    let (mut obs, mut bev) = (vec![0.0; batch.obs.len()], vec![1; batch.bev.len()]);
+    batch.world.observe(0, &mut obs, &mut bev).unwrap();
+    assert_eq!(bev, batch.bev);
+    assert!(batch.world.observe(0, &mut obs, &mut []).is_err());
+}
+
+#[test]
+fn sizes_out_of_range_are_refused() {
+    for bev in [
+        BevConfig { size_px: 4, ..BEV },
+        BevConfig { metres_per_px: f32::NAN, ..BEV },
+        BevConfig { behind_share: 1.5, ..BEV },
+    ] {
+        let observation = ObservationConfig { bev: Some(bev), ..ObservationConfig::default() };
+        assert!(Layout::new(&observation).is_err(), "{bev:?}");
+    }
+}
