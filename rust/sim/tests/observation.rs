@@ -1,4 +1,5 @@
 //! Observation rows: bounds, frames, masks, order.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 
