@@ -188,7 +188,7 @@ impl CcdiffConfig {
         let filter = GuidanceConfig {
             objectives: vec![
                 Objective::AgentCollision(AgentCollision { weight: 1.0, ..AgentCollision::default() }),
-                Objective::MapCollision(MapCollision { weight: 1.0, ..MapCollision::default() }),
+                Objective::MapCollision(MapCollision { weight: 1.0 }),
             ],
             gradient_steps: 0,
             ..GuidanceConfig::released()

@@ -1,5 +1,7 @@
 //! A scene made by hand: vehicles on a straight road, close enough to matter to each other.
 
+pub(crate) mod toy;
+
 use ccdiff_sim::geom::{Point2, Polygon, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, Map, Scene, Tracks};
 use std::sync::Arc;
