@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,8 @@ class SelectionBatch:
     num_threads, trails
         As for :class:`~ccdiff_env.envs.worlds.Worlds`.
     options
-        Fields of :class:`~ccdiff_env.config.WorldConfig`; ``traffic`` is ``"ccdiff"`` by default.
+        Fields of :class:`~ccdiff_env.config.WorldConfig`; ``traffic`` is ``"ccdiff"`` of
+        criticality 1 by default.
     """
 
     def __init__(
@@ -74,7 +75,10 @@ class SelectionBatch:
         self.observation_space = observation_space(max_agents)
         driver, self._act = ego_driver(ego)
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, {"traffic": "ccdiff", **options})
+        options = {"traffic": "ccdiff", **options}
+        if config is None and isinstance(options.get("ccdiff", {}), dict):
+            options["ccdiff"] = {"criticality": 1.0, **options.get("ccdiff", {})}
+        settled = world_config(chosen, config, options)
         # NEXT_STEP: an ended world must not keep the others from going on with their decision
         settled = settled.with_options(driver=driver, autoreset="next_step")
         self.worlds = Worlds(
@@ -84,6 +88,8 @@ class SelectionBatch:
         self._ended = np.ones(num_worlds, np.bool_)
         self._obs = np.zeros((num_worlds, self.worlds.layout.size), np.float32)
         self._reward = reward
+        #: Called after every step of the worlds, of which a decision has several.
+        self.on_step: Callable[[], object] | None = None
         self.decision_steps = settled.ccdiff.replan_steps
 
     def match(self, world_idx: int) -> Match:
@@ -197,6 +203,8 @@ class SelectionBatch:
             if out.done[e]:
                 ended = bool(out.terminated[e, 0]), bool(out.truncated[e, 0])
                 ends[e] = (*ended, native.snapshot(e))
+        if self.on_step is not None:
+            self.on_step()
 
     def _ego_actions(self) -> npt.NDArray[np.float32]:
         shape = (self.worlds.num_worlds, *(self.worlds.action_space.shape or ()))

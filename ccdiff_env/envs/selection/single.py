@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -114,6 +114,15 @@ class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
     def worlds(self) -> Worlds:
         """The native world."""
         return self._batch.worlds
+
+    @property
+    def on_step(self) -> Callable[[], object] | None:
+        """Function called after every step of the world, such as ``Recorder(env).step``."""
+        return self._batch.on_step
+
+    @on_step.setter
+    def on_step(self, function: Callable[[], object] | None) -> None:
+        self._batch.on_step = function
 
     @property
     def config(self) -> WorldConfig:

@@ -1,0 +1,157 @@
+"""Forks that go another way, and the search for a way out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ccdiff_env import EgoEnv, Scene, embedded_scenes
+from ccdiff_env.counterfactual import (
+    attribute,
+    avoidability,
+    branch,
+    ego_plans,
+    rollout_avoidability,
+)
+from ccdiff_env.errors import ConfigError, ResetNeededError
+
+STEPS = 131
+
+
+def road(ego_x, ego_v, others, *, width=20.0):
+    """A straight road along +x; agents are (x(t), y(t)) over the steps."""
+    tracks = [ego_x + ego_v * 0.1 * np.arange(STEPS)]
+    xy = [np.stack([tracks[0], np.zeros(STEPS)], 1)]
+    xy += [np.stack([np.broadcast_to(x, STEPS), np.broadcast_to(y, STEPS)], 1) for x, y in others]
+    position = np.array(xy, np.float32)
+    velocity = np.gradient(position, 0.1, axis=1).astype(np.float32)
+    n = len(position)
+    half = width / 2
+    ring = np.array([[-500, -half], [500, -half], [500, half], [-500, half]], np.float32)
+    return Scene.from_arrays(
+        "road",
+        agent_ids=["ego", *[f"a{i}" for i in range(n - 1)]],
+        agent_types=["vehicle"] * n,
+        sizes=np.tile(np.array([4.5, 2.0, 1.5], np.float32), (n, 1)),
+        position=position,
+        heading=np.zeros((n, STEPS), np.float32),
+        velocity=velocity,
+        valid=np.ones((n, STEPS), bool),
+        map_layers={"drivable_area": [{"exterior": ring, "holes": []}]},
+    )
+
+
+def straight(obs):
+    return np.zeros((len(obs), 2), np.float32)
+
+
+def started(scene, **options):
+    env = EgoEnv(scenes=[scene], terminate_at_goal=False, **options)
+    env.reset(seed=0)
+    return env
+
+
+def wall(distance_m, width=2.0):
+    """A row of parked cars across the road, some way ahead of where the ego starts at 3 s."""
+    ys = np.arange(-width / 2 + 1.0, width / 2, 2.0) if width > 2 else [0.0]
+    return [(30.0 + distance_m + 4.5, float(y)) for y in ys]
+
+
+def test_a_parked_car_far_ahead_is_avoided_and_a_wall_too_near_is_not():
+    # braking from 10 m/s at 8 m/s² takes 6.25 m and one step of delay
+    for distance, possible in ((20.0, True), (9.0, True), (4.5, False), (2.0, False)):
+        env = started(road(0.0, 10.0, wall(distance, width=20.0)))
+        found = avoidability(env, num_samples=200)
+        assert found.avoidable == possible, distance
+        assert (found.plan is not None) == possible
+        assert found.num_tried == 200 or possible
+
+
+def test_swerving_is_found_where_braking_does_not_do():
+    parked = [(30.0 + 5.0 + 4.5, 1.6)]  # overlaps by 0.4 m; braking takes 6.25 m
+    env = started(road(0.0, 10.0, parked))
+    narrow = started(road(0.0, 10.0, parked, width=2.5))
+    found = avoidability(env, num_samples=400)
+    assert found.avoidable
+    assert found.plan.offset_m < -0.5
+    assert ego_plans(7)[4].acceleration_mps2 == (-8.0, -8.0)
+    assert not avoidability(env, num_samples=7).avoidable, "braking alone"
+    assert not avoidability(narrow, num_samples=200).avoidable, "off the road"
+    assert avoidability(narrow, num_samples=400, stay_on_road=False).avoidable
+
+
+def test_a_found_plan_is_free_of_collisions_when_driven():
+    from ccdiff_env.counterfactual import Steering
+
+    env = started(road(0.0, 10.0, wall(12.0, width=20.0)))
+    before = env.snapshot()
+    found = avoidability(env)
+    assert env.snapshot() == before, "the environment is not changed"
+    steering, done, t = Steering(env.worlds), False, 0
+    while not done:
+        states = env.worlds.native.states(0)
+        a = found.plan.acceleration_mps2[int(t * 0.1 >= found.plan.switch_s)]
+        action = steering.action(0, states, 0, a, found.plan.offset_m)
+        *_, terminated, truncated, info = env.step(action)
+        assert not info["collision"]
+        done, t = terminated or truncated, t + 1
+    assert t == 100
+
+
+def test_the_route_is_followed_round_a_bend():
+    scene = next(s for s in embedded_scenes("val") if "curve" in s.name)
+    env = started(scene, traffic="replay")
+    found = avoidability(env, num_samples=35)
+    assert found.avoidable
+
+
+def test_a_recorded_collision_is_judged_with_the_others_as_recorded():
+    env = started(road(0.0, 10.0, wall(30.0, width=20.0)))
+    crash = branch(env, ego=straight)
+    assert crash.collisions("ego")
+    assert rollout_avoidability(crash).avoidable
+    assert not rollout_avoidability(crash, before_s=0.3).avoidable
+    careful = branch(env, ego="idm")
+    assert rollout_avoidability(careful) is None
+
+
+def test_branches_leave_the_environment_alone_and_differ_by_the_ego_only():
+    env = started(road(0.0, 10.0, [(30.0, 6.0)]))
+    for _ in range(5):
+        env.step(np.array([0.5, 0.0], np.float32))
+    before = env.snapshot()
+    one, other = branch(env, ego=straight, steps=20), branch(env, ego="idm", steps=20)
+    log = branch(env, ego="replay", steps=20)
+    assert env.snapshot() == before
+    assert one.num_steps == other.num_steps == log.num_steps == 21
+    assert (one.position[:, 0] == other.position[:, 0]).all()
+    assert not (one.position[0] == other.position[0]).all()
+    assert (one.position[1:] == other.position[1:]).all()
+    want = env.scene.tracks()["position"][0, 35:56]
+    assert np.abs(log.position[0, -1] - want[-1]).max() < 0.5, "back on the log"
+
+
+def test_causes_of_a_collision_are_told_apart():
+    scenes = embedded_scenes("val")
+    env = EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff={"denoising_steps": 2})
+    env.reset(seed=0)
+    found = attribute(env, ego=straight, steps=30)
+    hits = [bool(rollout.collisions("ego")) for rollout in found.rollouts]
+    assert hits == [found.collided, found.without_adversaries, found.with_reference]
+    assert (found.cause == "none") == (not found.collided)
+    assert all(rollout.num_steps <= 31 for rollout in found.rollouts)
+
+
+def test_mistakes_are_named():
+    scene = road(0.0, 10.0, wall(20.0))
+    fresh = EgoEnv(scenes=[scene])
+    with pytest.raises(ResetNeededError):
+        avoidability(fresh)
+    with pytest.raises(ResetNeededError):
+        branch(fresh, ego="idm")
+    with pytest.raises(ConfigError, match="continuous"):
+        avoidability(started(scene, discrete=True))
+    with pytest.raises(ConfigError, match="external"):
+        avoidability(started(scene, driver="idm"))
+    with pytest.raises(ConfigError, match="ccdiff"):
+        attribute(started(scene), ego="idm")

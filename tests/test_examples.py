@@ -1,0 +1,29 @@
+"""Every example runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((HERE / "examples").glob("*.py"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_smoke_run_of_an_example_succeeds(path, tmp_path):
+    text = path.read_text()
+    assert len(text.splitlines()) < 150
+    command = [sys.executable, str(path), "--smoke"]
+    if '"--out"' in text:
+        command += ["--out", str(tmp_path / "out")]
+    env = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=280
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip()
