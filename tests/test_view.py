@@ -226,7 +226,7 @@ def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_scene_played_with_ccdiff_traffic_shows_its_plans():
-    run = play_scene(embedded_scenes()["left-turn-00"], traffic="ccdiff", num_samples=3)
+    run = play_scene(embedded_scenes()["left-turn-00"], ccdiff={"num_samples": 3})
     header, arrays = unpacked(elements(page(run))[0])
     assert len(header["plans"]) == len(run.plans) > 1
     assert header["plans"][0]["numSamples"] == 3
@@ -254,8 +254,8 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
     assert cli.main(["view", str(tmp_path / "runs"), "-o", str(out)]) == 0
     text = (out / "index.html").read_text(encoding="utf-8")
     links = re.findall(r'href="([^":]+)"', text)
-    assert links == ["a.html", "deep-b.html"]
-    assert all((out / link).is_file() for link in links)
+    assert links == ["a.html#t=1.0", "deep-b.html#t=1.0"]  # two seconds before the collision
+    assert all((out / link.partition("#")[0]).is_file() for link in links)
     assert "2 replays, 2 with a collision" in text
     assert capsys.readouterr().out.strip() == str(out / "index.html")
 

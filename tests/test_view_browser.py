@@ -8,7 +8,7 @@ import time
 import pytest
 from view_rollouts import planned_rollout
 
-from ccdiff_env.view import log_rollout, write_page
+from ccdiff_env.view import address, log_rollout, write_page
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -39,7 +39,7 @@ def files(tmp_path_factory):
 class Page:
     """A page of the browser that notes what must not happen."""
 
-    def __init__(self, browser, file, **options):
+    def __init__(self, browser, file, hash="", **options):
         self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}} | options)
         self.page = self.context.new_page()
         self.faults, self.requests = [], []
@@ -48,7 +48,7 @@ class Page:
             "console", lambda m: m.type in ("error", "warning") and self.faults.append(m.text)
         )
         self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(file.as_uri())
+        self.page.goto(file.as_uri() + hash)
         self.until("document.body.dataset.ready === 'yes'")
         self.frames()
 
@@ -129,6 +129,17 @@ def test_play_runs_to_the_end_at_its_pace_and_begins_again(visit):
     page.click("#play")
     assert page.time() < 6.0
     assert page.state("playing") is False
+
+
+def test_an_address_opens_a_moment_and_an_agent(visit):
+    second = planned_rollout().agent_ids[1]
+    page = visit("one.html", hash="#" + address("", time_s=4.2, follow=second).partition("#")[2])
+    assert page.time() == pytest.approx(4.2)
+    assert page.state("follow") == second
+    page.evaluate("location.hash = '#t=99&follow=nobody&show=graph,nothing'")
+    page.until("replay.time === replay.end")
+    assert page.state("follow") == second
+    assert page.state("layers.graph") is True
 
 
 def test_steps_and_the_time_line_move_the_cursor(visit):

@@ -12,7 +12,7 @@ from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, find_rollout, find_scene, play_scene
+from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--driver", default="idm", help="who drives the ego then")
     parser.add_argument("--seed", type=int, default=0, help="seed of that episode")
-    parser.add_argument("--samples", type=int, default=8, help="samples per plan of CCDiff")
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="samples per plan of CCDiff")
+    parser.add_argument(
+        "--criticality", type=float, default=0.0, help="0: realistic CCDiff traffic; 1: guided"
+    )
     parser.add_argument("--save", type=Path, help="keep that episode in this file (.npz)")
     parser.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step instead")
     parser.add_argument("--gif", action="store_true", help="write a GIF instead of a page")
@@ -80,7 +83,7 @@ def _rollout(args: argparse.Namespace) -> Rollout:
         traffic=args.traffic,
         driver=args.driver,
         seed=args.seed,
-        num_samples=args.samples,
+        ccdiff={"num_samples": args.samples, "criticality": args.criticality},
     )
     if args.save is not None:
         rollout.save(args.save)

@@ -79,11 +79,11 @@ def is_collision(rollout: Rollout, event: RolloutEvent) -> bool:
 
 def subtitle(rollout: Rollout) -> str:
     """Return one line on what is shown: who drives, how long, what happened."""
-    agents = range(len(rollout.agent_ids))
+    kinds = rollout.scene.agent_types
     background = Counter(
-        driver_title(rollout, i)
-        for i in agents
-        if rollout.agent_ids[i] != "ego" and rollout.scene.agent_types[i] == "vehicle"
+        DRIVER_TITLES[driver]
+        for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
+        if name != "ego" and kind == "vehicle"
     )
     parts = [rollout.scene.location]
     if "ego" in rollout.agent_ids:
@@ -92,7 +92,9 @@ def subtitle(rollout: Rollout) -> str:
         parts.append(f"ego: {DRIVER_TITLES.get(planner, planner) or ego}")
     if background:
         parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
-    parts.append(f"{len(agents)} agents")
+    guided = len(guided_agents(rollout))
+    parts.append(f"{guided} guided" if guided else "")
+    parts.append(f"{len(kinds)} agents")
     hits = len(collisions(rollout))
     parts.append(f"{hits} collision{'s' * (hits != 1)}" if hits else "")
     return " · ".join(part for part in parts if part)

@@ -113,6 +113,8 @@ class Film:
 
     def _samples(self, plan: RolloutPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
         for row, name in enumerate(plan.agent_ids):
+            if not plan.executed[row]:
+                continue
             driver = "adversary" if plan.guided[row] else self._drivers[self._number[name]]
             for sample in plan.samples[:, row]:
                 if np.isfinite(sample).all():

@@ -12,10 +12,12 @@ from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.facts import collisions, subtitle
 from ccdiff_env.view.film import Film
-from ccdiff_env.view.page import part, write_page
+from ccdiff_env.view.page import address, part, write_page
 from ccdiff_env.view.sources import log_rollout, rollout_files
 
 THUMBNAIL = (320, 200)
+LEAD_S = 2.0
+"""Replays open so long before the first collision."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Entry:
     """One replay of an index."""
 
     href: str
-    """Address of its page, relative to the index."""
+    """Address of its page, relative to the index, at the moment that matters."""
     title: str
     line: str
     collisions: int
@@ -60,19 +62,32 @@ def write_pages(
         page = out / f"{name}.html"
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         write_page(rollout, page, compare=log, titles=("rollout", "log"))
-        picture = _data_address(_thumbnail(rollout)) if thumbnails else ""
-        hits = len(collisions(rollout))
-        entries.append(Entry(page.name, name, subtitle(rollout), hits, picture))
+        hits = collisions(rollout)
+        first = min((step for step, _ in hits), default=None)
+        entries.append(
+            Entry(
+                href=address(page.name, time_s=_before(rollout, first)),
+                title=name,
+                line=subtitle(rollout),
+                collisions=len(hits),
+                picture=_data_address(_thumbnail(rollout, first)) if thumbnails else "",
+            )
+        )
         pages.append(page)
     index = out / "index.html"
     index.write_text(index_page(folder.name or "replays", entries), encoding="utf-8")
     return [index, *pages]
 
 
-def _thumbnail(rollout: Rollout) -> Image:
+def _before(rollout: Rollout, step: int | None) -> float | None:
+    """A moment before a collision, seconds; none where there is none."""
+    return None if step is None else max(0.0, step * rollout.dt_s - LEAD_S)
+
+
+def _thumbnail(rollout: Rollout, step: int | None) -> Image:
     """The moment of the first collision, else the middle."""
-    first = min((step for step, _ in collisions(rollout)), default=rollout.num_steps // 2)
-    return Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False).frame(first)
+    film = Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
+    return film.frame(rollout.num_steps // 2 if step is None else step)
 
 
 def _data_address(image: Image) -> str:

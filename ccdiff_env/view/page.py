@@ -7,6 +7,7 @@ import json
 import re
 from importlib import resources
 from pathlib import Path
+from urllib.parse import quote, urlencode
 
 from ccdiff_env import render
 from ccdiff_env.rollout import Rollout
@@ -65,6 +66,23 @@ def page(
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part("page.html"))
+
+
+def address(path: str, *, time_s: float | None = None, follow: str | None = None) -> str:
+    """Return the address of a page that opens at a moment and follows an agent.
+
+    Parameters
+    ----------
+    path
+        Address of the page.
+    time_s
+        Seconds from the start of the run.
+    follow
+        Id of the agent.
+    """
+    wishes = {"t": None if time_s is None else f"{time_s:.1f}", "follow": follow}
+    query = urlencode({name: value for name, value in wishes.items() if value is not None})
+    return f"{quote(path)}#{query}" if query else quote(path)
 
 
 def colours() -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from ccdiff_env.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene, load_nuscenes
 from ccdiff_env.view.contacts import overlaps
 
+SAMPLES = 8
+"""Samples per plan of CCDiff in episodes that are played for a page."""
 LOG = "log"
 """Stands for the log of the scene of the other run."""
 
@@ -53,7 +56,7 @@ def play_scene(
     traffic: str = "ccdiff",
     driver: str = "idm",
     seed: int = 0,
-    num_samples: int = 8,
+    ccdiff: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Rollout:
     """Simulate a scene once and return what happened.
@@ -67,8 +70,9 @@ def play_scene(
         ``"constant_velocity"``.
     seed
         Seed of the episode.
-    num_samples
-        Samples per plan where CCDiff drives.
+    ccdiff
+        Settings of CCDiff (:class:`~ccdiff_env.traffic.CcdiffConfig`); :data:`SAMPLES` per plan
+        unless they say otherwise.
     options
         Further ones of :class:`~ccdiff_env.EgoEnv`.
 
@@ -85,8 +89,8 @@ def play_scene(
 
     if driver == "external":
         raise ConfigError('driver is "external": nobody is outside here; record with Recorder')
-    options = {"ccdiff": {"num_samples": num_samples}, **options}
-    env = EgoEnv(scenes=scene, traffic=traffic, driver=driver, **options)
+    settings = {"num_samples": SAMPLES, **(ccdiff or {})}
+    env = EgoEnv(scenes=scene, traffic=traffic, driver=driver, ccdiff=settings, **options)
     env.reset(seed=seed)
     recorder = Recorder(env, planner=driver)
     recorder.start()

@@ -43,7 +43,7 @@ class Actors {
     const poses = this.run.agents.map((_, agent) => this.run.pose(agent, at));
     if (layers.trails) this.trails(context, at, poses, theme, pixel);
     if (options.focus >= 0) this.ahead(context, step, options.focus, theme, pixel);
-    if (layers.plans) this.plans(context, step, theme, pixel);
+    if (layers.plans) this.plans(context, step, theme, pixel, options.focus);
     const hit = this.hitAgents(step);
     poses.forEach((pose, agent) => {
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent) });
@@ -107,9 +107,10 @@ class Actors {
   }
 
   /**
-   * Samples of the plan in force, thin; the chosen (first) ones over them, thick; dashed where
-   * the agent does not follow its plan. */
-  plans(context, step, theme, pixel) {
+   * Samples of the plan in force, thin; the chosen (first) ones over them, thick. Of
+   * agents that do not follow their plan only the focus has it drawn, dashed.
+   */
+  plans(context, step, theme, pixel, focus) {
     const plan = this.run.planAt(step);
     if (!plan) return;
     context.lineCap = context.lineJoin = "round";
@@ -117,6 +118,7 @@ class Actors {
       context.globalAlpha = chosen ? 0.95 : 0.35;
       context.lineWidth = Math.max(chosen ? 0.3 : 0.1, (chosen ? 2 : 1) * pixel);
       plan.agents.forEach((agent, row) => {
+        if (!plan.executed[row] && agent !== focus) return;
         context.strokeStyle = plan.guided[row]
           ? this.driverColours[theme].adversary : this.colour(agent, theme);
         context.setLineDash(plan.executed[row] ? [] : [4 * pixel, 4 * pixel]);

@@ -74,10 +74,24 @@ async function main() {
   player.panes.forEach((pane) => wirePane(pane, player));
   showAbout(runs);
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-  player.camera.scale = Math.max(player.panes[0].width / 110, 3.2);
+  const { width, height } = player.panes[0];
+  player.camera.scale = Math.max(Math.min(width, height) / 75, 4.5);
+  readAddress(player);
+  addEventListener("hashchange", () => readAddress(player));
   new ResizeObserver(() => player.touch()).observe($("app"));
   window.replay = player; // for the curious, and for tests
   document.body.dataset.ready = "yes";
+}
+
+/** What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the start). */
+function readAddress(player) {
+  const wishes = new URLSearchParams(location.hash.slice(1));
+  if (wishes.has("t")) player.seek(player.start + (Number(wishes.get("t")) || 0));
+  const id = wishes.get("follow");
+  if (id !== null && player.runs.some((run) => run.indexOf.has(id))) player.followAgent(id);
+  for (const layer of (wishes.get("show") || "").split(","))
+    if (LAYERS.includes(layer)) player.layers[layer] = true;
+  player.touch();
 }
 
 /** Colours for dark ground: the dark ones move towards white. */
