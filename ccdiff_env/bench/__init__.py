@@ -1,0 +1,1 @@
+"""Benchmarks of traffic and of planners: jobs in a run folder, tables, plots."""

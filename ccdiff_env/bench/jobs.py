@@ -1,0 +1,154 @@
+"""Jobs whose results go to a run folder: resumable, on this machine or on a Ray cluster."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Literal
+
+from ccdiff_env.errors import ConfigError, DatasetError
+
+__all__ = ["Job", "results", "run_jobs"]
+
+Backend = Literal["local", "ray"]
+#: Times that a lost worker's job is tried again.
+RETRIES = 5
+
+
+@dataclass(frozen=True)
+class Job:
+    """One piece of work: a function of this package and what it is called with.
+
+    Parameters
+    ----------
+    name
+        File name of its result, without ``.json``.
+    function
+        ``"module:function"``; takes the arguments, returns what JSON can hold, and depends on
+        nothing else.
+    arguments
+        What JSON can hold.
+    """
+
+    name: str
+    function: str
+    arguments: Mapping[str, Any]
+
+    def run(self) -> Any:
+        """Do the work."""
+        import torch
+
+        torch.set_num_threads(1)
+        module, name = self.function.split(":")
+        function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+        return function(**self.arguments)
+
+
+def _run(job: Job) -> tuple[str, Any, float]:
+    start = time.perf_counter()
+    found = job.run()
+    return job.name, found, time.perf_counter() - start
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    folder: Path,
+    *,
+    backend: Backend = "local",
+    workers: int = 1,
+    progress: bool = True,
+) -> None:
+    """Do the jobs whose results are not in the folder yet.
+
+    Each result is written when it is there, so that a run that was killed goes on where it stopped.
+    The results do not depend on the backend or the number of workers.
+
+    Parameters
+    ----------
+    jobs
+        The work, names without repeats.
+    folder
+        Where ``<name>.json`` go.
+    backend
+        ``"local"``: processes of this machine; ``"ray"``: tasks of the Ray cluster that this process
+        belongs to (``ray.init`` decides which), a lost worker's jobs are run again.
+    workers
+        Processes of the local backend; 1 works in this one.
+    progress
+        Whether to show a progress bar.
+    """
+    if workers < 1:
+        raise ConfigError(f"workers is {workers}, expected at least 1")
+    if len({job.name for job in jobs}) != len(jobs):
+        raise ConfigError("jobs: two of the same name")
+    folder.mkdir(parents=True, exist_ok=True)
+    open_jobs = [job for job in jobs if not (folder / f"{job.name}.json").exists()]
+    found = _ray(open_jobs) if backend == "ray" else _local(open_jobs, workers)
+    for name, result, seconds in _shown(found, len(jobs), len(jobs) - len(open_jobs), progress):
+        entry = json.dumps({"result": result, "seconds": round(seconds, 3)}, allow_nan=False)
+        part = folder / f".{name}.{os.getpid()}"
+        part.write_text(entry, encoding="utf-8")
+        part.replace(folder / f"{name}.json")
+
+
+def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]]:
+    if workers == 1:
+        for job in jobs:
+            yield _run(job)
+        return
+    # forked children may not enter worlds that hold threads
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(_run, job) for job in jobs]):
+            yield future.result()
+
+
+def _ray(jobs: Sequence[Job]) -> Iterator[tuple[str, Any, float]]:
+    import ray  # an optional dependency
+
+    if not ray.is_initialized():
+        ray.init(log_to_driver=False)
+    task = ray.remote(max_retries=RETRIES, retry_exceptions=False)(_run)
+    waiting = [task.remote(job) for job in jobs]
+    while waiting:
+        ready, waiting = ray.wait(waiting, num_returns=1)
+        yield from ray.get(ready)
+
+
+def _shown(
+    found: Iterator[tuple[str, Any, float]], total: int, done: int, progress: bool
+) -> Iterator[tuple[str, Any, float]]:
+    if not progress:
+        yield from found
+        return
+    from tqdm import tqdm  # an optional dependency
+
+    with tqdm(total=total, initial=done, unit="job", dynamic_ncols=True) as bar:
+        for entry in found:
+            bar.set_postfix_str(entry[0], refresh=False)
+            bar.update()
+            yield entry
+
+
+def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
+    """Return the results of jobs by name.
+
+    Raises
+    ------
+    DatasetError
+        If one is missing or damaged.
+    """
+    found = {}
+    for job in jobs:
+        path = folder / f"{job.name}.json"
+        try:
+            found[job.name] = json.loads(path.read_text(encoding="utf-8"))["result"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DatasetError(f"no result ({error}): {path}") from None
+    return found

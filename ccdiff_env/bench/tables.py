@@ -1,0 +1,275 @@
+"""Tables of the traffic benchmark: figures with bootstrap intervals, in the paper's layout."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.bench.traffic import METHODS
+from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
+
+__all__ = ["FIGURES", "Condition", "Figures", "conditions", "summarise", "write_tables"]
+
+#: Figures of a condition: name, unit, whether more is better for a method that seeks collisions.
+FIGURES: dict[str, str] = {
+    "scr": "share of scenes with a contact (all contacts)",
+    "scr_new": "... of a pair that touches neither at the start nor in the log",
+    "scr_controlled": "... that involves a controlled vehicle, new ones only",
+    "collision_rate": "share of vehicles in a new contact, mean over scenes",
+    "orr": "share of vehicle steps with the centre off the road, per cent",
+    "orr_box": "... with a corner off the road, per cent",
+    "orr_parity": "... absent vehicles until the next plan counted as off the road, per cent",
+    "fde": "final displacement from the log, all vehicles, m",
+    "fde_controlled": "... controlled vehicles only, m",
+    "cfd": "comfort distance, body axes, x 100",
+    "cfd_parity": "... axes as released, x 100",
+    "sor": "share of scenes with a controlled vehicle over the speed limit",
+    "realism_cost": "total variation of guided vehicles, mean over plans",
+    "graph_sparsity": "share of pairs that G does not join",
+}
+RESAMPLES = 1000
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, order=True)
+class Condition:
+    """A column of a table: method, K (``None``: all), steps between plans."""
+
+    method: str
+    num_controlled: int | None
+    replan_steps: int
+
+    @property
+    def k(self) -> str:
+        """K as tables write it."""
+        return "Full" if self.num_controlled is None else str(self.num_controlled)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of a condition by name: value, and the 95 % interval of a bootstrap over scenes."""
+
+    num_scenes: int
+    value: Mapping[str, float]
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+
+
+def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]]]:
+    """Return the rows of each condition from results by job name."""
+    found: dict[Condition, list[Mapping[str, Any]]] = {}
+    for name in sorted(raw):
+        method, k, steps, _ = name.rsplit("-", 3)
+        condition = Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
+        found.setdefault(condition, []).extend(raw[name])
+    return found
+
+
+def _column(rows: Rows, name: str) -> npt.NDArray[np.float64]:
+    return np.array([np.nan if row[name] is None else row[name] for row in rows], np.float64)
+
+
+def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
+    """Return the figures of one condition.
+
+    Parameters
+    ----------
+    rows
+        One dictionary per scene, see :func:`ccdiff_env.bench.traffic.measure`.
+    log
+        Those of the log's replay in the same scenes: reference of the comfort distance.
+    seed
+        Of the bootstrap.
+    """
+    columns = {
+        "scr": [row["collision"]["all"] for row in rows],
+        "scr_new": [row["collision"]["new"] for row in rows],
+        "scr_controlled": [row["collision"]["controlled_new"] for row in rows],
+        "collision_rate": [row["collision_rate"]["new"] for row in rows],
+        "orr": 100 * _column(rows, "off_road"),
+        "orr_box": 100 * _column(rows, "off_road_box"),
+        "orr_parity": 100 * _column(rows, "off_road_parity"),
+        "fde": _column(rows, "fde_m"),
+        "fde_controlled": _column(rows, "fde_controlled_m"),
+        "sor": [row["over_speed"] for row in rows],
+        "realism_cost": _column(rows, "realism_cost"),
+        "graph_sparsity": _column(rows, "graph_sparsity"),
+    }
+    table = np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=1)
+    histograms = {
+        name: (
+            np.array([row[key] for row in rows]),
+            np.array([row[key] for row in log]).mean(axis=0),
+        )
+        for name, key in (("cfd", "comfort"), ("cfd_parity", "comfort_parity"))
+    }
+
+    def figures(chosen: npt.NDArray[np.int64]) -> dict[str, float]:
+        part = table[chosen]
+        counts = np.isfinite(part).sum(axis=0)
+        means = np.where(counts > 0, np.nansum(part, axis=0) / np.maximum(counts, 1), np.nan)
+        values = dict(zip(columns, means.tolist(), strict=True))
+        for name, (stacked, reference) in histograms.items():
+            values[name] = 100 * comfort_distance(stacked[chosen].mean(axis=0), reference).cfd
+        return {name: values[name] for name in FIGURES}
+
+    value = figures(np.arange(len(rows)))
+    rng = np.random.default_rng(seed)
+    drawn = [figures(rng.integers(len(rows), size=len(rows))) for _ in range(RESAMPLES)]
+    bounds = {
+        name: np.percentile([d[name] for d in drawn], [2.5, 97.5])
+        if np.isfinite(value[name])
+        else (np.nan, np.nan)
+        for name in FIGURES
+    }
+    return Figures(
+        num_scenes=len(rows),
+        value=value,
+        low={name: float(b[0]) for name, b in bounds.items()},
+        high={name: float(b[1]) for name, b in bounds.items()},
+    )
+
+
+def _with_scores(
+    table: Mapping[Condition, Figures], paper_scale: bool
+) -> dict[Condition, tuple[float, float]]:
+    """CS and RS of every condition but the floor, over the bounds of them all or the paper's."""
+    chosen = [c for c in table if c.num_controlled != 0]
+    if not chosen:
+        return {}
+    named = {
+        name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")
+    }
+    cs, rs = scores(**named, bounds=PAPER_BOUNDS if paper_scale else None)  # type: ignore[arg-type]
+    return {c: (float(a), float(b)) for c, a, b in zip(chosen, cs, rs, strict=True)}
+
+
+def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
+    """Write ``figures.csv``, and ``table.md`` and ``table.tex`` in the paper's layout."""
+    folder.mkdir(parents=True, exist_ok=True)
+    relative, paper = _with_scores(table, False), _with_scores(table, True)
+    with (folder / "figures.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        ends = [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
+        writer.writerow(
+            ["method", "K", "replan_s", "scenes", *ends, "cs", "rs", "cs_paper", "rs_paper"]
+        )
+        for c, f in table.items():
+            row = [v for n in FIGURES for v in (f.value[n], f.low[n], f.high[n])]
+            both = [*relative.get(c, ("", "")), *paper.get(c, ("", ""))]
+            writer.writerow([c.method, c.k, c.replan_steps / 10, f.num_scenes, *row, *both])
+    (folder / "table.md").write_text(_markdown(table, relative), encoding="utf-8")
+    (folder / "table.tex").write_text(_latex(table, relative), encoding="utf-8")
+
+
+def _axes(
+    table: Mapping[Condition, Figures],
+) -> list[tuple[str, list[str], dict[str, dict[str, Condition]]]]:
+    """Tables to print: caption, column heads, conditions by method and head."""
+    steps = sorted({c.replan_steps for c in table})
+    found = []
+    for n in steps[:1]:
+        part = [c for c in table if c.replan_steps == n and c.num_controlled != 0]
+        heads = sorted({c.k for c in part}, key=lambda k: (k == "Full", k.zfill(3)))
+        rows: dict[str, dict[str, Condition]] = {}
+        for c in part:
+            rows.setdefault(c.method, {})[c.k] = c
+        if rows:
+            found.append((f"K controlled vehicles, a plan every {n / 10:g} s", heads, rows))
+    for k in sorted({c.k for c in table if c.replan_steps != steps[0]}):
+        part = [c for c in table if c.k == k]
+        heads = [f"{n / 10:g} s" for n in steps]
+        rows = {}
+        for c in part:
+            rows.setdefault(c.method, {})[f"{c.replan_steps / 10:g} s"] = c
+        found.append((f"a plan every T seconds, K = {k}", heads, rows))
+    return found
+
+
+#: Lines of a method in the tables: label, figure, digits.
+_LINES = (
+    ("SCR", "scr", 2),
+    ("SCR new, controlled", "scr_controlled", 2),
+    ("ORR %", "orr", 2),
+    ("FDE m", "fde", 2),
+    ("CFD", "cfd", 2),
+    ("C(tau)", "realism_cost", 2),
+)
+
+
+def _cells(
+    name: str, conditions: Sequence[Condition | None], table: Mapping[Condition, Figures], digits: int
+) -> list[str]:
+    def cell(c: Condition | None) -> str:
+        if c is None or not np.isfinite(table[c].value[name]):
+            return ""
+        f = table[c]
+        return f"{f.value[name]:.{digits}f} [{f.low[name]:.{digits}f}, {f.high[name]:.{digits}f}]"
+
+    return [cell(c) for c in conditions]
+
+
+def _floor(table: Mapping[Condition, Figures]) -> str:
+    parts = []
+    for c, f in table.items():
+        if c.num_controlled == 0:
+            v = f.value
+            parts.append(
+                f"Floor (K = 0, log replay), {f.num_scenes} scenes: SCR {v['scr']:.3f}, of new "
+                f"contacts {v['scr_new']:.3f}, ORR {v['orr']:.2f} %, FDE {v['fde']:.2f} m, "
+                f"CFD {v['cfd']:.2f}."
+            )
+    return "\n".join(parts)
+
+
+def _markdown(
+    table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
+) -> str:
+    lines = [_floor(table), ""]
+    for caption, heads, rows in _axes(table):
+        lines += [f"### {caption[0].upper()}{caption[1:]}", ""]
+        lines += ["| method | | " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(heads)]
+        for method, by_head in rows.items():
+            label = METHODS[method].label if method in METHODS else method
+            chosen = [by_head.get(h) for h in heads]
+            for i, (name, figure, digits) in enumerate(_LINES):
+                cells = _cells(figure, chosen, table, digits)
+                if any(cells):
+                    head = label if i == 0 else ""
+                    lines.append(f"| {head} | {name} | " + " | ".join(cells) + " |")
+            for j, name in enumerate(("CS", "RS")):
+                cells = ["" if c not in relative else f"{relative[c][j]:.2f}" for c in chosen]
+                lines.append(f"| | {name} | " + " | ".join(cells) + " |")
+        lines.append("")
+    lines.append("Brackets: 95 % bootstrap intervals over scenes. CS and RS: bounds over this table.")
+    return "\n".join(lines) + "\n"
+
+
+def _latex(
+    table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
+) -> str:
+    out = []
+    for caption, heads, rows in _axes(table):
+        out += [
+            r"\begin{table}",
+            rf"\caption{{{caption[0].upper()}{caption[1:]}}}",
+            r"\begin{tabular}{ll" + "c" * len(heads) + "}",
+            r"\toprule",
+            "Method & Metric & " + " & ".join(heads) + r" \\",
+        ]
+        for method, by_head in rows.items():
+            label = METHODS[method].label if method in METHODS else method
+            chosen = [by_head.get(h) for h in heads]
+            out.append(r"\midrule")
+            for j, name in enumerate((r"CS~($\uparrow$)", r"RS~($\uparrow$)")):
+                cells = ["" if c not in relative else f"{relative[c][j]:.2f}" for c in chosen]
+                out.append(f"{label if j == 0 else ''} & {name} & " + " & ".join(cells) + r" \\")
+        out += [r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]
+    return "\n".join(out)

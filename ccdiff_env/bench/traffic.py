@@ -1,0 +1,360 @@
+"""The paper's experiments: who drives K vehicles of each scene, and what comes of it.
+
+The protocol is that of the released evaluation (method.md 5): an episode starts at step 31 of the
+log with the vehicles that are there then, lasts 10 s, nobody enters later, vehicles vanish with their
+log, contacts and departures from the road have no consequence. The K vehicles of the control set are
+driven by the method, all others replay the log.
+
+Differs from the paper: control sets are found at the start of the episode from the logged history, by
+the same ranking for every method, and filled up by nearness, not at random (method.md 3.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import causal
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.metrics import Rollout, speed_limit
+from ccdiff_env.scenes import Scene, SceneSet
+
+__all__ = ["METHODS", "Method", "episodes", "evaluate", "traffic_jobs"]
+
+#: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
+START_STEP = 31
+HORIZON_STEPS = 100
+#: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
+CHUNK = 12
+#: Speed below which a logged vehicle counts as standing, m/s.
+STANDING_MPS = 0.5
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to drive the vehicles of the control set.
+
+    Parameters
+    ----------
+    label
+        Name in tables.
+    driver
+        Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
+    ranking
+        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set.
+    ccdiff
+        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where CCDiff drives.
+    """
+
+    label: str
+    driver: str
+    ranking: str = "cliques"
+    ccdiff: Mapping[str, Any] = field(default_factory=dict)
+
+
+_GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
+
+#: The methods by name. More may be added: a driver is all that one needs.
+METHODS: dict[str, Method] = {
+    "replay": Method("Log replay", "replay"),
+    "constant_velocity": Method("Constant velocity", "constant_velocity"),
+    "idm": Method("IDM", "idm"),
+    "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
+    "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
+    "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
+    "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
+    "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
+    "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
+    "ccdiff_no_enc": Method(
+        "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
+    ),
+    "ccdiff_no_guide": Method(
+        "CCDiff, guidance not masked", "ccdiff", ccdiff={**_GUIDED, "mask_guidance": False}
+    ),
+    "ccdiff_released": Method(
+        "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
+    ),
+}
+
+
+def traffic_jobs(
+    source: Mapping[str, str],
+    methods: Sequence[str],
+    *,
+    num_controlled: Sequence[int | None] = (1, 2, 3, 4, 5, 10, None),
+    replan_steps: Sequence[int] = (5,),
+    seed: int = 0,
+) -> list[Job]:
+    """Return the jobs of a traffic benchmark: methods x K x replan period x pieces of the scenes.
+
+    The floor, K = 0, is always among them.
+
+    Parameters
+    ----------
+    source
+        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+    methods
+        Names of :data:`METHODS`.
+    num_controlled
+        Numbers of controlled vehicles K; ``None`` is all.
+    replan_steps
+        Steps between plans; only CCDiff has any use for them.
+    seed
+        Seed of the episodes.
+    """
+    for name in methods:
+        if name not in METHODS:
+            raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
+    conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
+    for method in (m for m in methods if m != "replay"):
+        steps = replan_steps if METHODS[method].driver == "ccdiff" else replan_steps[:1]
+        conditions += [(method, k, n) for k in num_controlled for n in steps]
+    pieces = chunks(scene_names(source), CHUNK)
+    return [
+        Job(
+            f"{method}-K{'Full' if k is None else k}-T{n}-{i:03d}",
+            f"{__name__}:evaluate",
+            {
+                "source": dict(source),
+                "names": names,
+                "method": method,
+                "num_controlled": k,
+                "replan_steps": n,
+                "seed": seed,
+            },
+        )
+        for method, k, n in conditions
+        for i, names in enumerate(pieces)
+    ]
+
+
+def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
+    """Vehicles that are there at the start, in the scene's order."""
+    there = scene.tracks()["valid"][:, START_STEP]
+    kinds = np.array(scene.agent_types) == "vehicle"
+    return np.flatnonzero(there & kinds)
+
+
+def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) -> list[int]:
+    """Return the first K vehicles of a ranking at the start of the episode; all for ``None``."""
+    agents = _vehicles(scene)
+    tracks = scene.tracks()
+    past = slice(START_STEP - 30, START_STEP + 1)
+    position, heading = tracks["position"][agents, past], tracks["heading"][agents, past]
+    valid = tracks["valid"][agents, past]
+    velocity = tracks["velocity"][agents, past]
+    speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    ranked = causal.rank(
+        ranking,  # type: ignore[arg-type]
+        top_k=len(agents) if top_k is None else min(top_k, len(agents)),
+        valid=np.ones(len(agents), bool),
+        ttc=causal.ttc(position, heading, speed, scene.sizes[agents][:, :2], valid),
+        distance=causal.distance(position, valid, normalised=True),
+        seed=seed,
+    )
+    return [int(agents[i]) for i in ranked.agents]
+
+
+@dataclass
+class Episode:
+    """What happened in one scene: vehicles that were there at the start, A of them."""
+
+    scene: Scene
+    agents: npt.NDArray[np.int64]
+    controlled: npt.NDArray[np.bool_]
+    rollout: Rollout
+    log: Rollout
+    position: npt.NDArray[np.float32]
+    heading: npt.NDArray[np.float32]
+    plans: list[dict[str, Any]]
+
+
+def episodes(
+    scenes: SceneSet,
+    method: Method,
+    *,
+    num_controlled: int | None,
+    replan_steps: int = 5,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+) -> list[Episode]:
+    """Play every scene once, all in one batch.
+
+    Parameters
+    ----------
+    scenes
+        The scenes.
+    method
+        Who drives the control set.
+    num_controlled
+        K; all for ``None``, 0 replays the log.
+    replan_steps
+        Steps between plans of CCDiff.
+    seed
+        Seed of every episode.
+    options
+        Further fields of :class:`~ccdiff_env.config.WorldConfig`.
+    """
+    ccdiff = {
+        "replan_steps": replan_steps,
+        "frozen": "standing",
+        "partners": "all",
+        **method.ccdiff,
+    }
+    config = WorldConfig().with_options(
+        history_steps=START_STEP,
+        horizon_steps=HORIZON_STEPS,
+        traffic=method.driver,
+        driver="replay",
+        late_arrivals=False,
+        vanish_with_log=True,
+        on_collision="ignore",
+        on_off_road="ignore",
+        terminate_at_goal=False,
+        autoreset="disabled",
+        dt_s=scenes[0].dt,
+        ccdiff=ccdiff,
+        **(options or {}),
+    )
+    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+    out, native = worlds.arrays(), worlds.native
+    everyone = list(range(len(scenes)))
+    native.reset([seed] * len(scenes), list(everyone), None, tuple(out))
+    chosen = [control_set(scene, method.ranking, num_controlled, seed) for scene in scenes]
+    for i in everyone:
+        native.assign(i, _vehicles(scenes[i]).tolist(), "replay")
+        if chosen[i]:
+            native.assign(i, chosen[i], method.driver)
+        if method.driver == "ccdiff":
+            native.command(i, guided=chosen[i], criticality=None)
+    states = [[native.states(i)] for i in everyone]
+    plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
+    actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
+    running = list(everyone)
+    for step in range(HORIZON_STEPS):
+        if out.done.any():
+            break
+        native.step(actions, tuple(out))
+        for i in running:
+            states[i].append(native.states(i))
+            plan = native.explain(i) if method.driver == "ccdiff" else None
+            if plan is not None and plan["made_at"] == step:
+                plans[i].append(plan)
+    return [
+        _episode(scenes[i], chosen[i], states[i], plans[i])
+        for i in everyone
+    ]
+
+
+def _episode(
+    scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[dict[str, Any]]
+) -> Episode:
+    agents = _vehicles(scene)
+    sizes = scene.sizes[agents][:, :2]
+    stacked = {
+        name: np.stack([s[name] for s in states], axis=1)[agents]
+        for name in ("position", "heading", "active")
+    }
+    tracks = scene.tracks()
+    span = slice(START_STEP, START_STEP + len(states))
+    return Episode(
+        scene=scene,
+        agents=agents,
+        controlled=np.isin(agents, chosen),
+        rollout=Rollout(
+            stacked["position"], stacked["heading"], sizes, stacked["active"], dt_s=scene.dt
+        ),
+        log=Rollout(
+            tracks["position"][agents, span],
+            tracks["heading"][agents, span],
+            sizes,
+            tracks["valid"][agents, span],
+            dt_s=scene.dt,
+        ),
+        position=stacked["position"],
+        heading=stacked["heading"],
+        plans=plans,
+    )
+
+
+def evaluate(
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    method: str,
+    num_controlled: int | None,
+    replan_steps: int,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md."""
+    played = episodes(
+        scenes_of(source, names),
+        METHODS[method],
+        num_controlled=num_controlled,
+        replan_steps=replan_steps,
+        seed=seed,
+    )
+    return [measure(episode, replan_steps) for episode in played]
+
+
+def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
+    """Return the figures of one episode, all of them finite or ``None``."""
+    rollout, log, controlled = episode.rollout, episode.log, episode.controlled
+    found = rollout.collisions(controlled=controlled, log=log)
+    road = rollout.off_road(
+        [(p["exterior"], p["holes"]) for p in episode.scene.map_layers()["drivable_area"]],
+        replan_steps=replan_steps,
+    )
+    displacement = rollout.displacement(log)
+    ade, fde = displacement.mean()
+    ade_controlled, fde_controlled = (
+        displacement.mean(controlled) if controlled.any() else (np.nan, np.nan)
+    )
+    tracks = episode.scene.tracks()
+    speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
+    limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
+    over = (
+        rollout.over_speed(limit, counted=controlled).any() if np.isfinite(limit) else False
+    )
+    cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
+    return {
+        "scene": episode.scene.name,
+        "num_agents": len(episode.agents),
+        "num_controlled": int(controlled.sum()),
+        "collision": {v: bool(found.any(v)) for v in found.agents},
+        "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
+        "kinds": [kind for kind in found.first_kind if kind is not None],
+        "off_road": _number(road.centroid_rate),
+        "off_road_box": _number(road.box_rate),
+        "off_road_parity": _number(road.parity_rate),
+        "ade_m": _number(ade),
+        "fde_m": _number(fde),
+        "ade_controlled_m": _number(ade_controlled),
+        "fde_controlled_m": _number(fde_controlled),
+        "comfort": rollout.comfort().tolist(),
+        "comfort_parity": rollout.comfort(axes="parity").tolist(),
+        "over_speed": bool(over),
+        "min_ttc_s": _number(rollout.min_ttc().min() if len(episode.agents) else np.nan),
+        "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
+        "graph_sparsity": _number(
+            np.mean([_sparsity(p["graph"]) for p in episode.plans]) if episode.plans else np.nan
+        ),
+    }
+
+
+def _sparsity(graph: npt.NDArray[np.bool_]) -> float:
+    pairs = graph.shape[0] * (graph.shape[0] - 1)
+    return 1.0 if pairs == 0 else 1.0 - (graph.sum() - graph.shape[0]) / pairs
+
+
+def _number(value: Any) -> float | None:
+    number = float(value)
+    return number if np.isfinite(number) else None
