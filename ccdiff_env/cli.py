@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ccdiff_env.bench.cli import add_bench
 from ccdiff_env.errors import CcdiffError, ConfigError
 
 
@@ -15,6 +16,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="ccdiff-env", description=__doc__)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     _add_train(verbs)
+    add_bench(verbs)
     _add_view(verbs)
     args = parser.parse_args(argv)
     try:

@@ -77,8 +77,8 @@ def run_jobs(
     folder
         Where ``<name>.json`` go.
     backend
-        ``"local"``: processes of this machine; ``"ray"``: tasks of the Ray cluster that this process
-        belongs to (``ray.init`` decides which), a lost worker's jobs are run again.
+        ``"local"``: processes of this machine; ``"ray"``: tasks of the Ray cluster that this
+        process belongs to (``ray.init`` decides which), a lost worker's jobs are run again.
     workers
         Processes of the local backend; 1 works in this one.
     progress

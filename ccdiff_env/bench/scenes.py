@@ -10,7 +10,7 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 
-__all__ = ["chunks", "scene_names", "source_of", "scenes_of"]
+__all__ = ["chunks", "scene_names", "scenes_of", "source_of"]
 
 
 def source_of(

@@ -144,10 +144,8 @@ def _with_scores(
     chosen = [c for c in table if c.num_controlled != 0]
     if not chosen:
         return {}
-    named = {
-        name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")
-    }
-    cs, rs = scores(**named, bounds=PAPER_BOUNDS if paper_scale else None)  # type: ignore[arg-type]
+    named = {name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")}
+    cs, rs = scores(**named, bounds=PAPER_BOUNDS if paper_scale else None)
     return {c: (float(a), float(b)) for c, a, b in zip(chosen, cs, rs, strict=True)}
 
 
@@ -205,7 +203,10 @@ _LINES = (
 
 
 def _cells(
-    name: str, conditions: Sequence[Condition | None], table: Mapping[Condition, Figures], digits: int
+    name: str,
+    conditions: Sequence[Condition | None],
+    table: Mapping[Condition, Figures],
+    digits: int,
 ) -> list[str]:
     def cell(c: Condition | None) -> str:
         if c is None or not np.isfinite(table[c].value[name]):
@@ -214,6 +215,15 @@ def _cells(
         return f"{f.value[name]:.{digits}f} [{f.low[name]:.{digits}f}, {f.high[name]:.{digits}f}]"
 
     return [cell(c) for c in conditions]
+
+
+def _scores_of(
+    conditions: Sequence[Condition | None],
+    scores: Mapping[Condition, tuple[float, float]],
+    which: int,
+) -> list[str]:
+    found = [scores.get(c) if c is not None else None for c in conditions]
+    return ["" if pair is None else f"{pair[which]:.2f}" for pair in found]
 
 
 def _floor(table: Mapping[Condition, Figures]) -> str:
@@ -245,10 +255,10 @@ def _markdown(
                     head = label if i == 0 else ""
                     lines.append(f"| {head} | {name} | " + " | ".join(cells) + " |")
             for j, name in enumerate(("CS", "RS")):
-                cells = ["" if c not in relative else f"{relative[c][j]:.2f}" for c in chosen]
+                cells = _scores_of(chosen, relative, j)
                 lines.append(f"| | {name} | " + " | ".join(cells) + " |")
         lines.append("")
-    lines.append("Brackets: 95 % bootstrap intervals over scenes. CS and RS: bounds over this table.")
+    lines.append("Brackets: 95 % bootstrap intervals over scenes. CS, RS: bounds over this table.")
     return "\n".join(lines) + "\n"
 
 
@@ -269,7 +279,7 @@ def _latex(
             chosen = [by_head.get(h) for h in heads]
             out.append(r"\midrule")
             for j, name in enumerate((r"CS~($\uparrow$)", r"RS~($\uparrow$)")):
-                cells = ["" if c not in relative else f"{relative[c][j]:.2f}" for c in chosen]
+                cells = _scores_of(chosen, relative, j)
                 out.append(f"{label if j == 0 else ''} & {name} & " + " & ".join(cells) + r" \\")
         out += [r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]
     return "\n".join(out)

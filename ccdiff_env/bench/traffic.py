@@ -1,12 +1,12 @@
 """The paper's experiments: who drives K vehicles of each scene, and what comes of it.
 
 The protocol is that of the released evaluation (method.md 5): an episode starts at step 31 of the
-log with the vehicles that are there then, lasts 10 s, nobody enters later, vehicles vanish with their
-log, contacts and departures from the road have no consequence. The K vehicles of the control set are
-driven by the method, all others replay the log.
+log with the vehicles that are there then and lasts 10 s; nobody enters later, vehicles vanish with
+their log, contacts and departures from the road have no consequence. The K vehicles of the control
+set are driven by the method, all others replay the log.
 
-Differs from the paper: control sets are found at the start of the episode from the logged history, by
-the same ranking for every method, and filled up by nearness, not at random (method.md 3.5).
+Differs from the paper: control sets are found at the start of the episode from the logged history,
+by the same ranking for every method, and filled up by nearness, not at random (method.md 3.5).
 """
 
 from __future__ import annotations
@@ -148,9 +148,10 @@ def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) ->
     agents = _vehicles(scene)
     tracks = scene.tracks()
     past = slice(START_STEP - 30, START_STEP + 1)
-    position, heading = tracks["position"][agents, past], tracks["heading"][agents, past]
-    valid = tracks["valid"][agents, past]
-    velocity = tracks["velocity"][agents, past]
+    position, heading, velocity, valid = (
+        tracks[name][agents, past].swapaxes(0, 1)
+        for name in ("position", "heading", "velocity", "valid")
+    )
     speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
@@ -227,7 +228,7 @@ def episodes(
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     out, native = worlds.arrays(), worlds.native
     everyone = list(range(len(scenes)))
-    native.reset([seed] * len(scenes), list(everyone), None, tuple(out))
+    native.reset([seed] * len(scenes), list(everyone), None, out)
     chosen = [control_set(scene, method.ranking, num_controlled, seed) for scene in scenes]
     for i in everyone:
         native.assign(i, _vehicles(scenes[i]).tolist(), "replay")
@@ -242,16 +243,13 @@ def episodes(
     for step in range(HORIZON_STEPS):
         if out.done.any():
             break
-        native.step(actions, tuple(out))
+        native.step(actions, out)
         for i in running:
             states[i].append(native.states(i))
             plan = native.explain(i) if method.driver == "ccdiff" else None
             if plan is not None and plan["made_at"] == step:
                 plans[i].append(plan)
-    return [
-        _episode(scenes[i], chosen[i], states[i], plans[i])
-        for i in everyone
-    ]
+    return [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
 
 
 def _episode(
@@ -321,9 +319,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     tracks = episode.scene.tracks()
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
-    over = (
-        rollout.over_speed(limit, counted=controlled).any() if np.isfinite(limit) else False
-    )
+    over = rollout.over_speed(limit, counted=controlled).any() if np.isfinite(limit) else False
     cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
     return {
         "scene": episode.scene.name,

@@ -1,0 +1,101 @@
+"""``ccdiff-env bench``: arguments of the benchmarks, and their reports."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.bench.jobs import results, run_jobs
+from ccdiff_env.bench.scenes import source_of
+from ccdiff_env.errors import ConfigError
+
+__all__ = ["add_bench"]
+
+
+def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the verb ``bench`` with its benchmarks."""
+    bench = verbs.add_parser("bench", help="benchmarks of traffic and of planners")
+    kinds = bench.add_subparsers(dest="kind", required=True, metavar="kind")
+    _add_traffic(kinds)
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what every benchmark takes: scenes, run folder, backend."""
+    parser.add_argument("--dataroot", help="folder of nuScenes; the embedded scenes without it")
+    parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
+    parser.add_argument("--split", help="split (ccdiff100; of the embedded scenes: val)")
+    parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--backend", choices=["local", "ray"], default="local")
+    parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def source_from(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the description of the scenes that the arguments name."""
+    default = "val" if args.dataroot is None else "ccdiff100"
+    return source_of(dataroot=args.dataroot, version=args.version, split=args.split or default)
+
+
+def begin(args: argparse.Namespace, settings: dict[str, Any]) -> None:
+    """Make the run folder, or check that it belongs to the same run."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    path = args.out / "run.json"
+    if path.exists():
+        known = json.loads(path.read_text(encoding="utf-8"))
+        changed = [k for k in settings if k in known and known[k] != settings[k]]
+        if changed:
+            raise ConfigError(
+                f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
+                f"{settings[changed[0]]!r}; choose another folder"
+            )
+    path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+
+
+def _counts(text: str) -> list[int | None]:
+    try:
+        return [None if part == "Full" else int(part) for part in text.split(",")]
+    except ValueError:
+        raise ConfigError(f"--k is {text!r}, expected numbers and Full, comma-separated") from None
+
+
+def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("traffic", help="the paper's experiments: methods x K x T")
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--methods", default="constant_velocity,idm,ccdiff_unguided,ccdiff", help="comma-separated"
+    )
+    parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
+    parser.add_argument("--t", default="0.5", help="seconds between plans, comma-separated")
+    parser.set_defaults(run=_traffic)
+
+
+def _traffic(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.plots import plot_scores
+    from ccdiff_env.bench.tables import conditions, summarise, write_tables
+    from ccdiff_env.bench.traffic import traffic_jobs
+
+    source = source_from(args)
+    begin(args, {"benchmark": "traffic", "source": source, "seed": args.seed})
+    start = time.perf_counter()
+    jobs = traffic_jobs(
+        source,
+        args.methods.split(","),
+        num_controlled=_counts(args.k),
+        replan_steps=[round(10 * float(t)) for t in args.t.split(",")],
+        seed=args.seed,
+    )
+    raw = args.out / "raw"
+    run_jobs(jobs, raw, backend=args.backend, workers=args.workers, progress=not args.quiet)
+    by_condition = conditions(results(jobs, raw))
+    log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
+    table = {c: summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
+    write_tables(table, args.out)
+    plot_scores(table, args.out / "scores.png")
+    print((args.out / "table.md").read_text(encoding="utf-8"))
+    seconds = time.perf_counter() - start
+    print(f"{len(jobs)} jobs in {seconds:.0f} s; tables, plot and raw results: {args.out}")
+    return 0
