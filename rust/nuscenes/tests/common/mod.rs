@@ -1,4 +1,7 @@
 //! A tiny data set in the official schema, made in memory and written to a folder of its own.
+#![allow(dead_code, clippy::unwrap_used, reason = "each user takes its own part; a test fails by panicking")]
+
+pub(crate) mod damage;
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

@@ -1,0 +1,63 @@
+//! Files with damage that a few bytes describe; driven by `hostile.rs` and by the fuzz targets in `rust/fuzz`.
+
+use super::{DataSet, VERSION};
+use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load};
+use std::sync::OnceLock;
+
+/// Edits bytes as the input says, four bytes an edit: what to do, with which byte, and where (two bytes).
+fn edit(bytes: &mut Vec<u8>, input: &[u8]) {
+    for [what, byte, place @ ..] in input.as_chunks::<4>().0 {
+        if bytes.is_empty() {
+            return;
+        }
+        let at = (usize::from(u16::from_le_bytes(*place)) * bytes.len()) >> 16;
+        match what % 6 {
+            0 => bytes[at] = *byte,
+            // a digit for a digit keeps the JSON whole and changes what it says
+            1 if bytes[at].is_ascii_digit() => bytes[at] = b'0' + byte % 10,
+            1 => {}
+            2 => drop(bytes.drain(at..(at + usize::from(*byte)).min(bytes.len()))),
+            3 => bytes.truncate(at),
+            4 => {
+                let copied = bytes[at..(at + usize::from(*byte)).min(bytes.len())].to_vec();
+                bytes.splice(at..at, copied);
+            }
+            _ => bytes.insert(at, *byte),
+        }
+    }
+}
+
+/// Loads the tiny data set with one file damaged: the first byte says which, the others how.
+pub(crate) fn load_damaged(input: &[u8]) {
+    let Some((file, edits)) = input.split_first() else { return };
+    let data = DataSet::new();
+    let folder = data.written();
+    let tables: Vec<_> =
+        data.tables.keys().map(|table| folder.0.join(VERSION).join(format!("{table}.json"))).collect();
+    let map = folder.0.join("maps/expansion/town.json");
+    let path = tables.iter().chain([&map, &map]).nth(usize::from(*file) % (tables.len() + 2)).unwrap();
+    let mut bytes = std::fs::read(path).unwrap();
+    edit(&mut bytes, edits);
+    std::fs::write(path, bytes).unwrap();
+    if let Ok(loaded) = load(&folder.0, VERSION, &LoadOptions::default()) {
+        for scene in loaded.scenes {
+            scene.as_ref().clone().validated().unwrap();
+        }
+    }
+}
+
+/// Decodes a scene of the tiny data set from damaged bytes.
+pub(crate) fn decode_damaged(input: &[u8]) {
+    static SCENE: OnceLock<Vec<u8>> = OnceLock::new();
+    let mut bytes = SCENE
+        .get_or_init(|| {
+            let folder = DataSet::new().written();
+            let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+            encode_scene(&loaded.scenes[0]).unwrap()
+        })
+        .clone();
+    edit(&mut bytes, input);
+    if let Ok(scene) = decode_scene(&bytes) {
+        scene.validated().unwrap();
+    }
+}
