@@ -84,12 +84,15 @@ class Certificate:
         scene_idx, seed, episode, _, _ = worlds.native.status(0)
         scene = worlds.scenes[scene_idx]
         rows = np.frombuffer(actions, np.float32).reshape(-1, worlds.native.action_width)
+        config = worlds.config
+        if 0 in worlds.criticality:  # drawn by a curriculum
+            config = config.with_options(ccdiff={"criticality": worlds.criticality[0]})
         return cls(
             package=__version__,
             schema=_schema_digest(worlds),
             scene=scene.name,
             scene_hash=scene.hash,
-            config=worlds.config,
+            config=config,
             seed=seed,
             episode_idx=episode - 1,
             actions=rows,

@@ -68,13 +68,24 @@ def test_rows_show_what_the_parallel_form_shows(scenes, adversaries):
     assert ends > 10
 
 
-def test_dictionaries_and_indices_work_too(scenes):
-    rows = AgentVectorEnv(2, scenes=scenes, observation="dict", discrete=True, **RULES)
+@pytest.mark.parametrize(
+    "form", [{"observation": "dict"}, {"observation": "bev"}, {"observation": "dict", "bev": {}}]
+)
+def test_dictionaries_rasters_and_indices_work_too(scenes, form):
+    rows = AgentVectorEnv(2, scenes=scenes, discrete=True, **form, **RULES)
+    game = parallel_env(scenes=scenes, discrete=True, names="slot", **form, **RULES)
     obs, _ = rows.reset(seed=0)
+    seen, _ = game.reset(seed=0)
+    for name in seen:
+        assert game.observation_space(name).contains(seen[name])
+    if form["observation"] == "bev":
+        assert (obs[0] == seen["ego_0"]).all()
     assert rows.observation_space.contains(obs)
     rows.action_space.seed(0)
     for _ in range(60):
-        obs, *_ = rows.step(rows.action_space.sample())
+        obs, *_, infos = rows.step(rows.action_space.sample())
+        for i in np.flatnonzero(infos.get("_final_obs", [])):
+            assert rows.single_observation_space.contains(infos["final_obs"][i])
     assert rows.observation_space.contains(obs)
 
 

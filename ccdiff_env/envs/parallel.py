@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,6 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names, Roles
 from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
@@ -21,8 +22,10 @@ from ccdiff_env.envs.worlds import Scenes, StepArrays, Worlds, fold_seed, scene_
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.key_agents import KeyRanking
 from ccdiff_env.scenes import Scene
+from ccdiff_env.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 Rows = dict[str, Any]
 
@@ -54,13 +57,18 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
     max_cycles
         Steps of an episode at most; ``horizon_steps`` by another name.
     observation
-        ``"flat"`` (Box [D]) or ``"dict"`` (a Box per entry, a MultiBinary per mask).
+        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
+        a raster besides) or ``"bev"`` (the raster alone).
     info
         ``"full"``: all figures of every step; ``"end"``: only at an agent's end; ``"none"``.
     render_mode
         ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
     picture
         Options of pictures.
+    criticality
+        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
+        function of the progress of training, which :meth:`set_progress` sets (see
+        :class:`~ccdiff_env.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 
@@ -88,13 +96,14 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         adversary_shaping: float = 0.0,
         names: Names = "token",
         max_cycles: int | None = None,
-        observation: Literal["flat", "dict"] = "flat",
+        observation: Form = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
         picture: Mapping[str, Any] | None = None,
+        criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
-        check_choices(observation, info)
+        check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("human", "rgb_array"))
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
@@ -102,7 +111,7 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         if max_cycles is not None:
             options = {"horizon_steps": max_cycles, **options}
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options)
+        settled = world_config(chosen, config, options, observation)
         cast = Cast.of(
             chosen,
             settled.history_steps,
@@ -112,7 +121,12 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         )
         settled = cast.config(chosen, settled).with_options(autoreset="disabled")
         self.worlds = Worlds(
-            chosen, settled, num_worlds=1, num_threads=1, trails=render_mode is not None
+            chosen,
+            settled,
+            num_worlds=1,
+            num_threads=1,
+            trails=render_mode is not None,
+            criticality=criticality,
         )
         self._kept: dict[str, Any] = {
             "scenes": chosen,
@@ -126,6 +140,7 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             "info": info,
             "render_mode": render_mode,
             "picture": picture,
+            "criticality": criticality,
         }
         self._cast = cast
         self._roles = Roles(self.worlds, adversary_shaping)
@@ -135,10 +150,9 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         self.possible_agents: list[str] = list(cast.names(names))
         self.agents: list[str] = []
         layout = self.worlds.layout
-        self._as_dict = observation == "dict"
+        self._form: Form = observation
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
-            name: layout.dict_space() if self._as_dict else layout.flat_space()
-            for name in self.possible_agents
+            name: layout.space(observation) for name in self.possible_agents
         }
         self._action_spaces = {
             name: copy.deepcopy(self.worlds.action_space) for name in self.possible_agents
@@ -183,6 +197,16 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             )
         return agent
 
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
+
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Rows, dict[str, dict[str, Any]]]:
@@ -216,7 +240,7 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             infos[name] = {**common, "agent_id": ids[agent_idx], "role": self.role(name)}
         if self.render_mode == "human":
             self.render()
-        return self._observations(out.obs[0], self.agents), infos
+        return self._observations(out.obs, out.bev, self.agents), infos
 
     def _begin(self) -> None:
         """Name the agents of the present episode."""
@@ -281,7 +305,7 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         if self.render_mode == "human":
             self.render()
         shown = {name: float(rewards[self._slots[name]]) for name in before}
-        observations = self._observations(out.obs[0], before)
+        observations = self._observations(out.obs, out.bev, before)
         return observations, shown, terminations, truncations, infos
 
     def _actions(self, actions: Mapping[str, Any]) -> F32:
@@ -313,12 +337,14 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
         return info
 
-    def _observations(self, rows: F32, names: list[str]) -> Rows:
-        layout = self.worlds.layout
-        chosen = {name: rows[self._slots[name]].copy() for name in names}
-        return (
-            {name: layout.split(row) for name, row in chosen.items()} if self._as_dict else chosen
-        )
+    def _observations(self, rows: F32, rasters: U8 | None, names: list[str]) -> Rows:
+        found = {}
+        for name in names:
+            slot = self._slots[name]
+            bev = None if rasters is None else rasters[0, slot].copy()
+            row = rows[0, slot].copy()
+            found[name] = self.worlds.layout.observation(self._form, row, bev)
+        return found
 
     def state(self) -> F32:
         """Return the flat observations of all slots, one after the other; zero for absent ones."""
@@ -359,7 +385,8 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         self.agents = [name for name in self.agents if alive[self._slots[name]]]
         if self._roles.decided(alive, self._adversary):
             self.agents = []
-        return self._observations(self.worlds.observation(0), self.agents)
+        rows, bev = self.worlds.observe(0)
+        return self._observations(rows[None], None if bev is None else bev[None], self.agents)
 
     def fork(self) -> MultiAgentEnv:
         """Return an independent environment in the same state."""
@@ -377,13 +404,16 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             **self._kept,
             "snapshot": self.snapshot(),
             "seeded": self._seeded,
+            "progress": self.worlds.curriculum and self.worlds.curriculum.progress,
             "spaces": (self._observation_spaces, self._action_spaces),
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Rebuild the environment."""
-        extra = ("snapshot", "seeded", "spaces")
+        extra = ("snapshot", "seeded", "progress", "spaces")
         MultiAgentEnv.__init__(self, **{k: v for k, v in state.items() if k not in extra})
+        if state["progress"] is not None:
+            self.set_progress(state["progress"])
         self.restore(state["snapshot"])
         self._seeded = state["seeded"]
         self._observation_spaces, self._action_spaces = state["spaces"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -13,12 +13,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.game import Adversaries, Agents, Cast, Roles
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
     SceneChoice,
     Scenes,
+    StepArrays,
     Worlds,
     fold_seed,
     scene_set,
@@ -26,10 +28,12 @@ from ccdiff_env.envs.worlds import (
 )
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.key_agents import KeyRanking
+from ccdiff_env.spaces import FORMS, Form
 
 __all__ = ["AgentVectorEnv"]
 
 F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
@@ -50,6 +54,10 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
     observation, info, num_threads, render_mode, picture
         As for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
+    criticality
+        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
+        function of the progress of training, which :meth:`set_progress` sets (see
+        :class:`~ccdiff_env.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
     """
@@ -70,20 +78,21 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         ranking: KeyRanking = "distance",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
-        observation: Literal["flat", "dict"] = "flat",
+        observation: Form = "flat",
         info: InfoLevel = "end",
         num_threads: int | None = None,
         render_mode: str | None = None,
         picture: Mapping[str, Any] | None = None,
+        criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
-        check_choices(observation, info)
+        check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("rgb_array",))
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of games: use agents")
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options)
+        settled = world_config(chosen, config, options, observation)
         cast_of = Cast.of(
             chosen,
             settled.history_steps,
@@ -98,16 +107,14 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
             num_worlds=num_worlds,
             num_threads=num_threads,
             trails=render_mode is not None,
+            criticality=criticality,
         )
         self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
         self.num_envs = num_worlds * self.num_slots
         self.render_mode = render_mode
         self._picture = picture_options(picture)
-        layout = self.worlds.layout
-        self._as_dict = observation == "dict"
-        self.single_observation_space: gymnasium.Space[Any] = (
-            layout.dict_space() if self._as_dict else layout.flat_space()
-        )
+        self._form: Form = observation
+        self.single_observation_space: gymnasium.Space[Any] = self.worlds.layout.space(observation)
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -127,6 +134,16 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
     def active_masks(self) -> Bool:
         """Return the rows [E x C] whose vehicles are driven by the next actions."""
         return self._active.ravel().copy()
+
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
 
     def reset(
         self,
@@ -162,7 +179,7 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         infos: Info = {}
         self._begin(infos, np.ones(self.num_worlds, np.bool_))
         infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
-        return self._shown(out.obs), infos
+        return self._shown(out), infos
 
     def _per_world(self, name: str, values: Any) -> list[Any]:
         listed = list(values)
@@ -217,10 +234,7 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         assert out.final_obs is not None
         terminated, truncated = out.terminated.copy(), out.truncated.copy()
         rewards = self._roles.rewards(out.reward, out.columns, played, self._adversary)
-        columns, last = (
-            out.columns.copy(),
-            np.where(out.done[:, None, None], out.final_obs, out.obs),
-        )
+        columns, last = out.columns.copy(), _last(out)
         metrics = self._metrics(terminated | truncated, out.done)
         cut = self._roles.decided(out.alive & ~out.done[:, None], self._adversary) & ~out.done
         if cut.any():
@@ -232,6 +246,8 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         begun = out.done | cut
         self._active = out.alive.copy()
         out.obs[~self._active] = 0.0
+        if out.bev is not None:
+            out.bev[~self._active] = 0
         waited = ~played & begun[:, None] & self._active
         ended = terminated | truncated
         terminated |= waited
@@ -242,7 +258,7 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
             infos.update(self._figures(columns, played))
         self._begin(infos, begun)
         infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
-        shown = self._shown(out.obs)
+        shown = self._shown(out)
         return shown, rewards.ravel(), terminated.ravel(), truncated.ravel(), infos
 
     def _metrics(self, ended: Bool, done: Bool) -> dict[tuple[int, int], npt.NDArray[np.float64]]:
@@ -268,16 +284,16 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
         infos: Info,
         ended: Bool,
         waited: Bool,
-        last: F32,
+        last: tuple[F32, U8 | None],
         columns: F32,
         metrics: dict[tuple[int, int], npt.NDArray[np.float64]],
     ) -> None:
         done = (ended | waited).ravel()
         final_obs = np.full(self.num_envs, None, dtype=object)
-        layout = self.worlds.layout
         for i in np.flatnonzero(done):
-            row = last[i // self.num_slots, i % self.num_slots] * np.float32(ended.ravel()[i])
-            final_obs[i] = layout.split(row) if self._as_dict else row
+            at = (i // self.num_slots, i % self.num_slots)
+            row, bev = (None if part is None else part[at] * ended[at] for part in last)
+            final_obs[i] = self.worlds.layout.observation(self._form, cast("F32", row), bev)
         final: Info = {"played": ended.ravel().copy(), "_played": done.copy()}
         if self._info != "none":
             final.update(self._figures(columns, ended))
@@ -306,15 +322,16 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
     def _put(self, infos: Info, row: int, values: Info) -> None:
         for name, value in values.items():
             if name not in infos:
-                kind = np.int64 if isinstance(value, int) else object
-                infos[name] = np.full(self.num_envs, 0 if kind is np.int64 else None, dtype=kind)
+                kind = type(value) if isinstance(value, (int, float)) else object
+                infos[name] = np.full(self.num_envs, None if kind is object else 0, dtype=kind)
                 infos["_" + name] = np.zeros(self.num_envs, np.bool_)
             infos[name][row] = value
             infos["_" + name][row] = value is not None
 
-    def _shown(self, obs: F32) -> Any:
-        rows = obs.reshape(self.num_envs, -1)
-        return self.worlds.layout.split(rows) if self._as_dict else rows
+    def _shown(self, out: StepArrays) -> Any:
+        rows = out.obs.reshape(self.num_envs, -1)
+        bev = None if out.bev is None else out.bev.reshape(self.num_envs, *out.bev.shape[2:])
+        return self.worlds.layout.observation(self._form, rows, bev)
 
     def render(self) -> tuple[Image, ...] | None:
         """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
@@ -325,3 +342,13 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing: the worlds go with the environment."""
+
+
+def _last(out: StepArrays) -> tuple[F32, U8 | None]:
+    """Observations [E, C, D] and rasters of this step, before any world began anew."""
+    done = out.done
+    assert out.final_obs is not None
+    rows = np.where(done[:, None, None], out.final_obs, out.obs)
+    if out.bev is None or out.final_bev is None:
+        return rows, None
+    return rows, np.where(done[:, None, None, None, None], out.final_bev, out.bev)

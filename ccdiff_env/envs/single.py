@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
@@ -44,6 +45,10 @@ class EgoEnv(gymnasium.Env[Any, Any]):
     picture
         Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
         ``route``, ``labels``.
+    criticality
+        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
+        function of the progress of training, which :meth:`set_progress` sets (see
+        :class:`~ccdiff_env.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
@@ -65,6 +70,7 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         info: InfoLevel = "full",
         render_mode: str | None = None,
         picture: Mapping[str, Any] | None = None,
+        criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
         check_choices(observation, info, FORMS)
@@ -76,8 +82,14 @@ class EgoEnv(gymnasium.Env[Any, Any]):
             autoreset="disabled"
         )
         self.worlds = Worlds(
-            chosen, settled, num_worlds=1, num_threads=1, trails=render_mode is not None
+            chosen,
+            settled,
+            num_worlds=1,
+            num_threads=1,
+            trails=render_mode is not None,
+            criticality=criticality,
         )
+        self._criticality = criticality
         self.render_mode = render_mode
         layout = self.worlds.layout
         self._form: Form = observation
@@ -103,6 +115,16 @@ class EgoEnv(gymnasium.Env[Any, Any]):
     def scene(self) -> Scene:
         """Scene of the present episode."""
         return self.worlds.scenes[self.worlds.native.status(0)[0]]
+
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -278,6 +300,8 @@ class EgoEnv(gymnasium.Env[Any, Any]):
             "info": self._info,
             "render_mode": self.render_mode,
             "picture": self._picture,
+            "criticality": self._criticality,
+            "progress": self.worlds.curriculum and self.worlds.curriculum.progress,
             "snapshot": self.snapshot(),
             "seeded": self._seeded,
             "np_random": self._np_random,
@@ -288,8 +312,10 @@ class EgoEnv(gymnasium.Env[Any, Any]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Rebuild the environment."""
-        keys = ("scenes", "config", "observation", "info", "render_mode", "picture")
+        keys = ("scenes", "config", "observation", "info", "render_mode", "picture", "criticality")
         EgoEnv.__init__(self, **{key: state[key] for key in keys})
+        if state["progress"] is not None:
+            self.set_progress(state["progress"])
         self.restore(state["snapshot"])
         self._seeded = state["seeded"]
         self._np_random, self._np_random_seed = state["np_random"], state["np_random_seed"]

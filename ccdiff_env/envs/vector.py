@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.worlds import (
@@ -96,6 +97,10 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
     picture
         Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
         ``route``, ``labels``.
+    criticality
+        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
+        function of the progress of training, which :meth:`set_progress` sets (see
+        :class:`~ccdiff_env.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
@@ -123,6 +128,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         num_threads: int | None = None,
         render_mode: str | None = None,
         picture: Mapping[str, Any] | None = None,
+        criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
         mode = _mode(autoreset_mode)
@@ -140,6 +146,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
             num_worlds=num_envs,
             num_threads=num_threads,
             trails=render_mode is not None,
+            criticality=criticality,
         )
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -165,6 +172,16 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
     def config(self) -> WorldConfig:
         """Configuration of the worlds."""
         return self.worlds.config
+
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
 
     def reset(
         self,
@@ -294,7 +311,7 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
         for i in rows:
             for name, value in self.worlds.reset_info(int(i)).items():
                 if name not in infos:
-                    kind = object if isinstance(value, str) else np.int64
+                    kind = object if isinstance(value, str) else type(value)
                     empty = None if kind is object else 0
                     infos[name] = np.full(self.num_envs, empty, dtype=kind)
                     infos[f"_{name}"] = which.copy()

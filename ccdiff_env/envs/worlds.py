@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.config import BevConfig, WorldConfig, unknown
+from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import weights_path
@@ -144,6 +145,9 @@ class Worlds:
         do not depend on it.
     trails
         Whether past positions are kept for pictures.
+    criticality
+        Criticality of CCDiff traffic by episode, see :class:`~ccdiff_env.curriculum.Curriculum`;
+        ``None``: as configured.
     """
 
     def __init__(
@@ -154,6 +158,7 @@ class Worlds:
         num_worlds: int,
         num_threads: int | None = None,
         trails: bool = False,
+        criticality: Criticality | None = None,
     ) -> None:
         for name, count in (("num_envs", num_worlds), ("num_threads", num_threads)):
             if count is not None and (type(count) is not int or count < 1):
@@ -170,6 +175,11 @@ class Worlds:
             TRAIL_STEPS if trails else 0,
             weights_path(config.ccdiff.weights),
         )
+        if criticality is not None and "ccdiff" not in (config.traffic, config.driver):
+            raise ConfigError(f"criticality: traffic is {config.traffic!r}, expected 'ccdiff'")
+        self.curriculum = None if criticality is None else Curriculum(criticality)
+        #: Criticality that the present episode of a world was given by the curriculum.
+        self.criticality: dict[int, float] = {}
         self.num_worlds = num_worlds
         self.num_slots = config.num_slots
         self.layout = Layout.from_json(self.native.layout_json)
@@ -258,16 +268,36 @@ class Worlds:
                 f"no world {world_idx!r}, expected an index below {self.num_worlds}"
             )
 
+    def set_progress(self, progress: float) -> None:
+        """Tell the curriculum how far training has come, 0 to 1.
+
+        Raises
+        ------
+        ConfigError
+            If there is none, or the number is out of range.
+        """
+        if self.curriculum is None:
+            raise ConfigError("progress: the environment was made without criticality")
+        self.curriculum.progress = progress
+
     def reset_info(self, world_idx: int) -> dict[str, Any]:
-        """Return what ``info`` says about a new episode: scene, its token, seed, episode."""
+        """Return what ``info`` says about a new episode: scene, its token, seed, episode.
+
+        With a curriculum, the episode's criticality is drawn, set and said here.
+        """
         scene_idx, seed, episode, _, _ = self.native.status(world_idx)
         scene = self.scenes[scene_idx]
-        return {
+        info: dict[str, Any] = {
             "scene": scene.name,
             "scene_token": scene.token,
             "seed": seed,
             "episode_idx": episode - 1,
         }
+        if self.curriculum is not None:
+            strength = self.curriculum.draw(seed, episode - 1)
+            self.native.command(world_idx, guided=None, criticality=strength)
+            info["criticality"] = self.criticality[world_idx] = strength
+        return info
 
     def observation(self, world_idx: int) -> F32:
         """Return the present observations [C, D] of a world as a new array."""

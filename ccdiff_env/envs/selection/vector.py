@@ -200,7 +200,7 @@ class AdversarySelectionVectorEnv(VectorEnv[Any, Any, Any]):
         for i in np.flatnonzero(which):
             for name, value in self.worlds.reset_info(int(i)).items():
                 if name not in infos:
-                    kind = object if isinstance(value, str) else np.int64
+                    kind = object if isinstance(value, str) else type(value)
                     empty = None if kind is object else 0
                     infos[name] = np.full(self.num_envs, empty, dtype=kind)
                     infos["_" + name] = which.copy()

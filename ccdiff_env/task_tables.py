@@ -1,0 +1,73 @@
+"""Tables of docs/tasks.md, made from the schemas.
+
+``python -m ccdiff_env.task_tables docs/tasks.md`` makes them anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from ccdiff_env import _native
+from ccdiff_env.config import RewardConfig
+from ccdiff_env.envs.selection.match import FIGURES
+from ccdiff_env.envs.selection.options import SelectionReward
+from ccdiff_env.envs.selection.view import FEATURES, observation_space
+from ccdiff_env.spaces import Column, read_columns
+
+__all__ = ["TABLES", "filled"]
+
+_BLOCK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    names = list(head)
+    lines = [names, ["---"] * len(names), *(list(row) for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def _figures(columns: Iterable[Column]) -> str:
+    return _table(("key", "unit", "what"), ((f"`{c.name}`", c.unit, c.doc) for c in columns))
+
+
+def _info() -> str:
+    columns = read_columns(_native.columns_json())
+    return _figures(c for c in columns if not c.name.startswith("reward_"))
+
+
+def _rewards(columns: Iterable[Column], weights: object) -> str:
+    default = {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)}  # type: ignore[arg-type]
+    parts = [(c.name.removeprefix("reward_"), c) for c in columns if c.name.startswith("reward_")]
+    rows = ((f"`{name}`", f"{default[name]:g}", f"`{c.name}`", c.doc) for name, c in parts)
+    return _table(("weight", "default", "key of `info`", "what"), rows)
+
+
+def _observation() -> str:
+    space = observation_space(16)
+    rows = ((f"`{name}`", f"{box.shape}", type(box).__name__) for name, box in space.items())
+    text = _table(("entry", "shape", "space"), rows)
+    return text + "\nColumns of `agents`: " + ", ".join(f"`{name}`" for name in FEATURES) + ".\n"
+
+
+#: Maker of each table by its name in the page.
+TABLES: dict[str, Callable[[], str]] = {
+    "info": _info,
+    "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
+    "metrics": lambda: _figures(read_columns(_native.metrics_json())),
+    "selection_info": lambda: _figures(c for c in FIGURES if not c.name.startswith("reward_")),
+    "selection_rewards": lambda: _rewards(FIGURES, SelectionReward()),
+    "selection_observation": _observation,
+}
+
+
+def filled(page: str) -> str:
+    """Return a page with its tables made anew."""
+    return _BLOCK.sub(lambda m: m[1] + "\n" + TABLES[m[2]]() + "\n" + m[3], page)
+
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1])
+    path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")

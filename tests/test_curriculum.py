@@ -1,0 +1,115 @@
+"""Criticality of each episode: fixed, drawn by its seed, by the progress of training."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from ccdiff_env import (
+    AgentVectorEnv,
+    EgoEnv,
+    embedded_scenes,
+    make_vec,
+    parallel_env,
+    replay,
+)
+from ccdiff_env.curriculum import Curriculum
+from ccdiff_env.envs.sb3 import SB3VecEnv
+from ccdiff_env.errors import ConfigError
+
+QUICK = {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 2}, "horizon_steps": 6}
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")[:2]
+
+
+def growing(progress):
+    return (0.0, progress)
+
+
+def test_episodes_draw_from_the_range_by_seed_and_number():
+    curriculum = Curriculum((0.5, 1.5))
+    drawn = [curriculum.draw(seed, episode) for seed in range(20) for episode in range(5)]
+    assert drawn == [Curriculum((0.5, 1.5)).draw(s, e) for s in range(20) for e in range(5)]
+    assert len(set(drawn)) == 100
+    assert 0.5 <= min(drawn) < 0.6
+    assert 1.4 < max(drawn) <= 1.5
+    assert Curriculum(0.7).draw(1, 2) == 0.7
+
+
+def test_progress_moves_a_function_along():
+    curriculum = Curriculum(growing)
+    assert curriculum.draw(1, 1) == 0.0
+    curriculum.progress = 0.5
+    assert 0.0 < curriculum.draw(1, 1) <= 0.5
+
+
+def test_every_environment_says_and_sets_it(scenes):
+    single = EgoEnv(scenes=scenes, criticality=(0.0, 1.0), **QUICK)
+    _, info = single.reset(seed=3)
+    assert info["criticality"] == Curriculum((0.0, 1.0)).draw(3, 0)
+    many = make_vec(2, scenes=scenes, criticality=(0.0, 1.0), autoreset_mode="same_step", **QUICK)
+    _, infos = many.reset(seed=3)
+    assert infos["criticality"].tolist() == [Curriculum((0.0, 1.0)).draw(3 + i, 0) for i in (0, 1)]
+    for _ in range(6):
+        *_, infos = many.step(np.zeros((2, 2), np.float32))
+    assert infos["criticality"][0] == Curriculum((0.0, 1.0)).draw(3, 1)
+    game = parallel_env(scenes=scenes, agents=2, criticality=0.5, **QUICK)
+    assert game.reset(seed=0)[1]["ego"]["criticality"] == 0.5
+    rows = AgentVectorEnv(2, scenes=scenes, agents=2, criticality=0.5, **QUICK)
+    assert (rows.reset(seed=0)[1]["criticality"] == 0.5).all()
+
+
+def test_guidance_acts_where_it_is_set_and_nowhere_else(scenes):
+    for strength in (0.0, 1.0):
+        env = EgoEnv(scenes=scenes, criticality=strength, **QUICK)
+        env.reset(seed=0)
+        env.step(np.zeros(2, np.float32))
+        plan = env.worlds.native.explain(0)
+        assert plan["guided"].any() == (strength > 0)
+        assert (plan["realism_cost"].max() > 0) == (strength > 0)
+
+
+def test_learners_and_copies_carry_the_progress(scenes):
+    env = SB3VecEnv(
+        make_vec(2, scenes=scenes, criticality=growing, autoreset_mode="same_step", **QUICK)
+    )
+    env.reset()
+    assert [info["criticality"] for info in env.reset_infos] == [0.0, 0.0]
+    env.env_method("set_progress", 1.0)
+    env.reset()
+    assert min(info["criticality"] for info in env.reset_infos) > 0.0
+    single = EgoEnv(scenes=scenes, criticality=growing, **QUICK)
+    single.reset(seed=1)
+    single.set_progress(0.5)
+    for other in (copy.deepcopy(single), pickle.loads(pickle.dumps(single))):
+        assert other.worlds.curriculum.progress == 0.5
+        assert other.reset(seed=9)[1]["criticality"] == single.reset(seed=9)[1]["criticality"] > 0
+
+
+def test_certificates_hold_the_criticality_that_was_drawn(scenes):
+    env = EgoEnv(scenes=scenes, criticality=(0.5, 1.0), **QUICK)
+    env.reset(seed=1)
+    env.reset()
+    for _ in range(6):
+        env.step(np.zeros(2, np.float32))
+    certificate = env.certificate()
+    assert certificate.config.ccdiff.criticality == Curriculum((0.5, 1.0)).draw(1, 1)
+    replay(certificate, scenes)
+
+
+def test_mistakes_are_named(scenes):
+    for bad in (-1.0, (1.0, 0.0), float("nan"), lambda p: (0.0, float("inf"))):
+        with pytest.raises(ConfigError):
+            Curriculum(bad)
+    with pytest.raises(ConfigError, match="ccdiff"):
+        EgoEnv(scenes=scenes, traffic="idm", criticality=1.0)
+    with pytest.raises(ConfigError, match="criticality"):
+        EgoEnv(scenes=scenes).set_progress(0.5)
+    with pytest.raises(ConfigError, match="0 to 1"):
+        EgoEnv(scenes=scenes, criticality=1.0, **QUICK).set_progress(2.0)

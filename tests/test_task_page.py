@@ -1,0 +1,22 @@
+"""The page of the tasks says what the schemas say, and its pictures exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ccdiff_env.task_tables import TABLES, filled
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
+
+
+def test_tables_are_those_of_the_schemas():
+    text = PAGE.read_text(encoding="utf-8")
+    assert filled(text) == text, "python -m ccdiff_env.task_tables docs/tasks.md"
+    assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
+
+
+def test_pictures_and_pages_that_are_named_exist():
+    text = PAGE.read_text(encoding="utf-8")
+    for name in re.findall(r"\]\(([\w./]+)\)", text):
+        assert (PAGE.parent / name).exists(), name
