@@ -20,6 +20,7 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     bench = verbs.add_parser("bench", help="benchmarks of traffic and of planners")
     kinds = bench.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
+    _add_planners(kinds)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,4 +99,41 @@ def _traffic(args: argparse.Namespace) -> int:
     print((args.out / "table.md").read_text(encoding="utf-8"))
     seconds = time.perf_counter() - start
     print(f"{len(jobs)} jobs in {seconds:.0f} s; tables, plot and raw results: {args.out}")
+    return 0
+
+
+def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("planners", help="planners x traffic, scored as nuPlan does")
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--planners",
+        default="constant_velocity,idm,pdm,replay",
+        help="names, policies of stable-baselines3 (.zip), module:name; comma-separated",
+    )
+    parser.add_argument(
+        "--traffic", default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1", help="comma-separated"
+    )
+    parser.set_defaults(run=_planners)
+
+
+def _planners(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.planner_report import write_report
+    from ccdiff_env.bench.planners import planner_jobs
+
+    source, planners = source_from(args), args.planners.split(",")
+    settings = {"benchmark": "planners", "source": source, "planners": planners, "seed": args.seed}
+    begin(args, settings)
+    start = time.perf_counter()
+    jobs = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
+    raw = args.out / "raw"
+    run_jobs(jobs, raw, backend=args.backend, workers=args.workers, progress=not args.quiet)
+    rows: dict[tuple[str, str], list[Any]] = {}
+    by_name = results(jobs, raw)
+    for job in jobs:
+        key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
+        rows.setdefault(key, []).extend(by_name[job.name])
+    write_report(rows, args.out)
+    print((args.out / "table.md").read_text(encoding="utf-8"))
+    seconds = time.perf_counter() - start
+    print(f"{len(jobs)} jobs in {seconds:.0f} s; table, plot, worst scenes: {args.out}")
     return 0

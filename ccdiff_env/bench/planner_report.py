@@ -1,0 +1,141 @@
+"""Report of the planner benchmark: table, weakness curve, worst scenes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.planners import TRAFFIC
+
+__all__ = ["write_report"]
+
+#: Rows of one planner in one traffic: planner, traffic -> one dictionary per scene.
+Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
+
+_PARTS = (
+    "score",
+    "no_at_fault_collision",
+    "collision",
+    "on_road",
+    "progress",
+    "ttc",
+    "comfort",
+    "speed_limit",
+    "success",
+)
+RESAMPLES = 1000
+
+
+def _mean(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
+    """Mean over scenes and its 95 % bootstrap interval."""
+    values = np.array([row[name] for row in rows], np.float64)
+    rng = np.random.default_rng(0)
+    drawn = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1)
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return float(values.mean()), float(low), float(high)
+
+
+def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
+    """Write ``scores.csv``, ``table.md``, ``weakness.png`` and ``worst.md``.
+
+    Parameters
+    ----------
+    found
+        Rows per scene of every planner in every traffic.
+    folder
+        Where to.
+    worst
+        Scenes to list per planner.
+    """
+    planners = list(dict.fromkeys(p for p, _ in found))
+    traffic = list(dict.fromkeys(t for _, t in found))
+    with (folder / "scores.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["planner", "traffic", "scene", *_PARTS, "min_ttc_s"])
+        for (planner, name), rows in found.items():
+            for row in rows:
+                parts = [row[part] for part in (*_PARTS, "min_ttc_s")]
+                writer.writerow([planner, name, row["scene"], *parts])
+    lines = []
+    for name in traffic:
+        lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
+        lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
+        lines += ["|---|" + "---|" * len(_PARTS)]
+        for planner in planners:
+            cells = []
+            for part in _PARTS:
+                mean, low, high = _mean(found[planner, name], part)
+                between = f" [{low:.2f}, {high:.2f}]" if part == "score" else ""
+                cells.append(f"{mean:.2f}{between}")
+            lines.append(f"| {_short(planner)} | " + " | ".join(cells) + " |")
+        lines.append("")
+    lines.append("Means over scenes; brackets: 95 % bootstrap intervals.")
+    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "worst.md").write_text(_worst(found, planners, worst), encoding="utf-8")
+    _plot(found, planners, traffic, folder / "weakness.png")
+
+
+def _short(planner: str) -> str:
+    return Path(planner).stem if planner.endswith(".zip") else planner
+
+
+def _worst(found: Results, planners: Sequence[str], count: int) -> str:
+    lines = []
+    for planner in planners:
+        rows = [
+            (row["score"], name, row)
+            for (p, name), part in found.items()
+            if p == planner
+            for row in part
+        ]
+        rows.sort(key=lambda r: (r[0], r[2]["min_ttc_s"], r[1], r[2]["scene"]))
+        lines += [
+            f"### {_short(planner)}",
+            "",
+            "| scene | traffic | score | why |",
+            "|---|---|---|---|",
+        ]
+        for score, name, row in rows[:count]:
+            why = [
+                text
+                for part, text in (
+                    ("no_at_fault_collision", "collision at fault"),
+                    ("on_road", "off the road"),
+                    ("makes_progress", "no progress"),
+                    ("right_way", "wrong way"),
+                    ("ttc", "close call"),
+                )
+                if row[part] < 1.0
+            ]
+            lines.append(f"| {row['scene']} | {name} | {score:.2f} | {', '.join(why)} |")
+        lines.append("")
+    return "\n".join(lines) + "\n"
+
+
+def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    level = {n: float(TRAFFIC[n].ccdiff.get("criticality", 0.0)) for n in traffic}
+    names = sorted((n for n in traffic if TRAFFIC[n].driver == "ccdiff"), key=lambda n: level[n])
+    if not names:
+        return
+    figure, axes = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    x = [level[n] for n in names]
+    for planner in planners:
+        means = np.array([_mean(found[planner, n], "score") for n in names])
+        (line,) = axes.plot(x, means[:, 0], "o-", label=_short(planner))
+        axes.fill_between(x, means[:, 1], means[:, 2], alpha=0.12, color=line.get_color())
+    axes.set_xlabel("criticality of the CCDiff traffic")
+    axes.set_ylabel("score")
+    axes.set_ylim(0, 1)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

@@ -1,0 +1,248 @@
+"""Planners against traffic: every planner in every traffic, scored as nuPlan's closed loop does.
+
+The score of a scene is a product of what must not happen and a weighted mean of the rest (nuPlan,
+closed-loop non-reactive and reactive challenges):
+
+    score = no_at_fault_collision x on_road x makes_progress x right_way
+            x (5 ttc + 5 progress + 4 speed_limit + 2 comfort) / 16
+
+Differs from nuPlan: progress is measured along the logged route up to its goal, comfort is the
+share of steps within the limits, a collision with a static obstacle counts as any other, and half
+points are not given.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.pdm import PdmPlanner
+from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.planners import ego_driver
+from ccdiff_env.scenes import SceneSet
+
+__all__ = ["TRAFFIC", "Traffic", "evaluate", "planner_jobs", "planner_score", "play"]
+
+HISTORY_STEPS = 30
+#: Scenes that share a batch of the network.
+CHUNK = 12
+#: Limits of comfort: acceleration forwards, braking, sideways (m/s²), jerk (m/s³), as nuPlan's.
+COMFORT = {
+    "acceleration": (-4.05, 2.40),
+    "lateral_acceleration": (-4.89, 4.89),
+    "jerk": (-8.37, 8.37),
+}
+#: Least share of the route for "makes progress".
+LEAST_PROGRESS = 0.2
+TTC_BOUND_S = 0.95
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Traffic to test planners in."""
+
+    label: str
+    driver: str
+    ccdiff: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _critical(level: float) -> Traffic:
+    return Traffic(
+        f"CCDiff, criticality {level:g}", "ccdiff", {"criticality": level, "num_samples": 1}
+    )
+
+
+TRAFFIC: dict[str, Traffic] = {
+    "replay": Traffic("Log replay", "replay"),
+    "idm": Traffic("IDM", "idm"),
+    "ccdiff": Traffic("CCDiff, no guidance", "ccdiff", {"num_samples": 1}),
+    **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
+}
+
+
+def planner_jobs(
+    source: Mapping[str, str], planners: Sequence[str], traffic: Sequence[str], *, seed: int = 0
+) -> list[Job]:
+    """Return the jobs of a planner benchmark: planners x traffic x pieces of the scenes.
+
+    Parameters
+    ----------
+    source
+        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+    planners
+        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, the path of a policy saved
+        by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
+        :func:`play`.
+    traffic
+        Names of :data:`TRAFFIC`.
+    seed
+        Seed of the episodes.
+    """
+    for name in traffic:
+        if name not in TRAFFIC:
+            raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
+    pieces = chunks(scene_names(source), CHUNK)
+    return [
+        Job(
+            f"{p:02d}-{name}-{i:03d}",
+            f"{__name__}:evaluate",
+            {
+                "source": dict(source),
+                "names": names,
+                "planner": planner,
+                "traffic": name,
+                "seed": seed,
+            },
+        )
+        for p, planner in enumerate(planners)
+        for name in traffic
+        for i, names in enumerate(pieces)
+    ]
+
+
+def evaluate(
+    *, source: Mapping[str, str], names: Sequence[str], planner: str, traffic: str, seed: int
+) -> list[dict[str, Any]]:
+    """Drive scenes with a planner: one dictionary of figures and the score per scene."""
+    return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed)
+
+
+#: From the worlds and the observations [E, D] to actions [E, W].
+_Drive = Callable[[Worlds, npt.NDArray[np.float32]], npt.NDArray[Any]]
+
+
+def _drive(planner: str, worlds: Worlds) -> _Drive:
+    if planner == "pdm":
+        pdm = PdmPlanner(worlds)
+        return lambda w, _: np.stack([pdm.act(i) for i in range(w.num_worlds)])
+    if ":" in planner and not planner.endswith(".zip"):
+        module, name = planner.split(":", 1)
+        made = getattr(importlib.import_module(module), name)
+        own = made(worlds) if isinstance(made, type) else made
+        return lambda _, obs: np.asarray(own(obs))
+    act = ego_driver(planner)[1]
+    if act is None:
+        nothing = np.zeros((worlds.num_worlds, worlds.native.action_width), np.float32)
+        return lambda *_: nothing
+    function = act
+    return lambda _, obs: function(obs)
+
+
+def play(
+    scenes: SceneSet,
+    planner: str,
+    traffic: Traffic,
+    *,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+) -> list[dict[str, Any]]:
+    """Drive every scene once, all in one batch.
+
+    Parameters
+    ----------
+    scenes
+        The scenes.
+    planner
+        As in :func:`planner_jobs`. A function gets flat observations [E, D] and returns actions
+        [E, W]; a class is made with the :class:`~ccdiff_env.envs.worlds.Worlds` first.
+    traffic
+        Who drives the others.
+    seed
+        Seed of every episode.
+    options
+        Further fields of :class:`~ccdiff_env.config.WorldConfig`.
+    """
+    outside = planner == "pdm" or ":" in planner or planner.endswith(".zip")
+    config = WorldConfig().with_options(
+        history_steps=HISTORY_STEPS,
+        traffic=traffic.driver,
+        driver="external" if outside else planner,
+        ccdiff=dict(traffic.ccdiff),
+        autoreset="disabled",
+        on_collision="stop",
+        on_off_road="ignore",
+        dt_s=scenes[0].dt,
+        **(options or {}),
+    )
+    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+    native, out = worlds.native, worlds.arrays()
+    native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
+    drive = _drive(planner, worlds)
+    names = worlds.column_names
+    figures: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
+    metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
+    while any(m is None for m in metrics):
+        actions = np.asarray(drive(worlds, out.obs[:, 0]), np.float32)
+        native.step(actions.reshape(len(scenes), 1, -1), out)
+        for i in range(len(scenes)):
+            if metrics[i] is not None:
+                continue
+            figures[i].append(out.columns[i, 0].copy())
+            if out.done[i]:
+                metrics[i] = native.ended_metrics([i])[0, 0]
+        ended = [bool(d) for d in out.done]
+        if any(ended) and any(m is None for m in metrics):
+            # ended worlds go round once more, unwatched, so that the batch stays whole
+            native.reset([seed] * len(scenes), list(range(len(scenes))), ended, out)
+    return [
+        {
+            "scene": scene.name,
+            **planner_score(
+                dict(zip(worlds.metric_names, m.tolist(), strict=True)),
+                {name: np.array([row[i] for row in f]) for i, name in enumerate(names)},
+                config.speed_limit_mps,
+            ),
+        }
+        for scene, m, f in zip(scenes, metrics, figures, strict=True)
+        if m is not None
+    ]
+
+
+def planner_score(
+    metrics: Mapping[str, float], figures: Mapping[str, npt.NDArray[np.float32]], limit_mps: float
+) -> dict[str, Any]:
+    """Return the parts of the score of one episode, each in [0, 1], and the score.
+
+    Parameters
+    ----------
+    metrics
+        Metrics of the episode by name.
+    figures
+        Figures of each step by name, [T].
+    limit_mps
+        Speed limit.
+    """
+    calm = np.ones(len(figures["speed"]), bool)
+    for name, (low, high) in COMFORT.items():
+        calm &= (figures[name] >= low) & (figures[name] <= high)
+    over = np.maximum(figures["speed"] - limit_mps, 0.0)
+    parts = {
+        "no_at_fault_collision": 1.0 - metrics["at_fault"],
+        "on_road": 1.0 - metrics["off_road"],
+        "makes_progress": float(metrics["route_completion"] >= LEAST_PROGRESS),
+        "right_way": 1.0 - metrics["wrong_way"],
+        "ttc": float(np.min(figures["ttc"]) >= TTC_BOUND_S),
+        "progress": metrics["route_completion"],
+        "speed_limit": float(max(0.0, 1.0 - over.mean() / 2.23)),
+        "comfort": float(calm.mean()),
+    }
+    musts = ("no_at_fault_collision", "on_road", "makes_progress", "right_way")
+    weights = {"ttc": 5, "progress": 5, "speed_limit": 4, "comfort": 2}
+    product = float(np.prod([parts[m] for m in musts]))
+    mean = sum(w * parts[name] for name, w in weights.items()) / sum(weights.values())
+    return {
+        **parts,
+        "collision": metrics["collision"],
+        "success": metrics["is_success"],
+        "min_ttc_s": metrics["min_ttc"],
+        "score": product * mean,
+    }
