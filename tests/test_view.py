@@ -15,7 +15,7 @@ from view_rollouts import NUM_STEPS, planned_rollout
 from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.view import find_rollout, log_rollout, page, play_scene, write_page
+from ccdiff_env.view import find_rollout, log_rollout, page_html, play_scene, write_page
 from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.film import Film
 
@@ -46,7 +46,7 @@ def elements(text: str) -> list[str]:
 
 def test_a_page_holds_the_states_to_a_centimetre():
     run = planned_rollout()
-    header, arrays = unpacked(elements(page(run))[0])
+    header, arrays = unpacked(elements(page_html(run))[0])
     there = run.valid
     for name, values in (
         ("x", run.position[..., 0]),
@@ -66,7 +66,7 @@ def test_a_page_holds_the_states_to_a_centimetre():
 
 def test_a_page_holds_plans_with_the_chosen_sample_first_and_edges_from_cause_to_effect():
     run = planned_rollout()
-    header, arrays = unpacked(elements(page(run))[0])
+    header, arrays = unpacked(elements(page_html(run))[0])
     plan = header["plans"][2]
     assert (plan["step"], plan["agents"], plan["guided"]) == (20, [1, 2], [0, 1])
     assert plan["edges"] == [[2, 1]]  # entry (0, 1) of the graph: the second influences the first
@@ -77,7 +77,7 @@ def test_a_page_holds_plans_with_the_chosen_sample_first_and_edges_from_cause_to
 
 
 def test_figures_that_never_change_are_left_out():
-    header, _ = unpacked(elements(page(planned_rollout()))[0])
+    header, _ = unpacked(elements(page_html(planned_rollout()))[0])
     assert header["figures"] == [{"name": "route_distance", "unit": "m"}]
 
 
@@ -109,7 +109,7 @@ def test_two_agents_that_follow_the_log_overlap_but_do_not_collide():
         RolloutEvent(6, ids[1], ids[4], "collision_side"),
         RolloutEvent(7, ids[1], None, "off_road"),
     )
-    shown = unpacked(elements(page(replace(run, events=events)))[0])[0]["run"]["events"]
+    shown = unpacked(elements(page_html(replace(run, events=events)))[0])[0]["run"]["events"]
     assert [event["collision"] for event in shown] == [False, True, False]
 
 
@@ -125,14 +125,14 @@ def test_names_cannot_break_out_of_the_page():
         location="<b>",
         **scene.tracks(),
     )
-    text = page(replace(run, scene=named))
+    text = page_html(replace(run, scene=named))
     assert "alert(1)</script>" not in text
     assert text.count("<script") == text.count("</script>") == 3
     assert len(elements(text)) == 1
 
 
 def test_pages_need_nothing_from_outside():
-    text = page(planned_rollout())
+    text = page_html(planned_rollout())
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)""", text)
     assert "http" not in text.replace("http-equiv", "")
     assert "default-src 'none'" in text
@@ -142,7 +142,7 @@ def test_a_run_beside_the_log_gives_two_elements_of_the_same_time():
     run = replace(planned_rollout(), start_step=20)
     log = log_rollout(run.scene, like=run)
     assert (log.start_step, log.num_steps) == (20, NUM_STEPS)
-    first, second = (unpacked(e)[0]["run"] for e in elements(page(run, compare=log)))
+    first, second = (unpacked(e)[0]["run"] for e in elements(page_html(run, compare=log)))
     assert (first["startStep"], first["numSteps"]) == (second["startStep"], second["numSteps"])
 
 
@@ -227,7 +227,7 @@ def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_scene_played_with_ccdiff_traffic_shows_its_plans():
     run = play_scene(embedded_scenes()["left-turn-00"], ccdiff={"num_samples": 3})
-    header, arrays = unpacked(elements(page(run))[0])
+    header, arrays = unpacked(elements(page_html(run))[0])
     assert len(header["plans"]) == len(run.plans) > 1
     assert header["plans"][0]["numSamples"] == 3
     assert np.isfinite(arrays["plan0x"]).all()
@@ -286,7 +286,7 @@ def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
     valid = run.valid.copy()
     valid[1, 40:] = False
     gone = Rollout(**{f: getattr(run, f) for f in run.__dataclass_fields__} | {"valid": valid})
-    _, arrays = unpacked(elements(page(gone))[0])
+    _, arrays = unpacked(elements(page_html(gone))[0])
     assert arrays["valid"][1, 40:].max() == 0
     assert np.ptp(arrays["x"][1, 39:]) == 0.0
     film = Film(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)

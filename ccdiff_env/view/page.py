@@ -29,10 +29,10 @@ SCRIPTS = (
 
 def part(name: str) -> str:
     """Return a file of the page."""
-    return resources.files("ccdiff_env.view").joinpath(f"page/{name}").read_text(encoding="utf-8")
+    return resources.files("ccdiff_env.view").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
-def page(
+def page_html(
     rollout: Rollout, *, compare: Rollout | None = None, titles: tuple[str, str] = ("A", "B")
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
@@ -108,5 +108,7 @@ def write_page(
     compare: Rollout | None = None,
     titles: tuple[str, str] = ("A", "B"),
 ) -> int:
-    """Write :func:`page` to a file; returns its size in bytes."""
-    return Path(path).write_text(page(rollout, compare=compare, titles=titles), encoding="utf-8")
+    """Write :func:`page_html` to a file; returns its size in bytes."""
+    return Path(path).write_text(
+        page_html(rollout, compare=compare, titles=titles), encoding="utf-8"
+    )

@@ -185,22 +185,23 @@ class ContactPanel {
     container.addEventListener("pointerleave", () => hover(null));
   }
 
-  /** Agents of the plan in force, else of the shortest times to contact; the focus comes first. */
+  /** Agents in the most urgent pairs: first those of the focus, then those of the plan in force. */
   choose(step, focus) {
-    const { run } = this;
+    const { run } = this, plan = run.planAt(step);
     const solid = (agent) => run.agents[agent].kind !== "static";
+    const rank = ([a, b]) => {
+      if (a === focus || b === focus) return 0;
+      return plan && plan.agents.includes(a) && plan.agents.includes(b) ? 1 : 2;
+    };
     const pairs = run.pairs(step)
       .filter(([a, b, ttc]) => ttc < 2 || solid(a) && solid(b))
-      .sort((p, q) => p[2] - q[2]);
-    const order = focus >= 0 ? [focus] : [];
-    const add = (agent) => {
-      if (order.length < TTC_ROWS && !order.includes(agent)) order.push(agent);
-    };
-    for (const [a, b] of pairs) if (a === focus || b === focus) [a, b].forEach(add);
-    const plan = run.planAt(step);
-    if (plan) plan.agents.forEach(add);
-    for (const [a, b] of pairs) if (order.length < TTC_ROWS - 1) [a, b].forEach(add);
-    return order.filter((agent) => run.valid(agent, step));
+      .sort((p, q) => rank(p) - rank(q) || p[2] - q[2]);
+    const order = new Set(focus >= 0 && pairs.length ? [focus] : []);
+    for (const [a, b] of pairs) {
+      const more = !order.has(a) + !order.has(b);
+      if (order.size + more <= TTC_ROWS) order.add(a).add(b);
+    }
+    return [...order].filter((agent) => run.valid(agent, step));
   }
 
   draw(step, focus, theme) {
