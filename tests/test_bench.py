@@ -1,0 +1,263 @@
+"""Benchmarks: jobs that go on where they stopped, figures of episodes, tables, planners, scores."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import cli
+from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.pdm import _Path
+from ccdiff_env.bench.planners import Traffic, planner_score, play
+from ccdiff_env.bench.scenes import chunks, scene_names
+from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
+from ccdiff_env.bench.traffic import METHODS, control_set, evaluate, traffic_jobs
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
+from ccdiff_env.metrics import scores
+
+VAL = {"embedded": "val"}
+
+
+def square(x, log=None):
+    """A job's function; notes that it was run."""
+    if log is not None:
+        with open(log, "a", encoding="utf-8") as file:
+            file.write(f"{x}\n")
+    return {"square": x * x}
+
+
+def fragile(x, marker):
+    """A job's function that takes its worker down the first time."""
+    if x == 1 and not os.path.exists(marker):
+        with open(marker, "w", encoding="utf-8"):
+            pass
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x * x
+
+
+def test_a_killed_run_goes_on_where_it_stopped(tmp_path):
+    log = tmp_path / "log"
+    jobs = [Job(f"job-{x}", f"{__name__}:square", {"x": x, "log": str(log)}) for x in range(4)]
+    run_jobs(jobs[:2], tmp_path / "raw", progress=False)
+    run_jobs(jobs, tmp_path / "raw", progress=False)
+    assert log.read_text().split() == ["0", "1", "2", "3"]
+    assert results(jobs, tmp_path / "raw")["job-3"] == {"square": 9}
+    assert not [p for p in (tmp_path / "raw").iterdir() if p.name.startswith(".")]
+
+
+def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
+    arguments = {
+        "source": VAL, "method": "constant_velocity", "num_controlled": 2, "replan_steps": 5,
+        "seed": 0,
+    }  # fmt: skip
+    names = chunks(scene_names(VAL), 3)[:2]
+    jobs = [
+        Job(f"cv-K2-T5-{i:03d}", "ccdiff_env.bench.traffic:evaluate", {**arguments, "names": n})
+        for i, n in enumerate(names)
+    ]
+    run_jobs(jobs, tmp_path / "one", progress=False)
+    run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
+    assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
+
+
+def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
+    ray = pytest.importorskip("ray", reason="ray is not installed")
+    found_here = {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
+    ray.init(
+        num_cpus=2,
+        include_dashboard=False,
+        log_to_driver=False,
+        runtime_env={"env_vars": found_here},
+    )
+    try:
+        marker = str(tmp_path / "marker")
+        jobs = [
+            Job(f"job-{x}", f"{__name__}:fragile", {"x": x, "marker": marker}) for x in range(4)
+        ]
+        jobs += traffic_jobs({"embedded": "val"}, ["ccdiff"], num_controlled=(1,))
+        run_jobs(jobs, tmp_path / "ray", backend="ray", progress=False)
+        assert os.path.exists(marker)
+        run_jobs(jobs, tmp_path / "local", progress=False)
+        assert results(jobs, tmp_path / "ray") == results(jobs, tmp_path / "local")
+    finally:
+        ray.shutdown()
+
+
+def test_damaged_results_and_doubled_names_are_refused(tmp_path):
+    job = Job("job", f"{__name__}:square", {"x": 1})
+    with pytest.raises(ConfigError, match="same name"):
+        run_jobs([job, job], tmp_path, progress=False)
+    with pytest.raises(ConfigError, match="workers"):
+        run_jobs([job], tmp_path, workers=0, progress=False)
+    (tmp_path / "job.json").write_text("{", encoding="utf-8")
+    with pytest.raises(DatasetError, match=r"job\.json"):
+        results([job], tmp_path)
+
+
+def test_the_floor_replays_the_log():
+    rows = evaluate(
+        source=VAL, names=scene_names(VAL)[:3], method="replay", num_controlled=0, replan_steps=5,
+        seed=0,
+    )  # fmt: skip
+    for row in rows:
+        assert row["fde_m"] == row["ade_m"] == 0.0
+        assert not row["collision"]["new"]
+        assert row["num_controlled"] == 0
+        assert row["fde_controlled_m"] is None
+    json.dumps(rows, allow_nan=False)
+
+
+def test_only_the_control_set_leaves_the_log():
+    one, everyone = (
+        evaluate(
+            source=VAL, names=scene_names(VAL)[:2], method="constant_velocity", num_controlled=k,
+            replan_steps=5, seed=0,
+        )
+        for k in (1, None)
+    )  # fmt: skip
+    for row, full in zip(one, everyone, strict=True):
+        assert row["num_controlled"] == 1
+        assert full["num_controlled"] == full["num_agents"]
+        # the mean over all counts those who replay with zero
+        assert row["fde_m"] == pytest.approx(row["fde_controlled_m"] / row["num_agents"], rel=1e-6)
+        assert full["fde_m"] == pytest.approx(full["fde_controlled_m"])
+
+
+def test_control_sets_grow_by_one_vehicle_at_a_time():
+    scene = ccdiff_env.embedded_scenes("val")[0]
+    for ranking in ("cliques", "distance", "first", "random"):
+        sets = [control_set(scene, ranking, k) for k in (1, 2, 3, None)]
+        assert [len(s) for s in sets[:3]] == [1, 2, 3]
+        assert sets[0] == sets[1][:1] == sets[3][:1]
+        assert len(set(sets[3])) == len(sets[3])
+
+
+def test_jobs_name_their_condition_and_the_floor_is_always_there():
+    jobs = traffic_jobs(VAL, ["idm", "ccdiff"], num_controlled=(1, None), replan_steps=(5, 10))
+    raw = {job.name: [{"scene": "a"}] for job in jobs}
+    found = conditions(raw)
+    assert Condition("replay", 0, 5) in found
+    assert Condition("ccdiff", None, 10) in found
+    assert Condition("idm", 1, 10) not in found
+    with pytest.raises(UnknownNameError, match="no method 'ctg'"):
+        traffic_jobs(VAL, ["ctg"])
+
+
+def _row(scene, collided, off_road, fde, histogram):
+    return {
+        "scene": scene, "collision": {"all": collided, "new": collided, "controlled_new": False},
+        "collision_rate": {"new": 0.5 * collided}, "off_road": off_road, "off_road_box": 0.0,
+        "off_road_parity": 0.0, "fde_m": fde, "fde_controlled_m": None, "over_speed": False,
+        "realism_cost": None, "graph_sparsity": None, "comfort": histogram,
+        "comfort_parity": histogram,
+    }  # fmt: skip
+
+
+def test_tables_hold_means_intervals_and_scores(tmp_path):
+    centre = np.zeros((3, 20))
+    centre[:, 10] = 1.0
+    moved = np.roll(centre, 1, axis=1)
+    log = [_row(str(i), False, 0.0, 0.0, centre.tolist()) for i in range(8)]
+    rows = [_row(str(i), i < 2, 0.01 * (i % 2), float(i), moved.tolist()) for i in range(8)]
+    figures = summarise(rows, log)
+    assert figures.value["scr"] == 0.25
+    assert figures.value["orr"] == pytest.approx(0.5)
+    assert figures.value["fde"] == 3.5
+    # one bin: 0.2, 0.2 m/s² and 0.1 m/s³
+    assert figures.value["cfd"] == pytest.approx(100 * 0.5 / 3)
+    assert figures.low["scr"] < 0.25 < figures.high["scr"]
+    assert np.isnan(figures.value["fde_controlled"])
+    table = {
+        Condition("replay", 0, 5): summarise(log, log),
+        Condition("idm", 1, 5): figures,
+        Condition("idm", None, 5): summarise([{**r, "fde_m": 9.0} for r in rows], log),
+    }
+    write_tables(table, tmp_path)
+    text = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "0.25 [" in text
+    assert "| method | | 1 | Full |" in text
+    _, rs = scores(scr=[0.25, 0.25], orr=[0.5, 0.5], fde=[3.5, 9.0], cfd=[1.0, 1.0])
+    lines = [line for line in text.splitlines() if "| RS |" in line]
+    assert all(f"{v:.2f}" in lines[0] for v in rs)
+    assert (tmp_path / "table.tex").read_text(encoding="utf-8").count(r"\midrule") == 1
+    assert len((tmp_path / "figures.csv").read_text(encoding="utf-8").splitlines()) == 4
+
+
+def test_projections_on_a_path_agree_with_shapely():
+    shapely = pytest.importorskip("shapely")
+    rng = np.random.default_rng(0)
+    points = np.cumsum(rng.normal(1.0, 0.8, (30, 2)), axis=0)
+    path, line = _Path(points), shapely.LineString(points)
+    queries = points[rng.integers(30, size=50)] + rng.normal(0, 2.0, (50, 2))
+    found = path.project(queries)
+    for (s, side), query in zip(found, queries, strict=True):
+        point = shapely.Point(query)
+        assert abs(side) <= line.distance(point) + 1e-9
+        assert line.interpolate(s).distance(point) == pytest.approx(line.distance(point), abs=1e-6)
+
+
+def test_the_score_of_a_planner_is_the_product_and_the_weighted_mean_by_hand():
+    metrics = {
+        "at_fault": 0.0, "off_road": 0.0, "route_completion": 0.5, "wrong_way": 0.0,
+        "collision": 0.0, "is_success": 0.0, "min_ttc": 0.5,
+    }  # fmt: skip
+    figures = {
+        "speed": np.array([10.0, 10.0, 17.23, 17.23]),
+        "ttc": np.array([3.0, 0.5, 3.0, 3.0]),
+        "acceleration": np.array([0.0, 3.0, 0.0, 0.0]),
+        "lateral_acceleration": np.zeros(4),
+        "jerk": np.zeros(4),
+    }
+    found = planner_score(metrics, figures, 15.0)
+    assert found["comfort"] == 0.75
+    assert found["speed_limit"] == pytest.approx(0.5)
+    assert found["score"] == pytest.approx((5 * 0 + 5 * 0.5 + 4 * 0.5 + 2 * 0.75) / 16)
+    assert planner_score({**metrics, "at_fault": 1.0}, figures, 15.0)["score"] == 0.0
+
+
+class Standing:
+    """A planner of somebody else: brakes."""
+
+    def __init__(self, worlds):
+        self.width = worlds.native.action_width
+
+    def __call__(self, obs):
+        return np.tile(np.array([-1.0, 0.0], np.float32)[: self.width], (len(obs), 1))
+
+
+def test_planners_are_told_apart():
+    scenes = ccdiff_env.embedded_scenes("val")[:4]
+    replay = Traffic("log", "replay")
+    found = {
+        name: play(scenes, name, replay)
+        for name in ("replay", "pdm", "constant_velocity", f"{__name__}:Standing")
+    }
+    mean = {name: np.mean([row["score"] for row in rows]) for name, rows in found.items()}
+    progress = {n: np.mean([row["progress"] for row in rows]) for n, rows in found.items()}
+    assert mean["replay"] > 0.9
+    assert mean["replay"] >= mean["pdm"] > mean[f"{__name__}:Standing"]
+    assert progress[f"{__name__}:Standing"] < 0.5 < progress["pdm"]
+    assert found["pdm"] == play(scenes, "pdm", replay)
+
+
+def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, capsys):
+    command = ["bench", "traffic", "--out", str(tmp_path), "--quiet", "--k", "1,Full"]
+    assert cli.main([*command, "--methods", "idm"]) == 0
+    assert "Floor" in capsys.readouterr().out
+    for name in ("table.md", "table.tex", "figures.csv", "scores.png", "run.json"):
+        assert (tmp_path / name).stat().st_size > 0
+    assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
+    assert "another seed" in capsys.readouterr().err
+    planners = ["bench", "planners", "--out", str(tmp_path / "p"), "--quiet"]
+    assert cli.main([*planners, "--planners", "idm", "--traffic", "replay,idm"]) == 0
+    assert (tmp_path / "p" / "worst.md").exists()
+
+
+def test_all_methods_have_drivers_that_exist():
+    assert {m.driver for m in METHODS.values()} <= {"replay", "constant_velocity", "idm", "ccdiff"}

@@ -1,0 +1,282 @@
+"""CCDiff as a driver of the world: plans, guidance, rankings, snapshots, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import CcdiffError, ConfigError, SceneError, UnknownNameError
+from ccdiff_env.metrics import Rollout
+from ccdiff_env.scenes import Scene, SceneSet
+
+FIELDS = ("position", "heading", "velocity", "active")
+
+
+@pytest.fixture(scope="module")
+def scenes() -> SceneSet:
+    return ccdiff_env.embedded_scenes("val")
+
+
+class Play:
+    """Worlds of CCDiff traffic, the ego following its log."""
+
+    def __init__(self, scenes, seed=3, ccdiff=None, **options):
+        options = {"driver": "replay", "on_collision": "ignore", **options}
+        config = WorldConfig().with_options(
+            traffic="ccdiff",
+            ccdiff=ccdiff or {},
+            on_off_road="ignore",
+            terminate_at_goal=False,
+            autoreset="disabled",
+            **options,
+        )
+        self.worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+        self.native, self.out = self.worlds.native, self.worlds.arrays()
+        count = len(scenes)
+        self.native.reset([seed] * count, list(range(count)), None, self.out)
+
+    def step(self, times=1):
+        nothing = np.zeros((self.worlds.num_worlds, 1, self.native.action_width), np.float32)
+        for _ in range(times):
+            self.native.step(nothing, self.out)
+
+    def states(self, world_idx=0):
+        states = self.native.states(world_idx)
+        return {name: states[name] for name in FIELDS}
+
+
+def test_a_plan_is_made_every_n_steps_and_followed_in_between(scenes):
+    play = Play(scenes[:1], ccdiff={"replan_steps": 4, "num_samples": 2})
+    assert play.native.explain(0) is None
+    made = []
+    for step in range(10):
+        play.step()
+        plan = play.native.explain(0)
+        made.append(plan["made_at"])
+        agents = plan["agents"][plan["executed"]]
+        rows, chosen = np.flatnonzero(plan["executed"]), plan["chosen"][plan["executed"]]
+        at = plan["samples"][chosen, rows, step - plan["made_at"]]
+        states = play.states()
+        there = states["active"][agents]
+        assert there.any()
+        np.testing.assert_allclose(states["position"][agents][there], at[there, :2], atol=1e-4)
+        speed = np.linalg.norm(states["velocity"][agents], axis=1)
+        assert (speed < 35).all()
+    assert made == [0, 0, 0, 0, 4, 4, 4, 4, 8, 8]
+
+
+def test_a_plan_tells_what_it_was_made_from(scenes):
+    play = Play(scenes[:1], ccdiff={"num_samples": 3, "criticality": 1.0, "explain": True})
+    play.step()
+    plan = play.native.explain(0)
+    m = len(plan["agents"])
+    assert plan["samples"].shape == (3, m, 52, 3)
+    for name in ("graph", "ttc_s", "attention"):
+        assert plan[name].shape == (m, m)
+    assert plan["graph"].diagonal().all()
+    assert (plan["attention"][~plan["graph"]] == 0).all()
+    assert len(plan["objectives"]) == len(plan["losses"]) == len(plan["gradient_cosine"])
+    assert plan["guided"].sum() <= 5
+    assert set(plan["ranking"]) == set(plan["agents"][plan["executed"]])
+    assert (plan["realism_cost"][~plan["guided"]] == 0).all()
+    assert (plan["realism_cost"] <= 1).all()
+
+
+@pytest.mark.parametrize(
+    "ranking", ["cliques", "greedy", "distance", "first", "random", "gradient", "list"]
+)
+def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking):
+    scene = scenes[0]
+    wanted = {scene.name: scene.agent_ids[2:3]} if ranking == "list" else ranking
+    play = Play(scenes[:1], ccdiff={"ranking": wanted, "num_guided": 1, "criticality": 1.0})
+    play.step()
+    plan = play.native.explain(0)
+    ours = plan["agents"][plan["executed"]]
+    assert sorted(plan["ranking"]) == sorted(ours)
+    assert plan["guided"].sum() == 1
+    if ranking == "list" and 2 in ours:
+        assert plan["ranking"][0] == 2
+
+
+def test_guidance_raises_collisions_with_the_ego(scenes):
+    def collided(criticality):
+        play = Play(scenes, ccdiff={"criticality": criticality})
+        touched = np.zeros(len(scenes), bool)
+        names = play.worlds.column_names
+        for _ in range(80):
+            play.step()
+            touched |= play.out.columns[:, 0, names.index("collision")] > 0
+        return touched.sum()
+
+    calm, critical = collided(0.0), collided(1.0)
+    assert critical >= calm + 3, (calm, critical)
+
+
+def test_commands_choose_who_is_guided_and_how_hard(scenes):
+    play = Play(scenes[:1], ccdiff={"criticality": 0.0})
+    play.step()
+    free = play.native.explain(0)
+    chosen = int(free["ranking"][-1])
+    play = Play(scenes[:1], ccdiff={"criticality": 0.0})
+    play.native.command(0, guided=[chosen], criticality=1.0)
+    play.step()
+    plan = play.native.explain(0)
+    assert plan["agents"][plan["guided"]].tolist() == [chosen]
+    row = list(plan["agents"]).index(chosen)
+    moved = np.abs(plan["samples"] - free["samples"]).max(axis=(0, 2, 3))
+    assert moved[row] > 0.01
+    with pytest.raises(UnknownNameError, match="agent"):
+        play.native.command(0, guided=[10_000], criticality=None)
+    with pytest.raises(ConfigError, match="criticality"):
+        play.native.command(0, guided=None, criticality=-1.0)
+
+
+def test_vehicles_left_to_the_log_stay_on_it(scenes):
+    ccdiff = {"others": "replay", "num_guided": 1, "rerank": False, "criticality": 1.0}
+    play = Play(scenes[:1], ccdiff=ccdiff)
+    tracks = scenes[0].tracks()
+    for step in range(20):
+        play.step()
+        plan, states = play.native.explain(0), play.states()
+        for agent in plan["agents"][~plan["executed"]]:
+            at = 31 + step
+            if states["active"][agent] and tracks["valid"][agent, at]:
+                logged = tracks["position"][agent, at]
+                np.testing.assert_allclose(states["position"][agent], logged, atol=1e-4)
+    assert plan["executed"].sum() == 1
+
+
+def test_the_same_seed_gives_the_same_traffic_and_another_one_another(scenes):
+    runs = []
+    for seed in (1, 1, 2):
+        play = Play(scenes[:2], seed=seed)
+        play.step(12)
+        runs.append(np.stack([play.states(i)["position"].sum(0) for i in range(2)]))
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert np.abs(runs[0] - runs[2]).max() > 1e-3
+
+
+def test_a_restored_world_goes_on_bit_for_bit(scenes):
+    play = Play(scenes[:2], ccdiff={"num_samples": 2})
+    play.step(7)
+    kept = [play.native.snapshot(i) for i in range(2)]
+    play.step(13)
+    first = [play.states(i) for i in range(2)]
+    for i, snapshot in enumerate(kept):
+        play.native.restore(i, snapshot)
+    play.step(13)
+    for i in range(2):
+        for name in FIELDS:
+            np.testing.assert_array_equal(play.states(i)[name], first[i][name])
+
+
+def test_the_batch_changes_plans_by_rounding_only(scenes):
+    alone, together = Play(scenes[:1]), Play(scenes[:3])
+    alone.step(5)
+    together.step(5)
+    np.testing.assert_allclose(alone.states()["position"], together.states()["position"], atol=2e-3)
+
+
+def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
+    def error(options):
+        config = WorldConfig().with_options(
+            driver="replay", on_collision="ignore", on_off_road="ignore", vanish_with_log=True,
+            terminate_at_goal=False, autoreset="disabled", late_arrivals=False, **options,
+        )  # fmt: skip
+        worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+        out, count = worlds.arrays(), len(scenes)
+        worlds.native.reset([0] * count, list(range(count)), None, out)
+        nothing = np.zeros((count, 1, worlds.native.action_width), np.float32)
+        for _ in range(40):
+            worlds.native.step(nothing, out)
+        errors = []
+        for i, scene in enumerate(scenes):
+            states, tracks = worlds.native.states(i), scene.tracks()
+            both = states["active"] & tracks["valid"][:, 70]
+            gap = states["position"][both] - tracks["position"][both, 70]
+            errors.extend(np.linalg.norm(gap, axis=1))
+        return np.mean(errors)
+
+    ours = error({"traffic": "ccdiff", "ccdiff": {"num_samples": 4}})
+    assert ours < error({"traffic": "constant_velocity"})
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"ccdiff": {"replan_steps": 0}}, "replan_steps"),
+        ({"ccdiff": {"replan_steps": 53}}, "replan_steps"),
+        ({"ccdiff": {"num_samples": 0}}, "num_samples"),
+        ({"ccdiff": {"cfg_weight": 2.0}}, "guidance_weight"),
+        ({"ccdiff": {"criticality": -1.0}}, "criticality"),
+        ({"ccdiff": {"guidance": "hard"}}, "preset"),
+        ({"ccdiff": {"guidance": {"discount": 2.0}}}, "discount"),
+        ({"ccdiff": {"guidance": {"discuont": 1.0}}}, "discuont"),
+        ({"ccdiff": {"ranking": "nearest"}}, "ranking"),
+        ({"ccdiff": {"wieghts": "fast"}}, "weights"),
+        ({"history_steps": 20}, "history_steps"),
+    ],
+)
+def test_bad_settings_name_themselves(scenes, options, match):
+    with pytest.raises(ConfigError, match=match):
+        Play(scenes[:1], **options)
+
+
+def test_weights_that_are_not_there_or_no_weights_are_refused(scenes, tmp_path):
+    with pytest.raises(OSError, match=r"none\.safetensors"):
+        Play(scenes[:1], ccdiff={"weights": str(tmp_path / "none.safetensors")})
+    bad = tmp_path / "bad.safetensors"
+    bad.write_bytes(b"\x08\x00\x00\x00\x00\x00\x00\x00nonsense")
+    with pytest.raises((CcdiffError, OSError)):
+        Play(scenes[:1], ccdiff={"weights": str(bad)})
+
+
+def test_a_scene_without_a_map_is_refused_by_name():
+    position = np.stack([np.linspace(0, 50, 150), np.zeros(150)], axis=-1)[None].repeat(2, 0)
+    position[1, :, 1] = 8.0
+    blank = Scene.from_arrays(
+        "blank", agent_ids=["ego", "other"], agent_types=["vehicle"] * 2,
+        agent_categories=["vehicle.car"] * 2, sizes=np.full((2, 3), [4.5, 2.0, 1.6], np.float32),
+        position=position.astype(np.float32), heading=np.zeros((2, 150), np.float32),
+        velocity=np.full((2, 150, 2), [3.3, 0.0], np.float32), valid=np.ones((2, 150), bool),
+        dt=0.1,
+    )  # fmt: skip
+    with pytest.raises(SceneError, match="blank"):
+        Play(SceneSet([blank]))
+
+
+def test_an_agent_environment_takes_ccdiff_traffic_by_name(scenes):
+    env = ccdiff_env.make_vec(
+        3, scenes=scenes, traffic="ccdiff", ccdiff={"criticality": 0.5}, driver="idm"
+    )
+    env.reset(seed=0)
+    for _ in range(12):
+        obs, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert env.observation_space.contains(obs)
+    assert "ccdiff" in env.worlds.native.drivers(0)
+    env.close()
+
+
+@pytest.mark.nuscenes
+def test_unguided_traffic_on_real_scenes_stays_on_the_road_and_beats_constant_velocity(data_root):
+    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-trainval", "ccdiff100")[:16]
+    from ccdiff_env.bench.traffic import METHODS, episodes
+
+    figures = {}
+    for name in ("constant_velocity", "ccdiff_unguided"):
+        played = episodes(scenes, METHODS[name], num_controlled=None)
+        fde = np.nanmean([e.rollout.displacement(e.log).mean()[1] for e in played])
+        roads = [
+            [(p["exterior"], p["holes"]) for p in e.scene.map_layers()["drivable_area"]]
+            for e in played
+        ]
+        off = np.mean(
+            [e.rollout.off_road(r).centroid_rate for e, r in zip(played, roads, strict=True)]
+        )
+        figures[name] = (fde, off)
+        assert all(isinstance(e.rollout, Rollout) for e in played)
+    assert figures["ccdiff_unguided"][0] < figures["constant_velocity"][0]
+    assert figures["ccdiff_unguided"][1] < 0.02
