@@ -19,7 +19,7 @@ setup: $(SO)  ## virtual environment, dependencies, release build of the extensi
 $(STAMP): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install -q uv
-	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra dev --extra rl --extra viz
+	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra dev --extra rl --extra viz --extra cluster
 	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
 	touch $(STAMP)
 
