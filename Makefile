@@ -47,8 +47,9 @@ lint: $(SO)  ## formatting, clippy, ruff, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## speed of the world, phase by phase
+bench: $(STAMP)  ## speed of the world, phase by phase, and of guidance beside the network
 	cargo bench --locked -p ccdiff-sim --bench world
+	cargo bench --locked -p ccdiff-models --bench guidance
 
 clean:  ## remove what the other verbs made
 	rm -rf $(VENV) .libtorch target dist runs $(SO)

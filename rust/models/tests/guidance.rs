@@ -124,6 +124,22 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
 }
 
 #[test]
+fn the_strength_scales_the_move_of_a_denoising_step() {
+    let toy = toy(&NEAR_MISS, ModelConfig::fast());
+    let who = [true, false, false];
+    let config = config(vec![approach(-10.0)]);
+    let moved = |strength: f32| {
+        let guide = WorldGuide { strength, ..WorldGuide::new(&who) };
+        let after = guided(&toy, &guide, &config, 1);
+        toy.still().iter().zip(after).map(|(a, b)| b - a).collect::<Vec<f32>>()
+    };
+    let (whole, half) = (moved(1.0), moved(0.5));
+    assert!(whole.iter().any(|d| *d != 0.0));
+    assert!(whole.iter().zip(half).all(|(w, h)| (0.5 * w - h).abs() < 1e-6));
+    assert!(moved(0.0).iter().all(|d| *d == 0.0));
+}
+
+#[test]
 fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
     let (a, b) = (toy(&NEAR_MISS, ModelConfig::fast()), toy(&BOTH_WAYS, ModelConfig::fast()));
     let (who_a, who_b) = ([true, true, false], [true, false, true, true]);
