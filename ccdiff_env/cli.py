@@ -17,6 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     _add_train(verbs)
     add_bench(verbs)
+    _add_rollout(verbs)
     _add_view(verbs)
     args = parser.parse_args(argv)
     try:
@@ -92,6 +93,14 @@ def _train(args: argparse.Namespace) -> int:
     )
     print(weights)
     return 0
+
+
+def _add_rollout(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from ccdiff_env.view import rollouts
+
+    parser = verbs.add_parser("rollout", help="draw closed-loop samples of scenes and render them")
+    rollouts.add_arguments(parser)
+    parser.set_defaults(run=rollouts.run)
 
 
 def _add_view(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

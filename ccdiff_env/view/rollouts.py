@@ -1,0 +1,78 @@
+"""``ccdiff-env rollout``: closed-loop samples of scenes, saved, drawn, and as pages."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ccdiff_env import render
+from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.scenes import SceneSet, load_nuscenes
+from ccdiff_env.view.film import Film, save_film
+from ccdiff_env.view.index import write_pages
+from ccdiff_env.view.sources import play_scene
+
+#: Shares of an episode whose states are drawn.
+SHOWN = (0.0, 0.35, 0.7, 1.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
+    parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
+    parser.add_argument("--split", help="split (mini_val; of the embedded scenes: val)")
+    parser.add_argument("--scenes", nargs="+", help="names; all of the split without")
+    parser.add_argument("--traffic", default="ccdiff")
+    parser.add_argument("--driver", default="idm", help="who drives the ego")
+    parser.add_argument("--criticality", type=float, default=0.0, help="0: realistic; 1: guided")
+    parser.add_argument("--weights", default="fast", help='"fast", or a safetensors file')
+    parser.add_argument("--samples", type=int, default=5, help="samples per plan")
+    parser.add_argument("--episodes", type=int, default=1, help="episodes per scene")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first episode")
+    parser.add_argument("--out", required=True, type=Path, help="folder to write")
+    parser.add_argument("--gif", action="store_true", help="a film of each episode, too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play the scenes; write rollouts, pictures and pages; print the index."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    for scene in _scenes(args):
+        for k in range(args.episodes):
+            rollout = play_scene(
+                scene,
+                traffic=args.traffic,
+                driver=args.driver,
+                seed=args.seed + k,
+                ccdiff={
+                    "criticality": args.criticality,
+                    "num_samples": args.samples,
+                    "weights": args.weights,
+                },
+                on_collision="ignore",
+                on_off_road="ignore",
+                terminate_at_goal=False,
+            )
+            name = f"{scene.name}-{args.seed + k}"
+            rollout.save(args.out / f"{name}.npz")
+            film = Film(rollout, size=(640, 640))
+            for share in SHOWN:
+                step = round(share * (rollout.num_steps - 1))
+                render.save(film.frame(step), args.out / f"{name}-{step:03d}.png")
+            if args.gif:
+                save_film(rollout, args.out / f"{name}.gif", size=(480, 480))
+            hits = len({(e.agent_id, e.partner_id) for e in rollout.collisions()}) // 2
+            print(f"{name}: {rollout.num_steps - 1} steps, {hits} collisions")
+    print(write_pages(args.out, args.out / "pages")[0])
+    return 0
+
+
+def _scenes(args: argparse.Namespace) -> SceneSet:
+    if args.dataroot is None:
+        scenes = embedded_scenes(args.split or "val")
+    else:
+        split = None if args.scenes else args.split or "mini_val"
+        return load_nuscenes(args.dataroot, args.version, split, args.scenes)
+    if not args.scenes:
+        return scenes
+    by_name = {scene.name: scene for scene in scenes}
+    return SceneSet([by_name[name] for name in args.scenes])
