@@ -1,9 +1,10 @@
 """The project's main job in one command: train an ego, compare it, draw it.
 
-``python -m ccdiff_env.demo`` trains a stable-baselines3 PPO ego in reactive traffic on training
-scenes, drives it on held-out scenes beside constant velocity, IDM and log replay under the same
-rules, and leaves a table, a learning curve and an animation. Without a data set it uses the
-embedded scenes.
+``python -m ccdiff_env.demo`` trains a stable-baselines3 PPO ego on training scenes, first in IDM
+traffic, then in CCDiff traffic of all criticalities; drives it on held-out scenes beside constant
+velocity, IDM and log replay, in IDM traffic and in realistic and safety-critical CCDiff traffic;
+and leaves a table, a learning curve and an animation. Without a data set it uses the embedded
+scenes.
 """
 
 from __future__ import annotations
@@ -28,8 +29,17 @@ FIGURES = (
     ("off road", "off_road"),
     ("route", "route_completion"),
 )
-#: Options that training and evaluation share.
-RULES: dict[str, Any] = {"traffic": "idm"}
+#: Traffic of the evaluation, by the name in the table.
+TRAFFIC: dict[str, dict[str, Any]] = {
+    "IDM": {"traffic": "idm"},
+    "CCDiff": {"traffic": "ccdiff"},
+    "critical CCDiff": {"traffic": "ccdiff", "criticality": 1.0},
+}
+#: Traffic of the two parts of training: criticality is drawn anew for every episode.
+LESSONS: tuple[dict[str, Any], ...] = (
+    {"traffic": "idm"},
+    {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
+)
 NUM_ENVS = 32
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
@@ -48,7 +58,7 @@ def scenes_of(args: argparse.Namespace) -> tuple[Any, Any, str]:
 
 
 def evaluate(
-    scenes: Any, *, act: Act | None = None, driver: str = "external"
+    scenes: Any, traffic: dict[str, Any], *, act: Act | None = None, driver: str = "external"
 ) -> list[dict[str, Any]]:
     """Drive every scene once and return the figures of each episode.
 
@@ -56,12 +66,14 @@ def evaluate(
     ----------
     scenes : SceneSet
         N scenes.
+    traffic : dict
+        Options of the environment.
     act : callable, optional
         Actions [N, 2] from observations [N, D]; for ``driver="external"``.
     driver : str
         Who drives the ego.
     """
-    env = ccdiff_env.make_vec(len(scenes), scenes=scenes, driver=driver, **RULES)
+    env = ccdiff_env.make_vec(len(scenes), scenes=scenes, driver=driver, **traffic)
     obs, _ = env.reset(seed=0, options={"scene": list(range(len(scenes)))})
     results: list[dict[str, Any]] = [{} for _ in scenes]
     open_worlds = np.ones(len(scenes), dtype=bool)
@@ -80,8 +92,8 @@ def evaluate(
     return results
 
 
-def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
-    """Train PPO and write its learning curve; returns the model."""
+def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
+    """Train PPO for some steps in each lesson and write its learning curve; returns the model."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -104,12 +116,15 @@ def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
             return True
 
     torch.set_num_threads(1)
-    env = SB3VecEnv(
-        ccdiff_env.make_vec(NUM_ENVS, scenes=scenes, autoreset_mode="same_step", **RULES)
-    )
+    envs = [
+        SB3VecEnv(
+            ccdiff_env.make_vec(NUM_ENVS, scenes=scenes, autoreset_mode="same_step", **lesson)
+        )
+        for lesson in LESSONS
+    ]
     model = PPO(
         "MlpPolicy",
-        env,
+        envs[0],
         n_steps=128,
         batch_size=512,
         n_epochs=6,
@@ -123,15 +138,22 @@ def train(scenes: Any, steps: int, seed: int, out: Path) -> Any:
     )
     model.set_logger(configure(str(out / "log"), ["csv"]))
     curve = Curve()
-    model.learn(steps, callback=curve, progress_bar=True)
+    for count, env in zip(steps, envs, strict=True):
+        if count > 0:
+            model.set_env(env)
+            model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
     model.save(out / "ego_ppo.zip")
-    draw_curve(curve.rows, out / "learning_curve.png")
-    env.close()
+    draw_curve(curve.rows, out / "learning_curve.png", change=steps[0])
+    for env in envs:
+        env.close()
     return model
 
 
-def draw_curve(rows: list[tuple[int, float, float]], path: Path) -> None:
-    """Return and success rate of training episodes against steps, in windows of 200 episodes."""
+def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int) -> None:
+    """Return and success rate of training episodes against steps, in windows of 200 episodes.
+
+    A line marks the step at which the traffic changes.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -145,6 +167,7 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), constrained_layout=True)
     for axis, values, label in zip(axes, smooth, ("return", "success rate"), strict=True):
         axis.plot(steps, values, color="#1f77b4")
+        axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
         axis.set_xlabel("environment steps")
         axis.set_ylabel(f"{label}, mean of {window} episodes")
         axis.grid(alpha=0.3)
@@ -153,11 +176,11 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path) -> None:
     plt.close(figure)
 
 
-def draw_episode(scenes: Any, index: int, act: Act, path: Path) -> None:
+def draw_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act, path: Path) -> None:
     """Animate one episode of a scene."""
     from ccdiff_env.render import save
 
-    env = ccdiff_env.make_vec(1, scenes=scenes, render_mode="rgb_array", **RULES)
+    env = ccdiff_env.make_vec(1, scenes=scenes, render_mode="rgb_array", **traffic)
     obs, _ = env.reset(seed=0, options={"scene": [index]})
     frames = list(env.render() or ())
     done = False
@@ -169,13 +192,13 @@ def draw_episode(scenes: Any, index: int, act: Act, path: Path) -> None:
     save(frames, path, fps=10)
 
 
-def table(results: dict[str, list[dict[str, Any]]]) -> str:
-    """Markdown table: one row per ego, mean over scenes in percent."""
-    head = "| ego | " + " | ".join(f"{name} %" for name, _ in FIGURES) + " |"
-    lines = [head, "|---|" + "---:|" * len(FIGURES)]
-    for ego, rows in results.items():
+def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
+    """Markdown table: one row per traffic and ego, mean over scenes in percent."""
+    head = "| traffic | ego | " + " | ".join(f"{name} %" for name, _ in FIGURES) + " |"
+    lines = [head, "|---|---|" + "---:|" * len(FIGURES)]
+    for (traffic, ego), rows in results.items():
         cells = [f"{100 * np.mean([r[key] for r in rows]):.0f}" for _, key in FIGURES]
-        lines.append(f"| {ego} | " + " | ".join(cells) + " |")
+        lines.append(f"| {traffic} | {ego} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -184,7 +207,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dataroot", help="a nuScenes copy; embedded scenes without it")
     parser.add_argument("--version", default="v1.0-mini", help="version of the nuScenes copy")
-    parser.add_argument("--steps", type=int, default=120_000, help="environment steps of training")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        nargs=2,
+        default=(100_000, 20_000),
+        metavar=("IDM", "CCDIFF"),
+        help="environment steps of training in either traffic",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/demo"))
     args = parser.parse_args()
@@ -193,27 +223,31 @@ def main() -> None:
     start = time.time()
     train_scenes, test_scenes, name = scenes_of(args)
     print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
-    print(f"training PPO for {args.steps:,} steps in {RULES['traffic']} traffic")
-    model = train(train_scenes, args.steps, args.seed, args.out)
+    first, second = args.steps
+    print(f"training PPO for {first:,} steps in IDM traffic, then {second:,} in CCDiff traffic")
+    model = train(train_scenes, (first, second), args.seed, args.out)
 
     def ppo(obs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return np.asarray(model.predict(obs, deterministic=True)[0])
 
-    results = {"PPO": evaluate(test_scenes, act=ppo)}
-    for driver in ("constant_velocity", "idm", "replay"):
-        results[driver.replace("_", " ")] = evaluate(test_scenes, driver=driver)
+    results = {}
+    for name_of, traffic in TRAFFIC.items():
+        results[name_of, "PPO"] = evaluate(test_scenes, traffic, act=ppo)
+        for driver in ("constant_velocity", "idm", "replay"):
+            key = (name_of, driver.replace("_", " "))
+            results[key] = evaluate(test_scenes, traffic, driver=driver)
     text = table(results)
     (args.out / "table.md").write_text(text + "\n")
     with (args.out / "episodes.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["ego", "scene", *(key for _, key in FIGURES)])
+        writer = csv.DictWriter(file, ["traffic", "ego", "scene", *(key for _, key in FIGURES)])
         writer.writeheader()
-        for ego, rows in results.items():
-            writer.writerows({"ego": ego, **row} for row in rows)
-    draw_episode(test_scenes, 0, ppo, args.out / "episode.gif")
-    summary = {"scenes": name, "steps": args.steps, "seed": args.seed}
+        for (name_of, ego), rows in results.items():
+            writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
+    draw_episode(test_scenes, 0, TRAFFIC["critical CCDiff"], ppo, args.out / "episode.gif")
+    summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print(f"\n{len(test_scenes)} held-out scenes, {RULES['traffic']} traffic:\n\n{text}\n")
+    print(f"\n{len(test_scenes)} held-out scenes:\n\n{text}\n")
     files = "table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip"
     print(f"results in {args.out}/: {files}")
 
