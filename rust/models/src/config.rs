@@ -118,6 +118,11 @@ pub struct ModelConfig {
     pub map: Option<MapConfig>,
     /// Neighbours join the decision causal graph up to this time to contact, seconds.
     pub ttc_threshold_s: f32,
+    /// An agent ahead in one's corridor also joins the graph up to this headway, seconds; 0: by time to contact alone.
+    ///
+    /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
+    #[serde(default)]
+    pub headway_threshold_s: f32,
     /// Neighbours join the graph up to this distance, metres.
     pub distance_threshold_m: f32,
     /// Most neighbours of an agent (those of least time to contact).
@@ -165,6 +170,7 @@ impl ModelConfig {
                 rounds: vec![1],
             }),
             ttc_threshold_s: 3.0,
+            headway_threshold_s: 0.0,
             distance_threshold_m: 50.0,
             max_neighbours: 20,
             agents_within_m: 50.0,
@@ -199,6 +205,7 @@ impl ModelConfig {
                 bitmap_px_per_m: 1.0,
                 rounds: vec![0, 1],
             }),
+            headway_threshold_s: 3.0,
             max_neighbours: 8,
             agents_within_m: 80.0,
             ..Self::paper()
@@ -250,6 +257,9 @@ impl ModelConfig {
         }
         if self.temporal_layers < 1 || self.edge_layers < 1 || self.max_agents < 1 {
             return fail("temporal_layers, edge_layers, max_agents", "0".into(), "at least one of each");
+        }
+        if !(self.headway_threshold_s >= 0.0 && self.headway_threshold_s.is_finite()) {
+            return fail("headway_threshold_s", self.headway_threshold_s.to_string(), "at least 0");
         }
         if self.diffusion_steps < 2 {
             return fail("diffusion_steps", self.diffusion_steps.to_string(), "at least 2");
@@ -339,5 +349,8 @@ mod tests {
         let config = ModelConfig::paper();
         let text = serde_json::to_string(&config).unwrap();
         assert_eq!(serde_json::from_str::<ModelConfig>(&text).unwrap(), config);
+        let older = text.replace("\"headway_threshold_s\":0.0,", "");
+        assert!(older.len() < text.len());
+        assert_eq!(serde_json::from_str::<ModelConfig>(&older).unwrap(), config);
     }
 }

@@ -5,9 +5,11 @@ use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
 use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::noise::Noise;
+use crate::pace::{Pace, Trail};
 use crate::perturb::Push;
 use crate::raster::MapBitmap;
 use crate::smooth::smoothed;
+use ccdiff_sim::geom::Pose2;
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -41,6 +43,42 @@ pub struct Dataset {
     scenes: Vec<Prepared>,
     /// (scene, current step).
     samples: Vec<(u32, u32)>,
+}
+
+/// How an agent is taken off its log in training.
+#[derive(Debug)]
+enum Move {
+    /// Sideways, off the path.
+    Aside(Push),
+    /// Along the path, with the poses after now.
+    Along(Pace, Trail, Vec<Pose2>),
+}
+
+impl Move {
+    /// Draws a move for the agent of a slot; `trail` gives its path and the time step.
+    fn draw(noise: &Noise, slot: u64, speed_mps: f32, trail: impl FnOnce() -> (Trail, f32)) -> Option<Self> {
+        let Some(pace) = Pace::draw(noise, slot, speed_mps) else {
+            return Push::draw(noise, slot, speed_mps).map(Self::Aside);
+        };
+        let (trail, dt_s) = trail();
+        let pace = pace.within(&trail, dt_s);
+        let future = pace.future(&trail, dt_s);
+        Some(Self::Along(pace, trail, future))
+    }
+
+    /// Moves the agent's history; `None`, and the history as it was, where it would then touch another's body.
+    fn applied(self, window: &mut Window, agent: usize) -> Option<Self> {
+        let kept = window.clone();
+        match &self {
+            Self::Aside(push) => push.move_history(window, agent),
+            Self::Along(pace, trail, _) => pace.move_history(window, agent, trail),
+        }
+        if window.touches_now(agent) {
+            *window = kept;
+            return None;
+        }
+        Some(self)
+    }
 }
 
 /// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
@@ -150,19 +188,22 @@ impl Dataset {
         let mut window = Window::from_scene(scene, step, &present, self.config.history_steps);
         let speeds: Vec<f32> = (0..present.len()).map(|a| window.speed_now_mps(a)).collect();
         let first = index as u64 * self.config.max_agents as u64;
-        let pushes: Vec<Option<Push>> = speeds
-            .iter()
+        let moves: Vec<Option<Move>> = (0..present.len())
             .zip(first..)
-            .map(|(speed, slot)| noise.and_then(|n| Push::draw(&n, slot, *speed)))
+            .map(|(row, slot)| {
+                let drawn = Move::draw(&noise?, slot, speeds[row], || {
+                    let (back, ahead) = (self.config.history_steps, self.config.horizon_steps);
+                    (Trail::new(scene, present[row], step, back, ahead), self.config.dt_s as f32)
+                })?;
+                drawn.applied(&mut window, row)
+            })
             .collect();
-        for (agent, push) in pushes.iter().enumerate() {
-            if let Some(push) = push {
-                push.move_history(&mut window, agent);
-            }
-        }
         let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
-        let adapt = |row: usize, seconds: f32, pose| match pushes[row] {
-            Some(push) => push.recover(pose, seconds, speeds[row]),
+        let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
+            Some(Move::Aside(push)) => {
+                push.recover(pose, ahead as f32 * self.config.dt_s as f32, speeds[row])
+            }
+            Some(Move::Along(_, _, future)) => future.get(ahead - 1).copied().unwrap_or(pose),
             None => pose,
         };
         let futures = features::futures(scene, step, &present, &features, &self.config, adapt);

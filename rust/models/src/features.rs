@@ -9,7 +9,7 @@ use crate::raster::{self, MapBitmap};
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
-use ccdiff_sim::geom::{Point2, Pose2, Vector2};
+use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
 use std::cmp::Ordering;
 
@@ -20,6 +20,10 @@ pub const HISTORY_FEATURES: usize = 8;
 pub const EDGE_FEATURES: usize = 9;
 /// Distance (m) and time to contact (s) at which their edge features reach zero.
 const EDGE_RANGE: f32 = 20.0;
+/// An agent this far beside one's body, metres, is still ahead in one's corridor.
+const CORRIDOR_MARGIN_M: f32 = 1.0;
+/// Headways are taken at this speed at least, metres per second, so that who stands sees who is close ahead.
+const HEADWAY_SPEED_MPS: f32 = 2.0;
 
 /// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -105,6 +109,20 @@ impl Window {
         self.speed_mps[(agent + 1) * self.num_steps - 1]
     }
 
+    /// Whether an agent's body touches another's now.
+    pub(crate) fn touches_now(&self, agent: usize) -> bool {
+        let now = self.num_steps - 1;
+        let body = |a: usize| OrientedBox {
+            centre: self.pose(a, now).position,
+            cos: self.pose(a, now).cos,
+            sin: self.pose(a, now).sin,
+            half_length_m: 0.5 * self.length_m[a],
+            half_width_m: 0.5 * self.width_m[a],
+        };
+        let own = body(agent);
+        (0..self.num_agents()).any(|a| a != agent && self.is_valid(a, now) && body(a).overlaps(&own))
+    }
+
     fn velocity(&self, agent: usize, step: usize) -> Vector2 {
         let at = agent * self.num_steps + step;
         self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
@@ -163,8 +181,9 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
     let history = histories(window, &agents, &poses);
     let ttc_now = ttc_at(window, &agents, now)?;
-    let graph = graph_at(window, &agents, now, &ttc_now, config)?;
-    let (num_slots, neighbours, joined) = slots(&graph, &ttc_now, config.max_neighbours);
+    let urgency_s = urgency(window, &agents, now, &ttc_now, config);
+    let graph = graph_at(window, &agents, now, &urgency_s, config)?;
+    let (num_slots, neighbours, joined) = slots(&graph, &urgency_s, config.max_neighbours);
     let token_steps = config.history_token_steps();
     let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
     for (token, step) in token_steps.iter().enumerate() {
@@ -269,25 +288,63 @@ fn graph_at(
     window: &Window,
     agents: &[usize],
     step: usize,
-    ttc_s: &[f32],
+    urgency_s: &[f32],
     config: &ModelConfig,
 ) -> Result<CausalGraph> {
     let columns = Columns::new(window, agents, step);
-    let mut distance_m = vec![0.0; ttc_s.len()];
+    let mut distance_m = vec![0.0; urgency_s.len()];
     columns.frame()?.distance_m(&mut distance_m)?;
     let thresholds =
         GraphThresholds { ttc_s: config.ttc_threshold_s, distance_m: config.distance_threshold_m };
-    Ok(CausalGraph::from_measures(agents.len(), ttc_s, &distance_m, thresholds)?)
+    Ok(CausalGraph::from_measures(agents.len(), urgency_s, &distance_m, thresholds)?)
 }
 
-/// Slot table of a graph: itself, then the joined agents by time to contact.
-fn slots(graph: &CausalGraph, ttc_s: &[f32], max_neighbours: usize) -> (usize, Vec<usize>, Vec<bool>) {
+/// Times by which pairs are joined and sorted, [M, M]: the time to contact, or less for an agent ahead in one's corridor.
+///
+/// Differs from the paper: with [`ModelConfig::headway_threshold_s`] above 0, i is also joined with j where j is ahead
+/// in its corridor and i needs at most so long to where j's rear is now. By time to contact alone a car that follows at
+/// equal speed does not see its leader.
+fn urgency(window: &Window, agents: &[usize], step: usize, ttc_s: &[f32], config: &ModelConfig) -> Vec<f32> {
+    let (m, limit_s) = (agents.len(), config.headway_threshold_s);
+    let mut urgency_s = ttc_s.to_vec();
+    if limit_s <= 0.0 {
+        return urgency_s;
+    }
+    for (i, j) in (0..m * m).map(|k| (k / m, k % m)).filter(|(i, j)| i != j) {
+        let headway_s = headway_s(window, (agents[i], agents[j]), step);
+        if headway_s <= limit_s {
+            let entry = &mut urgency_s[i * m + j];
+            *entry = entry.min(headway_s * (config.ttc_threshold_s / limit_s).min(1.0));
+        }
+    }
+    urgency_s
+}
+
+/// Time i needs to where the rear of j is now, seconds; infinite where j is not ahead in i's corridor, which is i's
+/// width and [`CORRIDOR_MARGIN_M`] on either side, straight on.
+fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> f32 {
+    let (pose_i, pose_j) = (window.pose(i, step), window.pose(j, step));
+    let offset = pose_i.to_local(pose_j.position);
+    let heading = pose_i.rotate_inverse(Vector2::new(pose_j.cos, pose_j.sin));
+    let (cos, sin) = (heading.x.abs(), heading.y.abs());
+    let half_length = 0.5 * (window.length_m[i] + cos * window.length_m[j] + sin * window.width_m[j]);
+    let half_width = 0.5 * (window.width_m[i] + sin * window.length_m[j] + cos * window.width_m[j]);
+    if offset.x <= 0.0 || offset.y.abs() > half_width + CORRIDOR_MARGIN_M {
+        return f32::INFINITY;
+    }
+    let speed = window.speed_mps[i * window.num_steps + step];
+    (offset.x - half_length).max(0.0) / speed.max(HEADWAY_SPEED_MPS)
+}
+
+/// Slot table of a graph: itself, then the joined agents by urgency.
+fn slots(graph: &CausalGraph, urgency_s: &[f32], max_neighbours: usize) -> (usize, Vec<usize>, Vec<bool>) {
     let m = graph.num_agents();
     let lists: Vec<Vec<usize>> = (0..m)
         .map(|i| {
             let mut list: Vec<usize> = (0..m).filter(|j| *j != i && graph.contains(i, *j)).collect();
             list.sort_by(|a, b| {
-                ttc_s[i * m + a].partial_cmp(&ttc_s[i * m + b]).unwrap_or(Ordering::Equal).then(a.cmp(b))
+                let of = |j: &usize| urgency_s[i * m + *j];
+                of(a).partial_cmp(&of(b)).unwrap_or(Ordering::Equal).then(a.cmp(b))
             });
             list.truncate(max_neighbours);
             list
@@ -335,14 +392,14 @@ fn edge_at(
 /// Logged futures of window agents in their frames at the current step.
 ///
 /// `agents` maps window rows to agents of the scene; `step_idx` is the current step. `adapt` may move a pose, given its
-/// window row and the seconds since now.
+/// window row and the steps since now.
 pub fn futures(
     scene: &Scene,
     step_idx: usize,
     agents: &[usize],
     features: &SceneFeatures,
     config: &ModelConfig,
-    adapt: impl Fn(usize, f32, Pose2) -> Pose2,
+    adapt: impl Fn(usize, usize, Pose2) -> Pose2,
 ) -> Futures {
     let steps = config.horizon_steps;
     let mut out = Futures { states: Vec::new(), valid: Vec::new() };
@@ -353,10 +410,10 @@ pub fn futures(
             if !scene.is_valid(agent, step) {
                 break;
             }
-            let (entry, ahead) = (scene.at(agent, step), (step - step_idx) as f32);
+            let entry = scene.at(agent, step);
             let at = scene.tracks.position[entry];
             let logged = Pose2::new(at.x, at.y, scene.tracks.heading_rad[entry]);
-            let pose = adapt(features.agents[row], ahead * config.dt_s as f32, logged);
+            let pose = adapt(features.agents[row], step - step_idx, logged);
             let local = frame.to_local(pose.position);
             poses.push([local.x, local.y, pose.heading_rad - frame.heading_rad]);
         }
@@ -366,4 +423,55 @@ pub fn futures(
         out.valid.extend((0..steps).map(|t| t < states.len()));
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cars of 4 m by 2 m at rest or in steady motion: (x, y, heading, speed).
+    fn window(cars: &[[f32; 4]], config: &ModelConfig) -> Window {
+        let steps = config.history_steps;
+        let each = |f: &dyn Fn(&[f32; 4]) -> f32| -> Vec<f32> {
+            cars.iter().flat_map(|c| std::iter::repeat_n(f(c), steps)).collect()
+        };
+        Window {
+            num_steps: steps,
+            x_m: each(&|c| c[0]),
+            y_m: each(&|c| c[1]),
+            heading_rad: each(&|c| c[2]),
+            speed_mps: each(&|c| c[3]),
+            valid: vec![true; cars.len() * steps],
+            length_m: vec![4.0; cars.len()],
+            width_m: vec![2.0; cars.len()],
+        }
+    }
+
+    #[test]
+    fn a_follower_sees_its_leader_by_headway_alone() {
+        let with = ModelConfig { map: None, ..ModelConfig::fast() };
+        let without = ModelConfig { headway_threshold_s: 0.0, ..with.clone() };
+        let joined = |cars: &[[f32; 4]], config: &ModelConfig| {
+            let features = build(&window(cars, config), None, config).unwrap();
+            (features.graph.contains(0, 1), features.graph.contains(1, 0), features.joined.iter().any(|j| *j))
+        };
+        // 10 m/s, 26 m from bumper to bumper: 2.6 s
+        let equal = [[0.0, 0.0, 0.0, 10.0], [30.0, 0.5, 0.05, 10.0]];
+        assert_eq!(joined(&equal, &with), (true, false, true));
+        assert_eq!(joined(&equal, &without), (false, false, false));
+        // in the next lane, farther than 3 s, behind; at rest 5 m and 7 m behind a leader
+        assert_eq!(joined(&[equal[0], [30.0, 3.5, 0.0, 10.0]], &with), (false, false, false));
+        assert_eq!(joined(&[equal[0], [36.0, 0.0, 0.0, 10.0]], &with), (false, false, false));
+        assert_eq!(joined(&[equal[0], [-30.0, 0.0, 0.0, 10.0]], &with), (false, true, true));
+        assert_eq!(joined(&[[0.0; 4], [9.0, 0.0, 0.0, 0.0]], &with), (true, false, true));
+        assert_eq!(joined(&[[0.0; 4], [11.0, 0.0, 0.0, 0.0]], &with), (false, false, false));
+    }
+
+    #[test]
+    fn the_nearest_leader_takes_the_first_slot() {
+        let config = ModelConfig { map: None, max_neighbours: 1, ..ModelConfig::fast() };
+        let cars = [[0.0, 0.0, 0.0, 10.0], [28.0, 0.0, 0.0, 10.0], [14.0, 0.0, 0.0, 10.0]];
+        let features = build(&window(&cars, &config), None, &config).unwrap();
+        assert_eq!(features.neighbours[..2], [0, 2]);
+    }
 }

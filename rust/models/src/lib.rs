@@ -11,6 +11,7 @@
 pub mod batch;
 pub mod ccdiff;
 pub mod checkpoint;
+mod collision;
 pub mod config;
 pub mod dataset;
 pub mod error;
@@ -19,6 +20,7 @@ pub mod grad;
 pub mod guidance;
 pub mod noise;
 mod optimiser;
+mod pace;
 mod perturb;
 pub mod planner;
 pub mod raster;

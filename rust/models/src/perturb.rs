@@ -1,4 +1,4 @@
-//! Agents pushed off their logged path in training, with a future that leads back.
+//! Agents pushed off their logged path in training (and along it: [`crate::pace`]), with a future that leads back.
 //!
 //! Ours, not the paper's: in closed loop the network meets states that no log holds; without such samples small errors
 //! grow. The current pose is moved sideways and turned, the history moves along rigidly, and the future joins the log

@@ -5,6 +5,7 @@
 use crate::batch::{Batch, Targets};
 use crate::ccdiff::Network;
 use crate::checkpoint;
+use crate::collision::Neighbours;
 use crate::config::ModelConfig;
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
@@ -38,9 +39,13 @@ pub struct TrainConfig {
     pub ema_start: u64,
     /// Probability that a scene's G is replaced by the identity.
     pub drop_graph: f64,
-    /// Whether some agents are pushed off their logged path, with a future that leads back (ours).
+    /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
     #[serde(default)]
     pub perturb: bool,
+    /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
+    /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
+    #[serde(default)]
+    pub collision_weight: f64,
     /// Largest norm of the gradient.
     pub clip_norm: f64,
     /// Seed of batches, noise and dropping.
@@ -58,6 +63,7 @@ impl TrainConfig {
             ema_start: 4000,
             drop_graph: 0.1,
             perturb: false,
+            collision_weight: 0.0,
             clip_norm: 100.0,
             seed: 0,
         };
@@ -72,6 +78,7 @@ impl TrainConfig {
             ema_start: 200,
             clip_norm: 1.0,
             perturb: true,
+            collision_weight: 0.3,
             ..paper
         }
     }
@@ -88,6 +95,9 @@ impl TrainConfig {
         }
         if !(0.0..=1.0).contains(&self.drop_graph) {
             return fail("drop_graph", self.drop_graph.to_string(), "a probability");
+        }
+        if !(self.collision_weight >= 0.0 && self.collision_weight.is_finite()) {
+            return fail("collision_weight", self.collision_weight.to_string(), "at least 0");
         }
         if !(0.0..1.0).contains(&self.ema_decay) {
             return fail("ema_decay", self.ema_decay.to_string(), "a number in [0, 1)");
@@ -217,17 +227,24 @@ impl Trainer {
         let clean = self.network.knots_of(&logged_actions(targets));
         let numbers = self.draw(2).normals(clean.numel());
         let noise = Tensor::from_slice(&numbers).view_as(&clean).to_device(device);
-        let share = |f: &dyn Fn(f64) -> f64| {
+        let of_noise = |f: &dyn Fn(f64) -> f64| {
             let values: Vec<f32> = k.iter().map(|k| f(self.schedule.alpha_bar[*k as usize]) as f32).collect();
             Tensor::from_slice(&values).view([-1, 1, 1]).to_device(device)
         };
-        let noisy = &clean * share(&f64::sqrt) + noise * share(&|a| (1.0 - a).sqrt());
+        let noisy = &clean * of_noise(&f64::sqrt) + noise * of_noise(&|a| (1.0 - a).sqrt());
 
         let context = self.network.encode(&batch, true);
         let steps = Tensor::from_slice(&k).to_device(device);
         let predicted = self.network.denoise(&context, &noisy, &steps);
         let states = self.network.states(&predicted, &batch.speed_mps);
-        trajectory_loss(&self.network, &states, targets)
+        let weight = self.config.collision_weight;
+        let neighbours = (weight > 0.0).then(|| Neighbours::new(&batch, targets)).flatten();
+        let Some(neighbours) = neighbours else {
+            return trajectory_loss(&self.network, &states, targets, &targets.valid);
+        };
+        let share = of_noise(&f64::sqrt).flatten(0, 2);
+        let driven_into = neighbours.loss(&self.network, &predicted, &batch.speed_mps, &share);
+        trajectory_loss(&self.network, &states, targets, &neighbours.examples(targets)) + driven_into * weight
     }
 
     /// Takes `steps` training steps and returns their losses.
@@ -383,16 +400,16 @@ fn logged_actions(targets: &Targets) -> Tensor {
     Tensor::stack(&bounded, 2)
 }
 
-/// Mean squared error over the six normalised components of the logged steps (method.md 2.9).
+/// Mean squared error over the six normalised components of the steps that count [R, T] (method.md 2.9).
 ///
 /// Differs from the released code: the mean is over logged steps, not over padding as well.
-pub fn trajectory_loss(network: &Network, states: &Tensor, targets: &Targets) -> Tensor {
+fn trajectory_loss(network: &Network, states: &Tensor, targets: &Targets, counts: &Tensor) -> Tensor {
     let config = network.config();
     let difference = network.standardised_states(states) - network.standardised_states(&targets.states);
     let weights =
         Tensor::from_slice(&config.loss_weights).to_kind(Kind::Float).to_device(difference.device());
     let per_step = (difference.square() * weights).mean_dim([2i64].as_slice(), false, Kind::Float);
-    (per_step * &targets.valid).sum(Kind::Float) / targets.valid.sum(Kind::Float).clamp_min(1.0)
+    (per_step * counts).sum(Kind::Float) / counts.sum(Kind::Float).clamp_min(1.0)
 }
 
 /// Sums of [`Validation`].
