@@ -12,7 +12,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv, embedded_scenes
+from ccdiff_env import (
+    AdversarySelectionEnv,
+    AdversarySelectionVectorEnv,
+    embedded_scenes,
+    render,
+)
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection import BASELINES, SelectionReward
 from ccdiff_env.envs.selection.options import SelectionActions
@@ -106,6 +111,16 @@ def test_chosen_agents_are_the_ones_that_the_policy_is_told_to_guide(scenes):
     assert guided <= set(after["adversaries"])
     assert env.worlds.native.status(0)[4] == 5
     assert after["steps"] == 5.0
+
+
+def test_pictures_show_adversaries_in_their_colour(scenes):
+    picture = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
+    env = AdversarySelectionEnv(scenes=scenes, render_mode="rgb_array", picture=picture, **QUICK)
+    colour = render.legend()["adversary"]
+    for name, shown in (("none", False), ("distance", True)):
+        env.reset(seed=1)
+        env.step(env.baseline(name))
+        assert (env.render() == colour).all(axis=-1).any() == shown
 
 
 def drive_into_everything(scenes, **options):

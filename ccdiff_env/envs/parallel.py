@@ -266,7 +266,8 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
         Parameters
         ----------
         actions
-            An action of each of ``agents``; those of agents that have ended are ignored.
+            An action of each of ``agents``; those of agents that have ended are ignored. After
+            the end of an episode, no actions lead to nothing.
 
         Returns
         -------
@@ -281,6 +282,8 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
             Before the first reset and when nobody is left.
         """
         if not self.agents:
+            if self._slots and not actions:  # wrappers of PettingZoo and SuperSuit do that
+                return {}, {}, {}, {}, {}
             raise ResetNeededError("step: nobody is left, reset comes first")
         self.worlds.native.step(self._actions(actions), self.worlds.arrays())
         out = self.worlds.last

@@ -139,7 +139,13 @@ pub(crate) fn draw<'py>(
         })?),
         None => focus.map_or_else(|| Pose2::new(0.0, 0.0, 0.0), |a| states.pose(a)),
     };
-    let colour_of = |a: usize| colour(status.drivers[a], scene.agents[a].id == EGO_ID);
+    let plan = world.explain(world_idx).ok().flatten();
+    let is_guided =
+        |a: usize| plan.is_some_and(|p| p.agents.iter().zip(&p.guided).any(|(b, on)| *b == a && *on));
+    let colour_of = |a: usize| match status.drivers[a] {
+        Driver::Ccdiff if is_guided(a) => Colour::Adversary,
+        driver => colour(driver, scene.agents[a].id == EGO_ID),
+    };
     let touching: Vec<(usize, usize)> = world
         .contacts(world_idx)
         .map_err(from_sim)?
