@@ -47,9 +47,11 @@ lint: $(SO)  ## formatting, clippy, ruff, mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## speed of the world, phase by phase, and of guidance beside the network
+bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/steps.py
 	cargo bench --locked -p ccdiff-models --bench guidance
+	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made
 	rm -rf $(VENV) .libtorch target dist runs $(SO)

@@ -280,9 +280,14 @@ def main() -> None:
     parser.add_argument(
         "--synthetic", action="store_true", help="write 3 GB of tables to a temporary folder"
     )
+    parser.add_argument(
+        "--scenes", type=int, default=850, help="scenes in the synthetic tables, 3.5 MB each"
+    )
     parser.add_argument("--folder", type=Path, help="keep the synthetic tables here")
     parser.add_argument(
-        "--devkit", action="store_true", help="the devkit on them too: 12 GB of memory"
+        "--devkit",
+        action="store_true",
+        help="the devkit on them too: 12 GB of memory for 850 scenes",
     )
     options = parser.parse_args()
     if options.dataroot:
@@ -292,7 +297,7 @@ def main() -> None:
             root = options.folder or Path(temporary)
             if not (root / "v1.0-synthetic" / "ego_pose.json").is_file():
                 started = time.perf_counter()
-                synthesise(root)
+                synthesise(root, scenes=options.scenes)
                 print(f"wrote the tables in {time.perf_counter() - started:.0f} s")
             table(root, "v1.0-synthetic", 1, [] if options.devkit else ["devkit constructor"])
 

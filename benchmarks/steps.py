@@ -1,0 +1,207 @@
+"""Steps per second through Python: ``python benchmarks/steps.py``.
+
+A scene-step is one step of one world, an agent-step one step of one controlled agent: it is moved,
+checked for collisions and road departures, rewarded and observed. Resets of ended episodes are
+included (SAME_STEP), background agents are moved but not counted. One thread: steps per second of
+its processor time; more: per second of the clock. Best of some rounds.
+
+- *make_vec*: the vector environment on the embedded scenes, default configuration; ``copy=False``
+  and ``info="end"`` as a learner would choose, and the defaults (``copy=True, info="full"``).
+- *equal work*: the worlds beneath, 64 vehicles of one scene all controlled, with 7 + 63 x 7 +
+  200 x 7 = 1,848 floats each: the work that other simulators' figures are quoted for.
+
+The last lines say how much resident memory one more world takes, its share of the arrays included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import ccdiff_env
+from ccdiff_env.config import ObservationConfig, WorldConfig
+from ccdiff_env.envs.worlds import Worlds, scene_set
+from ccdiff_env.scenes import Scene
+
+VEHICLES = 64
+LOGGED_STEPS = 140
+
+
+def resident_kib() -> float:
+    """Return the resident memory of this process (Linux)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1024
+
+
+def memory_per_world_kib(kind: str) -> float:
+    """Return what one more world adds to the memory of a fresh process."""
+    few, many = 64, 576
+    command = [sys.executable, __file__, "--resident", kind]
+    few_kib, many_kib = (
+        float(subprocess.run([*command, str(n)], check=True, capture_output=True).stdout)
+        for n in (few, many)
+    )
+    return (many_kib - few_kib) / (many - few)
+
+
+def best_s(step: Callable[[], object], threads: int, rounds: int) -> float:
+    """Return the best seconds per call over rounds of about a fifth of a second."""
+    clock = time.thread_time if threads == 1 else time.perf_counter
+    best = float("inf")
+    for _ in range(rounds):
+        end, start, calls = time.perf_counter() + 0.2, clock(), 0
+        while time.perf_counter() < end:
+            step()
+            calls += 1
+        best = min(best, (clock() - start) / calls)
+    return best
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Something to be stepped."""
+
+    step: Callable[[], object]
+    envs: int
+    threads: int
+    agents: int
+    floats: int
+
+    def report(self, name: str, rounds: int) -> None:
+        """Measure and print one line."""
+        s = best_s(self.step, self.threads, rounds)
+        slots = self.envs * self.agents
+        print(
+            f"{name:<36}{self.envs:>6}{self.threads:>4}{self.agents:>5}{self.floats:>6}"
+            f"{self.envs / s:>13,.0f}{slots / s:>13,.0f}{s * 1e9 / slots:>9,.0f}",
+            flush=True,
+        )
+
+
+def crowded() -> Scene:
+    """Return an embedded map with 64 vehicles on its lanes, which drive straight on slowly."""
+    scene = ccdiff_env.embedded_scenes("train")[0]
+    layers = scene.map_layers()
+    lines = [np.asarray(lane["centreline"]) for lane in layers["lanes"]]
+    points = np.concatenate([line[:-1] for line in lines])
+    ahead = np.concatenate([np.diff(line, axis=0) for line in lines])
+    chosen = np.linspace(0, len(points) - 1, VEHICLES).astype(int)
+    heading = np.arctan2(ahead[chosen, 1], ahead[chosen, 0])
+    velocity = 2.0 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    times = 0.1 * np.arange(LOGGED_STEPS)[None, :, None]
+    shape = (VEHICLES, LOGGED_STEPS)
+    return Scene.from_arrays(
+        "crowded",
+        agent_ids=["ego", *(f"car-{i}" for i in range(1, VEHICLES))],
+        agent_types=["vehicle"] * VEHICLES,
+        sizes=np.tile(np.float32([4.5, 1.9, 1.6]), (VEHICLES, 1)),
+        position=(points[chosen][:, None] + velocity[:, None] * times).astype(np.float32),
+        heading=np.broadcast_to(heading[:, None], shape).astype(np.float32),
+        velocity=np.broadcast_to(velocity[:, None], (*shape, 2)).astype(np.float32),
+        valid=np.ones(shape, np.bool_),
+        map_layers=layers,
+    )
+
+
+def vector_env(envs: int, traffic: str, threads: int, **options: object) -> Steps:
+    """Return a vector environment that has begun, as what steps it."""
+    env = ccdiff_env.make_vec(
+        envs, traffic=traffic, num_threads=threads, autoreset_mode="same_step", **options
+    )
+    env.reset(seed=0)
+    shape = env.action_space.shape
+    actions = np.random.default_rng(0).uniform(-0.1, 0.1, shape).astype(np.float32)
+    return Steps(lambda: env.step(actions), envs, threads, 1, env.single_observation_space.shape[0])
+
+
+def equal_work(envs: int, threads: int) -> Steps:
+    """Return the worlds beneath with all agents controlled, as what steps them."""
+    config = WorldConfig(
+        controlled="vehicles",
+        num_slots=VEHICLES,
+        on_collision="ignore",
+        on_off_road="ignore",
+        terminate_at_goal=False,
+        horizon_steps=91,
+        autoreset="same_step",
+        observation=ObservationConfig(
+            num_agents=VEHICLES - 1,
+            num_route_points=0,
+            num_map_pieces=200,
+            radius_m=200.0,
+            masks=False,
+            ego_columns=(
+                "speed",
+                "acceleration",
+                "yaw_rate",
+                "length",
+                "width",
+                "off_road",
+                "collided",
+            ),
+            agent_columns=("x", "y", "cos", "sin", "speed", "length", "width"),
+            map_columns=("x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"),
+        ),
+    )
+    worlds = Worlds(scene_set(crowded()), config, num_worlds=envs, num_threads=threads)
+    out = worlds.arrays()
+    worlds.native.reset(list(range(envs)), [None] * envs, None, out)
+    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (envs, VEHICLES, 2)).astype(np.float32)
+    return Steps(
+        lambda: worlds.native.step(actions, out), envs, threads, VEHICLES, out.obs.shape[-1]
+    )
+
+
+def table(rounds: int) -> None:
+    """Print all figures."""
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    heads = ("E", "n", "C", "D", "scene-st/s", "agent-st/s", "ns/as")
+    widths = (6, 4, 5, 6, 13, 13, 9)
+    print("E worlds, n threads, C controlled agents each, D floats of observation each")
+    print(" " * 36 + "".join(f"{head:>{w}}" for head, w in zip(heads, widths, strict=True)))
+    sizes = ((1, 1), (64, 1), (1024, 1), (1024, threads))
+    for traffic in ("replay", "idm"):
+        for envs, n in sizes:
+            steps = vector_env(envs, traffic, n, copy=False, info="end")
+            steps.report(f"make_vec, {traffic}", rounds)
+    for envs in (1, 1024):
+        vector_env(envs, "replay", 1).report("make_vec, replay, copy, full info", rounds)
+    for envs, n in sizes:
+        equal_work(envs, n).report("equal work", rounds)
+    if Path("/proc/self/statm").exists():
+        for kind in RESIDENT:
+            print(f"{kind}: {memory_per_world_kib(kind):.0f} KiB for one more world and its arrays")
+
+
+#: What memory is measured of.
+RESIDENT: dict[str, Callable[[int], Steps]] = {
+    "make_vec": lambda envs: vector_env(envs, "replay", 1, copy=False, info="end"),
+    "equal work": lambda envs: equal_work(envs, 1),
+}
+
+
+def main() -> None:
+    """Parse options; print the table, or the memory that this process needs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of 0.2 s per figure")
+    parser.add_argument("--resident", nargs=2, metavar=("KIND", "E"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.resident is None:
+        table(options.rounds)
+    else:
+        kind, envs = options.resident
+        steps = RESIDENT[kind](int(envs))
+        steps.step()
+        print(resident_kib())
+
+
+if __name__ == "__main__":
+    main()
