@@ -171,6 +171,19 @@ def test_collisions_count_once_and_the_egos_fault_can_be_left_out(scenes):
         assert some == (0 if at_fault else all_of_them)
 
 
+def test_collisions_that_no_plan_avoids_can_be_left_out(scenes):
+    reward = {"avoidable_only": True, "off_road": 0.0, "comfort": 0.0}
+    kept = left = 0.0
+    for _, trace in drive_into_everything(scenes, reward=reward):
+        for value, info in trace:
+            assert value == pytest.approx(info["collisions"])
+            assert info["collisions"] == len(info["collision_pairs"])
+            kept, left = kept + info["collisions"], left + info["unavoidable"]
+    every = [t for _, t in drive_into_everything(scenes, reward={"off_road": 0.0})]
+    assert kept + left == sum(info["collisions"] for trace in every for _, info in trace)
+    assert kept > 0
+
+
 def test_reward_components_add_up(scenes):
     env = AdversarySelectionEnv(scenes=scenes, budget=4, **PLAIN)
     env.reset(seed=0)
@@ -293,6 +306,7 @@ def test_mistakes_are_named(scenes):
         {"reward": {"colision": 1.0}},
         {"reward": {"count": "everything"}},
         {"reward": {"collision": float("nan")}},
+        {"reward": {"avoidable_only": 1}},
         {"driver": "idm"},
         {"ego": "robot"},
     ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.selection.view import SceneView
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.key_agents import KeyRanking, rank_agents
+from ccdiff_env.recorder import Recorder
 from ccdiff_env.spaces import Column
 
 __all__ = ["FIGURES", "Match", "Outcome"]
@@ -88,6 +90,10 @@ class Match:
         self.totals = {"collisions": 0.0, "realism_cost": 0.0, "decisions": 0.0, "adversaries": 0.0}
         self._history: deque[dict[str, Any]] = deque(maxlen=round(3.0 / worlds.config.dt_s) + 1)
         self._from_log(step)
+        self._recorder: Recorder | None = None
+        if reward.avoidable_only:
+            self._recorder = Recorder(SimpleNamespace(worlds=worlds), world_idx=world_idx)
+            self._recorder.start()
 
     def _from_log(self, step: int) -> None:
         tracks = self._scene.tracks()
@@ -176,6 +182,8 @@ class Match:
             cost = (acceleration / 4.0) ** 2 + (jerk / 10.0) ** 2 + (lateral / 4.0) ** 2
             self._discomfort.append(float(np.minimum(cost, 3.0).mean()))
         self._contacts()
+        if self._recorder is not None:
+            self._recorder.step()
         self.states = states
         self._history.append(states)
         self._steps += 1
@@ -205,6 +213,22 @@ class Match:
         ego_fault = fault.get((self.ego, i if j == self.ego else j), False)
         return self._weights.ego_fault or not ego_fault
 
+    def _leave_out_unavoidable(self) -> float:
+        """Take collisions that no ego plan avoids out of the count; returns how many."""
+        ego = self.ids[self.ego]
+        hits = [pair for pair in self._outcome.pairs if ego in pair]
+        if self._recorder is None or not hits:
+            return 0.0
+        # imported here: counterfactuals are asked of environments
+        from ccdiff_env.counterfactual import rollout_avoidability
+
+        verdict = rollout_avoidability(self._recorder.rollout())
+        if verdict is None or verdict.avoidable:
+            return 0.0
+        self._outcome.pairs = [pair for pair in self._outcome.pairs if pair not in hits]
+        self._counts["collisions"] -= len(hits)
+        return float(len(hits))
+
     def finish(self, terminated: bool, truncated: bool) -> Outcome:
         """End a decision."""
         plan = self.plan()
@@ -216,6 +240,7 @@ class Match:
             sparsity = 1.0 - (float(plan["graph"].sum()) - m) / max(m * (m - 1), 1)
         off_road = float(np.mean(self._off_road)) if self._off_road else 0.0
         discomfort = float(np.mean(self._discomfort)) if self._discomfort else 0.0
+        unavoidable = self._leave_out_unavoidable()
         weights = self._weights
         outcome = self._outcome
         outcome.terminated, outcome.truncated = terminated, truncated
@@ -225,6 +250,7 @@ class Match:
             "reward_off_road": weights.off_road * off_road,
             "reward_comfort": weights.comfort * discomfort,
             **self._counts,
+            "unavoidable": unavoidable,
             "realism_cost": cost,
             "off_road": off_road,
             "discomfort": discomfort,

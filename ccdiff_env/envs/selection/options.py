@@ -32,6 +32,10 @@ class SelectionReward:
     #: Whether collisions count that the ego is at fault for, such as rear-ending an adversary that
     #: brakes; the paper counts them.
     ego_fault: bool = True
+    #: Whether collisions of the ego count only where some ego plan would have avoided them, the
+    #: others doing as they did (:func:`ccdiff_env.counterfactual.rollout_avoidability`); the search
+    #: takes up to a second per collision.
+    avoidable_only: bool = False
     #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
     #: C), mean over adversaries.
     realism: float = -0.1
@@ -44,6 +48,9 @@ class SelectionReward:
     def __post_init__(self) -> None:
         if self.count not in ("ego", "any"):
             raise unknown("count", str(self.count), ("ego", "any"))
+        for name in ("ego_fault", "avoidable_only"):
+            if type(getattr(self, name)) is not bool:
+                raise ConfigError(f"reward.{name} is {getattr(self, name)!r}, expected a bool")
         for name in ("collision", "realism", "off_road", "comfort"):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not np.isfinite(value):
