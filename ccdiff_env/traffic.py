@@ -1,4 +1,4 @@
-"""What can be chosen about CCDiff traffic, as frozen dataclasses."""
+"""CCDiff traffic: what can be chosen about it, and what its plans say."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-__all__ = ["CcdiffConfig"]
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["PAPER_PROTOCOL", "CcdiffConfig", "TrafficPlan"]
 
 Ranking: TypeAlias = Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
 
@@ -58,3 +61,66 @@ class CcdiffConfig:
     explain: bool = False
     #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
     frozen: Literal["parked", "standing"] = "parked"
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficPlan:
+    """A plan that a world follows, and what it was made from: M vehicles, N samples, T steps.
+
+    Row i of the matrices looks at column j.
+    """
+
+    #: Steps since the episode began when the plan was made.
+    made_at: int
+    #: Vehicles that were planned for, indices in the scene, [M].
+    agents: npt.NDArray[np.int64]
+    #: Whether a vehicle follows the plan, [M]; the others were predicted only.
+    executed: npt.NDArray[np.bool_]
+    #: Whether guidance moved its plan, [M].
+    guided: npt.NDArray[np.bool_]
+    #: Decision causal graph G, [M, M].
+    graph: npt.NDArray[np.bool_]
+    #: Times to contact, s, [M, M].
+    ttc_s: npt.NDArray[np.float32]
+    #: Attention, mean over heads, zero outside of G, [M, M]; ``None`` unless ``explain`` is set.
+    attention: npt.NDArray[np.float32] | None
+    #: Vehicles that may be guided, by falling importance.
+    ranking: npt.NDArray[np.int64]
+    #: x, y (m) and heading (rad) in the scene frame after each step, [N, M, T, 3].
+    samples: npt.NDArray[np.float32]
+    #: Sample that each vehicle follows, [M].
+    chosen: npt.NDArray[np.int64]
+    #: Names of the guidance objectives, [J].
+    objectives: tuple[str, ...]
+    #: Their losses without weights, [J, N, M].
+    losses: npt.NDArray[np.float32]
+    #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau), [M].
+    realism_cost: npt.NDArray[np.float32]
+    #: Mean cosine of the gradients of two objectives, [J, J]; ``None`` unless ``explain`` is set.
+    gradient_cosine: npt.NDArray[np.float32] | None
+
+
+#: Options of an environment that follow the paper's evaluation as released (method.md 5): start at
+#: step 31, 10 s, agents of the start only, vanish with the log, contacts without consequence, the
+#: guided vehicles found once, everybody else replays the log.
+PAPER_PROTOCOL: Mapping[str, Any] = {
+    "history_steps": 31,
+    "horizon_steps": 100,
+    "traffic": "ccdiff",
+    "driver": "ccdiff",
+    "late_arrivals": False,
+    "vanish_with_log": True,
+    "on_collision": "ignore",
+    "on_off_road": "ignore",
+    "terminate_at_goal": False,
+    "ccdiff": {
+        "replan_steps": 5,
+        "num_samples": 5,
+        "num_guided": 5,
+        "rerank": False,
+        "others": "replay",
+        "frozen": "standing",
+        "partners": "all",
+        "criticality": 1.0,
+    },
+}

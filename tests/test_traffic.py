@@ -280,3 +280,28 @@ def test_unguided_traffic_on_real_scenes_stays_on_the_road_and_beats_constant_ve
         assert all(isinstance(e.rollout, Rollout) for e in played)
     assert figures["ccdiff_unguided"][0] < figures["constant_velocity"][0]
     assert figures["ccdiff_unguided"][1] < 0.02
+
+
+def test_environments_explain_their_traffic(scenes):
+    env = ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", driver="idm")
+    env.reset(seed=0)
+    assert env.explain() is None
+    env.step(env.action_space.sample())
+    plan = env.explain()
+    assert plan.samples.shape[1] == len(plan.agents) == len(plan.graph)
+    assert plan.attention is None
+    assert plan.objectives == ()
+    calm = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
+    calm.reset(seed=0)
+    with pytest.raises(UnknownNameError, match="ccdiff"):
+        calm.explain()
+
+
+def test_the_papers_protocol_is_a_set_of_options(scenes):
+    env = ccdiff_env.make_vec(2, scenes=scenes, **ccdiff_env.traffic.PAPER_PROTOCOL)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    plan = env.explain(0)
+    assert plan.executed.sum() <= 5
+    assert (plan.guided <= plan.executed).all()

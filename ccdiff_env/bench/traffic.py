@@ -26,12 +26,13 @@ from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Rollout, speed_limit
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.traffic import PAPER_PROTOCOL
 
 __all__ = ["METHODS", "Method", "episodes", "evaluate", "traffic_jobs"]
 
 #: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
-START_STEP = 31
-HORIZON_STEPS = 100
+START_STEP: int = PAPER_PROTOCOL["history_steps"]
+HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
 #: Speed below which a logged vehicle counts as standing, m/s.
@@ -137,10 +138,20 @@ def traffic_jobs(
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
-    """Vehicles that are there at the start, in the scene's order."""
-    there = scene.tracks()["valid"][:, START_STEP]
-    kinds = np.array(scene.agent_types) == "vehicle"
-    return np.flatnonzero(there & kinds)
+    """Vehicles that are there, and on the road, at the start; the ego in any case (as released)."""
+    tracks = scene.tracks()
+    there = tracks["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
+    agents = np.flatnonzero(there)
+    now = slice(START_STEP, START_STEP + 1)
+    start = Rollout(
+        tracks["position"][agents, now], tracks["heading"][agents, now], scene.sizes[agents][:, :2]
+    )
+    off_road = start.off_road(_drivable(scene)).centroid[:, 0]
+    return agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
+
+
+def _drivable(scene: Scene) -> list[tuple[Any, Any]]:
+    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
 
 
 def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) -> list[int]:
@@ -204,26 +215,25 @@ def episodes(
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`.
     """
+    # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
+        **PAPER_PROTOCOL["ccdiff"],
+        "others": "ccdiff",
+        "criticality": 0.0,
+        "num_samples": 1,
         "replan_steps": replan_steps,
-        "frozen": "standing",
-        "partners": "all",
         **method.ccdiff,
     }
     config = WorldConfig().with_options(
-        history_steps=START_STEP,
-        horizon_steps=HORIZON_STEPS,
-        traffic=method.driver,
-        driver="replay",
-        late_arrivals=False,
-        vanish_with_log=True,
-        on_collision="ignore",
-        on_off_road="ignore",
-        terminate_at_goal=False,
-        autoreset="disabled",
-        dt_s=scenes[0].dt,
-        ccdiff=ccdiff,
-        **(options or {}),
+        **{
+            **PAPER_PROTOCOL,
+            "traffic": method.driver,
+            "driver": "replay",
+            "autoreset": "disabled",
+            "dt_s": scenes[0].dt,
+            "ccdiff": ccdiff,
+            **(options or {}),
+        }
     )
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     out, native = worlds.arrays(), worlds.native
@@ -231,7 +241,8 @@ def episodes(
     native.reset([seed] * len(scenes), list(everyone), None, out)
     chosen = [control_set(scene, method.ranking, num_controlled, seed) for scene in scenes]
     for i in everyone:
-        native.assign(i, _vehicles(scenes[i]).tolist(), "replay")
+        kinds = np.array(scenes[i].agent_types) == "vehicle"
+        native.assign(i, np.flatnonzero(kinds).tolist(), "replay")
         if chosen[i]:
             native.assign(i, chosen[i], method.driver)
         if method.driver == "ccdiff":
@@ -307,10 +318,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     """Return the figures of one episode, all of them finite or ``None``."""
     rollout, log, controlled = episode.rollout, episode.log, episode.controlled
     found = rollout.collisions(controlled=controlled, log=log)
-    road = rollout.off_road(
-        [(p["exterior"], p["holes"]) for p in episode.scene.map_layers()["drivable_area"]],
-        replan_steps=replan_steps,
-    )
+    road = rollout.off_road(_drivable(episode.scene), replan_steps=replan_steps)
     displacement = rollout.displacement(log)
     ade, fde = displacement.mean()
     ade_controlled, fde_controlled = (

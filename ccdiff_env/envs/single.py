@@ -20,6 +20,7 @@ from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed, scene_set, world_c
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import FORMS, Form
+from ccdiff_env.traffic import TrafficPlan
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -266,6 +267,16 @@ class EgoEnv(gymnasium.Env[Any, Any]):
         self._actions = actions
         self._seeded = self._begun = self.worlds.native.begun(0)
         return self.observation() if self._begun else None
+
+    def explain(self) -> TrafficPlan | None:
+        """Return the plan that CCDiff traffic follows; ``None`` before the first one.
+
+        Raises
+        ------
+        UnknownNameError
+            If CCDiff drives nobody.
+        """
+        return self.worlds.explain(0)
 
     def fork(self) -> EgoEnv:
         """Return an independent environment in the same state."""

@@ -27,6 +27,7 @@ from ccdiff_env.envs.worlds import (
 )
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.spaces import FORMS, Form
+from ccdiff_env.traffic import TrafficPlan
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -382,6 +383,16 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
             return None
         native = self.worlds.native
         return tuple(native.render(i, **self._picture) for i in range(self.num_envs))
+
+    def explain(self, world_idx: int) -> TrafficPlan | None:
+        """Return the plan that CCDiff follows in a world; ``None`` before the first one.
+
+        Raises
+        ------
+        UnknownNameError
+            If the world does not exist, or CCDiff drives nobody.
+        """
+        return self.worlds.explain(world_idx)
 
     def snapshot(self, world_idx: int) -> bytes:
         """Return everything that the future of a world depends on."""

@@ -19,6 +19,7 @@ from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameE
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
+from ccdiff_env.traffic import TrafficPlan
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -298,6 +299,20 @@ class Worlds:
             self.native.command(world_idx, guided=None, criticality=strength)
             info["criticality"] = self.criticality[world_idx] = strength
         return info
+
+    def explain(self, world_idx: int) -> TrafficPlan | None:
+        """Return the plan of CCDiff that a world follows; ``None`` before the first one.
+
+        Raises
+        ------
+        UnknownNameError
+            If the world does not exist, or CCDiff drives nobody.
+        """
+        self.check_world(world_idx)
+        plan = self.native.explain(world_idx)
+        if plan is None:
+            return None
+        return TrafficPlan(**{**plan, "objectives": tuple(plan["objectives"])})
 
     def observation(self, world_idx: int) -> F32:
         """Return the present observations [C, D] of a world as a new array."""
