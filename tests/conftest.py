@@ -9,15 +9,12 @@ import pytest
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _own_cache(tmp_path_factory):
-    """Built scenes of tests go to a folder of their own, not to the user's."""
-    before = os.environ.get("CCDIFF_CACHE")
-    os.environ["CCDIFF_CACHE"] = str(tmp_path_factory.mktemp("cache"))
-    yield
-    if before is None:
-        del os.environ["CCDIFF_CACHE"]
-    else:
-        os.environ["CCDIFF_CACHE"] = before
+def _own_folders(tmp_path_factory):
+    """Built scenes and training logs of tests go to folders of their own, not to the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("CCDIFF_CACHE", "SB3_LOGDIR"):
+            patch.setenv(name, str(tmp_path_factory.mktemp(name.lower())))
+        yield
 
 
 @pytest.fixture(scope="session")

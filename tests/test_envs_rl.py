@@ -83,17 +83,56 @@ def test_observations_can_be_normalised_stacked_and_flattened(scenes):
     normal = vector_wrappers.NormalizeObservation(native)
     normal.reset(seed=0)
     normal.step(normal.action_space.sample())
+    raster = gymnasium.make(ID, scenes=scenes, observation="bev", bev={"size_px": 16}, **RULES)
+    stacked = wrappers.FrameStackObservation(raster, 4)
+    assert stacked.observation_space.shape == (4, 5, 16, 16)
+    play(stacked, 5)
 
 
-def test_episodes_are_filmed(scenes, tmp_path):
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_vector_wrappers_scale_and_list_what_the_worlds_give(mode, scenes):
+    native = EgoVectorEnv(3, scenes=scenes, autoreset_mode=mode, **RULES)
+    env = vector_wrappers.NormalizeReward(vector_wrappers.ClipReward(native, -1.0, 1.0))
+    env = vector_wrappers.DictInfoToList(env)
+    env.reset(seed=0)
+    lengths = np.zeros(3, dtype=int)
+    for _ in range(25):
+        obs, reward, terminated, truncated, infos = env.step(np.zeros((3, 2), np.float32))
+        assert obs in env.observation_space
+        assert np.isfinite(reward).all()
+        assert len(infos) == 3
+        lengths += 1
+        done = terminated | truncated
+        for i in np.flatnonzero(done):
+            ended = infos[i]["final_info"] if mode is AutoresetMode.SAME_STEP else infos[i]
+            assert 1 <= ended["metrics"]["length"] <= lengths[i]
+        lengths[done] = -1 if mode is AutoresetMode.NEXT_STEP else 0
+        if mode is AutoresetMode.DISABLED and done.any():
+            env.reset(options={"reset_mask": done})
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_episodes_are_filmed(vector, scenes, tmp_path):
     pytest.importorskip("moviepy")
-    env = gymnasium.make(
-        ID, scenes=scenes, render_mode="rgb_array", picture={"size": (64, 64)}, **RULES
-    )
-    env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda n: n == 0)
-    play(env, 25)
+    import imageio.v2 as imageio
+
+    films = tmp_path / "films"
+    options = {"scenes": scenes, "render_mode": "rgb_array", "picture": {"size": (64, 64)}, **RULES}
+    if vector:
+        env = vector_wrappers.RecordVideo(EgoVectorEnv(2, **options), str(films), video_length=9)
+        env.reset(seed=0)
+        for _ in range(12):
+            env.step(np.zeros((2, 2), np.float32))
+    else:
+        env = gymnasium.make(ID, **options)
+        env = wrappers.RecordVideo(env, str(films), episode_trigger=lambda n: n == 0)
+        play(env, 25)
     env.close()
-    assert list(tmp_path.glob("*.mp4"))
+    (film,) = films.glob("*.mp4")
+    frames = imageio.mimread(film)
+    assert 8 <= len(frames) <= 22
+    assert min(frames[0].shape[:2]) == 64
+    assert frames[0].std() > 1.0
 
 
 def test_frames_are_collected(scenes):
