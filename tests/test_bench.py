@@ -13,6 +13,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.learning import learning_table, training_jobs
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.scenes import chunks, scene_names
@@ -261,3 +262,37 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
 
 def test_all_methods_have_drivers_that_exist():
     assert {m.driver for m in METHODS.values()} <= {"replay", "constant_velocity", "idm", "ccdiff"}
+
+
+def test_learning_tables_average_over_scenes_then_seeds():
+    def rows(score):
+        parts = {
+            "collision": 0.5, "no_at_fault_collision": 0.75, "on_road": 1.0, "progress": 0.5,
+            "comfort": 1.0,
+        }  # fmt: skip
+        return [{**parts, "score": score}, {**parts, "score": score}]
+
+    table = learning_table(
+        {
+            ("egos/replay-0.zip", "idm"): rows(0.2),
+            ("egos/replay-1.zip", "idm"): rows(0.4),
+            ("idm", "idm"): rows(1.0),
+        }
+    )
+    lines = [line for line in table.splitlines() if line.startswith("| ")]
+    assert lines[1] == (
+        "| PPO, trained in replay | 50.0 ± 0.0 | 25.0 ± 0.0 | 0.0 ± 0.0 | 50.0 ± 0.0 | "
+        "100.0 ± 0.0 | 0.30 ± 0.14 |"
+    )
+    assert lines[2] == "| idm | 50.0 | 25.0 | 0.0 | 50.0 | 100.0 | 1.00 |"
+
+
+def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
+    jobs = training_jobs({"embedded": "train"}, ["replay"], [0], steps=4096, folder=tmp_path)
+    run_jobs(jobs, tmp_path / "training", progress=False)
+    curve = results(jobs, tmp_path / "training")["train-replay-0"]["curve"]
+    assert curve
+    assert curve[-1][0] == 4096
+    scenes = ccdiff_env.embedded_scenes("val")[:2]
+    found = play(scenes, jobs[0].arguments["path"], Traffic("log", "replay"))
+    assert len(found) == 2

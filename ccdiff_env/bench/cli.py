@@ -21,6 +21,7 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     kinds = bench.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
     _add_planners(kinds)
+    _add_learning(kinds)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -136,4 +137,45 @@ def _planners(args: argparse.Namespace) -> int:
     print((args.out / "table.md").read_text(encoding="utf-8"))
     seconds = time.perf_counter() - start
     print(f"{len(jobs)} jobs in {seconds:.0f} s; table, plot, worst scenes: {args.out}")
+    return 0
+
+
+def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
+    add_run_arguments(parser)
+    parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
+    parser.add_argument("--lessons", default="replay,ccdiff,critical", help="traffic of training")
+    parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
+    parser.add_argument("--steps", type=int, default=200_000, help="steps of training per ego")
+    parser.add_argument("--traffic", default="replay,ccdiff,ccdiff-1", help="of the evaluation")
+    parser.set_defaults(run=_learning)
+
+
+def _learning(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.learning import learning_table, training_jobs
+    from ccdiff_env.bench.planners import planner_jobs
+
+    source = source_from(args)
+    embedded = args.dataroot is None
+    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
+    lesson_source = {**source, "embedded" if embedded else "split": "+".join(splits)}
+    settings = {"benchmark": "learning", "source": source, "steps": args.steps, "seed": args.seed}
+    begin(args, settings)
+    seeds = [args.seed + k for k in range(args.seeds)]
+    jobs = training_jobs(
+        lesson_source, args.lessons.split(","), seeds, steps=args.steps, folder=args.out / "egos"
+    )
+    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    run_jobs(jobs, args.out / "training", **run)
+    planners = [str(job.arguments["path"]) for job in jobs] + ["constant_velocity", "idm", "replay"]
+    tests = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
+    run_jobs(tests, args.out / "raw", **run)
+    by_name = results(tests, args.out / "raw")
+    rows: dict[tuple[str, str], list[Any]] = {}
+    for job in tests:
+        key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
+        rows.setdefault(key, []).extend(by_name[job.name])
+    text = learning_table(rows)
+    (args.out / "table.md").write_text(text, encoding="utf-8")
+    print(text)
     return 0

@@ -16,7 +16,7 @@ __all__ = ["chunks", "scene_names", "scenes_of", "source_of"]
 def source_of(
     *, dataroot: str | None, version: str = "v1.0-trainval", split: str = "ccdiff100"
 ) -> dict[str, Any]:
-    """Return a description of scenes: a nuScenes copy, or a split of the embedded ones."""
+    """Return a description of scenes: splits of a nuScenes copy (``"a+b"``), or of the embedded."""
     if dataroot is None:
         return {"embedded": split}
     return {"dataroot": dataroot, "version": version, "split": split}
@@ -30,7 +30,7 @@ def _load(description: tuple[tuple[str, str], ...]) -> SceneSet:
         return embedded_scenes(None if split == "all" else split)
     if set(source) != {"dataroot", "version", "split"}:
         raise ConfigError(f"source has {sorted(source)}, expected dataroot, version, split")
-    return load_nuscenes(source["dataroot"], source["version"], source["split"])
+    return load_nuscenes(source["dataroot"], source["version"], source["split"].split("+"))
 
 
 def scenes_of(source: Mapping[str, str], names: Sequence[str] | None = None) -> SceneSet:

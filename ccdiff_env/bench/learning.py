@@ -1,0 +1,164 @@
+"""Egos trained in different traffic, each evaluated in all of it.
+
+Every ego is PPO of stable-baselines3 with the same network, observation and number of steps; only
+the traffic of training differs. Training scenes and evaluation scenes have no scene in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.planners import TRAFFIC
+from ccdiff_env.bench.scenes import scenes_of
+
+__all__ = ["LESSONS", "learning_table", "train_ego", "training_jobs"]
+
+#: Traffic of training by name: options of the vector environment.
+LESSONS: dict[str, dict[str, Any]] = {
+    "replay": {"traffic": "replay"},
+    "ccdiff": {"traffic": "ccdiff"},
+    # criticality is drawn anew for every episode, so that realistic traffic is not forgotten
+    "critical": {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
+}
+NUM_ENVS = 32
+#: Figures of the table: heading, part of the planner's score, factor.
+FIGURES = (
+    ("collision %", "collision", 100.0),
+    ("at fault %", "no_at_fault_collision", -100.0),
+    ("off road %", "on_road", -100.0),
+    ("route %", "progress", 100.0),
+    ("comfort %", "comfort", 100.0),
+    ("score", "score", 1.0),
+)
+
+
+def training_jobs(
+    source: Mapping[str, str],
+    lessons: Sequence[str],
+    seeds: Sequence[int],
+    *,
+    steps: int,
+    folder: Path,
+) -> list[Job]:
+    """Return the jobs that train one ego per lesson and seed; policies go to a folder."""
+    return [
+        Job(
+            f"train-{lesson}-{seed}",
+            f"{__name__}:train_ego",
+            {
+                "source": dict(source),
+                "lesson": lesson,
+                "seed": seed,
+                "steps": steps,
+                "path": str(folder / f"{lesson}-{seed}.zip"),
+            },
+        )
+        for seed in seeds
+        for lesson in lessons
+    ]
+
+
+def train_ego(
+    *, source: Mapping[str, str], lesson: str, seed: int, steps: int, path: str
+) -> dict[str, Any]:
+    """Train PPO in one kind of traffic and save it.
+
+    Returns
+    -------
+    dict
+        ``curve``: step, mean return and success rate of the episodes that ended since the last row.
+    """
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from ccdiff_env.envs import make_vec
+    from ccdiff_env.envs.sb3 import SB3VecEnv
+
+    class Curve(BaseCallback):
+        """Collects finished episodes."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.rows: list[list[float]] = []
+            self.recent: list[tuple[float, float]] = []
+
+        def _on_step(self) -> bool:
+            for info in self.locals["infos"]:
+                if "episode" in info:
+                    self.recent.append((info["episode"]["r"], float(info["is_success"])))
+            return True
+
+        def _on_rollout_end(self) -> None:
+            if self.recent:
+                mean = np.mean(self.recent, axis=0)
+                self.rows.append([float(self.num_timesteps), float(mean[0]), float(mean[1])])
+                self.recent = []
+
+    env = SB3VecEnv(
+        make_vec(
+            NUM_ENVS,
+            scenes=scenes_of(source),
+            autoreset_mode="same_step",
+            num_threads=1,
+            **LESSONS[lesson],
+        )
+    )
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=128,
+        batch_size=512,
+        n_epochs=6,
+        learning_rate=3e-4,
+        gamma=0.98,
+        gae_lambda=0.95,
+        policy_kwargs={"net_arch": [128, 128], "log_std_init": -1.0},
+        seed=seed,
+        device="cpu",
+    )
+    curve = Curve()
+    model.learn(steps, callback=curve)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    model.save(path)
+    env.close()
+    return {"curve": curve.rows}
+
+
+def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> str:
+    """Return the table in Markdown: mean over scenes, then mean ± spread over seeds.
+
+    Parameters
+    ----------
+    rows
+        One dictionary per scene (see :func:`ccdiff_env.bench.planners.planner_score`) of every
+        planner (``lesson-seed`` for trained egos) in every traffic.
+    """
+    groups: dict[str, list[str]] = {}
+    for planner, _ in rows:
+        lesson, _, seed = Path(planner).stem.rpartition("-")
+        name = f"PPO, trained in {lesson}" if lesson in LESSONS and seed.isdigit() else planner
+        if planner not in groups.setdefault(name, []):
+            groups[name].append(planner)
+    lines = []
+    for traffic in dict.fromkeys(t for _, t in rows):
+        lines += [f"### Evaluated in: {TRAFFIC[traffic].label}", ""]
+        lines += ["| ego | " + " | ".join(name for name, *_ in FIGURES) + " |"]
+        lines += ["|---|" + "---:|" * len(FIGURES)]
+        for name, planners in groups.items():
+            cells = []
+            for _, part, factor in FIGURES:
+                means = np.array(
+                    [np.mean([row[part] for row in rows[p, traffic]]) for p in planners]
+                )
+                values = factor * means if factor > 0 else -factor * (1.0 - means)
+                digits = 2 if abs(factor) == 1.0 else 1
+                spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
+                cells.append(f"{values.mean():.{digits}f}{spread}")
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
