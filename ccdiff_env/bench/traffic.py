@@ -147,7 +147,8 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
         tracks["position"][agents, now], tracks["heading"][agents, now], scene.sizes[agents][:, :2]
     )
     off_road = start.off_road(_drivable(scene)).centroid[:, 0]
-    return agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
+    kept: npt.NDArray[np.int64] = agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
+    return kept
 
 
 def _drivable(scene: Scene) -> list[tuple[Any, Any]]:

@@ -97,7 +97,7 @@ class Film:
             trails=list(self._trails(step, there)),
             samples=list(self._samples(plan)) if plan else (),
             arrows=self._arrows(plan, there) if plan and self._graph else (),
-            caption=f"{run.scene.name}  {seconds:.1f} s" if self._captions else "",
+            caption=f"{run.scene.name.upper()}  {seconds:.1f} s" if self._captions else "",
             scale_bar=self._captions,
         )
 
