@@ -236,4 +236,20 @@ mod tests {
             }
         }
     }
+    #[cfg(target_arch = "x86_64")]
+    proptest! {
+        #[test]
+        #[allow(unsafe_code, reason = "the function is called where the processor has the instructions")]
+        fn both_ways_to_count_agree(
+            own in prop::collection::vec(0i16..99, LANES), others in prop::collection::vec(0i16..99, 0..MOST_COUNTED),
+        ) {
+            let mut block = [0; LANES];
+            block.copy_from_slice(&own);
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: just asked
+                let wide = unsafe { count_less_avx2(&block, &others) };
+                prop_assert_eq!(wide, count_less(&block, &others));
+            }
+        }
+    }
 }
