@@ -87,6 +87,7 @@ def evaluate(
         for i in np.flatnonzero((terminated | truncated) & open_worlds):
             results[i] = {key: float(infos[key][i]) for _, key in FIGURES}
             results[i] |= {"scene": scenes[i].name, "collision": float(collided[i])}
+            results[i]["steps"] = int(infos["metrics"]["length"][i])
         open_worlds &= ~(terminated | truncated)
     env.close()
     return results
@@ -152,7 +153,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
 def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int) -> None:
     """Return and success rate of training episodes against steps, in windows of 200 episodes.
 
-    A line marks the step at which the traffic changes.
+    A line marks the step at which CCDiff takes over the traffic.
     """
     import matplotlib
 
@@ -167,7 +168,11 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), constrained_layout=True)
     for axis, values, label in zip(axes, smooth, ("return", "success rate"), strict=True):
         axis.plot(steps, values, color="#1f77b4")
-        axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
+        if data[-1:, 0].sum() > change:
+            axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
+            place = {"xy": (change, 0.02), "xycoords": ("data", "axes fraction")}
+            axis.annotate("IDM  ", **place, ha="right", color="#555555")
+            axis.annotate("  CCDiff", **place, ha="left", color="#555555")
         axis.set_xlabel("environment steps")
         axis.set_ylabel(f"{label}, mean of {window} episodes")
         axis.grid(alpha=0.3)
@@ -177,7 +182,7 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
 
 
 def draw_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act, path: Path) -> None:
-    """Animate one episode of a scene."""
+    """Animate one episode of a scene, as far as the ego is in it."""
     from ccdiff_env.render import save
 
     env = ccdiff_env.make_vec(1, scenes=scenes, render_mode="rgb_array", **traffic)
@@ -185,9 +190,10 @@ def draw_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act, pat
     frames = list(env.render() or ())
     done = False
     while not done:
-        obs, _, terminated, truncated, _ = env.step(act(obs))
+        obs, _, terminated, truncated, infos = env.step(act(obs))
         done = bool(terminated[0] or truncated[0])
-        frames += env.render() or ()
+        if not infos["goal_reached"][0]:
+            frames += env.render() or ()
     env.close()
     save(frames, path, fps=10)
 
@@ -239,11 +245,14 @@ def main() -> None:
     text = table(results)
     (args.out / "table.md").write_text(text + "\n")
     with (args.out / "episodes.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["traffic", "ego", "scene", *(key for _, key in FIGURES)])
+        columns = ["traffic", "ego", "scene", "steps", *(key for _, key in FIGURES)]
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
         for (name_of, ego), rows in results.items():
             writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
-    draw_episode(test_scenes, 0, TRAFFIC["critical CCDiff"], ppo, args.out / "episode.gif")
+    drawn = "critical CCDiff"
+    longest = int(np.argmax([row["steps"] for row in results[drawn, "PPO"]]))
+    draw_episode(test_scenes, longest, TRAFFIC[drawn], ppo, args.out / "episode.gif")
     summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
