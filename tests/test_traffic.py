@@ -102,8 +102,8 @@ def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking):
 
 
 def test_guidance_raises_collisions_with_the_ego(scenes):
-    def collided(criticality):
-        play = Play(scenes, ccdiff={"criticality": criticality})
+    def collided(criticality, seed):
+        play = Play(scenes, seed=seed, ccdiff={"criticality": criticality})
         touched = np.zeros(len(scenes), bool)
         names = play.worlds.column_names
         for _ in range(80):
@@ -111,8 +111,8 @@ def test_guidance_raises_collisions_with_the_ego(scenes):
             touched |= play.out.columns[:, 0, names.index("collision")] > 0
         return touched.sum()
 
-    calm, critical = collided(0.0), collided(1.0)
-    assert critical >= calm + 3, (calm, critical)
+    calm, critical = (sum(collided(c, seed) for seed in (3, 4, 5)) for c in (0.0, 1.0))
+    assert critical >= max(2 * calm, 10), (calm, critical)
 
 
 def test_commands_choose_who_is_guided_and_how_hard(scenes):

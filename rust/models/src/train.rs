@@ -78,7 +78,7 @@ impl TrainConfig {
             ema_start: 200,
             clip_norm: 1.0,
             perturb: true,
-            collision_weight: 0.3,
+            collision_weight: 0.2,
             ..paper
         }
     }
