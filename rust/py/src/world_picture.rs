@@ -184,7 +184,11 @@ pub(crate) fn draw<'py>(
         (Some((points, goal)), Some(a)) => route_ahead(points, states.position(a), *goal),
         _ => &[],
     };
-    let caption = if shot.labels { caption(&scene.name.to_uppercase(), scene.dt_s, &status, focus) } else { String::new() };
+    let caption = if shot.labels {
+        caption(&scene.name.to_uppercase(), scene.dt_s, &status, focus)
+    } else {
+        String::new()
+    };
     let (width, height) = pixels(shot.size)?;
     let camera = Camera::over(pose.position, shot.span_m, width, height);
     let camera = if shot.heading_up { camera.heading_up(pose.heading_rad) } else { camera };
