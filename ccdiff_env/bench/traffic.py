@@ -53,12 +53,16 @@ class Method:
         ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set.
     ccdiff
         Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where CCDiff drives.
+    num_guided
+        Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
+        for ``None``.
     """
 
     label: str
     driver: str
     ranking: str = "cliques"
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    num_guided: int | None = None
 
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
@@ -77,9 +81,7 @@ METHODS: dict[str, Method] = {
     "ccdiff_no_enc": Method(
         "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
     ),
-    "ccdiff_no_guide": Method(
-        "CCDiff, guidance not masked", "ccdiff", ccdiff={**_GUIDED, "mask_guidance": False}
-    ),
+    "ccdiff_top2": Method("CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2),
     "ccdiff_released": Method(
         "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
     ),
@@ -247,7 +249,7 @@ def episodes(
         if chosen[i]:
             native.assign(i, chosen[i], method.driver)
         if method.driver == "ccdiff":
-            native.command(i, guided=chosen[i], criticality=None)
+            native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
     actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
