@@ -51,6 +51,7 @@ bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATA
 	cargo bench --locked -p ccdiff-sim --bench world
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/steps.py
 	cargo bench --locked -p ccdiff-models --bench guidance
+	$(BIN)/python benchmarks/traffic.py $(if $(DATAROOT),--dataroot $(DATAROOT))
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made
