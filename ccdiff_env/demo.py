@@ -40,6 +40,8 @@ LESSONS: tuple[dict[str, Any], ...] = (
     {"traffic": "idm"},
     {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
 )
+#: Learning rate of each part: what was learned in the first is not to be lost in the second.
+LEARNING_RATES = (3e-4, 1e-4)
 NUM_ENVS = 32
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
@@ -129,7 +131,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
         n_steps=128,
         batch_size=512,
         n_epochs=6,
-        learning_rate=3e-4,
+        learning_rate=LEARNING_RATES[0],
         gamma=0.98,
         gae_lambda=0.95,
         ent_coef=0.0,
@@ -139,9 +141,10 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     )
     model.set_logger(configure(str(out / "log"), ["csv"]))
     curve = Curve()
-    for count, env in zip(steps, envs, strict=True):
+    for count, env, rate in zip(steps, envs, LEARNING_RATES, strict=True):
         if count > 0:
             model.set_env(env)
+            model.lr_schedule = lambda _, rate=rate: rate
             model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
     model.save(out / "ego_ppo.zip")
     draw_curve(curve.rows, out / "learning_curve.png", change=steps[0])
