@@ -95,6 +95,11 @@ def evaluate(
     return results
 
 
+def constant(rate: float) -> Callable[[float], float]:
+    """Schedule of a learning rate that stays."""
+    return lambda _: rate
+
+
 def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     """Train PPO for some steps in each lesson and write its learning curve; returns the model."""
     import torch
@@ -144,7 +149,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     for count, env, rate in zip(steps, envs, LEARNING_RATES, strict=True):
         if count > 0:
             model.set_env(env)
-            model.lr_schedule = lambda _, rate=rate: rate
+            model.lr_schedule = constant(rate)
             model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
     model.save(out / "ego_ppo.zip")
     draw_curve(curve.rows, out / "learning_curve.png", change=steps[0])

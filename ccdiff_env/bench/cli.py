@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import time
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.scenes import source_of
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.models import shipped_weights
 
 __all__ = ["add_bench"]
 
@@ -43,7 +45,9 @@ def source_from(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def begin(args: argparse.Namespace, settings: dict[str, Any]) -> None:
-    """Make the run folder, or check that it belongs to the same run."""
+    """Make the run folder, or check that it belongs to the same run, by settings and weights."""
+    weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
+    settings = {**settings, "weights": weights}
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "run.json"
     if path.exists():
