@@ -296,3 +296,11 @@ def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
     scenes = ccdiff_env.embedded_scenes("val")[:2]
     found = play(scenes, jobs[0].arguments["path"], Traffic("log", "replay"))
     assert len(found) == 2
+
+
+def test_rankings_that_ask_the_network_find_their_own_control_set():
+    rows = evaluate(
+        source=VAL, names=scene_names(VAL)[:2], method="ccdiff_greedy", num_controlled=1,
+        replan_steps=5, seed=0,
+    )  # fmt: skip
+    assert [row["num_controlled"] for row in rows] == [1, 1]

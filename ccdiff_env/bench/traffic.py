@@ -50,7 +50,8 @@ class Method:
     driver
         Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking
-        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set.
+        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set. With
+        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
     ccdiff
         Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where CCDiff drives.
     num_guided
@@ -67,6 +68,9 @@ class Method:
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
 
+#: Rankings that only a planning network can make.
+OWN_RANKINGS = ("greedy", "gradient")
+
 #: The methods by name. More may be added: a driver is all that one needs.
 METHODS: dict[str, Method] = {
     "replay": Method("Log replay", "replay"),
@@ -78,6 +82,8 @@ METHODS: dict[str, Method] = {
     "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
     "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
     "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
+    "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
+    "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
     "ccdiff_no_enc": Method(
         "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
     ),
@@ -227,6 +233,9 @@ def episodes(
         "replan_steps": replan_steps,
         **method.ccdiff,
     }
+    own = method.ranking in OWN_RANKINGS and num_controlled != 0
+    if own:
+        ccdiff |= {"ranking": method.ranking, "others": "replay", "num_guided": num_controlled}
     config = WorldConfig().with_options(
         **{
             **PAPER_PROTOCOL,
@@ -242,13 +251,18 @@ def episodes(
     out, native = worlds.arrays(), worlds.native
     everyone = list(range(len(scenes)))
     native.reset([seed] * len(scenes), list(everyone), None, out)
-    chosen = [control_set(scene, method.ranking, num_controlled, seed) for scene in scenes]
+    chosen = [
+        _vehicles(scene).tolist()
+        if own
+        else control_set(scene, method.ranking, num_controlled, seed)
+        for scene in scenes
+    ]
     for i in everyone:
         kinds = np.array(scenes[i].agent_types) == "vehicle"
         native.assign(i, np.flatnonzero(kinds).tolist(), "replay")
         if chosen[i]:
             native.assign(i, chosen[i], method.driver)
-        if method.driver == "ccdiff":
+        if method.driver == "ccdiff" and not own:
             native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
@@ -263,6 +277,8 @@ def episodes(
             plan = native.explain(i) if method.driver == "ccdiff" else None
             if plan is not None and plan["made_at"] == step:
                 plans[i].append(plan)
+    if own:
+        chosen = [p[0]["agents"][p[0]["executed"]].tolist() if p else [] for p in plans]
     return [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
 
 
