@@ -18,7 +18,15 @@ from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names, Roles
 from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
-from ccdiff_env.envs.worlds import Scenes, StepArrays, Worlds, fold_seed, scene_set, world_config
+from ccdiff_env.envs.worlds import (
+    FollowsTraining,
+    Scenes,
+    StepArrays,
+    Worlds,
+    fold_seed,
+    scene_set,
+    world_config,
+)
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.key_agents import KeyRanking
 from ccdiff_env.scenes import Scene
@@ -30,7 +38,7 @@ Bool = npt.NDArray[np.bool_]
 Rows = dict[str, Any]
 
 
-class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
+class MultiAgentEnv(FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
     """One world in Rust; chosen vehicles are driven by actions, the others by the background.
 
     Parameters
@@ -196,16 +204,6 @@ class MultiAgentEnv(ParallelEnv[str, Any, Any]):  # type: ignore[misc]
                 f"no agent {agent!r} among {len(self.possible_agents)}: {few} ..."
             )
         return agent
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
-        """
-        self.worlds.set_progress(progress)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -18,6 +18,7 @@ from ccdiff_env.envs.game import Adversaries, Agents, Cast, Roles
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
+    FollowsTraining,
     SceneChoice,
     Scenes,
     StepArrays,
@@ -38,7 +39,7 @@ Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
 
-class AgentVectorEnv(VectorEnv[Any, Any, Any]):
+class AgentVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
     """E worlds of C slots in Rust as E x C rows; row i is slot ``i % C`` of world ``i // C``.
 
     A row's episode ends when its vehicle's does. It then waits, with observations and rewards of
@@ -134,16 +135,6 @@ class AgentVectorEnv(VectorEnv[Any, Any, Any]):
     def active_masks(self) -> Bool:
         """Return the rows [E x C] whose vehicles are driven by the next actions."""
         return self._active.ravel().copy()
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
-        """
-        self.worlds.set_progress(progress)
 
     def reset(
         self,

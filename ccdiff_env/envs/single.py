@@ -16,7 +16,14 @@ from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
-from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed, scene_set, world_config
+from ccdiff_env.envs.worlds import (
+    FollowsTraining,
+    Scenes,
+    Worlds,
+    fold_seed,
+    scene_set,
+    world_config,
+)
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import FORMS, Form
@@ -26,7 +33,7 @@ F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 
 
-class EgoEnv(gymnasium.Env[Any, Any]):
+class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
     """One world in Rust; the ego is driven by the actions.
 
     Parameters
@@ -116,16 +123,6 @@ class EgoEnv(gymnasium.Env[Any, Any]):
     def scene(self) -> Scene:
         """Scene of the present episode."""
         return self.worlds.scenes[self.worlds.native.status(0)[0]]
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
-        """
-        self.worlds.set_progress(progress)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

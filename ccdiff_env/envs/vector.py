@@ -17,6 +17,7 @@ from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.worlds import (
+    FollowsTraining,
     SceneChoice,
     Scenes,
     StepArrays,
@@ -67,7 +68,7 @@ def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
         raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego'")
 
 
-class EgoVectorEnv(VectorEnv[Any, Any, Any]):
+class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
     Parameters
@@ -173,16 +174,6 @@ class EgoVectorEnv(VectorEnv[Any, Any, Any]):
     def config(self) -> WorldConfig:
         """Configuration of the worlds."""
         return self.worlds.config
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
-        """
-        self.worlds.set_progress(progress)
 
     def reset(
         self,

@@ -325,3 +325,19 @@ class Worlds:
         bev = None if raster is None else np.empty((self.num_slots, *raster), np.uint8)
         self.native.observe(world_idx, rows, bev)
         return rows, bev
+
+
+class FollowsTraining:
+    """What every environment with a curriculum of criticality can be told."""
+
+    worlds: Worlds
+
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
