@@ -248,7 +248,7 @@ fn planned(
     guidance: Option<GuidanceConfig>,
     seeds: &[u64],
 ) -> Vec<Plan> {
-    let scene = common::closing_pair();
+    let scene = common::following_pair();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
     let (bitmap, region) = (planner.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
     let guide = WorldGuide { road: Some(&region), ..WorldGuide::new(guided) };
@@ -291,8 +291,14 @@ fn a_network_plans_contacts_or_avoids_them_as_the_sign_says_and_lone_agents_keep
         let losses = |p: &Plan| p.guidance.as_ref().map_or(0.0, |g| g.losses[6 + 3 * g.chosen[0]]);
         plans.iter().map(losses).sum()
     };
-    let [seek, none, avoid] = [with(-50.0, 2), with(-50.0, 0), with(50.0, 2)].map(&mut closeness);
-    assert!(seek > 1.1 * none && none > 1.1 * avoid, "{seek} {none} {avoid}");
+    // the choice among samples follows the sign, too: each is held against its own choice without a gradient
+    for (weight, nearer) in [(-50.0, true), (50.0, false)] {
+        let [moved, chosen] = [with(weight, 4), with(weight, 0)].map(&mut closeness);
+        assert!(
+            if nearer { moved > 1.5 * chosen } else { moved < chosen / 1.5 },
+            "{weight}: {moved} {chosen}"
+        );
+    }
 }
 
 #[test]
