@@ -148,6 +148,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     curve = Curve()
     for count, env, rate in zip(steps, envs, LEARNING_RATES, strict=True):
         if count > 0:
+            env.seed(seed)
             model.set_env(env)
             model.lr_schedule = constant(rate)
             model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
