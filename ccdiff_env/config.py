@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.traffic import CcdiffConfig
+from ccdiff_env.traffic import CcdiffConfig, ListedRanking, read_ranking
 
 __all__ = [
     "ActionConfig",
@@ -346,6 +346,8 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if origin is types.UnionType or origin is typing.Union:
         if value is None and type(None) in args:
             return None
+        if hint == ListedRanking and str(value).endswith(".json"):
+            return read_ranking(value)
         if isinstance(value, Mapping) and set(value) == {"list"}:
             value = value["list"]
         if isinstance(value, Mapping):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PAPER_PROTOCOL", "CcdiffConfig", "TrafficPlan"]
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+
+__all__ = ["PAPER_PROTOCOL", "CcdiffConfig", "ListedRanking", "TrafficPlan", "read_ranking"]
 
 Ranking: TypeAlias = Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
+ListedRanking: TypeAlias = Ranking | Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +46,9 @@ class CcdiffConfig:
     num_guided: int | None = 5
     #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
     #: attention, cliques of the distance graph, the scene's order, a shuffle, agreement of the
-    #: gradients of realism and guidance, or agent ids by scene name.
-    ranking: Ranking | Mapping[str, tuple[str, ...]] = "cliques"
+    #: gradients of realism and guidance, or agent ids by scene name, most important first (a
+    #: mapping, or the path of a JSON file, see :func:`read_ranking`).
+    ranking: ListedRanking = "cliques"
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True
     #: Who drives the vehicles that are not guided.
@@ -124,3 +131,33 @@ PAPER_PROTOCOL: Mapping[str, Any] = {
         "criticality": 1.0,
     },
 }
+
+
+def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
+    """Read who matters in each scene, most important first, as a person may have listed it.
+
+    Parameters
+    ----------
+    path
+        JSON: ``{"scene-0103": ["<instance token>", "ego", ...], ...}``. Vehicles
+        that are not listed come after these: nearest time to contact first, then distance.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there is no such file.
+    DatasetError
+        If it holds anything else, naming the scene.
+    """
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DatasetNotFoundError(f"no ranking at {os.fspath(path)}") from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"no ranking in JSON ({error}): {os.fspath(path)}") from None
+    if not isinstance(found, dict):
+        raise DatasetError(f"{os.fspath(path)}: expected agent ids by scene name")
+    for scene, ids in found.items():
+        if not isinstance(ids, list) or not all(isinstance(i, str) for i in ids):
+            raise DatasetError(f"{os.fspath(path)}: {scene}: {ids!r}, expected a list of agent ids")
+    return {scene: tuple(ids) for scene, ids in found.items()}

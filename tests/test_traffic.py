@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import ccdiff_env
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import CcdiffError, ConfigError, SceneError, UnknownNameError
+from ccdiff_env.errors import (
+    CcdiffError,
+    ConfigError,
+    DatasetError,
+    DatasetNotFoundError,
+    SceneError,
+    UnknownNameError,
+)
 from ccdiff_env.metrics import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 
@@ -86,18 +95,21 @@ def test_a_plan_tells_what_it_was_made_from(scenes):
 
 
 @pytest.mark.parametrize(
-    "ranking", ["cliques", "greedy", "distance", "first", "random", "gradient", "list"]
+    "ranking", ["cliques", "greedy", "distance", "first", "random", "gradient", "list", "file"]
 )
-def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking):
+def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, tmp_path):
     scene = scenes[0]
-    wanted = {scene.name: scene.agent_ids[2:3]} if ranking == "list" else ranking
+    listed = {scene.name: scene.agent_ids[2:3]}
+    path = tmp_path / "people_say.json"
+    path.write_text(json.dumps(listed))
+    wanted = {"list": listed, "file": str(path)}.get(ranking, ranking)
     play = Play(scenes[:1], ccdiff={"ranking": wanted, "num_guided": 1, "criticality": 1.0})
     play.step()
     plan = play.native.explain(0)
     ours = plan["agents"][plan["executed"]]
     assert sorted(plan["ranking"]) == sorted(ours)
     assert plan["guided"].sum() == 1
-    if ranking == "list" and 2 in ours:
+    if ranking in ("list", "file") and 2 in ours:
         assert plan["ranking"][0] == 2
 
 
@@ -223,6 +235,16 @@ def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
 def test_bad_settings_name_themselves(scenes, options, match):
     with pytest.raises(ConfigError, match=match):
         Play(scenes[:1], **options)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"scene-1": "ego"}', '{"scene-1": [3]}'])
+def test_a_file_that_holds_no_ranking_is_refused_by_name(scenes, tmp_path, text):
+    path = tmp_path / "people_say.json"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match=r"people_say\.json"):
+        Play(scenes[:1], ccdiff={"ranking": str(path)})
+    with pytest.raises(DatasetNotFoundError, match=r"nobody\.json"):
+        Play(scenes[:1], ccdiff={"ranking": str(tmp_path / "nobody.json")})
 
 
 def test_weights_that_are_not_there_or_no_weights_are_refused(scenes, tmp_path):
