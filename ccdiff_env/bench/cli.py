@@ -23,6 +23,7 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     kinds = bench.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
     _add_planners(kinds)
+    _add_scenarios(kinds)
     _add_learning(kinds)
 
 
@@ -31,6 +32,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataroot", help="folder of nuScenes; the embedded scenes without it")
     parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
     parser.add_argument("--split", help="split (ccdiff100; of the embedded scenes: val)")
+    parser.add_argument("--limit", type=int, help="only so many scenes, the first ones")
     parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", choices=["local", "ray"], default="local")
@@ -41,11 +43,19 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 def source_from(args: argparse.Namespace) -> dict[str, Any]:
     """Return the description of the scenes that the arguments name."""
     default = "val" if args.dataroot is None else "ccdiff100"
-    return source_of(dataroot=args.dataroot, version=args.version, split=args.split or default)
+    return source_of(
+        dataroot=args.dataroot,
+        version=args.version,
+        split=args.split or default,
+        limit=args.limit,
+    )
 
 
-def begin(args: argparse.Namespace, settings: dict[str, Any]) -> None:
-    """Make the run folder, or check that it belongs to the same run, by settings and weights."""
+def begin(args: argparse.Namespace, settings: dict[str, Any]) -> str:
+    """Make the run folder, or check that it belongs to the same run, by settings and weights.
+
+    Returns the SHA-256 of the weights.
+    """
     weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
     settings = {**settings, "weights": weights}
     args.out.mkdir(parents=True, exist_ok=True)
@@ -59,6 +69,7 @@ def begin(args: argparse.Namespace, settings: dict[str, Any]) -> None:
                 f"{settings[changed[0]]!r}; choose another folder"
             )
     path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+    return weights
 
 
 def _counts(text: str) -> list[int | None]:
@@ -141,6 +152,55 @@ def _planners(args: argparse.Namespace) -> int:
     print((args.out / "table.md").read_text(encoding="utf-8"))
     seconds = time.perf_counter() - start
     print(f"{len(jobs)} jobs in {seconds:.0f} s; table, plot, worst scenes: {args.out}")
+    return 0
+
+
+def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser(
+        "scenarios", help="scenario sets made against egos, and every planner in all of them"
+    )
+    add_run_arguments(parser)
+    names = "idm,constant_velocity,replay,pdm"
+    parser.add_argument("--generators", default=names, help="egos that sets are made against")
+    parser.add_argument("--planners", default=names, help="planners to test, as bench planners has")
+    parser.add_argument("--traffic", default="ccdiff-1", help="traffic that makes the sets")
+    parser.add_argument(
+        "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
+    )
+    parser.set_defaults(run=_scenarios)
+
+
+def _scenarios(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.cross import (
+        cross_jobs,
+        generation_jobs,
+        read_cells,
+        set_folders,
+        write_sets,
+    )
+    from ccdiff_env.bench.cross_report import write_cross
+
+    source, planners = source_from(args), args.planners.split(",")
+    settings = {"generators": args.generators.split(","), "planners": planners}
+    settings |= {"traffic": args.traffic, "plans": args.plans}
+    weights = begin(
+        args, {"benchmark": "scenarios", "source": source, "seed": args.seed, **settings}
+    )
+    start = time.perf_counter()
+    raw = args.out / "raw"
+    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    folders = set_folders(settings["generators"], args.out / "sets")
+    making = generation_jobs(
+        source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
+    )
+    run_jobs(making, raw, **run)
+    sets, realism = write_sets(making, raw, weights=weights)
+    driving = cross_jobs(sets, planners, seed=args.seed)
+    run_jobs(driving, raw, **run)
+    write_cross(sets, realism, read_cells(driving, raw), args.out)
+    print((args.out / "table.md").read_text(encoding="utf-8"))
+    seconds = time.perf_counter() - start
+    print(f"{len(making) + len(driving)} jobs in {seconds:.0f} s; table, plot, sets: {args.out}")
     return 0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ccdiff_env.bench.planners import TRAFFIC
 
-__all__ = ["write_report"]
+__all__ = ["mean_interval", "short_name", "write_report"]
 
 #: Rows of one planner in one traffic: planner, traffic -> one dictionary per scene.
 Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
@@ -30,8 +30,8 @@ _PARTS = (
 RESAMPLES = 1000
 
 
-def _mean(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
-    """Mean over scenes and its 95 % bootstrap interval."""
+def mean_interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
+    """Return the mean of a figure over scenes and its 95 % bootstrap interval."""
     values = np.array([row[name] for row in rows], np.float64)
     rng = np.random.default_rng(0)
     drawn = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1)
@@ -68,10 +68,10 @@ def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
         for planner in planners:
             cells = []
             for part in _PARTS:
-                mean, low, high = _mean(found[planner, name], part)
+                mean, low, high = mean_interval(found[planner, name], part)
                 between = f" [{low:.2f}, {high:.2f}]" if part == "score" else ""
                 cells.append(f"{mean:.2f}{between}")
-            lines.append(f"| {_short(planner)} | " + " | ".join(cells) + " |")
+            lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
         lines.append("")
     lines.append("Means over scenes; brackets: 95 % bootstrap intervals.")
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -79,7 +79,8 @@ def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
     _plot(found, planners, traffic, folder / "weakness.png")
 
 
-def _short(planner: str) -> str:
+def short_name(planner: str) -> str:
+    """Return the name of a planner in tables: of a file, its name without the suffix."""
     return Path(planner).stem if planner.endswith(".zip") else planner
 
 
@@ -94,7 +95,7 @@ def _worst(found: Results, planners: Sequence[str], count: int) -> str:
         ]
         rows.sort(key=lambda r: (r[0], r[2]["min_ttc_s"], r[1], r[2]["scene"]))
         lines += [
-            f"### {_short(planner)}",
+            f"### {short_name(planner)}",
             "",
             "| scene | traffic | score | why |",
             "|---|---|---|---|",
@@ -129,8 +130,8 @@ def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path:
     figure, axes = plt.subplots(figsize=(7, 4.6), layout="constrained")
     x = [level[n] for n in names]
     for planner in planners:
-        means = np.array([_mean(found[planner, n], "score") for n in names])
-        (line,) = axes.plot(x, means[:, 0], "o-", label=_short(planner))
+        means = np.array([mean_interval(found[planner, n], "score") for n in names])
+        (line,) = axes.plot(x, means[:, 0], "o-", label=short_name(planner))
         axes.fill_between(x, means[:, 1], means[:, 2], alpha=0.12, color=line.get_color())
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")

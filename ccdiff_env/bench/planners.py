@@ -14,7 +14,7 @@ points are not given.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,9 +28,11 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.planners import ego_driver
+from ccdiff_env.recorder import Recorder
+from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 
-__all__ = ["TRAFFIC", "Traffic", "evaluate", "planner_jobs", "planner_score", "play"]
+__all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
 
 HISTORY_STEPS = 30
 #: Scenes that share a batch of the network.
@@ -145,7 +147,29 @@ def play(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Drive every scene once, all in one batch.
+    """Drive every scene once, all in one batch: figures and score of each, see :func:`drive`."""
+    return drive(scenes, planner, traffic, seed=seed, options=options)[0]
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Worlds as a recorder takes them."""
+
+    worlds: Worlds
+
+
+def drive(
+    scenes: SceneSet,
+    planner: str,
+    traffic: Traffic,
+    *,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    record: Collection[str] = (),
+) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
+    """Drive every scene once, all in one batch, and record some of the episodes.
+
+    Recording changes nothing: an episode is the same with it and without.
 
     Parameters
     ----------
@@ -160,6 +184,15 @@ def play(
         Seed of every episode.
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`.
+    record
+        Names of the scenes to record.
+
+    Returns
+    -------
+    list of dict
+        Figures and score of each scene, see :func:`planner_score`.
+    dict
+        The recorded episodes by name of the scene.
     """
     outside = planner == "pdm" or ":" in planner or planner.endswith(".zip")
     config = WorldConfig().with_options(
@@ -176,24 +209,33 @@ def play(
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     native, out = worlds.native, worlds.arrays()
     native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    drive = _drive(planner, worlds)
+    act = _drive(planner, worlds)
     names = worlds.column_names
+    recorders = {
+        i: Recorder(_Batch(worlds), world_idx=i, planner=planner)
+        for i, scene in enumerate(scenes)
+        if scene.name in record
+    }
+    for recorder in recorders.values():
+        recorder.start()
     figures: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
     while any(m is None for m in metrics):
-        actions = np.asarray(drive(worlds, out.obs[:, 0]), np.float32)
+        actions = np.asarray(act(worlds, out.obs[:, 0]), np.float32)
         native.step(actions.reshape(len(scenes), 1, -1), out)
         for i in range(len(scenes)):
             if metrics[i] is not None:
                 continue
             figures[i].append(out.columns[i, 0].copy())
+            if i in recorders:
+                recorders[i].step()
             if out.done[i]:
                 metrics[i] = native.ended_metrics([i])[0, 0]
         ended = [bool(d) for d in out.done]
         if any(ended) and any(m is None for m in metrics):
             # ended worlds go round once more, unwatched, so that the batch stays whole
             native.reset([seed] * len(scenes), list(range(len(scenes))), ended, out)
-    return [
+    rows = [
         {
             "scene": scene.name,
             **planner_score(
@@ -205,6 +247,7 @@ def play(
         for scene, m, f in zip(scenes, metrics, figures, strict=True)
         if m is not None
     ]
+    return rows, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
 
 
 def planner_score(

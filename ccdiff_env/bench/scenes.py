@@ -10,21 +10,49 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 
-__all__ = ["chunks", "scene_names", "scenes_of", "source_of"]
+__all__ = ["chunks", "scene_names", "scenes_of", "source_of", "source_title"]
 
 
 def source_of(
-    *, dataroot: str | None, version: str = "v1.0-trainval", split: str = "ccdiff100"
+    *,
+    dataroot: str | None,
+    version: str = "v1.0-trainval",
+    split: str = "ccdiff100",
+    limit: int | None = None,
 ) -> dict[str, Any]:
-    """Return a description of scenes: splits of a nuScenes copy (``"a+b"``), or of the embedded."""
+    """Return a description of scenes: splits of a nuScenes copy (``"a+b"``), or of the embedded.
+
+    Parameters
+    ----------
+    dataroot, version
+        Folder of nuScenes, ``None`` for the embedded scenes, and of its tables.
+    split
+        Name of the split.
+    limit
+        Only so many of its scenes, the first ones.
+    """
+    if limit is not None and limit < 1:
+        raise ConfigError(f"limit is {limit}, expected at least 1")
+    few = {} if limit is None else {"limit": str(limit)}
     if dataroot is None:
-        return {"embedded": split}
-    return {"dataroot": dataroot, "version": version, "split": split}
+        return {"embedded": split, **few}
+    return {"dataroot": dataroot, "version": version, "split": split, **few}
+
+
+def source_title(source: Mapping[str, str]) -> str:
+    """Return a description of scenes in words."""
+    few = f", the first {source['limit']}" if "limit" in source else ""
+    if "embedded" in source:
+        return f"embedded scenes, {source['embedded']}{few}"
+    return f"nuScenes {source['version']}, {source['split']}{few}"
 
 
 @lru_cache(maxsize=2)
 def _load(description: tuple[tuple[str, str], ...]) -> SceneSet:
     source = dict(description)
+    limit = source.pop("limit", None)
+    if limit is not None:
+        return SceneSet(_load(tuple(sorted(source.items())))[: int(limit)])
     if set(source) == {"embedded"}:
         split = source["embedded"]
         return embedded_scenes(None if split == "all" else split)

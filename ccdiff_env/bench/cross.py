@@ -1,0 +1,242 @@
+"""The cross matrix: scenario sets made against some egos, every planner driven in all of them.
+
+In a set the others do as recorded, whatever the planner does; beside that, every planner meets
+traffic that reacts to it, with the same scenes and seed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.jobs import Job, results
+from ccdiff_env.bench.planner_report import short_name
+from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, planner_jobs, play
+from ccdiff_env.bench.scenario_sets import (
+    OPTIONS,
+    ScenarioSet,
+    load_scenario_set,
+    write_manifest,
+)
+from ccdiff_env.bench.scenes import chunks, scene_names
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.metrics import comfort_distance
+from ccdiff_env.scenes import SceneSet
+
+__all__ = [
+    "RECORDED",
+    "Realism",
+    "cross_jobs",
+    "evaluate_in_set",
+    "generation_jobs",
+    "read_cells",
+    "set_folders",
+    "write_sets",
+]
+
+#: Traffic that does as recorded in a set.
+RECORDED = Traffic("as recorded", "replay")
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Realism:
+    """Realism of the vehicles that CCDiff drives in a set.
+
+    Parameters
+    ----------
+    realism_cost
+        Mean total variation of guided plans in [0, 1], mean over scenarios.
+    fde_m
+        Final displacement from the log, mean over vehicles, then scenarios.
+    cfd
+        Comfort distance from the log of the same vehicles, x 100.
+    """
+
+    realism_cost: float
+    fde_m: float
+    cfd: float
+
+
+def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
+    """Return the folder of the set of each generator.
+
+    Raises
+    ------
+    ConfigError
+        If two generators would share one.
+    """
+    names = [re.sub(r"[^\w.-]+", "-", short_name(generator)) for generator in generators]
+    if len(set(names)) != len(names):
+        raise ConfigError(f"generators {', '.join(generators)}: two of the same name")
+    return {g: (folder / n).resolve() for g, n in zip(generators, names, strict=True)}
+
+
+def generation_jobs(
+    source: Mapping[str, str],
+    folders: Mapping[str, Path],
+    *,
+    traffic: str = "ccdiff-1",
+    seed: int = 0,
+    num_plans: int = 128,
+) -> list[Job]:
+    """Return the jobs that make scenario sets: generators x pieces of the scenes.
+
+    Parameters
+    ----------
+    source
+        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+    folders
+        Folder of each generator's set, on a disc that all workers see.
+    traffic, seed, num_plans
+        As in :func:`ccdiff_env.bench.scenario_sets.generate`.
+    """
+    if traffic not in TRAFFIC:
+        raise UnknownNameError(f"no traffic {traffic!r}, there are {', '.join(TRAFFIC)}")
+    pieces = chunks(scene_names(source), CHUNK)
+    return [
+        Job(
+            f"make-{g:02d}-{i:03d}",
+            "ccdiff_env.bench.scenario_sets:generate",
+            {
+                "source": dict(source),
+                "names": names,
+                "generator": generator,
+                "traffic": traffic,
+                "seed": seed,
+                "folder": str(folder),
+                "num_plans": num_plans,
+            },
+        )
+        for g, (generator, folder) in enumerate(folders.items())
+        for i, names in enumerate(pieces)
+    ]
+
+
+def write_sets(
+    jobs: Sequence[Job], raw: Path, *, weights: str
+) -> tuple[dict[str, ScenarioSet], dict[str, Realism]]:
+    """Write the manifests of finished :func:`generation_jobs`; return sets and their realism.
+
+    Parameters
+    ----------
+    jobs
+        The jobs.
+    raw
+        Where their results are.
+    weights
+        SHA-256 of the weights that drove.
+    """
+    by_name = results(jobs, raw)
+    rows: dict[str, Rows] = {}
+    for job in jobs:
+        rows.setdefault(str(job.arguments["generator"]), []).extend(by_name[job.name])
+    sets, realism = {}, {}
+    for job in jobs:
+        made = job.arguments
+        generator = str(made["generator"])
+        if generator in sets:
+            continue
+        settings = {
+            "ccdiff": dict(TRAFFIC[made["traffic"]].ccdiff),
+            "num_plans": made["num_plans"],
+            **OPTIONS,
+        }
+        path = write_manifest(
+            Path(made["folder"]),
+            [row["scenario"] for row in rows[generator]],
+            generator=generator,
+            traffic=made["traffic"],
+            seed=made["seed"],
+            weights=weights,
+            source=made["source"],
+            settings=settings,
+        )
+        sets[generator] = load_scenario_set(path)
+        realism[generator] = _realism(rows[generator])
+    return sets, realism
+
+
+def _realism(rows: Rows) -> Realism:
+    def mean(name: str) -> float:
+        values = [row["scenario"][name] for row in rows]
+        known = [value for value in values if value is not None]
+        return float(np.mean(known)) if known else float("nan")
+
+    one, log = (np.mean([row[key] for row in rows], axis=0) for key in ("comfort", "comfort_log"))
+    return Realism(mean("realism_cost"), mean("fde_m"), 100 * comfort_distance(one, log).cfd)
+
+
+def cross_jobs(
+    sets: Mapping[str, ScenarioSet], planners: Sequence[str], *, seed: int = 0
+) -> list[Job]:
+    """Return the jobs that drive every planner in every set and in traffic that reacts to it.
+
+    The latter are those of :func:`~ccdiff_env.bench.planners.planner_jobs`.
+    """
+    recorded = [
+        Job(
+            f"set-{g:02d}-{p:02d}-{i:03d}",
+            f"{__name__}:evaluate_in_set",
+            {
+                "folder": str(made.folder),
+                "files": {s.scene: s.sha256 for s in part},
+                "generator": generator,
+                "planner": planner,
+                "seed": seed,
+            },
+        )
+        for g, (generator, made) in enumerate(sets.items())
+        for p, planner in enumerate(planners)
+        for i, part in enumerate(
+            made.scenarios[k : k + CHUNK] for k in range(0, len(made.scenarios), CHUNK)
+        )
+    ]
+    first = next(iter(sets.values()))
+    return recorded + planner_jobs(first.source, planners, [first.traffic], seed=seed)
+
+
+def evaluate_in_set(
+    *, folder: str, files: Mapping[str, str], generator: str, planner: str, seed: int
+) -> Rows:
+    """Drive scenarios of a set with a planner: one dictionary per scene.
+
+    Parameters
+    ----------
+    folder
+        Folder of the set.
+    files
+        SHA-256 of the episodes by scene.
+    generator
+        The ego that the set was made against.
+    planner, seed
+        As in :func:`ccdiff_env.bench.planners.play`.
+
+    Raises
+    ------
+    ConfigError
+        If the set is another one by now.
+    """
+    found = load_scenario_set(folder)
+    if found.generator != generator or any(found.find(s).sha256 != h for s, h in files.items()):
+        raise ConfigError(f"the set is not the one that was asked for: {folder}")
+    return play(SceneSet([found.scene(scene) for scene in files]), planner, RECORDED, seed=seed)
+
+
+def read_cells(jobs: Sequence[Job], raw: Path) -> dict[tuple[str | None, str], Rows]:
+    """Return the rows of finished :func:`cross_jobs` by generator and planner.
+
+    The generator is ``None`` where the traffic reacted.
+    """
+    cells: dict[tuple[str | None, str], Rows] = {}
+    by_name = results(jobs, raw)
+    for job in jobs:
+        key = (job.arguments.get("generator"), str(job.arguments["planner"]))
+        cells.setdefault(key, []).extend(by_name[job.name])
+    return cells

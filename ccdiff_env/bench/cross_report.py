@@ -1,0 +1,209 @@
+"""Report of the cross matrix: what is in the sets, who collides in whose set, and the scores."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.cross import Realism
+from ccdiff_env.bench.planner_report import mean_interval, short_name
+from ccdiff_env.bench.scenario_sets import ScenarioSet
+from ccdiff_env.bench.scenes import source_title
+
+__all__ = ["write_cross"]
+
+#: Rows of each planner in each set; the generator is ``None`` where the traffic reacted.
+Cells = Mapping[tuple[str | None, str], Sequence[Mapping[str, Any]]]
+
+REACTING = "the planner tested (traffic reacts)"
+#: Figures of a cell: column of the rows, title.
+_FIGURES = {
+    "collision": "Share of scenarios with a collision",
+    "at_fault": "Share with a collision at fault",
+    "score": "Score",
+}
+
+
+def write_cross(
+    sets: Mapping[str, ScenarioSet],
+    realism: Mapping[str, Realism],
+    cells: Cells,
+    folder: Path,
+) -> None:
+    """Write ``table.md``, ``cross.csv``, ``sets.csv`` and ``cross.png``.
+
+    Parameters
+    ----------
+    sets, realism
+        Sets and their realism by generator.
+    cells
+        Rows per scene of every planner in every set, and in reacting traffic.
+    folder
+        Where to.
+    """
+    planners = list(dict.fromkeys(planner for _, planner in cells))
+    subsets = {
+        "all": {g: {s.scene for s in made.scenarios} for g, made in sets.items()},
+        "avoidable": {g: {s.scene for s in m.scenarios if s.avoidable} for g, m in sets.items()},
+    }
+    parts = {
+        name: {
+            (g, p): [
+                {**row, "at_fault": 1.0 - row["no_at_fault_collision"]}
+                for row in rows
+                if g is None or row["scene"] in kept[g]
+            ]
+            for (g, p), rows in cells.items()
+            if name == "all" or g is not None
+        }
+        for name, kept in subsets.items()
+    }
+    lines = _sets_table(sets, realism)
+    for name, part in parts.items():
+        for figure, title in _FIGURES.items():
+            scope = "all scenarios" if name == "all" else "avoidable scenarios only"
+            lines += [f"### {title}: {scope}", "", *_matrix(part, list(sets), planners, figure)]
+    lines += [
+        "Rows: the ego that the traffic was made against; columns: the planner tested. In a set "
+        "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios.",
+    ]
+    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    _write_csv(sets, realism, parts, folder)
+    _plot(parts, list(sets), planners, folder / "cross.png")
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+
+
+def _sets_figures(made: ScenarioSet) -> tuple[int, int, int, int]:
+    """Scenarios, those with a collision, at fault, and avoidable."""
+    hit = [s for s in made.scenarios if s.collision]
+    return (
+        len(made.scenarios),
+        len(hit),
+        sum(s.at_fault for s in hit),
+        sum(s.avoidable for s in hit),
+    )
+
+
+def _share(count: int, total: int) -> str:
+    return f"{count} ({count / total:.2f})" if total else "0"
+
+
+def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism]) -> list[str]:
+    first = next(iter(sets.values()))
+    lines = [
+        "### Scenario sets",
+        "",
+        f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}.",
+        "",
+        "| made against | scenarios | with a collision | of them at fault | of them avoidable | "
+        "C(tau) | FDE m | CFD |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for generator, made in sets.items():
+        total, hit, fault, avoidable = _sets_figures(made)
+        real = realism[generator]
+        lines.append(
+            f"| {short_name(generator)} | {total} | {_share(hit, total)} | {_share(fault, hit)} | "
+            f"{_share(avoidable, hit)} | {_number(real.realism_cost, 2)} | "
+            f"{_number(real.fde_m, 1)} | {_number(real.cfd, 1)} |"
+        )
+    return [*lines, ""]
+
+
+def _matrix(
+    part: Cells, generators: Sequence[str], planners: Sequence[str], name: str
+) -> list[str]:
+    lines = ["| made against | scenarios | " + " | ".join(map(short_name, planners)) + " |"]
+    lines.append("|---|---|" + "---|" * len(planners))
+    for generator in (*generators, None):
+        rows = [part.get((generator, planner), []) for planner in planners]
+        if not any(rows):
+            continue
+        title = REACTING if generator is None else short_name(generator)
+        cells = [_cell(r, name) for r in rows]
+        lines.append(f"| {title} | {max(map(len, rows))} | " + " | ".join(cells) + " |")
+    others = [
+        [row for g in generators if g != planner for row in part[g, planner]]
+        for planner in planners
+    ]
+    if len(generators) > 1 and any(others):
+        cells = [f"{mean_interval(rows, name)[0]:.2f}" if rows else "" for rows in others]
+        lines.append("| mean, own set left out | | " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def _cell(rows: Sequence[Mapping[str, Any]], name: str) -> str:
+    if not rows:
+        return ""
+    mean, low, high = mean_interval(rows, name)
+    return f"{mean:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _write_csv(
+    sets: Mapping[str, ScenarioSet],
+    realism: Mapping[str, Realism],
+    parts: Mapping[str, Cells],
+    folder: Path,
+) -> None:
+    with (folder / "sets.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        head = ["generator", "scenarios", "collision", "at_fault", "avoidable"]
+        writer.writerow([*head, "realism_cost", "fde_m", "cfd"])
+        for generator, made in sets.items():
+            real = realism[generator]
+            figures = (real.realism_cost, real.fde_m, real.cfd)
+            writer.writerow([generator, *_sets_figures(made), *figures])
+    with (folder / "cross.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        ends = [f"{name}{end}" for name in _FIGURES for end in ("", "_low", "_high")]
+        writer.writerow(["generator", "planner", "scenarios", "count", *ends])
+        for subset, cells in parts.items():
+            for (made_against, planner), rows in cells.items():
+                if rows:
+                    values = [v for name in _FIGURES for v in mean_interval(rows, name)]
+                    label = made_against or "reacting"
+                    writer.writerow([label, planner, subset, len(rows), *values])
+
+
+def _plot(
+    parts: Mapping[str, Cells], generators: Sequence[str], planners: Sequence[str], path: Path
+) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    size = (4.2 + 1.5 * len(planners), 3.6 + 1.0 * len(generators))
+    figure, axes = plt.subplots(2, 2, figsize=size, layout="constrained")
+    for line, (subset, cells) in zip(axes, parts.items(), strict=True):
+        rows = list(dict.fromkeys(generator for generator, _ in cells))
+        for axis, name in zip(line, ("collision", "score"), strict=True):
+            values = np.array(
+                [
+                    [
+                        np.mean([r[name] for r in cells.get((g, p), [])] or [np.nan])
+                        for p in planners
+                    ]
+                    for g in rows
+                ]
+            )
+            colours = "Reds" if name == "collision" else "Greens"
+            axis.imshow(values, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
+            for (i, j), value in np.ndenumerate(values):
+                if np.isfinite(value):
+                    colour = "white" if value > 0.6 else "black"
+                    axis.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour)
+            axis.set_xticks(range(len(planners)), [short_name(p) for p in planners], fontsize=8)
+            labels = ["(reacting)" if g is None else short_name(g) for g in rows]
+            axis.set_yticks(range(len(rows)), labels, fontsize=8)
+            axis.set_title(f"{name}, {subset} scenarios", fontsize=10)
+            axis.set_ylabel("made against", fontsize=8)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

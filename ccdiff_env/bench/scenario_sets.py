@@ -1,0 +1,354 @@
+"""Scenario sets: episodes that safety-critical traffic made against one ego, with a manifest.
+
+A set is a folder of recorded episodes (:class:`~ccdiff_env.rollout.Rollout`) and ``manifest.json``,
+which says against which ego they were made, how, and what each one holds, with the SHA-256 of every
+file. The traffic of an episode can be replayed to another planner.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.counterfactual import rollout_avoidability
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
+from ccdiff_env.metrics import Rollout as Measured
+from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes import Scene
+
+__all__ = [
+    "Scenario",
+    "ScenarioSet",
+    "generate",
+    "load_scenario_set",
+    "write_manifest",
+]
+
+FORMAT = "ccdiff-env scenarios 1"
+MANIFEST = "manifest.json"
+#: Episodes go on to the end of the horizon, so that slower egos meet the same traffic.
+OPTIONS: Mapping[str, Any] = {"terminate_at_goal": False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """One recorded episode of a set.
+
+    Parameters
+    ----------
+    scene, token
+        Name of the scene it started from, and its token in the data set.
+    file, sha256
+        File of the episode in the folder of the set, and its hash.
+    collision
+        Whether the ego that the set was made against collides before it reaches its goal.
+    kind, partner, time_s, at_fault
+        Side of the ego that is hit first, whom it meets, when, and whether any of its collisions
+        counts against it; ``None`` and false without a collision.
+    avoidable
+        Whether the ego could have stayed free of collisions, the others doing as recorded: true
+        where it did. False means that none of the plans tried does.
+    realism_cost
+        Mean total variation of the guided plans in [0, 1], the paper's C(tau).
+    fde_m
+        Mean distance from the log at the last common step of the vehicles that CCDiff drives.
+    """
+
+    scene: str
+    token: str
+    file: str
+    sha256: str
+    collision: bool
+    kind: str | None
+    partner: str | None
+    time_s: float | None
+    at_fault: bool
+    avoidable: bool
+    realism_cost: float | None
+    fde_m: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioSet:
+    """Scenarios made against one ego.
+
+    Parameters
+    ----------
+    folder
+        Where the files are.
+    generator
+        The ego that the traffic was made against, as planners are named.
+    traffic
+        Name of the traffic, see :data:`ccdiff_env.bench.planners.TRAFFIC`.
+    seed
+        Seed of every episode.
+    weights
+        SHA-256 of the weights that drove.
+    source
+        Where the scenes come from, see :func:`ccdiff_env.bench.scenes.source_of`.
+    settings
+        Further settings: those of the traffic, the plans tried to avoid a collision.
+    scenarios
+        What there is.
+    """
+
+    folder: Path
+    generator: str
+    traffic: str
+    seed: int
+    weights: str
+    source: Mapping[str, str]
+    settings: Mapping[str, Any]
+    scenarios: tuple[Scenario, ...]
+
+    def find(self, scene: str) -> Scenario:
+        """Return the scenario of a scene.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is none.
+        """
+        for scenario in self.scenarios:
+            if scenario.scene == scene:
+                return scenario
+        raise UnknownNameError(f"no scenario of scene {scene!r} in {self.folder}")
+
+    def rollout(self, scene: str) -> Rollout:
+        """Return the recorded episode of a scene.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is none.
+        DatasetError
+            If its file is missing, damaged, or not that of the manifest.
+        """
+        scenario = self.find(scene)
+        _check(self.folder, scenario)
+        return Rollout.load(self.folder / scenario.file)
+
+    def scene(self, scene: str) -> Scene:
+        """Return a scene in which the others do as recorded, to be played with other egos.
+
+        The ego's own log stays in it, so that route, goal and progress are the same in every set.
+        """
+        return as_scene(self.rollout(scene))
+
+
+def as_scene(rollout: Rollout) -> Scene:
+    """Return the scene of a recorded episode with the logged path of its ego, to the log's end."""
+    ego = rollout.agent_ids.index("ego")
+    tracks = dict[str, Any](rollout.scene.tracks())
+    shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
+    changed: dict[str, Any] = {}
+    for name in ("position", "heading", "velocity", "valid"):
+        recorded = getattr(rollout, name)
+        changed[name] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
+        changed[name][:, : rollout.num_steps] = recorded
+        changed[name][ego] = tracks[name][ego, rollout.start_step :]
+    whole = replace(rollout, **changed, events=(), figures={}, plans=())
+    return whole.to_scene(rollout.scene.name)
+
+
+def generate(
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    generator: str,
+    traffic: str,
+    seed: int,
+    folder: str,
+    num_plans: int,
+) -> list[dict[str, Any]]:
+    """Make scenarios against an ego and save them: one dictionary per scene.
+
+    Parameters
+    ----------
+    source, names
+        The scenes, see :func:`ccdiff_env.bench.scenes.scenes_of`.
+    generator
+        The ego, as :func:`ccdiff_env.bench.planners.planner_jobs` names planners.
+    traffic
+        Name of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
+    seed
+        Seed of the episodes.
+    folder
+        Where the episodes go, ``<scene>.npz``.
+    num_plans
+        Ego plans that are tried to avoid a collision.
+
+    Returns
+    -------
+    list of dict
+        ``scenario``: the fields of :class:`Scenario`; ``comfort`` and ``comfort_log``: histograms
+        [3][20] of the vehicles that CCDiff drives, and of their log.
+    """
+    _, rollouts = drive(
+        scenes_of(source, names),
+        generator,
+        TRAFFIC[traffic],
+        seed=seed,
+        options=OPTIONS,
+        record=names,
+    )
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    found = []
+    for name in names:
+        rollout = rollouts[name]
+        file = f"{name}.npz"
+        rollout.save(place / file)
+        hits = ego_collisions(rollout)
+        verdict = rollout_avoidability(rollout, num_samples=num_plans) if hits else None
+        first = hits[0] if hits else None
+        figures = realism(rollout)
+        scenario = Scenario(
+            scene=name,
+            token=rollout.scene.token,
+            file=file,
+            sha256=_sha256(place / file),
+            collision=bool(hits),
+            kind=None if first is None else first.kind,
+            partner=None if first is None else first.partner_id,
+            time_s=None if first is None else round(first.step * rollout.dt_s, 3),
+            at_fault=any(event.at_fault for event in hits),
+            avoidable=verdict is None or verdict.avoidable,
+            realism_cost=figures["realism_cost"],
+            fde_m=figures["fde_m"],
+        )
+        histograms = {key: figures[key] for key in ("comfort", "comfort_log")}
+        found.append({"scenario": asdict(scenario), **histograms})
+    return found
+
+
+def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
+    """Return the collisions of the ego before it reaches its goal, as the ego sees them."""
+    goal = next((e.step for e in rollout.events if e.kind == "goal"), rollout.num_steps)
+    return tuple(event for event in rollout.collisions("ego") if event.step <= goal)
+
+
+def realism(rollout: Rollout) -> dict[str, Any]:
+    """Return how far the vehicles that follow plans are from the log, and what guidance cost."""
+    ids = {
+        name
+        for plan in rollout.plans
+        for name, executed in zip(plan.agent_ids, plan.executed, strict=True)
+        if executed and name != "ego"
+    }
+    agents = np.array([i for i, name in enumerate(rollout.agent_ids) if name in ids], np.int64)
+    cost = [plan.realism_cost[plan.guided] for plan in rollout.plans if plan.guided.any()]
+    tracks = rollout.scene.tracks()
+    span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    sizes = rollout.scene.sizes[agents][:, :2]
+    simulated = Measured(
+        rollout.position[agents],
+        rollout.heading[agents],
+        sizes,
+        rollout.valid[agents],
+        dt_s=rollout.dt_s,
+    )
+    log = Measured(
+        tracks["position"][agents, span],
+        tracks["heading"][agents, span],
+        sizes,
+        tracks["valid"][agents, span],
+        dt_s=rollout.dt_s,
+    )
+    fde = simulated.displacement(log).mean()[1]
+    return {
+        "realism_cost": float(np.concatenate(cost).mean()) if cost else None,
+        "fde_m": fde if np.isfinite(fde) else None,
+        "comfort": simulated.comfort().tolist(),
+        "comfort_log": log.comfort().tolist(),
+    }
+
+
+def write_manifest(
+    folder: Path,
+    scenarios: Sequence[Mapping[str, Any]],
+    *,
+    generator: str,
+    traffic: str,
+    seed: int,
+    weights: str,
+    source: Mapping[str, str],
+    settings: Mapping[str, Any],
+) -> Path:
+    """Write the manifest of a set, see :class:`ScenarioSet`; returns its path."""
+    head = {
+        "format": FORMAT,
+        "generator": generator,
+        "traffic": traffic,
+        "seed": seed,
+        "weights": weights,
+        "source": dict(source),
+        "settings": dict(settings),
+    }
+    path = folder / MANIFEST
+    manifest = {**head, "scenarios": [dict(scenario) for scenario in scenarios]}
+    path.write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
+    """Read a set and check its files against the manifest.
+
+    Parameters
+    ----------
+    path
+        Folder of the set, or its manifest.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there is no manifest, or a file that it names is missing.
+    DatasetError
+        If the manifest is damaged or of another format, or a file is not the one that it names.
+    """
+    place = Path(path)
+    manifest = place / MANIFEST if place.is_dir() else place
+    try:
+        fields = json.loads(manifest.read_text(encoding="utf-8"))
+        known = fields.pop("format", None)
+    except (FileNotFoundError, NotADirectoryError):
+        raise DatasetNotFoundError(f"no scenario set at {manifest}") from None
+    except (ValueError, AttributeError, TypeError) as error:
+        raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
+    if known != FORMAT:
+        raise DatasetError(f"format {known!r}, this release reads {FORMAT!r}: {manifest}")
+    try:
+        scenarios = tuple(Scenario(**entry) for entry in fields.pop("scenarios"))
+        found = ScenarioSet(folder=manifest.parent, scenarios=scenarios, **fields)
+    except (KeyError, TypeError) as error:
+        raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
+    for scenario in scenarios:
+        _check(found.folder, scenario)
+    return found
+
+
+def _check(folder: Path, scenario: Scenario) -> None:
+    if Path(scenario.file).name != scenario.file:
+        raise DatasetError(f"file {scenario.file!r} is not in the folder of the set: {folder}")
+    path = folder / scenario.file
+    if not path.is_file():
+        raise DatasetNotFoundError(f"no file {scenario.file!r} of scene {scenario.scene!r}: {path}")
+    got = _sha256(path)
+    if got != scenario.sha256:
+        raise DatasetError(
+            f"file of scene {scenario.scene!r} has SHA-256 {got}, the manifest says "
+            f"{scenario.sha256}: {path}"
+        )
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,272 @@
+"""Scenario sets and the cross matrix: what is saved, what is refused, who meets what in them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from view_rollouts import planned_rollout
+
+from ccdiff_env import cli
+from ccdiff_env.bench.cross import (
+    Realism,
+    cross_jobs,
+    evaluate_in_set,
+    generation_jobs,
+    set_folders,
+)
+from ccdiff_env.bench.cross_report import write_cross
+from ccdiff_env.bench.planners import TRAFFIC, drive, play
+from ccdiff_env.bench.scenario_sets import (
+    Scenario,
+    ScenarioSet,
+    as_scene,
+    ego_collisions,
+    generate,
+    load_scenario_set,
+    realism,
+    write_manifest,
+)
+from ccdiff_env.bench.scenes import scene_names, scenes_of, source_of
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
+from ccdiff_env.rollout import RolloutEvent
+
+VAL = {"embedded": "val"}
+#: IDM collides in the first two, unavoidably in the first, and in none of the others.
+NAMES = ["tee-crossing-04", "double-left-03", "hard-brake-03"]
+
+
+def make(folder, generator="idm"):
+    return generate(
+        source=VAL, names=NAMES, generator=generator, traffic="ccdiff-1", seed=0,
+        folder=str(folder), num_plans=128,
+    )  # fmt: skip
+
+
+def manifest(folder, entries):
+    return write_manifest(
+        folder, [entry["scenario"] for entry in entries], generator="idm", traffic="ccdiff-1",
+        seed=0, weights="w", source=VAL, settings={},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A set against IDM, and what its maker said."""
+    folder = tmp_path_factory.mktemp("set")
+    entries = make(folder)
+    manifest(folder, entries)
+    return load_scenario_set(folder), entries
+
+
+def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
+    scenes = scenes_of(VAL, NAMES)
+    rows, rollouts = drive(scenes, "idm", TRAFFIC["ccdiff-1"], record=NAMES[:1])
+    assert list(rollouts) == NAMES[:1]
+    assert rows == play(scenes, "idm", TRAFFIC["ccdiff-1"])
+
+
+def test_the_same_set_is_made_twice(tmp_path, made):
+    assert make(tmp_path) == made[1]
+
+
+def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(made, tmp_path):
+    for generator in ("idm", "replay", "pdm"):
+        folder = tmp_path / generator
+        entries = make(folder, generator)
+        manifest(folder, entries)
+        found = load_scenario_set(folder)
+        scenes = [found.scene(name) for name in NAMES]
+        rows, again = drive(scenes, generator, TRAFFIC["replay"], record=NAMES)
+        for name, row in zip(NAMES, rows, strict=True):
+            scenario = found.find(name)
+            assert row["collision"] == scenario.collision
+            assert 1.0 - row["no_at_fault_collision"] == scenario.at_fault
+            then, now = ego_collisions(found.rollout(name)), ego_collisions(again[name])
+            assert [(e.step, e.partner_id, e.kind) for e in now] == [
+                (e.step, e.partner_id, e.kind) for e in then
+            ]
+
+
+def test_sets_hold_collisions_that_can_and_that_cannot_be_avoided(made):
+    found = [made[0].find(name) for name in NAMES]
+    assert [s.collision for s in found] == [True, True, False]
+    assert [s.avoidable for s in found] == [False, True, True]
+    for scenario in found:
+        assert 0.0 < scenario.realism_cost < 1.0
+        assert scenario.fde_m > 0.0
+        assert (scenario.time_s is None) == (not scenario.collision)
+
+
+def test_in_a_scene_of_a_set_the_others_do_as_recorded_and_the_ego_has_its_log(made):
+    rollout, scene = made[0].rollout(NAMES[0]), made[0].scene(NAMES[0])
+    logged, tracks = rollout.scene.tracks(), scene.tracks()
+    span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    for row, name in enumerate(scene.agent_ids):
+        agent = rollout.agent_ids.index(name)
+        wanted = (
+            logged["position"][agent, span] if name == "ego" else rollout.position[agent]
+        ) * rollout.valid[agent][:, None]
+        there = tracks["valid"][row, span]
+        np.testing.assert_array_equal(there, rollout.valid[agent])
+        np.testing.assert_array_equal(tracks["position"][row, span][there], wanted[there])
+    assert scene.name == rollout.scene.name
+
+
+def test_collisions_after_the_goal_do_not_count():
+    rollout = planned_rollout()
+    assert [event.step for event in ego_collisions(rollout)] == [30]
+    goal = RolloutEvent(20, "ego", None, "goal")
+    assert not ego_collisions(replace(rollout, events=(goal, *rollout.events)))
+
+
+def test_realism_is_that_of_the_vehicles_that_follow_plans():
+    rollout = planned_rollout()
+    found = realism(rollout)
+    # agents 1 and 2 were moved by up to two metres on both axes; 2 is guided
+    assert found["fde_m"] == pytest.approx(np.hypot(2.0, 2.0), rel=1e-3)
+    assert found["realism_cost"] == pytest.approx(0.25)
+    alone = realism(replace(rollout, plans=()))
+    assert alone["fde_m"] is None
+    assert alone["realism_cost"] is None
+    json.dumps([found, alone], allow_nan=False)
+
+
+def test_files_that_are_not_those_of_the_manifest_are_refused(tmp_path, made):
+    entries = make(tmp_path)
+    path = manifest(tmp_path, entries)
+    assert load_scenario_set(path).scenarios == load_scenario_set(tmp_path).scenarios
+    text = path.read_text(encoding="utf-8")
+    file = tmp_path / entries[0]["scenario"]["file"]
+    content = file.read_bytes()
+
+    file.write_bytes(content[:-1])
+    with pytest.raises(DatasetError, match="SHA-256"):
+        load_scenario_set(tmp_path)
+    with pytest.raises(DatasetError, match="SHA-256"):
+        replace(made[0], folder=tmp_path).rollout(NAMES[0])
+    file.unlink()
+    with pytest.raises(DatasetNotFoundError, match=file.name):
+        load_scenario_set(tmp_path)
+    file.write_bytes(content)
+
+    for change, message in (
+        (lambda m: m.update(format="ccdiff-env scenarios 0"), "format 'ccdiff-env scenarios 0'"),
+        (lambda m: m.pop("scenarios"), "scenarios"),
+        (lambda m: m.pop("seed"), "seed"),
+        (lambda m: m["scenarios"][0].pop("sha256"), "sha256"),
+        (lambda m: m["scenarios"][0].update(file="../elsewhere.npz"), "not in the folder"),
+    ):
+        fields = json.loads(text)
+        change(fields)
+        path.write_text(json.dumps(fields), encoding="utf-8")
+        with pytest.raises(DatasetError, match=message):
+            load_scenario_set(tmp_path)
+    for broken in ("{", "[]"):
+        path.write_text(broken, encoding="utf-8")
+        with pytest.raises(DatasetError, match="damaged manifest"):
+            load_scenario_set(tmp_path)
+    with pytest.raises(DatasetNotFoundError, match="no scenario set"):
+        load_scenario_set(tmp_path / "nowhere")
+    with pytest.raises(UnknownNameError, match="no scenario of scene 'queue-03'"):
+        made[0].find("queue-03")
+
+
+def test_sets_of_two_generators_need_two_names(tmp_path):
+    with pytest.raises(ConfigError, match="two of the same name"):
+        set_folders(["a/ego.zip", "b/ego.zip"], tmp_path)
+    folders = set_folders(["egos/ego.zip", "my.planners:Mine"], tmp_path)
+    assert [folder.name for folder in folders.values()] == ["ego", "my.planners-Mine"]
+    with pytest.raises(UnknownNameError, match="no traffic 'ctg'"):
+        generation_jobs(VAL, folders, traffic="ctg")
+
+
+def scenario(scene, *, collision, avoidable):
+    return Scenario(
+        scene=scene, token="", file=f"{scene}.npz", sha256="", collision=collision, kind=None,
+        partner=None, time_s=None, at_fault=False, avoidable=avoidable, realism_cost=0.5,
+        fde_m=1.0,
+    )  # fmt: skip
+
+
+def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
+    scenarios = (
+        scenario("a", collision=True, avoidable=False),
+        scenario("b", collision=True, avoidable=True),
+        scenario("c", collision=False, avoidable=True),
+    )
+    made = ScenarioSet(
+        folder=tmp_path, generator="idm", traffic="ccdiff-1", seed=0, weights="", source=VAL,
+        settings={}, scenarios=scenarios,
+    )  # fmt: skip
+
+    def rows(*hits):
+        return [
+            {
+                "scene": s.scene,
+                "collision": float(h),
+                "no_at_fault_collision": 1.0,
+                "score": 1.0 - h,
+            }
+            for s, h in zip(scenarios, hits, strict=True)
+        ]
+
+    cells = {("idm", "idm"): rows(1, 1, 0), ("idm", "pdm"): rows(1, 0, 0)}
+    cells |= {(None, "idm"): rows(1, 1, 0), (None, "pdm"): rows(0, 0, 0)}
+    write_cross({"idm": made}, {"idm": Realism(0.5, 1.0, 2.0)}, cells, tmp_path)
+    with (tmp_path / "cross.csv").open(encoding="utf-8") as file:
+        found = {
+            (r["generator"], r["planner"], r["scenarios"]): (int(r["count"]), float(r["collision"]))
+            for r in csv.DictReader(file)
+        }
+    assert found == {
+        ("idm", "idm", "all"): (3, pytest.approx(2 / 3)),
+        ("idm", "pdm", "all"): (3, pytest.approx(1 / 3)),
+        ("reacting", "idm", "all"): (3, pytest.approx(2 / 3)),
+        ("reacting", "pdm", "all"): (3, 0.0),
+        ("idm", "idm", "avoidable"): (2, 0.5),
+        ("idm", "pdm", "avoidable"): (2, 0.0),
+    }
+    text = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| idm | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.0 | 2.0 |" in text
+    assert (tmp_path / "cross.png").stat().st_size > 0
+
+
+def test_a_limit_takes_the_first_scenes():
+    few = source_of(dataroot=None, split="val", limit=2)
+    assert scene_names(few) == scene_names(VAL)[:2]
+    with pytest.raises(ConfigError, match="limit"):
+        source_of(dataroot=None, limit=0)
+
+
+def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
+    def command(folder, *more):
+        names = ["--generators", "idm,replay", "--planners", "idm,constant_velocity"]
+        out = ["--out", str(tmp_path / folder), "--quiet", "--limit", "3"]
+        return cli.main(["bench", "scenarios", *out, *names, *more])
+
+    assert command("one") == 0
+    assert "Scenario sets" in capsys.readouterr().out
+    raw = tmp_path / "one" / "raw"
+    first = {path.name: path.stat().st_mtime_ns for path in raw.iterdir()}
+    assert command("one") == 0
+    assert {path.name: path.stat().st_mtime_ns for path in raw.iterdir()} == first
+    assert command("two", "--workers", "2") == 0
+    for name in ("table.md", "cross.csv", "sets/idm/manifest.json", "sets/replay/manifest.json"):
+        one, two = ((tmp_path / f / name).read_bytes() for f in ("one", "two"))
+        assert one == two
+    capsys.readouterr()
+    assert command("one", "--plans", "5") == 2
+    assert "another plans" in capsys.readouterr().err
+
+
+def test_a_job_refuses_a_set_that_changed(tmp_path, made):
+    job = cross_jobs({"idm": made[0]}, ["idm"])[0]
+    wrong = {**job.arguments, "files": dict.fromkeys(job.arguments["files"], "0")}
+    with pytest.raises(ConfigError, match="not the one"):
+        evaluate_in_set(**wrong)
+    rollout = made[0].rollout(NAMES[0])
+    assert as_scene(rollout).hash == made[0].scene(NAMES[0]).hash
