@@ -12,8 +12,9 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import cli
+from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import Job, results, run_jobs
-from ccdiff_env.bench.learning import learning_table, training_jobs
+from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.scenes import chunks, scene_names
@@ -288,14 +289,53 @@ def test_learning_tables_average_over_scenes_then_seeds():
 
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
-    jobs = training_jobs({"embedded": "train"}, ["replay"], [0], steps=4096, folder=tmp_path)
-    run_jobs(jobs, tmp_path / "training", progress=False)
-    curve = results(jobs, tmp_path / "training")["train-replay-0"]["curve"]
-    assert curve
-    assert curve[-1][0] == 4096
+    base, taught = training_jobs(
+        {"embedded": "train"}, ["replay"], [0], steps=4096, base_steps=4096, folder=tmp_path
+    )
+    for jobs in (base, taught):
+        run_jobs(jobs, tmp_path / "training", progress=False)
+        ((_, found),) = results(jobs, tmp_path / "training").items()
+        assert found["curve"][-1][0] == 4096
     scenes = ccdiff_env.embedded_scenes("val")[:2]
-    found = play(scenes, jobs[0].arguments["path"], Traffic("log", "replay"))
-    assert len(found) == 2
+    policy, options = taught[0].arguments["path"], {"observation": OBSERVATION}
+    assert len(play(scenes, policy, Traffic("log", "replay"), options=options)) == 2
+    assert taught[0].arguments["start"] == base[0].arguments["path"]
+
+
+def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
+    training = selection.chooser_jobs(
+        {"embedded": "train"}, [0], ego="replay", steps=64, folder=tmp_path
+    )
+    run_jobs(training, tmp_path / "training", progress=False)
+    policy = training[0].arguments["path"]
+    names = scene_names(VAL)[:2]
+    choice = {"source": VAL, "names": names, "ego": "replay", "seed": 0}
+    rows = {
+        (chooser, strength): selection.choose(chooser=chooser, strength=strength, **choice)
+        for chooser, strength in (("none", 0.0), ("distance", 1.0), (policy, 1.0))
+    }
+    assert all([row["scene"] for row in found] == names for found in rows.values())
+    assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
+    assert min(row["realism_cost"] for row in rows["distance", 1.0]) > 0.0
+    assert rows["distance", 1.0] == selection.choose(chooser="distance", strength=1.0, **choice)
+
+
+def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
+    def row(collision, cost):
+        parts = {"collision": collision, "realism_cost": cost, "at_fault": 0.0, "share_guided": 1.0}
+        return [parts, parts]
+
+    table = selection.selection_table(
+        {
+            ("none", 0.0): row(0.0, 0.0),
+            ("ttc", 0.5): row(0.1, 0.2),
+            ("ttc", 1.0): row(0.3, 0.4),
+            ("choosers/ppo-0.zip", 1.0): row(0.5, 0.25),
+            ("choosers/ppo-1.zip", 1.0): row(0.3, 0.35),
+        }
+    )
+    assert "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 100 ± 0 |" in table
+    assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
 
 
 def test_rankings_that_ask_the_network_find_their_own_control_set():

@@ -25,6 +25,7 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     _add_planners(kinds)
     _add_scenarios(kinds)
     _add_learning(kinds)
+    _add_selection(kinds)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -210,29 +211,41 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
     parser.add_argument("--lessons", default="replay,ccdiff,critical", help="traffic of training")
     parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
-    parser.add_argument("--steps", type=int, default=200_000, help="steps of training per ego")
+    parser.add_argument("--steps", type=int, default=150_000, help="steps of each lesson")
+    parser.add_argument(
+        "--base-steps", type=int, default=1_000_000, help="steps in log replay before the lessons"
+    )
     parser.add_argument("--traffic", default="replay,ccdiff,ccdiff-1", help="of the evaluation")
     parser.set_defaults(run=_learning)
 
 
 def _learning(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.learning import learning_table, training_jobs
+    from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
     from ccdiff_env.bench.planners import planner_jobs
 
     source = source_from(args)
-    embedded = args.dataroot is None
-    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
-    lesson_source = {**source, "embedded" if embedded else "split": "+".join(splits)}
-    settings = {"benchmark": "learning", "source": source, "steps": args.steps, "seed": args.seed}
+    settings = {"benchmark": "learning", "source": source, "seed": args.seed}
+    settings |= {"steps": args.steps, "base_steps": args.base_steps}
     begin(args, settings)
-    seeds = [args.seed + k for k in range(args.seeds)]
-    jobs = training_jobs(
-        lesson_source, args.lessons.split(","), seeds, steps=args.steps, folder=args.out / "egos"
+    base, taught = training_jobs(
+        lesson_source(args, source),
+        args.lessons.split(","),
+        [args.seed + k for k in range(args.seeds)],
+        steps=args.steps,
+        base_steps=args.base_steps,
+        folder=args.out / "egos",
     )
     run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
-    run_jobs(jobs, args.out / "training", **run)
-    planners = [str(job.arguments["path"]) for job in jobs] + ["constant_velocity", "idm", "replay"]
-    tests = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
+    run_jobs(base, args.out / "training", **run)
+    run_jobs(taught, args.out / "training", **run)
+    planners = [str(job.arguments["path"]) for job in taught]
+    tests = planner_jobs(
+        source,
+        [*planners, "constant_velocity", "idm", "replay"],
+        args.traffic.split(","),
+        seed=args.seed,
+        options={"observation": OBSERVATION},
+    )
     run_jobs(tests, args.out / "raw", **run)
     by_name = results(tests, args.out / "raw")
     rows: dict[tuple[str, str], list[Any]] = {}
@@ -240,6 +253,52 @@ def _learning(args: argparse.Namespace) -> int:
         key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
         rows.setdefault(key, []).extend(by_name[job.name])
     text = learning_table(rows)
+    (args.out / "table.md").write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+def lesson_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of the scenes of training that the arguments name."""
+    embedded = args.dataroot is None
+    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
+    return {**source, "embedded" if embedded else "split": "+".join(splits)}
+
+
+def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("selection", help="learned and simple choices of the adversary")
+    add_run_arguments(parser)
+    parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
+    parser.add_argument("--ego", default="idm", help="driver of the ego, or a policy (.zip)")
+    parser.add_argument("--seeds", type=int, default=3, help="choosers that are trained")
+    parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
+    parser.set_defaults(run=_selection)
+
+
+def _selection(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench import selection
+
+    source = source_from(args)
+    settings = {"benchmark": "selection", "source": source, "ego": args.ego, "seed": args.seed}
+    begin(args, {**settings, "steps": args.steps})
+    jobs = selection.chooser_jobs(
+        lesson_source(args, source),
+        [args.seed + k for k in range(args.seeds)],
+        ego=args.ego,
+        steps=args.steps,
+        folder=args.out / "choosers",
+    )
+    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    run_jobs(jobs, args.out / "training", **run)
+    policies = [str(job.arguments["path"]) for job in jobs]
+    tests = selection.trial_jobs(source, policies, ego=args.ego, seed=args.seed)
+    run_jobs(tests, args.out / "raw", **run)
+    by_name = results(tests, args.out / "raw")
+    rows: dict[tuple[str, float], list[Any]] = {}
+    for job in tests:
+        key = (str(job.arguments["chooser"]), float(job.arguments["strength"]))
+        rows.setdefault(key, []).extend(by_name[job.name])
+    text = selection.selection_table(rows)
     (args.out / "table.md").write_text(text, encoding="utf-8")
     print(text)
     return 0

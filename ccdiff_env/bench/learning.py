@@ -1,7 +1,8 @@
 """Egos trained in different traffic, each evaluated in all of it.
 
-Every ego is PPO of stable-baselines3 with the same network, observation and number of steps; only
-the traffic of training differs. Training scenes and evaluation scenes have no scene in common.
+Every ego is PPO of stable-baselines3 with the same network, observation and number of steps. All
+egos of a seed begin as the same one, which learned to drive in log replay; then each has its own
+traffic. Training scenes and evaluation scenes have no scene in common.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.config import WorldConfig
 
 __all__ = ["LESSONS", "learning_table", "train_ego", "training_jobs"]
 
@@ -24,6 +26,18 @@ LESSONS: dict[str, dict[str, Any]] = {
     "ccdiff": {"traffic": "ccdiff"},
     # criticality is drawn anew for every episode, so that realistic traffic is not forgotten
     "critical": {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
+}
+#: What the egos see: the nearest 8 agents and 16 pieces of the map, a third of the default.
+OBSERVATION: dict[str, Any] = {"num_agents": 8, "num_map_pieces": 16}
+REWARD: dict[str, Any] = {"lane_keeping": -0.1}
+PPO_SETTINGS: dict[str, Any] = {
+    "n_steps": 128,
+    "batch_size": 512,
+    "n_epochs": 6,
+    "learning_rate": 3e-4,
+    "gamma": 0.98,
+    "gae_lambda": 0.95,
+    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -1.0},
 }
 NUM_ENVS = 32
 #: Figures of the table: heading, part of the planner's score, factor.
@@ -43,30 +57,77 @@ def training_jobs(
     seeds: Sequence[int],
     *,
     steps: int,
+    base_steps: int,
     folder: Path,
-) -> list[Job]:
-    """Return the jobs that train one ego per lesson and seed; policies go to a folder."""
-    return [
+) -> tuple[list[Job], list[Job]]:
+    """Return the jobs that train the egos; policies go to a folder.
+
+    Parameters
+    ----------
+    source
+        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+    lessons
+        Names of :data:`LESSONS`.
+    seeds
+        Seeds of PPO and of the worlds.
+    steps
+        Steps of each lesson.
+    base_steps
+        Steps in log replay before the lessons.
+    folder
+        Where policies go.
+
+    Returns
+    -------
+    base, lessons
+        Jobs of the common beginning, one per seed; then those that need it, one per seed and
+        lesson.
+    """
+    common = {"source": dict(source)}
+    train = f"{__name__}:train_ego"
+    base = [
+        Job(
+            f"base-{seed}",
+            train,
+            {
+                **common,
+                "lesson": "replay",
+                "seed": seed,
+                "steps": base_steps,
+                "path": str(folder / f"base-{seed}.zip"),
+            },
+        )
+        for seed in seeds
+    ]
+    taught = [
         Job(
             f"train-{lesson}-{seed}",
-            f"{__name__}:train_ego",
+            train,
             {
-                "source": dict(source),
+                **common,
                 "lesson": lesson,
                 "seed": seed,
                 "steps": steps,
                 "path": str(folder / f"{lesson}-{seed}.zip"),
+                "start": str(folder / f"base-{seed}.zip"),
             },
         )
         for seed in seeds
         for lesson in lessons
     ]
+    return base, taught
 
 
 def train_ego(
-    *, source: Mapping[str, str], lesson: str, seed: int, steps: int, path: str
+    *,
+    source: Mapping[str, str],
+    lesson: str,
+    seed: int,
+    steps: int,
+    path: str,
+    start: str | None = None,
 ) -> dict[str, Any]:
-    """Train PPO in one kind of traffic and save it.
+    """Train PPO in one kind of traffic, from scratch or from a saved policy, and save it.
 
     Returns
     -------
@@ -74,10 +135,39 @@ def train_ego(
         ``curve``: step, mean return and success rate of the episodes that ended since the last row.
     """
     from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
 
     from ccdiff_env.envs import make_vec
     from ccdiff_env.envs.sb3 import SB3VecEnv
+
+    env = SB3VecEnv(
+        make_vec(
+            NUM_ENVS,
+            scenes=scenes_of(source),
+            config=WorldConfig().with_options(observation=OBSERVATION, reward=REWARD),
+            autoreset_mode="same_step",
+            num_threads=1,
+            **LESSONS[lesson],
+        )
+    )
+    if start is None:
+        model = PPO("MlpPolicy", env, **PPO_SETTINGS, seed=seed, device="cpu")
+    else:
+        model = PPO.load(start, env, device="cpu")
+        model.set_random_seed(seed)
+    curve = curve_callback()
+    model.learn(steps, callback=curve)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    model.save(path)
+    env.close()
+    return {"curve": curve.rows}
+
+
+def curve_callback() -> Any:
+    """Return a callback of stable-baselines3 whose ``rows`` are a learning curve.
+
+    One row per rollout: step, mean return and success rate of the episodes that ended in it.
+    """
+    from stable_baselines3.common.callbacks import BaseCallback
 
     class Curve(BaseCallback):
         """Collects finished episodes."""
@@ -99,34 +189,7 @@ def train_ego(
                 self.rows.append([float(self.num_timesteps), float(mean[0]), float(mean[1])])
                 self.recent = []
 
-    env = SB3VecEnv(
-        make_vec(
-            NUM_ENVS,
-            scenes=scenes_of(source),
-            autoreset_mode="same_step",
-            num_threads=1,
-            **LESSONS[lesson],
-        )
-    )
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=128,
-        batch_size=512,
-        n_epochs=6,
-        learning_rate=3e-4,
-        gamma=0.98,
-        gae_lambda=0.95,
-        policy_kwargs={"net_arch": [128, 128], "log_std_init": -1.0},
-        seed=seed,
-        device="cpu",
-    )
-    curve = Curve()
-    model.learn(steps, callback=curve)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    model.save(path)
-    env.close()
-    return {"curve": curve.rows}
+    return Curve()
 
 
 def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> str:

@@ -72,7 +72,12 @@ TRAFFIC: dict[str, Traffic] = {
 
 
 def planner_jobs(
-    source: Mapping[str, str], planners: Sequence[str], traffic: Sequence[str], *, seed: int = 0
+    source: Mapping[str, str],
+    planners: Sequence[str],
+    traffic: Sequence[str],
+    *,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x pieces of the scenes.
 
@@ -88,6 +93,8 @@ def planner_jobs(
         Names of :data:`TRAFFIC`.
     seed
         Seed of the episodes.
+    options
+        Further fields of :class:`~ccdiff_env.config.WorldConfig`, such as what policies observe.
     """
     for name in traffic:
         if name not in TRAFFIC:
@@ -103,6 +110,7 @@ def planner_jobs(
                 "planner": planner,
                 "traffic": name,
                 "seed": seed,
+                **({"options": dict(options)} if options else {}),
             },
         )
         for p, planner in enumerate(planners)
@@ -112,10 +120,16 @@ def planner_jobs(
 
 
 def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], planner: str, traffic: str, seed: int
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    planner: str,
+    traffic: str,
+    seed: int,
+    options: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
     """Drive scenes with a planner: one dictionary of figures and the score per scene."""
-    return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed)
+    return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, options=options)
 
 
 #: From the worlds and the observations [E, D] to actions [E, W].

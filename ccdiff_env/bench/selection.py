@@ -1,0 +1,264 @@
+"""Who is turned against the ego: a learned choice beside simple ones, at equal realism cost.
+
+Every chooser names at most one vehicle per plan of CCDiff traffic, whose plan guidance then bends
+towards a contact with the ego. The learned one is MaskablePPO of sb3-contrib. A simple one pays for
+its collisions by the strength of the guidance: its share of scenes with a collision at another's
+cost is read off the line through its points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+
+__all__ = [
+    "CHOOSERS",
+    "STRENGTHS",
+    "choose",
+    "chooser_jobs",
+    "selection_table",
+    "train_chooser",
+    "trial_jobs",
+]
+
+#: The simple choosers, see :meth:`AdversarySelectionVectorEnv.baseline`.
+CHOOSERS = ("none", "random", "distance", "ttc", "causal")
+#: Strengths of the guidance at which the simple choosers are measured; PPO chooses at 1.
+STRENGTHS = (0.25, 0.5, 0.75, 1.0)
+NUM_ENVS = 32
+#: Scenes that share a batch of the network.
+CHUNK = 12
+
+
+def _options(ego: str, strength: float) -> dict[str, Any]:
+    return {
+        "ego": ego,
+        "action_mode": "discrete",
+        "budget": 1,
+        "max_agents": 8,
+        "num_threads": 1,
+        "ccdiff": {"criticality": strength},
+    }
+
+
+def chooser_jobs(
+    source: Mapping[str, str], seeds: Sequence[int], *, ego: str, steps: int, folder: Path
+) -> list[Job]:
+    """Return the jobs that train one chooser per seed; policies go to a folder.
+
+    Parameters
+    ----------
+    source
+        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+    seeds
+        Seeds of PPO and of the worlds.
+    ego
+        Who drives the ego, see :class:`~ccdiff_env.AdversarySelectionEnv`.
+    steps
+        Decisions per chooser.
+    folder
+        Where policies go.
+    """
+    return [
+        Job(
+            f"train-{seed}",
+            f"{__name__}:train_chooser",
+            {
+                "source": dict(source),
+                "ego": ego,
+                "seed": seed,
+                "steps": steps,
+                "path": str(folder / f"ppo-{seed}.zip"),
+            },
+        )
+        for seed in seeds
+    ]
+
+
+def train_chooser(
+    *, source: Mapping[str, str], ego: str, seed: int, steps: int, path: str
+) -> dict[str, Any]:
+    """Train MaskablePPO and save it.
+
+    Returns
+    -------
+    dict
+        ``curve``: decisions, mean return and share with a collision of the episodes since the last
+        row.
+    """
+    from sb3_contrib import MaskablePPO
+
+    from ccdiff_env.bench.learning import curve_callback
+    from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
+    from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
+
+    env = SelectionSB3VecEnv(
+        AdversarySelectionVectorEnv(NUM_ENVS, scenes=scenes_of(source), **_options(ego, 1.0))
+    )
+    model = MaskablePPO(
+        "MultiInputPolicy",
+        env,
+        n_steps=64,
+        batch_size=256,
+        n_epochs=6,
+        gamma=0.95,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [128, 128]},
+        seed=seed,
+        device="cpu",
+    )
+    curve = curve_callback()
+    model.learn(steps, callback=curve)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    model.save(path)
+    env.close()
+    return {"curve": curve.rows}
+
+
+def trial_jobs(
+    source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int
+) -> list[Job]:
+    """Return the jobs that let every chooser choose: choosers x strengths x pieces of scenes."""
+    conditions = [("none", 0.0)]
+    conditions += [(name, s) for name in CHOOSERS if name != "none" for s in STRENGTHS]
+    conditions += [(path, 1.0) for path in policies]
+    return [
+        Job(
+            f"{Path(chooser).stem}-{strength:g}-{i:03d}",
+            f"{__name__}:choose",
+            {
+                "source": dict(source),
+                "names": names,
+                "chooser": chooser,
+                "strength": strength,
+                "ego": ego,
+                "seed": seed,
+            },
+        )
+        for chooser, strength in conditions
+        for i, names in enumerate(chunks(scene_names(source), CHUNK))
+    ]
+
+
+def choose(
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    chooser: str,
+    strength: float,
+    ego: str,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Let a chooser choose in every scene once.
+
+    Parameters
+    ----------
+    source, names
+        The scenes.
+    chooser
+        One of :data:`CHOOSERS`, or the path of a policy of MaskablePPO.
+    strength
+        Strength of the guidance (criticality).
+    ego
+        Who drives the ego.
+    seed
+        Seed of every episode.
+
+    Returns
+    -------
+    list of dict
+        Per scene: ``collision`` of the ego with a vehicle that was an adversary, ``at_fault`` of
+        the ego, ``realism_cost`` mean over decisions, ``share_guided`` decisions with an adversary.
+    """
+    from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
+
+    scenes = scenes_of(source, names)
+    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **_options(ego, strength))
+    policy = None
+    if chooser not in CHOOSERS:
+        from sb3_contrib import MaskablePPO
+
+        policy = MaskablePPO.load(chooser, device="cpu")
+    obs, _ = env.reset(seed=[seed] * len(scenes), options={"scene": list(range(len(scenes)))})
+    rows: list[dict[str, Any]] = [{} for _ in scenes]
+    at_fault = np.zeros(len(scenes))
+    for decision in range(env.worlds.config.horizon_steps):
+        if all(rows):
+            break
+        if policy is None:
+            actions = env.baseline(chooser, seed=1000 * decision)
+        else:
+            masks = env.action_masks()
+            actions, _ = policy.predict(obs, action_masks=masks, deterministic=True)
+        obs, _, terminated, truncated, infos = env.step(actions)
+        done = terminated | truncated
+        at_fault = np.maximum(at_fault, infos["ego_at_fault"])
+        for i in np.flatnonzero(done):
+            if not rows[i]:
+                metrics = infos["final_info"]["metrics"]
+                rows[i] = {
+                    "scene": scenes[i].name,
+                    "collision": float(metrics["is_success"][i]),
+                    "at_fault": float(at_fault[i]),
+                    "realism_cost": float(metrics["mean_realism_cost"][i]),
+                    "share_guided": float(metrics["mean_adversaries"][i]),
+                }
+    env.close()
+    return rows
+
+
+def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) -> str:
+    """Return the table in Markdown.
+
+    Parameters
+    ----------
+    rows
+        One dictionary per scene (see :func:`choose`) of every chooser at every strength. Choosers
+        ``.../ppo-<seed>.zip`` are shown as one, mean ± spread over seeds.
+    """
+    keys = ("collision", "at_fault", "realism_cost", "share_guided")
+    means = {
+        c: {k: float(np.mean([r[k] for r in found])) for k in keys} for c, found in rows.items()
+    }
+    learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
+    lines = [
+        "| chooser | strength | ego collides % | at fault % | C(tau) | guided decisions % |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    factors = (
+        ("collision", 100.0, 1),
+        ("at_fault", 100.0, 1),
+        ("realism_cost", 1.0, 3),
+        ("share_guided", 100.0, 0),
+    )
+    for name, strength in means:
+        if not name.endswith(".zip"):
+            cells = [f"{f * means[name, strength][k]:.{d}f}" for k, f, d in factors]
+            lines.append(f"| {name} | {strength:g} | " + " | ".join(cells) + " |")
+    if not learned:
+        return "\n".join(lines) + "\n"
+    cells = []
+    for key, factor, digits in factors:
+        values = factor * np.array([m[key] for m in learned])
+        spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
+        cells.append(f"{values.mean():.{digits}f}{spread}")
+    lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
+    cost = float(np.mean([m["realism_cost"] for m in learned]))
+    lines += ["", f"At PPO's realism cost ({cost:.3f}), between measured strengths:", ""]
+    lines += ["| chooser | ego collides % |", "|---|---:|", f"| PPO | {cells[0]} |"]
+    floor = next((m for (name, _), m in means.items() if name == "none"), None)
+    for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
+        points = [m for (n, _), m in means.items() if n == name]
+        points += [] if floor is None else [floor]
+        points.sort(key=lambda m: m["realism_cost"])
+        share = np.interp(
+            cost, [m["realism_cost"] for m in points], [m["collision"] for m in points]
+        )
+        lines.append(f"| {name} | {100.0 * share:.1f} |")
+    return "\n".join(lines) + "\n"
