@@ -29,7 +29,6 @@ LESSONS: dict[str, dict[str, Any]] = {
 }
 #: What the egos see: the nearest 8 agents and 16 pieces of the map, a third of the default.
 OBSERVATION: dict[str, Any] = {"num_agents": 8, "num_map_pieces": 16}
-REWARD: dict[str, Any] = {"lane_keeping": -0.1}
 PPO_SETTINGS: dict[str, Any] = {
     "n_steps": 128,
     "batch_size": 512,
@@ -143,7 +142,7 @@ def train_ego(
         make_vec(
             NUM_ENVS,
             scenes=scenes_of(source),
-            config=WorldConfig().with_options(observation=OBSERVATION, reward=REWARD),
+            config=WorldConfig().with_options(observation=OBSERVATION),
             autoreset_mode="same_step",
             num_threads=1,
             **LESSONS[lesson],
