@@ -15,7 +15,7 @@ from pettingzoo import ParallelEnv
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names, Roles
-from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
+from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
@@ -29,7 +29,6 @@ from ccdiff_env.envs.worlds import (
 )
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.key_agents import KeyRanking
-from ccdiff_env.scenes import Scene
 from ccdiff_env.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
@@ -38,7 +37,7 @@ Bool = npt.NDArray[np.bool_]
 Rows = dict[str, Any]
 
 
-class MultiAgentEnv(FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
+class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
     """One world in Rust; chosen vehicles are driven by actions, the others by the background.
 
     Parameters
@@ -174,17 +173,6 @@ class MultiAgentEnv(FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignor
         self._info: InfoLevel = info
         self._seeded = False
         self._slots: dict[str, int] = {}
-        self._window: Window | None = None
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the world."""
-        return self.worlds.config
-
-    @property
-    def scene(self) -> Scene:
-        """Scene of the present episode."""
-        return self.worlds.scenes[self._scene_idx()]
 
     def _scene_idx(self) -> int:
         return int(self.worlds.native.status(0)[0])
@@ -351,19 +339,6 @@ class MultiAgentEnv(FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignor
         """Return the flat observations of all slots, one after the other; zero for absent ones."""
         return self.worlds.observation(0).ravel()
 
-    def render(self) -> Image | None:
-        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render mode")
-            return None
-        image: Image = self.worlds.native.render(0, **self._picture)
-        if self.render_mode == "rgb_array":
-            return image
-        if self._window is None:
-            self._window = Window("ccdiff_env")
-        self._window.show(image)
-        return None
-
     def snapshot(self) -> bytes:
         """Return everything that the world's future depends on."""
         return Snapshot(self.worlds.native.snapshot(0)).to_bytes()
@@ -392,12 +367,6 @@ class MultiAgentEnv(FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignor
     def fork(self) -> MultiAgentEnv:
         """Return an independent environment in the same state."""
         return copy.deepcopy(self)
-
-    def close(self) -> None:
-        """Close the window."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or a pickle holds; a window is not part of it."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import unknown
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.scenes import Scene
 
 Image = npt.NDArray[np.uint8]
 
@@ -84,3 +87,46 @@ class Window:
         if self._screen is not None:
             self._pygame.display.quit()
             self._screen = None
+
+
+class DrawnWorld:
+    """What every environment of one world has: its scene, and pictures of it."""
+
+    worlds: Worlds
+    render_mode: str | None
+    _picture: dict[str, Any]
+    _window: Window | None = None
+    #: Title of the window.
+    _title = "ccdiff_env"
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the world."""
+        return self.worlds.config
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the present episode."""
+        return self.worlds.scenes[self.worlds.native.status(0)[0]]
+
+    def render(self) -> Image | None:
+        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called without a render mode: make the environment with "
+                'render_mode="rgb_array" or "human".'
+            )
+            return None
+        image: Image = self.worlds.native.render(0, **self._picture)
+        if self.render_mode == "rgb_array":
+            return image
+        if self._window is None:
+            self._window = Window(self._title)
+        self._window.show(image)
+        return None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
-from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
+from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.envs.worlds import (
@@ -25,7 +25,7 @@ from ccdiff_env.envs.worlds import (
     world_config,
 )
 from ccdiff_env.errors import SnapshotError
-from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.spaces import FORMS, Form
 from ccdiff_env.traffic import TrafficPlan
 
@@ -33,7 +33,7 @@ F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 
 
-class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
+class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     """One world in Rust; the ego is driven by the actions.
 
     Parameters
@@ -67,6 +67,7 @@ class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
     Environments can be pickled and deep-copied in the middle of an episode.
     """
 
+    _title = "ccdiff_env/Ego"
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -107,22 +108,11 @@ class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
         self._actions: list[bytes] | None = []
         self._seeded = False
         self._begun = False
-        self._window: Window | None = None
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the world."""
-        return self.worlds.config
 
     @property
     def scenes(self) -> SceneSet:
         """Scenes that the environment plays."""
         return self.worlds.scenes
-
-    @property
-    def scene(self) -> Scene:
-        """Scene of the present episode."""
-        return self.worlds.scenes[self.worlds.native.status(0)[0]]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -212,22 +202,6 @@ class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
             return np.int64(action[0])
         return action
 
-    def render(self) -> Image | None:
-        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
-        if self.render_mode is None:
-            gymnasium.logger.warn(
-                "render() was called without a render mode: make the environment with "
-                'render_mode="rgb_array" or "human".'
-            )
-            return None
-        image: Image = self.worlds.native.render(0, **self._picture)
-        if self.render_mode == "rgb_array":
-            return image
-        if self._window is None:
-            self._window = Window("ccdiff_env/Ego")
-        self._window.show(image)
-        return None
-
     def snapshot(self) -> bytes:
         """Return everything that the environment's future depends on."""
         actions = None if self._actions is None else b"".join(self._actions)
@@ -292,12 +266,6 @@ class EgoEnv(FollowsTraining, gymnasium.Env[Any, Any]):
         if self._actions is None:
             raise SnapshotError("certificate: the actions before the restored snapshot are unknown")
         return Certificate.of(self.worlds, b"".join(self._actions))
-
-    def close(self) -> None:
-        """Close the window."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or a pickle holds; a window is not part of it."""

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.picture import FPS, Image, Window, check_render_mode, picture_options
+from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
-from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed
+from ccdiff_env.envs.worlds import Scenes, fold_seed
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners import Ego
-from ccdiff_env.scenes import Scene
 
 __all__ = ["AdversarySelectionEnv", "selection_reward"]
 
@@ -38,7 +37,7 @@ def selection_reward(reward: SelectionReward | Mapping[str, Any] | None) -> Sele
     return SelectionReward(**(reward or {}))
 
 
-class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
+class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """Choose, once per plan of the background, which vehicles become adversaries of the ego.
 
     Parameters
@@ -71,6 +70,7 @@ class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
         ``ccdiff={"replan_steps": 5}``, whose plans set the pace of decisions.
     """
 
+    _title = "ccdiff_env/AdversarySelection"
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -104,16 +104,11 @@ class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
             trails=render_mode is not None,
             options=options,
         )
+        self.worlds = self._batch.worlds
         self.render_mode = render_mode
         self.observation_space: gymnasium.Space[Any] = self._batch.observation_space
         self.action_space: gymnasium.Space[Any] = self._batch.actions.space
         self._seeded = False
-        self._window: Window | None = None
-
-    @property
-    def worlds(self) -> Worlds:
-        """The native world."""
-        return self._batch.worlds
 
     @property
     def on_step(self) -> Callable[[], object] | None:
@@ -123,16 +118,6 @@ class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
     @on_step.setter
     def on_step(self, function: Callable[[], object] | None) -> None:
         self._batch.on_step = function
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the world."""
-        return self.worlds.config
-
-    @property
-    def scene(self) -> Scene:
-        """Scene of the present episode."""
-        return self.worlds.scenes[self.worlds.native.status(0)[0]]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -217,25 +202,6 @@ class AdversarySelectionEnv(gymnasium.Env[Any, Any]):
             For ``"random"``.
         """
         return self._batch.baseline(0, name, seed)
-
-    def render(self) -> Image | None:
-        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() was called without a render mode")
-            return None
-        image: Image = self.worlds.native.render(0, **self._picture)
-        if self.render_mode == "rgb_array":
-            return image
-        if self._window is None:
-            self._window = Window("ccdiff_env/AdversarySelection")
-        self._window.show(image)
-        return None
-
-    def close(self) -> None:
-        """Close the window."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
 
     def __reduce__(self) -> Any:
         """Refuse copies: the ego's planner is any function."""
