@@ -33,7 +33,7 @@ class Recorder:
     Parameters
     ----------
     env
-        An environment of this package, or a wrapper of one.
+        An environment of this package, a wrapper of one, or native worlds by themselves.
     world_idx
         World to record.
     **meta
@@ -60,9 +60,9 @@ class Recorder:
     >>> rollout = recorder.rollout()
     """
 
-    def __init__(self, env: HasWorlds, *, world_idx: int = 0, **meta: Any) -> None:
-        unwrapped = getattr(env, "unwrapped", env)
-        self._worlds: Worlds = unwrapped.worlds
+    def __init__(self, env: HasWorlds | Worlds, *, world_idx: int = 0, **meta: Any) -> None:
+        unwrapped: Any = getattr(env, "unwrapped", env)
+        self._worlds: Worlds = getattr(unwrapped, "worlds", unwrapped)
         self._worlds.check_world(world_idx)
         self._world_idx = world_idx
         self._meta = meta

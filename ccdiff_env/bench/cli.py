@@ -6,11 +6,14 @@ import argparse
 import hashlib
 import json
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.jobs import results, run_jobs
-from ccdiff_env.bench.scenes import source_of
+from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.page import write_report_page
+from ccdiff_env.bench.replays import make_replays
+from ccdiff_env.bench.scenes import source_of, source_title
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import shipped_weights
 
@@ -80,6 +83,41 @@ def _counts(text: str) -> list[int | None]:
         raise ConfigError(f"--k is {text!r}, expected numbers and Full, comma-separated") from None
 
 
+def _add_replays(parser: argparse.ArgumentParser, which: str) -> None:
+    parser.add_argument(
+        "--replays", type=int, default=0, metavar="N", help=f"write replay pages of the N {which}"
+    )
+
+
+def _run_options(args: argparse.Namespace) -> dict[str, Any]:
+    return {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+
+
+def _close(
+    args: argparse.Namespace,
+    *,
+    title: str,
+    weights: str,
+    plots: Sequence[str],
+    parts: Mapping[str, str],
+    changed: int,
+    num_jobs: int,
+    seconds: float,
+) -> int:
+    """Write the report page of a run, and say what there is."""
+    line = f"{source_title(source_from(args))} · seed {args.seed} · weights {weights[:12]}"
+    texts = {head: (args.out / file).read_text(encoding="utf-8") for head, file in parts.items()}
+    page = args.out / "report.html"
+    write_report_page(
+        page, title=title, line=line, plots=[args.out / name for name in plots], parts=texts
+    )
+    print((args.out / "table.md").read_text(encoding="utf-8"))
+    if changed:
+        print(f"{changed} replays differ from what was measured (by another machine or release)")
+    print(f"{num_jobs} jobs in {seconds:.0f} s; report: {page}")
+    return 0
+
+
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("traffic", help="the paper's experiments: methods x K x T")
     add_run_arguments(parser)
@@ -88,16 +126,18 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
     parser.add_argument("--t", default="0.5", help="seconds between plans, comma-separated")
+    _add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
 
 
 def _traffic(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.examples import choose_examples, examples_table
     from ccdiff_env.bench.plots import plot_scores
-    from ccdiff_env.bench.tables import conditions, summarise, write_tables
+    from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
     from ccdiff_env.bench.traffic import traffic_jobs
 
     source = source_from(args)
-    begin(args, {"benchmark": "traffic", "source": source, "seed": args.seed})
+    weights = begin(args, {"benchmark": "traffic", "source": source, "seed": args.seed})
     start = time.perf_counter()
     jobs = traffic_jobs(
         source,
@@ -107,16 +147,30 @@ def _traffic(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     raw = args.out / "raw"
-    run_jobs(jobs, raw, backend=args.backend, workers=args.workers, progress=not args.quiet)
+    run_jobs(jobs, raw, **_run_options(args))
     by_condition = conditions(results(jobs, raw))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
     write_tables(table, args.out)
     plot_scores(table, args.out / "scores.png")
-    print((args.out / "table.md").read_text(encoding="utf-8"))
-    seconds = time.perf_counter() - start
-    print(f"{len(jobs)} jobs in {seconds:.0f} s; tables, plot and raw results: {args.out}")
-    return 0
+    job_of = {
+        (condition_of(job.name), scene): job for job in jobs for scene in job.arguments["names"]
+    }
+    chosen = choose_examples(by_condition, args.replays)
+    wanted = {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
+    pages, changed = make_replays(wanted, args.out, **_run_options(args))
+    examples = examples_table(chosen, pages)
+    (args.out / "examples.md").write_text(examples, encoding="utf-8")
+    return _close(
+        args,
+        title="Traffic",
+        weights=weights,
+        plots=["scores.png"],
+        parts={"Tables": "table.md", "Examples of guided traffic": "examples.md"},
+        changed=len(changed),
+        num_jobs=len(jobs),
+        seconds=time.perf_counter() - start,
+    )
 
 
 def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -130,30 +184,44 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--traffic", default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1", help="comma-separated"
     )
+    _add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
 
 def _planners(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.planner_report import write_report
+    from ccdiff_env.bench.planner_report import worst_scenes, write_report
     from ccdiff_env.bench.planners import planner_jobs
 
     source, planners = source_from(args), args.planners.split(",")
     settings = {"benchmark": "planners", "source": source, "planners": planners, "seed": args.seed}
-    begin(args, settings)
+    weights = begin(args, settings)
     start = time.perf_counter()
     jobs = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
-    raw = args.out / "raw"
-    run_jobs(jobs, raw, backend=args.backend, workers=args.workers, progress=not args.quiet)
+    run_jobs(jobs, args.out / "raw", **_run_options(args))
     rows: dict[tuple[str, str], list[Any]] = {}
-    by_name = results(jobs, raw)
+    job_of: dict[tuple[str, str, str], Job] = {}
+    by_name = results(jobs, args.out / "raw")
     for job in jobs:
         key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
         rows.setdefault(key, []).extend(by_name[job.name])
-    write_report(rows, args.out)
-    print((args.out / "table.md").read_text(encoding="utf-8"))
-    seconds = time.perf_counter() - start
-    print(f"{len(jobs)} jobs in {seconds:.0f} s; table, plot, worst scenes: {args.out}")
-    return 0
+        job_of |= {(*key, scene): job for scene in job.arguments["names"]}
+    wanted = {
+        (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
+        for planner in planners
+        for name, row in worst_scenes(rows, planner, args.replays)
+    }
+    pages, changed = make_replays(wanted, args.out, **_run_options(args))
+    write_report(rows, args.out, worst=max(args.replays, 10), pages=pages)
+    return _close(
+        args,
+        title="Planners in traffic",
+        weights=weights,
+        plots=["weakness.png"],
+        parts={"Scores": "table.md", "Worst scenes": "worst.md"},
+        changed=len(changed),
+        num_jobs=len(jobs),
+        seconds=time.perf_counter() - start,
+    )
 
 
 def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -168,6 +236,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
+    _add_replays(parser, "first collisions of every set, and worst scenarios of every planner")
     parser.set_defaults(run=_scenarios)
 
 
@@ -179,7 +248,8 @@ def _scenarios(args: argparse.Namespace) -> int:
         set_folders,
         write_sets,
     )
-    from ccdiff_env.bench.cross_report import write_cross
+    from ccdiff_env.bench.cross_report import avoidable_rows, write_collisions, write_cross
+    from ccdiff_env.bench.planner_report import worst_scenes, worst_table
 
     source, planners = source_from(args), args.planners.split(",")
     settings = {"generators": args.generators.split(","), "planners": planners}
@@ -188,8 +258,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         args, {"benchmark": "scenarios", "source": source, "seed": args.seed, **settings}
     )
     start = time.perf_counter()
-    raw = args.out / "raw"
-    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    raw, run = args.out / "raw", _run_options(args)
     folders = set_folders(settings["generators"], args.out / "sets")
     making = generation_jobs(
         source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
@@ -198,11 +267,37 @@ def _scenarios(args: argparse.Namespace) -> int:
     sets, realism = write_sets(making, raw, weights=weights)
     driving = cross_jobs(sets, planners, seed=args.seed)
     run_jobs(driving, raw, **run)
-    write_cross(sets, realism, read_cells(driving, raw), args.out)
-    print((args.out / "table.md").read_text(encoding="utf-8"))
-    seconds = time.perf_counter() - start
-    print(f"{len(making) + len(driving)} jobs in {seconds:.0f} s; table, plot, sets: {args.out}")
-    return 0
+    cells = read_cells(driving, raw)
+    write_cross(sets, realism, cells, args.out)
+    write_collisions(sets, args.out, args.replays)
+    avoidable = avoidable_rows(sets, cells)
+    job_of = {
+        (job.arguments["planner"], job.arguments["generator"], scene): job
+        for job in driving
+        for scene in job.arguments.get("files", ())
+    }
+    wanted = {
+        (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
+        for planner in planners
+        for name, row in worst_scenes(avoidable, planner, args.replays)
+    }
+    pages, changed = make_replays(wanted, args.out, **run)
+    worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")
+    (args.out / "worst.md").write_text(worst, encoding="utf-8")
+    return _close(
+        args,
+        title="Egos that traffic is made against, and planners in it",
+        weights=weights,
+        plots=["cross.png"],
+        parts={
+            "Cross matrix": "table.md",
+            "Worst scenarios that can be avoided": "worst.md",
+            "Collisions in the sets": "collisions.md",
+        },
+        changed=len(changed),
+        num_jobs=len(making) + len(driving),
+        seconds=time.perf_counter() - start,
+    )
 
 
 def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -7,7 +7,7 @@ traffic that reacts to it, with the same scenes and seed.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.planner_report import short_name
-from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, planner_jobs, play
+from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
     ScenarioSet,
@@ -26,6 +26,7 @@ from ccdiff_env.bench.scenario_sets import (
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import comfort_distance
+from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 
 __all__ = [
@@ -223,10 +224,26 @@ def evaluate_in_set(
     ConfigError
         If the set is another one by now.
     """
+    return evaluate_in_set_recorded(
+        folder=folder, files=files, generator=generator, planner=planner, seed=seed, record=()
+    )[0]
+
+
+def evaluate_in_set_recorded(
+    *,
+    folder: str,
+    files: Mapping[str, str],
+    generator: str,
+    planner: str,
+    seed: int,
+    record: Collection[str],
+) -> tuple[Rows, dict[str, Rollout]]:
+    """Do the same as :func:`evaluate_in_set`, and record some scenes."""
     found = load_scenario_set(folder)
     if found.generator != generator or any(found.find(s).sha256 != h for s, h in files.items()):
         raise ConfigError(f"the set is not the one that was asked for: {folder}")
-    return play(SceneSet([found.scene(scene) for scene in files]), planner, RECORDED, seed=seed)
+    scenes = SceneSet([found.scene(scene) for scene in files])
+    return drive(scenes, planner, RECORDED, seed=seed, record=record)
 
 
 def read_cells(jobs: Sequence[Job], raw: Path) -> dict[tuple[str | None, str], Rows]:

@@ -11,10 +11,11 @@ import numpy as np
 
 from ccdiff_env.bench.cross import Realism
 from ccdiff_env.bench.planner_report import mean_interval, short_name
+from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
 
-__all__ = ["write_cross"]
+__all__ = ["avoidable_rows", "write_collisions", "write_cross"]
 
 #: Rows of each planner in each set; the generator is ``None`` where the traffic reacted.
 Cells = Mapping[tuple[str | None, str], Sequence[Mapping[str, Any]]]
@@ -74,6 +75,54 @@ def write_cross(
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     _write_csv(sets, realism, parts, folder)
     _plot(parts, list(sets), planners, folder / "cross.png")
+
+
+def avoidable_rows(
+    sets: Mapping[str, ScenarioSet], cells: Cells
+) -> dict[tuple[str, str], list[Mapping[str, Any]]]:
+    """Return the rows of every planner in every set, by planner and generator: avoidable ones."""
+    kept = {g: {s.scene for s in made.scenarios if s.avoidable} for g, made in sets.items()}
+    return {
+        (planner, generator): [row for row in rows if row["scene"] in kept[generator]]
+        for (generator, planner), rows in cells.items()
+        if generator is not None
+    }
+
+
+def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int) -> None:
+    """Write ``collisions.md``: collisions of the egos that the sets were made against.
+
+    Parameters
+    ----------
+    sets
+        The sets by generator.
+    folder
+        Run folder.
+    replays
+        Collisions of each set that get a replay page.
+    """
+    lines = []
+    for generator, made in sets.items():
+        lines += [
+            f"### Made against {short_name(generator)}",
+            "",
+            "| scene | hit | time s | at fault | avoidable | C(tau) | FDE m |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        for i, s in enumerate(s for s in made.scenarios if s.collision):
+            scene = s.scene
+            if i < replays:
+                path = folder / "replays" / f"set-{made.folder.name}-{scene}.html"
+                scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
+            facts = ["yes" if fact else "no" for fact in (s.at_fault, s.avoidable)]
+            cost, fde = (np.nan if x is None else x for x in (s.realism_cost, s.fde_m))
+            kind = str(s.kind).removeprefix("collision_")
+            lines.append(
+                f"| {scene} | {kind} | {s.time_s:.1f} | {' | '.join(facts)} | "
+                f"{_number(cost, 2)} | {_number(fde, 1)} |"
+            )
+        lines.append("")
+    (folder / "collisions.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _number(value: float, digits: int) -> str:

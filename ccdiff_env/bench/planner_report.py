@@ -11,10 +11,11 @@ import numpy as np
 
 from ccdiff_env.bench.planners import TRAFFIC
 
-__all__ = ["mean_interval", "short_name", "write_report"]
+__all__ = ["mean_interval", "short_name", "worst_scenes", "worst_table", "write_report"]
 
+Row = Mapping[str, Any]
 #: Rows of one planner in one traffic: planner, traffic -> one dictionary per scene.
-Results = Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]
+Results = Mapping[tuple[str, str], Sequence[Row]]
 
 _PARTS = (
     "score",
@@ -27,6 +28,13 @@ _PARTS = (
     "speed_limit",
     "success",
 )
+_REASONS = {
+    "no_at_fault_collision": "collision at fault",
+    "on_road": "off the road",
+    "makes_progress": "no progress",
+    "right_way": "wrong way",
+    "ttc": "close call",
+}
 RESAMPLES = 1000
 
 
@@ -39,7 +47,13 @@ def mean_interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, 
     return float(values.mean()), float(low), float(high)
 
 
-def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
+def write_report(
+    found: Results,
+    folder: Path,
+    *,
+    worst: int = 10,
+    pages: Mapping[tuple[str, str, str], str] | None = None,
+) -> None:
     """Write ``scores.csv``, ``table.md``, ``weakness.png`` and ``worst.md``.
 
     Parameters
@@ -50,6 +64,8 @@ def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
         Where to.
     worst
         Scenes to list per planner.
+    pages
+        Addresses of replays by planner, traffic and scene.
     """
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = list(dict.fromkeys(t for _, t in found))
@@ -75,7 +91,7 @@ def write_report(found: Results, folder: Path, *, worst: int = 10) -> None:
         lines.append("")
     lines.append("Means over scenes; brackets: 95 % bootstrap intervals.")
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "worst.md").write_text(_worst(found, planners, worst), encoding="utf-8")
+    (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
     _plot(found, planners, traffic, folder / "weakness.png")
 
 
@@ -84,35 +100,47 @@ def short_name(planner: str) -> str:
     return Path(planner).stem if planner.endswith(".zip") else planner
 
 
-def _worst(found: Results, planners: Sequence[str], count: int) -> str:
+def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:
+    """Return the scenes in which a planner scores least: traffic and row, the worst first.
+
+    Ties go to the smaller least time to contact.
+    """
+    rows = [(name, row) for (p, name), part in found.items() if p == planner for row in part]
+    rows.sort(key=lambda r: (r[1]["score"], r[1]["min_ttc_s"], r[0], r[1]["scene"]))
+    return rows[:count]
+
+
+def worst_table(
+    found: Results, count: int, pages: Mapping[tuple[str, str, str], str], traffic: str = "traffic"
+) -> str:
+    """Return the worst scenes of every planner in Markdown.
+
+    Parameters
+    ----------
+    found
+        Rows per scene of every planner in every traffic.
+    count
+        Scenes per planner.
+    pages
+        Addresses of replays by planner, traffic and scene.
+    traffic
+        Heading of the traffic's column.
+    """
     lines = []
-    for planner in planners:
-        rows = [
-            (row["score"], name, row)
-            for (p, name), part in found.items()
-            if p == planner
-            for row in part
-        ]
-        rows.sort(key=lambda r: (r[0], r[2]["min_ttc_s"], r[1], r[2]["scene"]))
+    for planner in dict.fromkeys(p for p, _ in found):
         lines += [
             f"### {short_name(planner)}",
             "",
-            "| scene | traffic | score | why |",
+            f"| scene | {traffic} | score | why |",
             "|---|---|---|---|",
         ]
-        for score, name, row in rows[:count]:
-            why = [
-                text
-                for part, text in (
-                    ("no_at_fault_collision", "collision at fault"),
-                    ("on_road", "off the road"),
-                    ("makes_progress", "no progress"),
-                    ("right_way", "wrong way"),
-                    ("ttc", "close call"),
-                )
-                if row[part] < 1.0
-            ]
-            lines.append(f"| {row['scene']} | {name} | {score:.2f} | {', '.join(why)} |")
+        for name, row in worst_scenes(found, planner, count):
+            why = [text for part, text in _REASONS.items() if row[part] < 1.0]
+            if row["collision"] and row["no_at_fault_collision"]:
+                why.insert(0, "collision, not at fault")
+            page = pages.get((planner, name, row["scene"]))
+            scene = row["scene"] if page is None else f"[{row['scene']}]({page})"
+            lines.append(f"| {scene} | {name} | {row['score']:.2f} | {', '.join(why)} |")
         lines.append("")
     return "\n".join(lines) + "\n"
 

@@ -132,6 +132,19 @@ def evaluate(
     return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, options=options)
 
 
+def evaluate_recorded(
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    planner: str,
+    traffic: str,
+    seed: int,
+    record: Collection[str],
+) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
+    """Do the same as :func:`evaluate`, and record some scenes."""
+    return drive(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, record=record)
+
+
 #: From the worlds and the observations [E, D] to actions [E, W].
 _Drive = Callable[[Worlds, npt.NDArray[np.float32]], npt.NDArray[Any]]
 
@@ -163,13 +176,6 @@ def play(
 ) -> list[dict[str, Any]]:
     """Drive every scene once, all in one batch: figures and score of each, see :func:`drive`."""
     return drive(scenes, planner, traffic, seed=seed, options=options)[0]
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """Worlds as a recorder takes them."""
-
-    worlds: Worlds
 
 
 def drive(
@@ -226,7 +232,7 @@ def drive(
     act = _drive(planner, worlds)
     names = worlds.column_names
     recorders = {
-        i: Recorder(_Batch(worlds), world_idx=i, planner=planner)
+        i: Recorder(worlds, world_idx=i, planner=planner)
         for i, scene in enumerate(scenes)
         if scene.name in record
     }

@@ -14,7 +14,15 @@ import numpy.typing as npt
 from ccdiff_env.bench.traffic import METHODS
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
 
-__all__ = ["FIGURES", "Condition", "Figures", "conditions", "summarise", "write_tables"]
+__all__ = [
+    "FIGURES",
+    "Condition",
+    "Figures",
+    "condition_of",
+    "conditions",
+    "summarise",
+    "write_tables",
+]
 
 #: Figures of a condition: name, unit, whether more is better for a method that seeks collisions.
 FIGURES: dict[str, str] = {
@@ -66,10 +74,14 @@ def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]
     """Return the rows of each condition from results by job name."""
     found: dict[Condition, list[Mapping[str, Any]]] = {}
     for name in sorted(raw):
-        method, k, steps, _ = name.rsplit("-", 3)
-        condition = Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
-        found.setdefault(condition, []).extend(raw[name])
+        found.setdefault(condition_of(name), []).extend(raw[name])
     return found
+
+
+def condition_of(job: str) -> Condition:
+    """Return the condition that a job of :func:`~ccdiff_env.bench.traffic.traffic_jobs` plays."""
+    method, k, steps, _ = job.rsplit("-", 3)
+    return Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
 
 
 def _column(rows: Rows, name: str) -> npt.NDArray[np.float64]:

@@ -11,7 +11,7 @@ by the same ranking for every method, and filled up by nearness, not at random (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,8 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Rollout, speed_limit
+from ccdiff_env.recorder import Recorder
+from ccdiff_env.rollout import Rollout as Recorded
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import PAPER_PROTOCOL
 
@@ -196,6 +198,7 @@ class Episode:
     position: npt.NDArray[np.float32]
     heading: npt.NDArray[np.float32]
     plans: list[dict[str, Any]]
+    recorded: Recorded | None = None
 
 
 def episodes(
@@ -206,6 +209,7 @@ def episodes(
     replan_steps: int = 5,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
+    record: Collection[str] = (),
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
@@ -223,6 +227,8 @@ def episodes(
         Seed of every episode.
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`.
+    record
+        Names of the scenes to record; it changes nothing.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -266,6 +272,13 @@ def episodes(
             native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
+    recorders = {
+        i: Recorder(worlds, world_idx=i, method=method.label)
+        for i in everyone
+        if scenes[i].name in record
+    }
+    for recorder in recorders.values():
+        recorder.start()
     actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
     running = list(everyone)
     for step in range(HORIZON_STEPS):
@@ -277,9 +290,14 @@ def episodes(
             plan = native.explain(i) if method.driver == "ccdiff" else None
             if plan is not None and plan["made_at"] == step:
                 plans[i].append(plan)
+        for recorder in recorders.values():
+            recorder.step()
     if own:
         chosen = [p[0]["agents"][p[0]["executed"]].tolist() if p else [] for p in plans]
-    return [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
+    found = [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
+    for i, recorder in recorders.items():
+        found[i].recorded = recorder.rollout()
+    return found
 
 
 def _episode(
@@ -323,14 +341,38 @@ def evaluate(
     seed: int,
 ) -> list[dict[str, Any]]:
     """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md."""
+    return evaluate_recorded(
+        source=source,
+        names=names,
+        method=method,
+        num_controlled=num_controlled,
+        replan_steps=replan_steps,
+        seed=seed,
+        record=(),
+    )[0]
+
+
+def evaluate_recorded(
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    method: str,
+    num_controlled: int | None,
+    replan_steps: int,
+    seed: int,
+    record: Collection[str],
+) -> tuple[list[dict[str, Any]], dict[str, Recorded]]:
+    """Do the same as :func:`evaluate`, and record some scenes."""
     played = episodes(
         scenes_of(source, names),
         METHODS[method],
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
+        record=record,
     )
-    return [measure(episode, replan_steps) for episode in played]
+    rows = [measure(episode, replan_steps) for episode in played]
+    return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}
 
 
 def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:

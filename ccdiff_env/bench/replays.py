@@ -1,0 +1,127 @@
+"""Replay pages of benchmarked episodes: played again as they were, with a recorder."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.view import address, write_page
+from ccdiff_env.view.index import LEAD_S
+
+__all__ = ["make_replays", "play_again", "write_replay"]
+
+#: Folder of the pages in a run folder.
+FOLDER = "replays"
+K = TypeVar("K", bound=Hashable)
+
+
+def make_replays(
+    wanted: Mapping[K, tuple[Job, str]], folder: Path, **run: Any
+) -> tuple[dict[K, str], list[K]]:
+    """Play scenes of finished jobs again and write pages of them.
+
+    The function of a job is ``<name>``; ``<name>_recorded`` beside it takes the names of the scenes
+    to ``record`` too, and returns rows and rollouts by scene.
+
+    Parameters
+    ----------
+    wanted
+        Job and scene under any key.
+    folder
+        Run folder: results are in ``raw``, pages go to ``replays``.
+    **run
+        As for :func:`~ccdiff_env.bench.jobs.run_jobs`.
+
+    Returns
+    -------
+    dict
+        Addresses of the pages from the run folder.
+    list
+        Keys of the episodes that are not what the job had reported: networks round differently on
+        other machines.
+    """
+    scenes: dict[str, list[str]] = {}
+    jobs: dict[str, Job] = {}
+    for job, scene in wanted.values():
+        jobs[job.name] = job
+        if scene not in scenes.setdefault(job.name, []):
+            scenes[job.name].append(scene)
+    again = {name: _again(job, sorted(scenes[name]), folder) for name, job in jobs.items()}
+    run_jobs(list(again.values()), folder / "raw", **run)
+    found = results(list(again.values()), folder / "raw")
+    before = results(list(jobs.values()), folder / "raw")
+    pages, changed = {}, []
+    for key, (job, scene) in wanted.items():
+        entry = found[again[job.name].name]
+        pages[key] = str(entry["pages"][scene])
+        now, then = (
+            [r for r in rows if r["scene"] == scene] for rows in (entry["rows"], before[job.name])
+        )
+        if now != then:
+            changed.append(key)
+    return pages, changed
+
+
+def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
+    digest = hashlib.sha256("\n".join(scenes).encode()).hexdigest()[:8]
+    arguments = {
+        "function": f"{job.function}_recorded",
+        "arguments": dict(job.arguments),
+        "scenes": list(scenes),
+        "folder": str((folder / FOLDER).resolve()),
+        "prefix": job.name,
+    }
+    return Job(f"replay-{job.name}-{digest}", f"{__name__}:play_again", arguments)
+
+
+def play_again(
+    *,
+    function: str,
+    arguments: Mapping[str, Any],
+    scenes: Sequence[str],
+    folder: str,
+    prefix: str,
+) -> dict[str, Any]:
+    """Do a job's work once more and write pages of some of its scenes.
+
+    The whole batch is played, so that the episodes are those of the job bit for bit.
+
+    Returns
+    -------
+    dict
+        ``rows``: those of the scenes this time; ``pages``: addresses by scene, from the folder
+        above that of the pages.
+    """
+    module, name = function.split(":")
+    work: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    rows, rollouts = work(**arguments, record=list(scenes))
+    pages = {
+        scene: write_replay(rollouts[scene], Path(folder) / f"{prefix}-{scene}.html")
+        for scene in scenes
+    }
+    return {"rows": [row for row in rows if row["scene"] in pages], "pages": pages}
+
+
+def write_replay(rollout: Rollout, path: Path) -> str:
+    """Write the page of an episode; returns its address from the folder above.
+
+    It opens before the first collision of the ego (else of anybody, else before the ego's least
+    time to contact) and follows who collides.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_page(rollout, path)
+    hits = rollout.collisions("ego") or rollout.collisions()
+    follow, step = None, 0
+    if hits:
+        follow, step = hits[0].agent_id, hits[0].step
+    elif len(rollout.figures.get("ttc", ())):
+        step = int(np.argmin(rollout.figures["ttc"])) + 1
+    time_s = max(0.0, step * rollout.dt_s - LEAD_S)
+    return address(f"{path.parent.name}/{path.name}", time_s=time_s, follow=follow)

@@ -1,0 +1,186 @@
+"""Reports of the benchmarks: pages of tables, plots and links to replays of what was measured."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+
+import pytest
+
+from ccdiff_env import cli
+from ccdiff_env.bench.examples import choose_examples, examples_table
+from ccdiff_env.bench.page import markdown_html, write_report_page
+from ccdiff_env.bench.planner_report import worst_scenes
+from ccdiff_env.bench.tables import Condition
+from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
+
+VAL = {"embedded": "val"}
+
+
+class Parts(HTMLParser):
+    """Cells of tables, and what a page points at."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.links, self.sources, self._cell = [], [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        if tag == "tr":
+            self.rows.append([])
+        self._cell = tag in ("td", "th", "a") and (self._cell or tag != "a")
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag == "a":
+            self.links.append(found["href"])
+        if tag in ("img", "script", "link", "iframe"):
+            self.sources.append(found.get("src") or found.get("href"))
+
+    def handle_data(self, data):
+        if self._cell and self.rows:
+            self.rows[-1][-1] += data
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self._cell = False
+
+
+def test_markdown_of_reports_becomes_html():
+    text = markdown_html(
+        "### A <head>\n\nSome `text`\nin two lines & more\n\n"
+        "| scene | why |\n|---|---|\n| [a](replays/a.html#t=1.0&follow=ego) | x < y |\n| | |\n"
+    )
+    assert text.startswith("<h3>A &lt;head&gt;</h3>\n<p>Some `text` in two lines &amp; more</p>")
+    found = Parts(text)
+    assert found.rows == [["scene", "why"], ["a", "x < y"], ["", ""]]
+    assert found.links == ["replays/a.html#t=1.0&follow=ego"]
+
+
+def test_pages_need_nothing_else(tmp_path):
+    picture = tmp_path / "plot.png"
+    picture.write_bytes(b"\x89PNG")
+    page = tmp_path / "report.html"
+    plots = [picture, tmp_path / "absent.png"]
+    write_report_page(page, title="A & B", line="{line}", plots=plots, parts={"T": "x", "E": " "})
+    found = Parts(page.read_text(encoding="utf-8"))
+    assert found.links == ["#t"]
+    assert all(source.startswith("data:") for source in found.sources)
+    assert len(found.sources) == 2
+
+
+def replays(folder):
+    links = Parts((folder / "report.html").read_text(encoding="utf-8")).links
+    return [link for link in links if link.startswith("replays/")]
+
+
+@pytest.fixture(scope="module")
+def planners(tmp_path_factory):
+    """A run folder with replays, and the command that made it."""
+    folder = tmp_path_factory.mktemp("planners")
+    command = ["bench", "planners", "--out", str(folder), "--quiet", "--limit", "4"]
+    command += ["--planners", "idm,replay", "--traffic", "replay,ccdiff-1", "--replays", "2"]
+    assert cli.main(command) == 0
+    return folder, command
+
+
+def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(planners, capsys):
+    folder, command = planners
+    links = replays(folder)
+    assert len(links) == 4
+    for link in links:
+        page = folder / link.partition("#")[0]
+        assert 10_000 < page.stat().st_size < 1_000_000
+    worst = (folder / "worst.md").read_text(encoding="utf-8")
+    assert worst.count("](replays/") == 4
+    assert cli.main(command) == 0
+    assert "differ" not in capsys.readouterr().out
+
+
+def test_replays_of_something_else_are_told(planners, capsys):
+    folder, command = planners
+    raw = next(p for p in (folder / "raw").glob("replay-*") if "ccdiff-1" in p.name)
+    entry = json.loads(raw.read_text(encoding="utf-8"))
+    entry["result"]["rows"][0]["score"] += 0.5
+    kept = raw.read_text(encoding="utf-8")
+    raw.write_text(json.dumps(entry), encoding="utf-8")
+    assert cli.main(command) == 0
+    assert "1 replays differ" in capsys.readouterr().out
+    raw.write_text(kept, encoding="utf-8")
+
+
+def test_a_report_and_its_replays_open_from_the_disc(planners, browser):
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    faults = []
+    page.on("console", lambda m: m.type in ("error", "warning") and faults.append(m.text))
+    page.goto((planners[0] / "report.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert page.locator("img").evaluate("i => i.naturalWidth") > 100
+    page.locator('a[href^="replays/"]').first.click()
+    page.wait_for_selector("body[data-ready=yes]")
+    assert not faults
+    page.close()
+
+
+def test_the_worst_come_first_and_close_calls_break_ties():
+    def row(scene, score, ttc):
+        return {"scene": scene, "score": score, "min_ttc_s": ttc}
+
+    found = {
+        ("idm", "replay"): [row("a", 0.5, 1.0), row("b", 0.0, 2.0)],
+        ("idm", "idm"): [row("a", 0.0, 1.0), row("b", 0.9, 0.1)],
+        ("pdm", "idm"): [row("a", 0.0, 0.0)],
+    }
+    worst = worst_scenes(found, "idm", 3)
+    assert [(name, r["scene"]) for name, r in worst] == [
+        ("idm", "a"), ("replay", "b"), ("replay", "a"),
+    ]  # fmt: skip
+
+
+def test_recording_traffic_changes_nothing():
+    arguments = {
+        "source": VAL, "names": ["cut-in-03", "queue-03"], "method": "ccdiff", "num_controlled": 2,
+        "replan_steps": 5, "seed": 0,
+    }  # fmt: skip
+    rows, rollouts = evaluate_recorded(**arguments, record=["queue-03"])
+    assert rows == evaluate(**arguments)
+    rollout = rollouts.pop("queue-03")
+    assert not rollouts
+    assert rollout.num_steps == 101
+    assert len(rollout.plans) == 20
+    assert rollout.driver_names.count("ccdiff") == rows[1]["num_controlled"] == 2
+
+
+def test_examples_are_guided_scenes_with_realistic_collisions_first():
+    def row(scene, hit, cost):
+        return {
+            "scene": scene, "collision": {"controlled_new": hit}, "realism_cost": cost,
+            "fde_m": 1.0, "off_road": 0.0,
+        }  # fmt: skip
+
+    rows = [row("a", False, 0.1), row("b", True, 0.9), row("c", True, 0.4), row("d", False, None)]
+    table = {Condition("ccdiff", k, 5): rows for k in (1, 4, None)} | {
+        Condition("idm", 5, 5): rows,
+        Condition("ccdiff_unguided", 5, 5): rows,
+    }
+    chosen = choose_examples(table, 3)
+    assert [(c.method, c.k, r["scene"]) for c, r in chosen] == [
+        ("ccdiff", "4", "c"), ("ccdiff", "4", "b"), ("ccdiff", "4", "a"),
+    ]  # fmt: skip
+    text = examples_table(
+        chosen, {(c, r["scene"]): f"replays/{r['scene']}.html" for c, r in chosen}
+    )
+    assert "| [c](replays/c.html) | yes | 0.40 | 1.0 | 0.0 |" in text
+
+
+def test_reports_of_traffic_and_scenarios_link_to_replays(tmp_path):
+    few = ["--quiet", "--limit", "3", "--replays", "1"]
+    traffic = ["bench", "traffic", "--out", str(tmp_path / "t"), "--k", "2", *few]
+    assert cli.main([*traffic, "--methods", "idm,ccdiff"]) == 0
+    assert len(replays(tmp_path / "t")) == 1
+    scenarios = ["bench", "scenarios", "--out", str(tmp_path / "s"), "--generators", "idm", *few]
+    assert cli.main([*scenarios, "--planners", "idm,replay"]) == 0
+    links = replays(tmp_path / "s")
+    assert len(links) == 3
+    for link in links:
+        assert (tmp_path / "s" / link.partition("#")[0]).exists()
