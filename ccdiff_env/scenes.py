@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache as _memoise
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Literal, overload
@@ -34,7 +35,8 @@ class SceneSet(Sequence[Scene]):
     scenes
         The scenes, with names that are unique in the set.
     report
-        What the load has to say; empty where the scenes were not loaded from files.
+        What the load has to say, or a function that makes the report when it is first looked at;
+        empty where the scenes were not loaded from files.
 
     Examples
     --------
@@ -42,14 +44,25 @@ class SceneSet(Sequence[Scene]):
     ``"scene-0061" in scenes``.
     """
 
-    __slots__ = ("_by_name", "_scenes", "report")
+    __slots__ = ("_by_name", "_report", "_scenes")
 
-    def __init__(self, scenes: Iterable[Scene], report: LoadReport | None = None) -> None:
+    def __init__(
+        self,
+        scenes: Iterable[Scene],
+        report: LoadReport | Callable[[], LoadReport] | None = None,
+    ) -> None:
         self._scenes = tuple(scenes)
         self._by_name = {scene.name: index for index, scene in enumerate(self._scenes)}
         if len(self._by_name) != len(self._scenes):
             raise ConfigError("two scenes of one name: names must be unique in a SceneSet")
-        self.report = report if report is not None else LoadReport.blank()
+        self._report = report if report is not None else LoadReport.blank()
+
+    @property
+    def report(self) -> LoadReport:
+        """What the load has to say."""
+        if not isinstance(self._report, LoadReport):
+            self._report = self._report()
+        return self._report
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -223,7 +236,7 @@ def load_nuscenes(
         require_map=require_map,
         cache_directory=None if folder is None else os.fspath(folder),
     )
-    return SceneSet(loaded, LoadReport.from_json(report))
+    return SceneSet(loaded, partial(LoadReport.from_json, report))
 
 
 def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:

@@ -61,27 +61,57 @@ impl ArcLinePath {
         letters.next().is_none().then_some(curvatures)
     }
 
-    /// Position `distance_m` along the path.
-    fn at(&self, curvatures_1pm: [f64; 3], distance_m: f64) -> [f64; 2] {
+    /// The pieces, one behind the other.
+    fn pieces(&self, curvatures_1pm: [f64; 3]) -> [Piece; 3] {
         let [mut x, mut y, mut yaw] = self.start_pose;
-        let mut left = distance_m;
-        for (curvature, length) in curvatures_1pm.into_iter().zip(self.segment_length) {
-            let along = left.clamp(0.0, length);
-            let turn = curvature * along;
-            // the chord of the arc, in the frame of its start
-            let (forward, sideways) = if curvature.abs() < 1e-6 {
-                (along, 0.0)
-            } else {
-                (turn.sin() / curvature, (1.0 - turn.cos()) / curvature)
-            };
+        [0, 1, 2].map(|i| {
             let (sin, cos) = yaw.sin_cos();
-            x += cos * forward - sin * sideways;
-            y += sin * forward + cos * sideways;
-            yaw += turn;
-            left -= along;
-        }
-        [x, y]
+            let (curvature_1pm, length_m) = (curvatures_1pm[i], self.segment_length[i]);
+            let piece = Piece { x, y, sin, cos, curvature_1pm, length_m };
+            [x, y] = piece.at(length_m);
+            yaw += curvature_1pm * length_m;
+            piece
+        })
     }
+}
+
+/// An arc or a straight line.
+struct Piece {
+    x: f64,
+    y: f64,
+    sin: f64,
+    cos: f64,
+    curvature_1pm: f64,
+    length_m: f64,
+}
+
+impl Piece {
+    /// Position `along_m` from its start.
+    fn at(&self, along_m: f64) -> [f64; 2] {
+        // the chord of the arc, in the frame of its start
+        let (forward, sideways) = if self.curvature_1pm.abs() < 1e-6 {
+            (along_m, 0.0)
+        } else {
+            let (sin, cos) = (self.curvature_1pm * along_m).sin_cos();
+            (sin / self.curvature_1pm, (1.0 - cos) / self.curvature_1pm)
+        };
+        [
+            self.x + (self.cos * forward - self.sin * sideways),
+            self.y + (self.sin * forward + self.cos * sideways),
+        ]
+    }
+}
+
+/// Position `distance_m` along some pieces.
+fn position_along(pieces: &[Piece; 3], distance_m: f64) -> [f64; 2] {
+    let mut left_m = distance_m;
+    for piece in &pieces[..2] {
+        if left_m <= piece.length_m {
+            return piece.at(left_m);
+        }
+        left_m -= piece.length_m;
+    }
+    pieces[2].at(left_m.min(pieces[2].length_m))
 }
 
 /// Points of a centre line about `spacing_m` apart, ends of paths included. Empty where all paths have no length.
@@ -94,9 +124,10 @@ pub(crate) fn discretise(paths: &[ArcLinePath], spacing_m: f64) -> Result<Vec<[f
         path.check()?;
         let Some(curvatures) = path.curvatures_1pm() else { continue };
         let length: f64 = path.segment_length.iter().sum();
-        let pieces = ((length / spacing_m).ceil() as usize).max(1);
-        for i in 0..=pieces {
-            let point = path.at(curvatures, length * i as f64 / pieces as f64);
+        let (pieces, count) = (path.pieces(curvatures), ((length / spacing_m).ceil() as usize).max(1));
+        points.reserve(count + 1);
+        for i in 0..=count {
+            let point = position_along(&pieces, length * i as f64 / count as f64);
             let near = |p: &[f64; 2]| (p[0] - point[0]).hypot(p[1] - point[1]) < MIN_SPACING_M;
             if !points.last().is_some_and(near) {
                 points.push(point);

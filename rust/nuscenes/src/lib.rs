@@ -6,6 +6,7 @@
 //!
 //! - `stream`: a table as a stream of records, parsed in parallel
 //! - `record`: the fields of one record
+//! - `scan`: where strings and brackets end, `number`: the value of numbers
 //! - `token`, `index`: tokens as numbers, and how they are looked up
 //! - `tables`: rows, and their join to the logged facts of each scene
 //! - `resample`: key frames to steps
@@ -23,10 +24,12 @@ mod error;
 mod index;
 mod load;
 mod map_file;
+mod number;
 mod options;
 mod record;
 mod report;
 mod resample;
+mod scan;
 mod stream;
 mod tables;
 mod token;

@@ -204,7 +204,7 @@ fn note(report: &mut MapReport, count: usize, words: &str) {
 impl<'a> Assembler<'a> {
     fn new(file: &'a MapText<'a>, path: &'a Path) -> Result<Self> {
         let nodes = file.rows("node", &["token", "x", "y"], |row| {
-            let (token, x, y): (_, f64, f64) = (row.token(0)?, row.parse(1)?, row.parse(2)?);
+            let (token, x, y) = (row.token(0)?, row.number(1)?, row.number(2)?);
             if x.abs() < 1e6 && y.abs() < 1e6 {
                 return Ok((token, [x, y]));
             }

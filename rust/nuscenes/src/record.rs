@@ -4,6 +4,8 @@
 //! records that nobody needs. Finding where values end is several times faster than parsing them.
 
 use crate::error::{NuscenesError, Result};
+use crate::number::{plain_number, plain_numbers};
+use crate::scan::{Nesting, find_quote_or_escape};
 use crate::token::Token;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -116,7 +118,18 @@ impl<'a, const N: usize> Record<'a, N> {
     where
         [f64; K]: DeserializeOwned,
     {
-        self.parse(field)
+        match plain_numbers(self.raw(field)?.0) {
+            Some(values) => Ok(values),
+            None => self.parse(field),
+        }
+    }
+
+    /// A number.
+    pub(crate) fn number(&mut self, field: usize) -> Result<f64> {
+        match plain_number(self.raw(field)?.0) {
+            Some(value) => Ok(value),
+            None => self.parse(field),
+        }
     }
 }
 
@@ -132,27 +145,6 @@ fn skip_space(text: &[u8], mut at: usize) -> usize {
         at += 1;
     }
     at
-}
-
-/// Position of the next quotation mark or backslash from `at` on.
-///
-/// Eight bytes at a time: most strings are tokens, too short for a vector search to pay.
-#[inline]
-pub(crate) fn find_quote_or_escape(text: &[u8], mut at: usize) -> Option<usize> {
-    const LOW: u64 = 0x0101_0101_0101_0101;
-    const HIGH: u64 = 0x8080_8080_8080_8080;
-    // the high bit of the first byte that is zero is set; of bytes after it, it may be set
-    let zeros = |word: u64| word.wrapping_sub(LOW) & !word & HIGH;
-    while let Some(bytes) = text.get(at..).and_then(|rest| rest.first_chunk::<8>()) {
-        let word = u64::from_le_bytes(*bytes);
-        let hits = zeros(word ^ (LOW * b'"' as u64)) | zeros(word ^ (LOW * b'\\' as u64));
-        if hits != 0 {
-            return Some(at + hits.trailing_zeros() as usize / 8);
-        }
-        at += 8;
-    }
-    let rest = text.get(at..)?;
-    rest.iter().position(|b| matches!(b, b'"' | b'\\')).map(|i| at + i)
 }
 
 /// Position after the string that begins at `at` with a quotation mark.
@@ -172,22 +164,8 @@ fn skip_value(text: &[u8], at: usize) -> Option<usize> {
     match text.get(at)? {
         b'"' => skip_string(text, at),
         b'{' | b'[' => {
-            let (mut i, mut depth) = (at, 0_usize);
-            loop {
-                match text.get(i)? {
-                    b'"' => {
-                        i = skip_string(text, i)?;
-                        continue;
-                    }
-                    b'{' | b'[' => depth += 1,
-                    b'}' | b']' => depth -= 1,
-                    _ => {}
-                }
-                i += 1;
-                if depth == 0 {
-                    return Some(i);
-                }
-            }
+            let (end, closed) = { Nesting::START }.advance(text, at);
+            closed.then_some(end)
         }
         _ => {
             let ends = |b: &u8| matches!(b, b',' | b'}' | b']') || b.is_ascii_whitespace();
@@ -390,16 +368,6 @@ mod tests {
             let _ = elements(&bytes, source());
             let mut record = Record::new(&bytes, &["", "a"], source());
             let _ = (record.token(0), record.numbers::<3>(1), record.text(0), record.has(1));
-        }
-
-        #[test]
-        fn quotes_and_escapes_are_found_where_a_plain_search_finds_them(
-            bytes in proptest::collection::vec(prop_oneof![Just(b'"'), Just(b'\\'), any::<u8>(), any::<u8>(), any::<u8>(),
-                Just(b'!'), Just(b'#'), Just(b'[')], 0..40),
-            at in 0_usize..45,
-        ) {
-            let plain = bytes.iter().enumerate().skip(at).find(|(_, b)| matches!(b, b'"' | b'\\')).map(|(i, _)| i);
-            prop_assert_eq!(find_quote_or_escape(&bytes, at), plain);
         }
     }
 }

@@ -34,6 +34,7 @@ pub(crate) fn resample(keys: &[Key], steps_per_key: usize, interpolation: Interp
     let velocities = key_velocities(keys);
     let yaw_rates = rates(keys, |i| headings[i]);
     let mut out = Resampled { first_step: first.frame * steps_per_key, ..Resampled::default() };
+    out.states.reserve_exact((keys[keys.len() - 1].frame - first.frame) * steps_per_key + 1);
     for (i, pair) in keys.windows(2).enumerate() {
         let frames = pair[1].frame - pair[0].frame;
         if frames > 1 {

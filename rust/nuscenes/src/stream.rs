@@ -4,7 +4,8 @@
 //! before. Layout does not matter: pretty-printed or on one line, fields in any order.
 
 use crate::error::{NuscenesError, Result};
-use crate::record::{Record, Source, find_quote_or_escape};
+use crate::record::{Record, Source};
+use crate::scan::Nesting;
 use rayon::prelude::*;
 use std::fs::File;
 use std::io::Read;
@@ -96,17 +97,6 @@ where
     block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
 }
 
-/// Bytes outside strings that the scanner has to look at.
-const IS_STRUCTURE: [bool; 256] = {
-    let mut table = [false; 256];
-    let mut i = 0;
-    while i < 5 {
-        table[b"\"{}[]"[i] as usize] = true;
-        i += 1;
-    }
-    table
-};
-
 /// Where the scanner stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum At {
@@ -114,10 +104,8 @@ enum At {
     Start,
     /// After the opening bracket, or after a comma (`true`).
     Item { after_comma: bool },
-    /// In a record, this many brackets deep.
-    Record { depth: usize },
-    /// In a string of a record.
-    String { depth: usize },
+    /// In a record.
+    Record(Nesting),
     /// After a record: a comma or the closing bracket follows.
     Separator,
     /// After the closing bracket.
@@ -184,39 +172,23 @@ impl<'a, R: Read> Blocks<'a, R> {
         let mut at = self.at;
         while let Some(&byte) = bytes.get(i) {
             match at {
-                At::Record { depth } => match byte {
-                    b'"' => at = At::String { depth },
-                    b'{' | b'[' => at = At::Record { depth: depth + 1 },
-                    b'}' | b']' if depth == 1 => {
-                        records.push(record_start..i + 1);
-                        at = At::Separator;
-                    }
-                    b'}' | b']' => at = At::Record { depth: depth - 1 },
-                    // on to the next byte of any of these kinds
-                    _ => {
-                        while bytes.get(i + 1).is_some_and(|b| !IS_STRUCTURE[*b as usize]) {
-                            i += 1;
-                        }
-                    }
-                },
-                At::String { depth } => match find_quote_or_escape(bytes, i) {
-                    Some(found) if bytes[found] == b'"' => {
-                        i = found;
-                        at = At::Record { depth };
-                    }
-                    // an escape whose second byte is not read yet is scanned again with the next block
-                    Some(found) if found + 1 >= bytes.len() => {
-                        i = found;
+                At::Record(mut nesting) => {
+                    let (end, closed) = nesting.advance(bytes, i);
+                    i = end;
+                    if !closed {
+                        at = At::Record(nesting);
                         break;
                     }
-                    Some(found) => i = found + 1,
-                    None => i = bytes.len() - 1,
-                },
+                    records.push(record_start..end);
+                    at = At::Separator;
+                    continue;
+                }
                 _ if byte.is_ascii_whitespace() => {}
                 At::Start if byte == b'[' => at = At::Item { after_comma: false },
                 At::Item { .. } if byte == b'{' => {
                     record_start = i;
-                    at = At::Record { depth: 1 };
+                    at = At::Record(Nesting::START);
+                    continue;
                 }
                 At::Item { after_comma: false } if byte == b']' => at = At::End,
                 At::Separator if byte == b',' => at = At::Item { after_comma: true },
@@ -226,9 +198,8 @@ impl<'a, R: Read> Blocks<'a, R> {
             i += 1;
         }
         self.at = at;
-        let in_record = matches!(at, At::Record { .. } | At::String { .. });
-        let consumed = if in_record { record_start } else { bytes.len() };
-        self.scanned = i.min(bytes.len()) - consumed;
+        let consumed = if matches!(at, At::Record(_)) { record_start } else { bytes.len() };
+        self.scanned = i - consumed;
         Ok((records, consumed))
     }
 }
@@ -239,7 +210,7 @@ impl At {
             Self::Start => "an array of records",
             Self::Item { .. } => "a record",
             Self::Separator => "a comma or the end of the array",
-            Self::Record { .. } | Self::String { .. } => "a field",
+            Self::Record(_) => "a field",
             Self::End => "nothing after the array",
         }
     }

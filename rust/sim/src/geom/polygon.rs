@@ -109,23 +109,28 @@ fn ring_area(ring: &[Point2]) -> f64 {
 }
 
 fn clip_ring(ring: &[Point2], min: Point2, max: Point2) -> Vec<Point2> {
-    // signed distances into the four half planes
-    let sides: [fn(&Point2, &Point2, &Point2) -> Real; 4] =
-        [|p, lo, _| p.x - lo.x, |p, _, hi| hi.x - p.x, |p, lo, _| p.y - lo.y, |p, _, hi| hi.y - p.y];
-    let mut points = ring.to_vec();
-    for side in sides {
-        let mut kept = Vec::with_capacity(points.len() + 4);
-        for (a, b) in ring_edges(&points) {
-            let (da, db) = (side(&a, &min, &max), side(&b, &min, &max));
-            if (da >= 0.0) != (db >= 0.0) {
-                kept.push(a + (b - a) * (da / (da - db)));
-            }
-            if db >= 0.0 {
-                kept.push(b);
-            }
-        }
-        points = kept;
-    }
+    let mut points = clip_side(ring, |p| p.x - min.x);
+    points = clip_side(&points, |p| max.x - p.x);
+    points = clip_side(&points, |p| p.y - min.y);
+    points = clip_side(&points, |p| max.y - p.y);
     points.dedup();
     points
+}
+
+/// The part of a ring in a half plane, given by the signed distance into it.
+fn clip_side(ring: &[Point2], distance: impl Fn(&Point2) -> Real) -> Vec<Point2> {
+    let mut kept = Vec::with_capacity(ring.len() + 4);
+    let Some(mut a) = ring.last().copied().filter(|_| ring.len() > 1) else { return kept };
+    let mut da = distance(&a);
+    for b in ring {
+        let db = distance(b);
+        if (da >= 0.0) != (db >= 0.0) {
+            kept.push(a + (b - a) * (da / (da - db)));
+        }
+        if db >= 0.0 {
+            kept.push(*b);
+        }
+        (a, da) = (*b, db);
+    }
+    kept
 }

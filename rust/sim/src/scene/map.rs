@@ -57,7 +57,9 @@ impl Map {
     /// Name of the first layer that holds a number that is not finite, a line of fewer than two points or a lane
     /// index out of range.
     pub fn first_fault(&self) -> Option<&'static str> {
-        let finite = |points: &[Point2]| points.iter().all(|p| p.x.is_finite() && p.y.is_finite());
+        // without a branch: several points at once
+        let finite =
+            |points: &[Point2]| points.iter().fold(true, |ok, p| ok & p.x.is_finite() & p.y.is_finite());
         let polygon = |p: &Polygon| finite(&p.exterior) && p.holes.iter().all(|h| finite(h));
         let line = |l: &Vec<Point2>| l.len() >= 2 && finite(l);
         let linked = |ids: &[u32]| ids.iter().all(|i| (*i as usize) < self.lanes.len());

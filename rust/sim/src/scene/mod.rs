@@ -151,9 +151,7 @@ impl Scene {
         }
         for (i, ok) in self.tracks.valid.iter().enumerate() {
             let (p, h, v) = (self.tracks.position[i], self.tracks.heading_rad[i], self.tracks.velocity[i]);
-            if *ok
-                && !(p.coords.iter().chain(v.iter()).all(|x| x.is_finite() && x.abs() < 1e6) && h.is_finite())
-            {
+            if *ok && !([p.x, p.y, v.x, v.y].iter().all(|x| x.abs() < 1e6) && h.is_finite()) {
                 let field = format!("track of {:?} at step {}", self.agents[i / num_steps].id, i % num_steps);
                 let got = format!("position {p}, heading {h}, velocity ({}, {})", v.x, v.y);
                 return fail(field, got, "finite numbers within 1000 km");
