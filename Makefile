@@ -9,7 +9,7 @@ RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Carg
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup demo test test-rust test-py lint bench clean
+.PHONY: help setup demo test test-rust test-py test-learners lint bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -38,6 +38,11 @@ test-rust: $(STAMP)
 
 test-py: $(SO)
 	$(BIN)/python -m pytest
+
+test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install (RLlib changes the Gymnasium of .venv)
+	if $(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra dev --extra rl --extra viz --extra torchrl --extra rllib; \
+	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
+	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
 lint: $(SO)  ## formatting, clippy, ruff, mypy
 	cargo fmt --check
