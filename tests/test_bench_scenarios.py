@@ -254,7 +254,7 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
     first = {path.name: path.stat().st_mtime_ns for path in raw.iterdir()}
     assert command("one") == 0
     assert {path.name: path.stat().st_mtime_ns for path in raw.iterdir()} == first
-    assert command("two", "--workers", "2") == 0
+    assert command("two") == 0
     for name in ("table.md", "cross.csv", "sets/idm/manifest.json", "sets/replay/manifest.json"):
         one, two = ((tmp_path / f / name).read_bytes() for f in ("one", "two"))
         assert one == two

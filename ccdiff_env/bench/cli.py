@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ccdiff_env.bench.arguments import (
+    add_replays,
+    add_run_arguments,
+    add_scene_arguments,
+    begin,
+    close,
+    run_options,
+    source_from,
+)
 from ccdiff_env.bench.jobs import Job, results, run_jobs
-from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
-from ccdiff_env.bench.scenes import source_of, source_title
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.models import shipped_weights
 
 __all__ = ["add_bench"]
 
@@ -28,52 +32,8 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     _add_planners(kinds)
     _add_scenarios(kinds)
     _add_learning(kinds)
+    _add_speed(kinds)
     _add_selection(kinds)
-
-
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what every benchmark takes: scenes, run folder, backend."""
-    parser.add_argument("--dataroot", help="folder of nuScenes; the embedded scenes without it")
-    parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
-    parser.add_argument("--split", help="split (ccdiff100; of the embedded scenes: val)")
-    parser.add_argument("--limit", type=int, help="only so many scenes, the first ones")
-    parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--backend", choices=["local", "ray"], default="local")
-    parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-
-
-def source_from(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the description of the scenes that the arguments name."""
-    default = "val" if args.dataroot is None else "ccdiff100"
-    return source_of(
-        dataroot=args.dataroot,
-        version=args.version,
-        split=args.split or default,
-        limit=args.limit,
-    )
-
-
-def begin(args: argparse.Namespace, settings: dict[str, Any]) -> str:
-    """Make the run folder, or check that it belongs to the same run, by settings and weights.
-
-    Returns the SHA-256 of the weights.
-    """
-    weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
-    settings = {**settings, "weights": weights}
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "run.json"
-    if path.exists():
-        known = json.loads(path.read_text(encoding="utf-8"))
-        changed = [k for k in settings if k in known and known[k] != settings[k]]
-        if changed:
-            raise ConfigError(
-                f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
-                f"{settings[changed[0]]!r}; choose another folder"
-            )
-    path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
-    return weights
 
 
 def _counts(text: str) -> list[int | None]:
@@ -81,41 +41,6 @@ def _counts(text: str) -> list[int | None]:
         return [None if part == "Full" else int(part) for part in text.split(",")]
     except ValueError:
         raise ConfigError(f"--k is {text!r}, expected numbers and Full, comma-separated") from None
-
-
-def _add_replays(parser: argparse.ArgumentParser, which: str) -> None:
-    parser.add_argument(
-        "--replays", type=int, default=0, metavar="N", help=f"write replay pages of the N {which}"
-    )
-
-
-def _run_options(args: argparse.Namespace) -> dict[str, Any]:
-    return {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
-
-
-def _close(
-    args: argparse.Namespace,
-    *,
-    title: str,
-    weights: str,
-    plots: Sequence[str],
-    parts: Mapping[str, str],
-    changed: int,
-    num_jobs: int,
-    seconds: float,
-) -> int:
-    """Write the report page of a run, and say what there is."""
-    line = f"{source_title(source_from(args))} · seed {args.seed} · weights {weights[:12]}"
-    texts = {head: (args.out / file).read_text(encoding="utf-8") for head, file in parts.items()}
-    page = args.out / "report.html"
-    write_report_page(
-        page, title=title, line=line, plots=[args.out / name for name in plots], parts=texts
-    )
-    print((args.out / "table.md").read_text(encoding="utf-8"))
-    if changed:
-        print(f"{changed} replays differ from what was measured (by another machine or release)")
-    print(f"{num_jobs} jobs in {seconds:.0f} s; report: {page}")
-    return 0
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -126,11 +51,12 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
     parser.add_argument("--t", default="0.5", help="seconds between plans, comma-separated")
-    _add_replays(parser, "guided scenes of every guided method, realistic collisions first")
+    add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
 
 
 def _traffic(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.correlation import write_correlations
     from ccdiff_env.bench.examples import choose_examples, examples_table
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
@@ -147,26 +73,31 @@ def _traffic(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     raw = args.out / "raw"
-    run_jobs(jobs, raw, **_run_options(args))
+    run_jobs(jobs, raw, **run_options(args))
     by_condition = conditions(results(jobs, raw))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
     write_tables(table, args.out)
+    write_correlations(by_condition, args.out)
     plot_scores(table, args.out / "scores.png")
     job_of = {
         (condition_of(job.name), scene): job for job in jobs for scene in job.arguments["names"]
     }
     chosen = choose_examples(by_condition, args.replays)
     wanted = {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
-    pages, changed = make_replays(wanted, args.out, **_run_options(args))
+    pages, changed = make_replays(wanted, args.out, **run_options(args))
     examples = examples_table(chosen, pages)
     (args.out / "examples.md").write_text(examples, encoding="utf-8")
-    return _close(
+    return close(
         args,
         title="Traffic",
         weights=weights,
         plots=["scores.png"],
-        parts={"Tables": "table.md", "Examples of guided traffic": "examples.md"},
+        parts={
+            "Tables": "table.md",
+            "Cliques and collisions": "correlation.md",
+            "Examples of guided traffic": "examples.md",
+        },
         changed=len(changed),
         num_jobs=len(jobs),
         seconds=time.perf_counter() - start,
@@ -184,7 +115,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--traffic", default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1", help="comma-separated"
     )
-    _add_replays(parser, "worst scenes of every planner")
+    add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
 
@@ -197,7 +128,7 @@ def _planners(args: argparse.Namespace) -> int:
     weights = begin(args, settings)
     start = time.perf_counter()
     jobs = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
-    run_jobs(jobs, args.out / "raw", **_run_options(args))
+    run_jobs(jobs, args.out / "raw", **run_options(args))
     rows: dict[tuple[str, str], list[Any]] = {}
     job_of: dict[tuple[str, str, str], Job] = {}
     by_name = results(jobs, args.out / "raw")
@@ -210,9 +141,9 @@ def _planners(args: argparse.Namespace) -> int:
         for planner in planners
         for name, row in worst_scenes(rows, planner, args.replays)
     }
-    pages, changed = make_replays(wanted, args.out, **_run_options(args))
+    pages, changed = make_replays(wanted, args.out, **run_options(args))
     write_report(rows, args.out, worst=max(args.replays, 10), pages=pages)
-    return _close(
+    return close(
         args,
         title="Planners in traffic",
         weights=weights,
@@ -236,7 +167,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
-    _add_replays(parser, "first collisions of every set, and worst scenarios of every planner")
+    add_replays(parser, "first collisions of every set, and worst scenarios of every planner")
     parser.set_defaults(run=_scenarios)
 
 
@@ -258,7 +189,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         args, {"benchmark": "scenarios", "source": source, "seed": args.seed, **settings}
     )
     start = time.perf_counter()
-    raw, run = args.out / "raw", _run_options(args)
+    raw, run = args.out / "raw", run_options(args)
     folders = set_folders(settings["generators"], args.out / "sets")
     making = generation_jobs(
         source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
@@ -284,7 +215,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     pages, changed = make_replays(wanted, args.out, **run)
     worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")
     (args.out / "worst.md").write_text(worst, encoding="utf-8")
-    return _close(
+    return close(
         args,
         title="Egos that traffic is made against, and planners in it",
         weights=weights,
@@ -330,7 +261,7 @@ def _learning(args: argparse.Namespace) -> int:
         base_steps=args.base_steps,
         folder=args.out / "egos",
     )
-    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    run = run_options(args)
     run_jobs(base, args.out / "training", **run)
     run_jobs(taught, args.out / "training", **run)
     planners = [str(job.arguments["path"]) for job in taught]
@@ -383,7 +314,7 @@ def _selection(args: argparse.Namespace) -> int:
         steps=args.steps,
         folder=args.out / "choosers",
     )
-    run = {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+    run = run_options(args)
     run_jobs(jobs, args.out / "training", **run)
     policies = [str(job.arguments["path"]) for job in jobs]
     tests = selection.trial_jobs(source, policies, ego=args.ego, seed=args.seed)
@@ -396,4 +327,31 @@ def _selection(args: argparse.Namespace) -> int:
     text = selection.selection_table(rows)
     (args.out / "table.md").write_text(text, encoding="utf-8")
     print(text)
+    return 0
+
+
+def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("speed", help="seconds per plan against the number of vehicles")
+    add_scene_arguments(parser)
+    parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
+    parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
+    parser.add_argument("--samples", type=int, default=1, help="samples per plan")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.set_defaults(run=_speed)
+
+
+def _speed(args: argparse.Namespace) -> int:
+    import torch
+
+    from ccdiff_env.bench.speed import measure_speed, write_speed
+
+    torch.set_num_threads(1)
+    timings = measure_speed(
+        scenes_of(source_from(args)),
+        rounds=args.rounds,
+        num_samples=args.samples,
+        device=args.device,
+    )
+    write_speed(timings, args.out)
+    print((args.out / "table.md").read_text(encoding="utf-8"))
     return 0

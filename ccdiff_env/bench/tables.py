@@ -38,7 +38,11 @@ FIGURES: dict[str, str] = {
     "cfd": "comfort distance, body axes, x 100",
     "cfd_parity": "... axes as released, x 100",
     "sor": "share of scenes with a controlled vehicle over the speed limit",
+    "sor_log": "... of the same vehicles in the log",
+    "excess": "speed above the limit, mean over steps of controlled vehicles, m/s",
     "realism_cost": "total variation of guided vehicles, mean over plans",
+    "conflict_share": "share of guided denoising steps in which realism and guidance disagree",
+    "gradient_cosine": "cosine of the gradients of realism and guidance",
     "graph_sparsity": "share of pairs that G does not join",
 }
 RESAMPLES = 1000
@@ -85,7 +89,8 @@ def condition_of(job: str) -> Condition:
 
 
 def _column(rows: Rows, name: str) -> npt.NDArray[np.float64]:
-    return np.array([np.nan if row[name] is None else row[name] for row in rows], np.float64)
+    values = [row.get(name) for row in rows]  # absent in rows of an older release
+    return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
 def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
@@ -111,7 +116,11 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
         "fde": _column(rows, "fde_m"),
         "fde_controlled": _column(rows, "fde_controlled_m"),
         "sor": [row["over_speed"] for row in rows],
+        "sor_log": _column(rows, "over_speed_log"),
+        "excess": _column(rows, "excess_mps"),
         "realism_cost": _column(rows, "realism_cost"),
+        "conflict_share": _column(rows, "conflict_share"),
+        "gradient_cosine": _column(rows, "gradient_cosine"),
         "graph_sparsity": _column(rows, "graph_sparsity"),
     }
     table = np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=1)
@@ -210,7 +219,12 @@ _LINES = (
     ("ORR %", "orr", 2),
     ("FDE m", "fde", 2),
     ("CFD", "cfd", 2),
+    ("SOR", "sor", 2),
+    ("SOR of the log", "sor_log", 2),
+    ("excess m/s", "excess", 2),
     ("C(tau)", "realism_cost", 2),
+    ("gradients in conflict", "conflict_share", 2),
+    ("gradient cosine", "gradient_cosine", 3),
 )
 
 
@@ -246,7 +260,7 @@ def _floor(table: Mapping[Condition, Figures]) -> str:
             parts.append(
                 f"Floor (K = 0, log replay), {f.num_scenes} scenes: SCR {v['scr']:.3f}, of new "
                 f"contacts {v['scr_new']:.3f}, ORR {v['orr']:.2f} %, FDE {v['fde']:.2f} m, "
-                f"CFD {v['cfd']:.2f}."
+                f"CFD {v['cfd']:.2f}, SOR {v['sor']:.2f}."
             )
     return "\n".join(parts)
 

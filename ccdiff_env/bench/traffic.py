@@ -19,12 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
+from ccdiff_env.bench.conflict import conflicts
+from ccdiff_env.bench.episode import Episode, drivable, measure, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.metrics import Rollout, speed_limit
+from ccdiff_env.metrics import Rollout
+from ccdiff_env.models import guidance_preset
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout as Recorded
 from ccdiff_env.scenes import Scene, SceneSet
@@ -70,6 +73,13 @@ class Method:
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
 
+#: Objectives that seek speed on the road. The loss has a gradient above its limit only, therefore
+#: the limit is a walking pace; what counts as over-speed is decided by the metric.
+_OVER_SPEED = [
+    {"kind": "over_speed", "weight": -1.0, "limit_mps": 1.0},
+    {"kind": "map_collision", "weight": 1.0},
+]
+
 #: Rankings that only a planning network can make.
 OWN_RANKINGS = ("greedy", "gradient")
 
@@ -90,6 +100,11 @@ METHODS: dict[str, Method] = {
         "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
     ),
     "ccdiff_top2": Method("CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2),
+    "ccdiff_over_speed": Method(
+        "CCDiff, over-speed",
+        "ccdiff",
+        ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}},
+    ),
     "ccdiff_released": Method(
         "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
     ),
@@ -156,49 +171,24 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     start = Rollout(
         tracks["position"][agents, now], tracks["heading"][agents, now], scene.sizes[agents][:, :2]
     )
-    off_road = start.off_road(_drivable(scene)).centroid[:, 0]
+    off_road = start.off_road(drivable(scene)).centroid[:, 0]
     kept: npt.NDArray[np.int64] = agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
     return kept
-
-
-def _drivable(scene: Scene) -> list[tuple[Any, Any]]:
-    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
 
 
 def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) -> list[int]:
     """Return the first K vehicles of a ranking at the start of the episode; all for ``None``."""
     agents = _vehicles(scene)
-    tracks = scene.tracks()
-    past = slice(START_STEP - 30, START_STEP + 1)
-    position, heading, velocity, valid = (
-        tracks[name][agents, past].swapaxes(0, 1)
-        for name in ("position", "heading", "velocity", "valid")
-    )
-    speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    history = relations(scene, agents, START_STEP)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
         top_k=len(agents) if top_k is None else min(top_k, len(agents)),
         valid=np.ones(len(agents), bool),
-        ttc=causal.ttc(position, heading, speed, scene.sizes[agents][:, :2], valid),
-        distance=causal.distance(position, valid, normalised=True),
+        ttc=history.ttc,
+        distance=history.distance,
         seed=seed,
     )
     return [int(agents[i]) for i in ranked.agents]
-
-
-@dataclass
-class Episode:
-    """What happened in one scene: vehicles that were there at the start, A of them."""
-
-    scene: Scene
-    agents: npt.NDArray[np.int64]
-    controlled: npt.NDArray[np.bool_]
-    rollout: Rollout
-    log: Rollout
-    position: npt.NDArray[np.float32]
-    heading: npt.NDArray[np.float32]
-    plans: list[dict[str, Any]]
-    recorded: Recorded | None = None
 
 
 def episodes(
@@ -314,7 +304,9 @@ def _episode(
     return Episode(
         scene=scene,
         agents=agents,
+        chosen=list(chosen),
         controlled=np.isin(agents, chosen),
+        history=relations(scene, agents, START_STEP),
         rollout=Rollout(
             stacked["position"], stacked["heading"], sizes, stacked["active"], dt_s=scene.dt
         ),
@@ -371,55 +363,13 @@ def evaluate_recorded(
         seed=seed,
         record=record,
     )
-    rows = [measure(episode, replan_steps) for episode in played]
+    chosen = METHODS[method]
+    # where the planner can be told what the method is
+    told = chosen.ranking not in OWN_RANKINGS and "graph" not in chosen.ccdiff
+    settings = chosen.ccdiff if told else {}
+    pulls = conflicts(played, settings, num_guided=chosen.num_guided, step=START_STEP, seed=seed)
+    rows = [
+        {**measure(episode, replan_steps), **pull}
+        for episode, pull in zip(played, pulls, strict=True)
+    ]
     return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}
-
-
-def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
-    """Return the figures of one episode, all of them finite or ``None``."""
-    rollout, log, controlled = episode.rollout, episode.log, episode.controlled
-    found = rollout.collisions(controlled=controlled, log=log)
-    road = rollout.off_road(_drivable(episode.scene), replan_steps=replan_steps)
-    displacement = rollout.displacement(log)
-    ade, fde = displacement.mean()
-    ade_controlled, fde_controlled = (
-        displacement.mean(controlled) if controlled.any() else (np.nan, np.nan)
-    )
-    tracks = episode.scene.tracks()
-    speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
-    limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
-    over = rollout.over_speed(limit, counted=controlled).any() if np.isfinite(limit) else False
-    cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
-    return {
-        "scene": episode.scene.name,
-        "num_agents": len(episode.agents),
-        "num_controlled": int(controlled.sum()),
-        "collision": {v: bool(found.any(v)) for v in found.agents},
-        "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
-        "kinds": [kind for kind in found.first_kind if kind is not None],
-        "off_road": _number(road.centroid_rate),
-        "off_road_box": _number(road.box_rate),
-        "off_road_parity": _number(road.parity_rate),
-        "ade_m": _number(ade),
-        "fde_m": _number(fde),
-        "ade_controlled_m": _number(ade_controlled),
-        "fde_controlled_m": _number(fde_controlled),
-        "comfort": rollout.comfort().tolist(),
-        "comfort_parity": rollout.comfort(axes="parity").tolist(),
-        "over_speed": bool(over),
-        "min_ttc_s": _number(rollout.min_ttc().min() if len(episode.agents) else np.nan),
-        "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
-        "graph_sparsity": _number(
-            np.mean([_sparsity(p["graph"]) for p in episode.plans]) if episode.plans else np.nan
-        ),
-    }
-
-
-def _sparsity(graph: npt.NDArray[np.bool_]) -> float:
-    pairs = graph.shape[0] * (graph.shape[0] - 1)
-    return 1.0 if pairs == 0 else 1.0 - (graph.sum() - graph.shape[0]) / pairs
-
-
-def _number(value: Any) -> float | None:
-    number = float(value)
-    return number if np.isfinite(number) else None

@@ -1,0 +1,151 @@
+"""What happened in one scene of the traffic benchmark, and what is measured on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import causal
+from ccdiff_env.metrics import Rollout, speed_limit
+from ccdiff_env.rollout import Rollout as Recorded
+from ccdiff_env.scenes import Scene
+
+__all__ = ["Episode", "Relations", "drivable", "features", "measure", "relations"]
+
+#: Logged steps that rankings look at, the present one left out.
+PAST_STEPS = 30
+#: Cliques that are counted per step at most.
+MOST_CLIQUES = 1000
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Normalised closeness of A vehicles in the history of an episode, [T, A, A] in [0, 1]."""
+
+    ttc: npt.NDArray[np.float32]
+    distance: npt.NDArray[np.float32]
+
+
+def relations(scene: Scene, agents: npt.NDArray[np.int64], step: int) -> Relations:
+    """Return times to contact and distances of agents in the log up to a step."""
+    tracks = scene.tracks()
+    past = slice(step - PAST_STEPS, step + 1)
+    position, heading, velocity, valid = (
+        tracks[name][agents, past].swapaxes(0, 1)
+        for name in ("position", "heading", "velocity", "valid")
+    )
+    speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    return Relations(
+        ttc=causal.ttc(position, heading, speed, scene.sizes[agents][:, :2], valid),
+        distance=causal.distance(position, valid, normalised=True),
+    )
+
+
+@dataclass
+class Episode:
+    """What happened in one scene: vehicles that were there at the start, A of them."""
+
+    scene: Scene
+    agents: npt.NDArray[np.int64]
+    #: The control set by falling importance, indices in the scene.
+    chosen: list[int]
+    #: Whether each of the A vehicles is in it.
+    controlled: npt.NDArray[np.bool_]
+    rollout: Rollout
+    log: Rollout
+    position: npt.NDArray[np.float32]
+    heading: npt.NDArray[np.float32]
+    plans: list[dict[str, Any]]
+    history: Relations
+    recorded: Recorded | None = None
+
+
+def drivable(scene: Scene) -> list[tuple[Any, Any]]:
+    """Return the drivable area as polygons: exterior and holes."""
+    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
+
+
+def features(episode: Episode) -> dict[str, Any]:
+    """Return what may tell collisions in advance, from the history of the episode.
+
+    ``vehicles``: their number; ``ttc_cliques``, ``distance_cliques``: sets of two vehicles and more
+    that are all joined in the graphs of times to contact and of distances, over all steps;
+    ``of_vehicle``: how many of the former hold each vehicle [A].
+    """
+    found = {
+        name: causal.clique_counts(measure, top_per_frame=MOST_CLIQUES)
+        for name, measure in (("ttc", episode.history.ttc), ("distance", episode.history.distance))
+    }
+    counts = np.zeros(len(episode.agents), np.int64)
+    counts[found["ttc"].agents] = found["ttc"].counts
+    return {
+        "vehicles": len(episode.agents),
+        "ttc_cliques": found["ttc"].num_cliques,
+        "distance_cliques": found["distance"].num_cliques,
+        "of_vehicle": counts.tolist(),
+    }
+
+
+def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
+    """Return the figures of one episode, all of them finite or ``None``."""
+    rollout, log, controlled = episode.rollout, episode.log, episode.controlled
+    found = rollout.collisions(controlled=controlled, log=log)
+    road = rollout.off_road(drivable(episode.scene), replan_steps=replan_steps)
+    displacement = rollout.displacement(log)
+    ade, fde = displacement.mean()
+    ade_controlled, fde_controlled = (
+        displacement.mean(controlled) if controlled.any() else (np.nan, np.nan)
+    )
+    tracks = episode.scene.tracks()
+    speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
+    limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
+    known = bool(np.isfinite(limit))
+    cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
+    return {
+        "scene": episode.scene.name,
+        "num_agents": len(episode.agents),
+        "num_controlled": int(controlled.sum()),
+        "collision": {v: bool(found.any(v)) for v in found.agents},
+        "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
+        "kinds": [kind for kind in found.first_kind if kind is not None],
+        "off_road": _number(road.centroid_rate),
+        "off_road_box": _number(road.box_rate),
+        "off_road_parity": _number(road.parity_rate),
+        "ade_m": _number(ade),
+        "fde_m": _number(fde),
+        "ade_controlled_m": _number(ade_controlled),
+        "fde_controlled_m": _number(fde_controlled),
+        "comfort": rollout.comfort().tolist(),
+        "comfort_parity": rollout.comfort(axes="parity").tolist(),
+        "over_speed": known and bool(rollout.over_speed(limit, counted=controlled).any()),
+        "over_speed_log": known and bool(log.over_speed(limit, counted=controlled).any()),
+        "excess_mps": _number(_excess(episode, limit) if known else np.nan),
+        "min_ttc_s": _number(rollout.min_ttc().min() if len(episode.agents) else np.nan),
+        "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
+        "features": features(episode),
+        "vehicle_collided": found.agents["new"].tolist(),
+        "graph_sparsity": _number(
+            np.mean([_sparsity(p["graph"]) for p in episode.plans]) if episode.plans else np.nan
+        ),
+    }
+
+
+def _excess(episode: Episode, limit_mps: float) -> float:
+    """Mean speed above a limit over all steps of controlled vehicles; NaN without any."""
+    move = np.diff(episode.position[episode.controlled], axis=1)
+    there = episode.rollout.valid[episode.controlled]
+    speed = np.linalg.norm(move, axis=-1)[there[:, 1:] & there[:, :-1]] / episode.scene.dt
+    return float(np.maximum(speed - limit_mps, 0.0).mean()) if speed.size else np.nan
+
+
+def _sparsity(graph: npt.NDArray[np.bool_]) -> float:
+    pairs = graph.shape[0] * (graph.shape[0] - 1)
+    return 1.0 if pairs == 0 else 1.0 - (graph.sum() - graph.shape[0]) / pairs
+
+
+def _number(value: Any) -> float | None:
+    number = float(value)
+    return number if np.isfinite(number) else None

@@ -1,0 +1,173 @@
+"""Experiments of the traffic benchmark: over-speed, correlation, conflict of gradients, speed."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import cli
+from ccdiff_env.bench.conflict import conflicts
+from ccdiff_env.bench.correlation import correlations, write_correlations
+from ccdiff_env.bench.episode import features, relations
+from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.bench.speed import Timing, choose_moments, fit, write_speed
+from ccdiff_env.bench.tables import Condition
+from ccdiff_env.bench.traffic import METHODS, START_STEP, episodes, evaluate
+from ccdiff_env.metrics import speed_limit
+from ccdiff_env.models import Planner, shipped_weights
+
+VAL = {"embedded": "val"}
+NAMES = ["cut-in-03", "left-turn-04"]
+
+
+def played(method, num_controlled=2):
+    return episodes(scenes_of(VAL, NAMES), METHODS[method], num_controlled=num_controlled)
+
+
+def measured(method):
+    return evaluate(
+        source=VAL, names=NAMES, method=method, num_controlled=2, replan_steps=5, seed=0
+    )
+
+
+def test_guidance_for_over_speed_makes_vehicles_faster_than_no_guidance():
+    fast, calm = measured("ccdiff_over_speed"), measured("ccdiff_unguided")
+    for one, other in zip(fast, calm, strict=True):
+        assert one["excess_mps"] > 2.0 * other["excess_mps"]
+        assert one["over_speed"] >= other["over_speed"]
+        # the same vehicles in the same log
+        assert one["over_speed_log"] == other["over_speed_log"]
+    assert all(row["over_speed"] for row in fast)
+
+
+def test_excess_speed_is_that_of_the_log_where_the_log_is_replayed():
+    rows = measured("replay")
+    for row, episode in zip(rows, played("replay"), strict=True):
+        tracks = episode.scene.tracks()
+        agents = episode.agents
+        speed = np.linalg.norm(tracks["velocity"][agents], axis=-1)
+        limit = speed_limit(np.where(tracks["valid"][agents], speed, np.nan))
+        chosen = tracks["position"][episode.chosen, START_STEP : START_STEP + 101].astype(float)
+        valid = tracks["valid"][episode.chosen, START_STEP : START_STEP + 101]
+        moved = np.linalg.norm(np.diff(chosen, axis=1), axis=-1) / episode.scene.dt
+        wanted = np.maximum(moved[valid[:, 1:] & valid[:, :-1]] - limit, 0.0).mean()
+        assert row["excess_mps"] == pytest.approx(wanted, abs=1e-4)
+        assert row["over_speed"] == row["over_speed_log"]
+
+
+def test_cliques_are_counted_as_networkx_counts_them():
+    networkx = pytest.importorskip("networkx")
+    for episode in played("replay"):
+        found = features(episode)
+        history = relations(episode.scene, episode.agents, START_STEP)
+        for name, measure in (("ttc_cliques", history.ttc), ("distance_cliques", history.distance)):
+            cliques = []
+            for matrix in measure:
+                joined = np.maximum(np.nan_to_num(matrix), np.nan_to_num(matrix.T)) > 0.0
+                np.fill_diagonal(joined, False)
+                graph = networkx.from_numpy_array(joined)
+                cliques += [c for c in networkx.enumerate_all_cliques(graph) if len(c) > 1]
+            assert found[name] == len(cliques)
+            if name == "ttc_cliques":
+                counts = [sum(a in c for c in cliques) for a in range(len(episode.agents))]
+                assert found["of_vehicle"] == counts
+        assert found["vehicles"] == len(episode.agents)
+
+
+def row(scene, cliques, hits):
+    return {
+        "scene": scene,
+        "collision": {"new": any(hits)},
+        "vehicle_collided": hits,
+        "features": {
+            "vehicles": len(hits), "ttc_cliques": sum(cliques), "distance_cliques": 3,
+            "of_vehicle": cliques,
+        },
+    }  # fmt: skip
+
+
+ROWS = [
+    row("a", [5, 1, 0], [True, False, False]),
+    row("b", [2, 2], [False, False]),
+    row("c", [9, 4, 1, 0], [True, True, False, False]),
+    row("d", [0, 1], [False, True]),
+]
+
+
+def test_correlations_agree_with_scipy(tmp_path):
+    stats = pytest.importorskip("scipy.stats")
+    found = correlations([*ROWS, {"scene": "e", "collision": {"new": True}}])
+    cliques = [c for r in ROWS for c in r["features"]["of_vehicle"]]
+    hits = [float(h) for r in ROWS for h in r["vehicle_collided"]]
+    wanted = stats.pearsonr(cliques, hits)
+    assert found["of_vehicle"] == (11, pytest.approx(wanted[0]), pytest.approx(wanted[1]))
+    wanted = stats.pearsonr([6, 4, 14, 1], [1.0, 0.0, 1.0, 1.0])
+    assert found["ttc_cliques"] == (4, pytest.approx(wanted[0]), pytest.approx(wanted[1]))
+    # what does not vary tells nothing
+    assert np.isnan(found["distance_cliques"][1])
+    table = {Condition("idm", 5, 5): ROWS, Condition("replay", 0, 5): ROWS}
+    write_correlations(table, tmp_path)
+    text = (tmp_path / "correlation.md").read_text(encoding="utf-8")
+    assert text.count("| IDM | 5 | 0.5 |") == 1
+    assert "Log replay" not in text
+    with (tmp_path / "correlation.csv").open(encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == 4
+
+
+def test_conflict_is_that_of_the_guided_vehicles_of_the_first_plan():
+    both = played("ccdiff", 2)
+    found = conflicts(both, METHODS["ccdiff"].ccdiff, num_guided=1, step=START_STEP, seed=0)
+    planner = Planner(shipped_weights())
+    plans = planner.plan(
+        [e.scene for e in both], [START_STEP] * 2, seeds=[0, 0], num_samples=5, guidance="rl",
+        guided=[e.chosen[:1] for e in both], gradient_statistics=True,
+    )  # fmt: skip
+    for one, plan, episode in zip(found, plans, both, strict=True):
+        agent = plan.agents.tolist().index(episode.chosen[0])
+        assert one["gradient_cosine"] == pytest.approx(plan.guidance["gradient_cosine"][agent])
+        assert one["conflict_share"] == pytest.approx(plan.guidance["conflict_share"][agent])
+        assert -1.0 <= one["gradient_cosine"] <= 1.0
+        assert 0.0 <= one["conflict_share"] <= 1.0
+    nothing = {"gradient_cosine": None, "conflict_share": None}
+    for method in ("idm", "ccdiff_unguided"):
+        assert conflicts(
+            both, METHODS[method].ccdiff, num_guided=None, step=START_STEP, seed=0
+        ) == [nothing, nothing]
+
+
+def test_moments_cover_the_numbers_of_vehicles_and_times_are_fitted(tmp_path):
+    scenes = ccdiff_env.embedded_scenes("val")
+    counts = [
+        int((np.array(scene.agent_types) == "vehicle")[scene.tracks()["valid"][:, step]].sum())
+        for scene, step in choose_moments(scenes)
+    ]
+    assert counts == sorted(counts)
+    assert len(set(counts)) > 4
+    assert max(counts.count(c) for c in counts) <= 2
+
+    timings = [
+        Timing(kind, n, start + slope * n, 0.0)
+        for kind, start, slope in (("guided", 0.02, 0.004), ("not guided", 0.01, 0.001))
+        for n in (2, 5, 9)
+    ]
+    assert fit(timings, "guided") == pytest.approx((0.02, 0.004))
+    assert fit(timings[:1], "guided") == (pytest.approx(0.028), 0.0)
+    write_speed(timings, tmp_path)
+    text = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| 5 | 40.0 | 15.0 |" in text
+    assert "guided: 20.0 ms + 4.00 ms per vehicle." in text
+    assert (tmp_path / "speed.png").stat().st_size > 0
+
+
+def test_the_command_times_plans(tmp_path, capsys):
+    assert (
+        cli.main(["bench", "speed", "--out", str(tmp_path), "--limit", "1", "--rounds", "1"]) == 0
+    )
+    assert "ms per vehicle" in capsys.readouterr().out
+    with (tmp_path / "speed.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {r["kind"] for r in rows} == {"guided", "not guided"}
+    assert all(float(r["seconds"]) > 0.0 for r in rows)
