@@ -33,6 +33,7 @@ def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     _add_scenarios(kinds)
     _add_learning(kinds)
     _add_speed(kinds)
+    _add_realism(kinds)
     _add_selection(kinds)
 
 
@@ -355,3 +356,44 @@ def _speed(args: argparse.Namespace) -> int:
     write_speed(timings, args.out)
     print((args.out / "table.md").read_text(encoding="utf-8"))
     return 0
+
+
+def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("realism", help="likelihood of the log under samples of traffic")
+    add_run_arguments(parser)
+    parser.add_argument(
+        "--methods",
+        default="replay,constant_velocity,idm,ccdiff_one_sample,ccdiff",
+        help="as bench traffic has, comma-separated",
+    )
+    parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
+    parser.set_defaults(run=_realism)
+
+
+def _realism(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.likelihood import likelihood_jobs
+    from ccdiff_env.bench.likelihood_report import write_likelihoods
+
+    source = source_from(args)
+    settings = {"benchmark": "realism", "source": source, "seed": args.seed}
+    weights = begin(args, {**settings, "samples": args.samples})
+    start = time.perf_counter()
+    jobs = likelihood_jobs(
+        source, args.methods.split(","), num_samples=args.samples, seed=args.seed
+    )
+    run_jobs(jobs, args.out / "raw", **run_options(args))
+    by_name = results(jobs, args.out / "raw")
+    rows: dict[str, list[Any]] = {}
+    for job in jobs:
+        rows.setdefault(str(job.arguments["method"]), []).extend(by_name[job.name])
+    write_likelihoods(rows, args.out)
+    return close(
+        args,
+        title="Realism",
+        weights=weights,
+        plots=["likelihoods.png"],
+        parts={"Likelihood of the log": "table.md"},
+        changed=0,
+        num_jobs=len(jobs),
+        seconds=time.perf_counter() - start,
+    )

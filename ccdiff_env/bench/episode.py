@@ -60,6 +60,8 @@ class Episode:
     heading: npt.NDArray[np.float32]
     plans: list[dict[str, Any]]
     history: Relations
+    #: Step of the log at which it starts.
+    start_step: int
     recorded: Recorded | None = None
 
 

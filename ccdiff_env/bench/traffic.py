@@ -307,6 +307,7 @@ def _episode(
         chosen=list(chosen),
         controlled=np.isin(agents, chosen),
         history=relations(scene, agents, START_STEP),
+        start_step=START_STEP,
         rollout=Rollout(
             stacked["position"], stacked["heading"], sizes, stacked["active"], dt_s=scene.dt
         ),

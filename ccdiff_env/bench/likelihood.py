@@ -1,0 +1,302 @@
+"""Realism as likelihood: how probable the log is under many samples of the same scene.
+
+In the manner of the Waymo Open Sim Agents Challenge (Montali et al. 2023): each feature of each
+vehicle has a histogram over samples and steps; the score of a scene is the geometric mean of what
+the histograms give the logged values. Written from the paper's definition; bins, horizon and the
+features of the map are ours, so that numbers compare with those of this package only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import causal
+from ccdiff_env.bench.episode import Episode, drivable
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.traffic import CHUNK, METHODS, episodes
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.metrics import Rollout
+
+__all__ = [
+    "FEATURES",
+    "GROUPS",
+    "Feature",
+    "box_gaps",
+    "evaluate",
+    "likelihood",
+    "likelihood_jobs",
+    "motion_features",
+    "scene_likelihoods",
+]
+
+F64 = npt.NDArray[np.float64]
+#: Steps between looks at other vehicles.
+STRIDE = 5
+#: What every bin counts before anything is seen.
+PSEUDO_COUNT = 0.1
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Histogram of a feature: equal bins, values outside count in the outermost ones."""
+
+    low: float
+    high: float
+    num_bins: int
+
+    def bins(self, values: F64) -> npt.NDArray[np.int64]:
+        """Return the bins of values."""
+        at = np.floor((values - self.low) / (self.high - self.low) * self.num_bins)
+        found: npt.NDArray[np.int64] = np.clip(at, 0, self.num_bins - 1).astype(np.int64)
+        return found
+
+
+#: Features by name; units of SI.
+FEATURES: dict[str, Feature] = {
+    "speed": Feature(0.0, 25.0, 25),
+    "acceleration": Feature(-6.0, 6.0, 24),
+    "yaw_rate": Feature(-0.6, 0.6, 24),
+    "yaw_acceleration": Feature(-2.0, 2.0, 20),
+    "gap": Feature(0.0, 40.0, 20),
+    "ttc": Feature(0.0, 10.0, 10),
+    "collision": Feature(0.0, 2.0, 2),
+    "off_road": Feature(0.0, 2.0, 2),
+}
+GROUPS: dict[str, tuple[str, ...]] = {
+    "kinematic": ("speed", "acceleration", "yaw_rate", "yaw_acceleration"),
+    "interactive": ("gap", "ttc", "collision"),
+    "map": ("off_road",),
+}
+
+
+def motion_features(
+    position: npt.NDArray[Any], heading: npt.NDArray[Any], valid: npt.NDArray[np.bool_], dt_s: float
+) -> dict[str, F64]:
+    """Return speed, its change, yaw rate and its change by central differences.
+
+    Parameters
+    ----------
+    position, heading, valid
+        [A, T, 2] m, [A, T] rad, [A, T].
+    dt_s
+        Seconds between steps.
+
+    Returns
+    -------
+    dict
+        [A, T] each, NaN where a neighbouring step is missing.
+    """
+    x = np.where(valid[..., None], position, np.nan).astype(np.float64)
+    yaw = np.where(valid, heading, np.nan).astype(np.float64)
+
+    def central(values: F64) -> F64:
+        found = np.full_like(values, np.nan)
+        found[:, 1:-1] = values[:, 2:] - values[:, :-2]
+        return found / (2.0 * dt_s)
+
+    speed = np.linalg.norm(central(x), axis=-1)
+    turn = np.full_like(yaw, np.nan)
+    turn[:, 1:-1] = np.angle(np.exp(1j * (yaw[:, 2:] - yaw[:, :-2]))) / (2.0 * dt_s)
+    return {
+        "speed": speed,
+        "acceleration": central(speed),
+        "yaw_rate": turn,
+        "yaw_acceleration": central(turn),
+    }
+
+
+def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.NDArray[Any]) -> F64:
+    """Return the distances [A, A] of oriented boxes, m; 0 where they overlap, inf on the diagonal.
+
+    Parameters
+    ----------
+    position, heading, sizes
+        [A, 2] m, [A] rad, [A, 2] m.
+    """
+    position, heading, sizes = (np.asarray(a, np.float64) for a in (position, heading, sizes))
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    half = 0.5 * sizes
+    signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], np.float64)
+    corners = (
+        position[:, None]
+        + signs[None, :, :1] * half[:, None, :1] * ahead[:, None]
+        + signs[None, :, 1:] * half[:, None, 1:] * left[:, None]
+    )
+    # corners of i in the frame of j: apart by how much they are outside of its box
+    offset = corners[:, None] - position[None, :, None]
+    along = np.abs((offset * ahead[None, :, None]).sum(-1)) - half[None, :, None, 0]
+    beside = np.abs((offset * left[None, :, None]).sum(-1)) - half[None, :, None, 1]
+    outside = np.hypot(np.maximum(along, 0.0), np.maximum(beside, 0.0)).min(axis=-1)
+    gaps = np.minimum(outside, outside.T)
+    gaps[_overlap(corners, ahead, left)] = 0.0
+    np.fill_diagonal(gaps, np.inf)
+    return np.asarray(gaps, np.float64)
+
+
+def _overlap(corners: F64, ahead: F64, left: F64) -> npt.NDArray[np.bool_]:
+    """Whether boxes overlap [A, A]: no axis of either one separates them."""
+    touching = np.ones((len(corners),) * 2, np.bool_)
+    for axis in (ahead, left):
+        spans = (corners[:, None] * axis[None, :, None]).sum(-1)  # box i on the axis of j
+        low, high = spans.min(axis=-1), spans.max(axis=-1)
+        own_low, own_high = np.diagonal(low)[None], np.diagonal(high)[None]
+        meet = (low <= own_high) & (high >= own_low)
+        touching &= meet & meet.T
+    return touching
+
+
+def _features(episode: Episode, rollout: Rollout, states: tuple[Any, Any]) -> dict[str, F64]:
+    """Features of the vehicles of an episode: [A, T'] or, of the whole episode, [A, 1]."""
+    position, heading = states
+    valid, dt_s = rollout.valid, episode.scene.dt
+    found = motion_features(position, heading, valid, dt_s)
+    sizes = episode.scene.sizes[episode.agents][:, :2]
+    # speeds are known from the second step to the last but one
+    looks = np.arange(STRIDE, valid.shape[1] - 1, STRIDE)
+    there = valid[:, looks] & np.isfinite(found["speed"][:, looks])
+    found["gap"] = np.full(there.shape, np.nan)
+    for k, step in enumerate(looks):
+        some = np.flatnonzero(there[:, k])
+        if len(some) > 1:
+            at, yaw = position[some, step], heading[some, step]
+            found["gap"][some, k] = box_gaps(at, yaw, sizes[some]).min(axis=1)
+    seconds = causal.ttc(
+        position[:, looks].swapaxes(0, 1),
+        heading[:, looks].T,
+        np.nan_to_num(found["speed"][:, looks]).T,
+        sizes,
+        there.T,
+        normalised=False,
+    )
+    seconds[:, np.arange(len(sizes)), np.arange(len(sizes))] = np.inf
+    found["ttc"] = np.where(there, seconds.min(axis=2, initial=np.inf).T, np.nan)
+    found["ttc"] = np.minimum(found["ttc"], FEATURES["ttc"].high)
+    hits = rollout.collisions().agents["all"]
+    road = rollout.off_road(drivable(episode.scene)).box.any(axis=1)
+    present = valid.any(axis=1)
+    found["collision"] = np.where(present, hits, np.nan)[:, None]
+    found["off_road"] = np.where(present, road, np.nan)[:, None]
+    return found
+
+
+def likelihood(feature: Feature, samples: Sequence[F64], log: F64, weight: float = 1.0) -> float:
+    """Return the geometric mean of what histograms of the samples give the logged values.
+
+    Parameters
+    ----------
+    feature
+        The bins.
+    samples
+        Of each sample [A, T]: values that are not finite do not count.
+    log
+        [A, T].
+    weight
+        How often each sample counts.
+
+    Returns
+    -------
+    float
+        NaN where nothing can be compared.
+    """
+    stacked = np.concatenate(samples, axis=1)
+    logs: list[F64] = []
+    for values, logged in zip(stacked, log, strict=True):
+        seen, asked = values[np.isfinite(values)], logged[np.isfinite(logged)]
+        if not len(seen) or not len(asked):
+            continue
+        counts = weight * np.bincount(feature.bins(seen), minlength=feature.num_bins)
+        shares = (counts + PSEUDO_COUNT) / (counts.sum() + PSEUDO_COUNT * feature.num_bins)
+        logs.append(np.log(shares[feature.bins(asked)]))
+    return float(np.exp(np.concatenate(logs).mean())) if logs else float("nan")
+
+
+def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, float | None]:
+    """Return likelihoods of a scene's log by feature and group, and displacements.
+
+    Parameters
+    ----------
+    played
+        Episodes of the scene, samples of one method. A method without chance gives one.
+    num_samples
+        As many as it stands for.
+    """
+    first = played[0]
+    tracks = first.scene.tracks()
+    span = slice(first.start_step, first.start_step + first.position.shape[1])
+    logged = (tracks["position"][first.agents, span], tracks["heading"][first.agents, span])
+    log = _features(first, first.log, logged)
+    samples = [_features(e, e.rollout, (e.position, e.heading)) for e in played]
+    weight = num_samples / len(played)
+    found = {
+        name: likelihood(feature, [s[name] for s in samples], log[name], weight)
+        for name, feature in FEATURES.items()
+    }
+    for group, names in GROUPS.items():
+        values = [found[name] for name in names if np.isfinite(found[name])]
+        found[group] = float(np.mean(values)) if values else np.nan
+    errors = np.stack([e.rollout.displacement(e.log).ade for e in played])
+    known = np.isfinite(errors).all(axis=0)
+    found["ade_m"] = float(errors[:, known].mean()) if known.any() else np.nan
+    found["min_ade_m"] = float(errors[:, known].mean(axis=1).min()) if known.any() else np.nan
+    return {name: value if np.isfinite(value) else None for name, value in found.items()}
+
+
+def likelihood_jobs(
+    source: Mapping[str, str], methods: Sequence[str], *, num_samples: int = 16, seed: int = 0
+) -> list[Job]:
+    """Return the jobs: methods x pieces of the scenes, all vehicles driven by the method.
+
+    Parameters
+    ----------
+    source
+        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+    methods
+        Names of :data:`~ccdiff_env.bench.traffic.METHODS`.
+    num_samples
+        Episodes per scene, seeds one after the other.
+    seed
+        The first of them.
+    """
+    if num_samples < 1:
+        raise ConfigError(f"samples is {num_samples}, expected at least 1")
+    for name in methods:
+        if name not in METHODS:
+            raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
+    pieces = chunks(scene_names(source), CHUNK)
+    return [
+        Job(
+            f"{method}-{i:03d}",
+            f"{__name__}:evaluate",
+            {
+                "source": dict(source),
+                "names": names,
+                "method": method,
+                "num_samples": num_samples,
+                "seed": seed,
+            },
+        )
+        for method in methods
+        for i, names in enumerate(pieces)
+    ]
+
+
+def evaluate(
+    *, source: Mapping[str, str], names: Sequence[str], method: str, num_samples: int, seed: int
+) -> list[dict[str, Any]]:
+    """Play scenes several times: one dictionary of likelihoods per scene."""
+    chosen = METHODS[method]
+    # without a network there is no chance
+    count = num_samples if chosen.driver == "ccdiff" else 1
+    scenes = scenes_of(source, names)
+    played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
+    return [
+        {"scene": scene.name, **scene_likelihoods([p[i] for p in played], num_samples)}
+        for i, scene in enumerate(scenes)
+    ]

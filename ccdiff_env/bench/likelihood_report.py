@@ -1,0 +1,93 @@
+"""Report of the realism benchmark: likelihoods of the log by feature and group."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.likelihood import FEATURES, GROUPS
+from ccdiff_env.bench.planner_report import mean_interval
+from ccdiff_env.bench.traffic import METHODS
+
+__all__ = ["write_likelihoods"]
+
+_COLUMNS = (*GROUPS, *FEATURES, "ade_m", "min_ade_m")
+
+
+def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) -> None:
+    """Write ``table.md``, ``likelihoods.csv`` and ``likelihoods.png``.
+
+    Parameters
+    ----------
+    found
+        Rows per scene of every method, see
+        :func:`ccdiff_env.bench.likelihood.scene_likelihoods`.
+    folder
+        Where to.
+    """
+    figures = {
+        method: {name: _interval(rows, name) for name in _COLUMNS} for method, rows in found.items()
+    }
+    with (folder / "likelihoods.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        ends = [f"{name}{end}" for name in _COLUMNS for end in ("", "_low", "_high")]
+        writer.writerow(["method", "scenes", *ends])
+        for method, by_name in figures.items():
+            writer.writerow([method, len(found[method]), *(v for f in by_name.values() for v in f)])
+    groups = ["| method | " + " | ".join(GROUPS) + " | ADE m | min ADE m |"]
+    groups.append("|---|" + "---|" * (len(GROUPS) + 2))
+    parts = ["| method | " + " | ".join(n.replace("_", " ") for n in FEATURES) + " |"]
+    parts.append("|---|" + "---|" * len(FEATURES))
+    for method, by_name in figures.items():
+        label = METHODS[method].label if method in METHODS else method
+        cells = [_cell(by_name[n], 3) for n in GROUPS]
+        cells += [_cell(by_name[n], 2) for n in ("ade_m", "min_ade_m")]
+        groups.append(f"| {label} | " + " | ".join(cells) + " |")
+        parts.append(f"| {label} | " + " | ".join(f"{by_name[n][0]:.3f}" for n in FEATURES) + " |")
+    text = [*groups, "", *parts, "", "Means over scenes; brackets: 95 % bootstrap intervals."]
+    (folder / "table.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    _plot(figures, folder / "likelihoods.png")
+
+
+def _interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
+    known = [row for row in rows if row[name] is not None]
+    return mean_interval(known, name) if known else (np.nan, np.nan, np.nan)
+
+
+def _cell(figure: tuple[float, float, float], digits: int) -> str:
+    value, low, high = figure
+    if not np.isfinite(value):
+        return ""
+    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _plot(figures: Mapping[str, Mapping[str, tuple[float, float, float]]], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    width = 0.8 / len(figures)
+    places = np.arange(len(GROUPS))
+    for i, (method, by_name) in enumerate(figures.items()):
+        value, low, high = np.array([by_name[name] for name in GROUPS]).T
+        axes.bar(
+            places + (i - 0.5 * (len(figures) - 1)) * width,
+            value,
+            width,
+            yerr=[value - low, high - value],
+            label=METHODS[method].label if method in METHODS else method,
+            error_kw={"linewidth": 1},
+        )
+    axes.set_xticks(places, list(GROUPS))
+    axes.set_ylabel("likelihood of the log")
+    axes.set_ylim(0, 1)
+    axes.grid(axis="y", alpha=0.3)
+    axes.legend(fontsize=8, loc="upper left")
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

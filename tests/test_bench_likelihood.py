@@ -1,0 +1,132 @@
+"""Likelihood of the log: features, histograms, scores of methods that are known."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from ccdiff_env import causal, cli
+from ccdiff_env.bench.likelihood import (
+    FEATURES,
+    GROUPS,
+    STRIDE,
+    Feature,
+    _features,
+    box_gaps,
+    evaluate,
+    likelihood,
+    likelihood_jobs,
+    motion_features,
+)
+from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.bench.traffic import METHODS, START_STEP, episodes
+from ccdiff_env.errors import ConfigError, UnknownNameError
+
+VAL = {"embedded": "val"}
+NAMES = ["cut-in-03", "left-turn-04"]
+
+
+def test_gaps_of_boxes_agree_with_shapely():
+    shapely = pytest.importorskip("shapely")
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        position, heading = rng.uniform(-12, 12, (7, 2)), rng.uniform(-4, 4, 7)
+        sizes = rng.uniform([2.0, 1.0], [8.0, 3.0], (7, 2))
+        boxes = []
+        for (x, y), yaw, (length, width) in zip(position, heading, sizes, strict=True):
+            box = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
+            box = shapely.affinity.rotate(box, yaw, origin=(0, 0), use_radians=True)
+            boxes.append(shapely.affinity.translate(box, x, y))
+        found = box_gaps(position, heading, sizes)
+        for i, one in enumerate(boxes):
+            for j, other in enumerate(boxes):
+                wanted = np.inf if i == j else one.distance(other)
+                assert found[i, j] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_motion_on_a_circle_is_known_and_gaps_in_time_are_left_out():
+    t = 0.1 * np.arange(60)
+    yaw = 0.5 * t + 3.0
+    position = 10.0 * np.stack([np.sin(yaw), -np.cos(yaw)], axis=-1)[None]
+    wrapped = np.angle(np.exp(1j * yaw))[None]
+    valid = np.ones((1, 60), bool)
+    valid[0, 30] = False
+    found = motion_features(position, wrapped, valid, 0.1)
+    np.testing.assert_allclose(found["speed"][0, 1:29], 5.0, rtol=1e-3)
+    np.testing.assert_allclose(found["yaw_rate"][0, 1:29], 0.5, atol=1e-9)
+    np.testing.assert_allclose(found["acceleration"][0, 2:28], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found["yaw_acceleration"][0, 2:28], 0.0, atol=1e-6)
+    assert np.isnan(found["speed"][0, [0, 29, 31, 59]]).all()
+
+
+def test_likelihoods_by_hand():
+    feature = Feature(0.0, 4.0, 4)
+    samples = [np.array([[0.5, 0.6, 9.0], [1.5, np.nan, 1.0]])]
+    log = np.array([[0.1, -3.0], [3.5, np.nan]])
+    first, second = 2.1 / 3.4, 0.1 / 2.4
+    assert likelihood(feature, samples, log) == pytest.approx((first * first * second) ** (1 / 3))
+    # a sample that counts four times is four samples
+    assert likelihood(feature, samples, log, 4.0) == pytest.approx(
+        likelihood(feature, samples * 4, log)
+    )
+    assert np.isnan(likelihood(feature, [np.full((1, 2), np.nan)], log[:1]))
+
+
+def test_the_log_replayed_is_the_ceiling():
+    arguments = {"source": VAL, "names": NAMES, "num_samples": 4, "seed": 0}
+    replayed = evaluate(**arguments, method="replay")
+    for method in ("constant_velocity", "ccdiff_one_sample"):
+        for best, row in zip(replayed, evaluate(**arguments, method=method), strict=True):
+            assert best["kinematic"] > row["kinematic"]
+            assert best["interactive"] > row["interactive"]
+            assert best["ade_m"] == 0.0 < row["min_ade_m"] <= row["ade_m"]
+            for name in (*FEATURES, *GROUPS):
+                assert 0.0 < row[name] <= 1.0
+
+
+def test_times_to_contact_are_those_of_the_causal_graph():
+    episode = episodes(scenes_of(VAL, NAMES[:1]), METHODS["replay"], num_controlled=0)[0]
+    states = (episode.position, episode.heading)
+    found = _features(episode, episode.rollout, states)
+    look = 4
+    step = STRIDE * (look + 1)
+    tracks = episode.scene.tracks()
+    agents = episode.agents
+    there = found["speed"][:, step] >= 0.0
+    assert there.sum() > 2
+    seconds = causal.ttc(
+        tracks["position"][agents, START_STEP + step],
+        tracks["heading"][agents, START_STEP + step],
+        np.nan_to_num(found["speed"][:, step]),
+        episode.scene.sizes[agents][:, :2],
+        there,
+        normalised=False,
+    )
+    np.fill_diagonal(seconds, np.inf)
+    wanted = np.minimum(seconds.min(axis=1), 10.0)
+    np.testing.assert_allclose(found["ttc"][there, look], wanted[there], rtol=1e-5)
+
+
+def test_samples_of_a_scene_differ_and_unknown_methods_are_refused():
+    arguments = {"source": VAL, "names": NAMES[:1], "method": "ccdiff_one_sample", "seed": 0}
+    one, two = (evaluate(**arguments, num_samples=n)[0] for n in (1, 2))
+    assert one["min_ade_m"] == one["ade_m"]
+    assert two["min_ade_m"] < two["ade_m"]
+    assert two["min_ade_m"] <= one["ade_m"]
+    with pytest.raises(UnknownNameError, match="no method 'ctg'"):
+        likelihood_jobs(VAL, ["ctg"])
+    with pytest.raises(ConfigError, match="samples"):
+        likelihood_jobs(VAL, ["idm"], num_samples=0)
+
+
+def test_the_command_compares_methods(tmp_path, capsys):
+    command = ["bench", "realism", "--out", str(tmp_path), "--quiet", "--limit", "2"]
+    assert cli.main([*command, "--methods", "replay,idm", "--samples", "2"]) == 0
+    assert "| Log replay |" in capsys.readouterr().out
+    with (tmp_path / "likelihoods.csv").open(encoding="utf-8") as file:
+        rows = {row["method"]: row for row in csv.DictReader(file)}
+    assert float(rows["replay"]["kinematic"]) > float(rows["idm"]["kinematic"])
+    for name in ("likelihoods.png", "report.html"):
+        assert (tmp_path / name).stat().st_size > 0
