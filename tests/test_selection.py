@@ -172,7 +172,7 @@ def test_collisions_count_once_and_the_egos_fault_can_be_left_out(scenes):
 
 
 def test_collisions_that_no_plan_avoids_can_be_left_out(scenes):
-    reward = {"avoidable_only": True, "off_road": 0.0, "comfort": 0.0}
+    reward = {"collision": 1.0, "avoidable_only": True, "off_road": 0.0, "comfort": 0.0}
     kept = left = 0.0
     for _, trace in drive_into_everything(scenes, reward=reward):
         for value, info in trace:
@@ -312,4 +312,4 @@ def test_mistakes_are_named(scenes):
     ):
         with pytest.raises(ConfigError):
             AdversarySelectionEnv(scenes=scenes, **{**PLAIN, **options})
-    assert SelectionReward().collision == 1.0
+    assert SelectionReward(collision=1.0).count == "ego"

@@ -22,10 +22,14 @@ MODES: tuple[ActionMode, ...] = ("multibinary", "scores", "discrete")
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionReward:
-    """Weights of the reward components of one decision; the reward is their sum."""
+    """Weights of the reward components of one decision; the reward is their sum.
+
+    A collision is worth more than an episode of unrealistic plans costs: else, as few choices lead
+    to one, choosing nobody would be best.
+    """
 
     #: Per new collision that counts.
-    collision: float = 1.0
+    collision: float = 5.0
     #: Which collisions count, of agents that were adversaries in the episode: those with the ego,
     #: or with any vehicle.
     count: Literal["ego", "any"] = "ego"
@@ -38,12 +42,12 @@ class SelectionReward:
     avoidable_only: bool = False
     #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
     #: C), mean over adversaries.
-    realism: float = -0.1
+    realism: float = -0.02
     #: Per share of steps that adversaries spend off the road.
-    off_road: float = -0.5
+    off_road: float = -0.1
     #: Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² +
     #: (lateral a / 4 m/s²)², at most 3, mean over steps and adversaries.
-    comfort: float = -0.02
+    comfort: float = -0.005
 
     def __post_init__(self) -> None:
         if self.count not in ("ego", "any"):
