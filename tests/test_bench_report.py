@@ -122,19 +122,19 @@ def test_a_report_and_its_replays_open_from_the_disc(planners, browser):
     page.close()
 
 
-def test_the_worst_come_first_and_close_calls_break_ties():
+def test_the_worst_come_first_once_each_and_close_calls_break_ties():
     def row(scene, score, ttc):
         return {"scene": scene, "score": score, "min_ttc_s": ttc}
 
     found = {
-        ("idm", "replay"): [row("a", 0.5, 1.0), row("b", 0.0, 2.0)],
-        ("idm", "idm"): [row("a", 0.0, 1.0), row("b", 0.9, 0.1)],
+        ("idm", "replay"): [row("a", 0.5, 1.0), row("b", 0.0, 2.0), row("c", 0.2, 3.0)],
+        ("idm", "idm"): [row("a", 0.0, 1.0), row("b", 0.9, 0.1), row("c", 0.3, 3.0)],
         ("pdm", "idm"): [row("a", 0.0, 0.0)],
     }
-    worst = worst_scenes(found, "idm", 3)
-    assert [(name, r["scene"]) for name, r in worst] == [
-        ("idm", "a"), ("replay", "b"), ("replay", "a"),
-    ]  # fmt: skip
+    wanted = [("idm", "a"), ("replay", "b"), ("replay", "c")]
+    for count in (2, 5):
+        worst = worst_scenes(found, "idm", count)
+        assert [(name, r["scene"]) for name, r in worst] == wanted[:count]
 
 
 def test_recording_traffic_changes_nothing():

@@ -103,11 +103,15 @@ def short_name(planner: str) -> str:
 def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:
     """Return the scenes in which a planner scores least: traffic and row, the worst first.
 
-    Ties go to the smaller least time to contact.
+    Each scene stands once, with the traffic that is worst. Ties go to the smaller least time to
+    contact.
     """
     rows = [(name, row) for (p, name), part in found.items() if p == planner for row in part]
     rows.sort(key=lambda r: (r[1]["score"], r[1]["min_ttc_s"], r[0], r[1]["scene"]))
-    return rows[:count]
+    seen: dict[str, tuple[str, Row]] = {}
+    for name, row in rows:
+        seen.setdefault(row["scene"], (name, row))
+    return list(seen.values())[:count]
 
 
 def worst_table(
