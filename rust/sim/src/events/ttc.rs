@@ -12,7 +12,8 @@ const LANES: usize = 8;
 pub struct LeastTimes {
     /// Radii of the circles round the boxes; negative without end for agents that are not there.
     radius_m: Vec<Real>,
-    may_meet: Vec<bool>,
+    /// 1 for agents that may be met; whole blocks.
+    may_meet: Vec<u8>,
 }
 
 impl LeastTimes {
@@ -31,27 +32,24 @@ impl LeastTimes {
     /// First time at which an agent touches any other when all keep their velocities, seconds, at most the horizon.
     pub fn of(&mut self, states: &AgentStates, bodies: &[Body], agent_idx: usize, horizon_s: Real) -> Real {
         let num_agents = states.len();
-        self.may_meet.clear();
-        self.may_meet.resize(num_agents, false);
+        self.may_meet.resize(num_agents.next_multiple_of(LANES), 0);
+        self.may_meet[num_agents..].fill(0);
         circles_may_meet(
             states,
             &self.radius_m,
             bodies[agent_idx].radius_m,
             agent_idx,
             horizon_s,
-            &mut self.may_meet,
+            &mut self.may_meet[..num_agents],
         );
-        self.may_meet[agent_idx] = false;
+        self.may_meet[agent_idx] = 0;
         let mut least_s = horizon_s;
-        for (block, may_meet) in self.may_meet.chunks(LANES).enumerate() {
-            if !may_meet.contains(&true) {
-                continue;
-            }
-            for (lane, may_meet) in may_meet.iter().enumerate() {
-                if *may_meet {
-                    let other = block * LANES + lane;
-                    least_s = time_to_contact(states, bodies, agent_idx, other, least_s).unwrap_or(least_s);
-                }
+        for (block, may_meet) in self.may_meet.as_chunks::<LANES>().0.iter().enumerate() {
+            let mut left = u64::from_le_bytes(*may_meet);
+            while left != 0 {
+                let other = block * LANES + left.trailing_zeros() as usize / 8;
+                least_s = time_to_contact(states, bodies, agent_idx, other, least_s).unwrap_or(least_s);
+                left &= left - 1;
             }
         }
         least_s
@@ -66,7 +64,7 @@ wide! {
         own_radius_m: Real,
         agent_idx: usize,
         horizon_s: Real,
-        may_meet: &mut [bool],
+        may_meet: &mut [u8],
     ) {
         let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
         let (vx, vy) = (states.velocity_x_mps[agent_idx], states.velocity_y_mps[agent_idx]);
@@ -83,7 +81,7 @@ wide! {
             let discriminant = dw * dw - ww * gap;
             let late = -dw - discriminant.sqrt() > horizon_s * ww;
             let apart = (gap > 0.0) & ((dw >= 0.0) | (discriminant < 0.0) | late);
-            may_meet[j] = !apart & (reach >= 0.0);
+            may_meet[j] = u8::from(!apart & (reach >= 0.0));
         }
     }
 }

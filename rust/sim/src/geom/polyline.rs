@@ -141,12 +141,14 @@ impl Polyline {
 
     fn project_onto(&self, point: Point2, first: usize, last: usize) -> Projection {
         let (mut best_sq, mut best_segment, mut best_along) = (Real::INFINITY, first, 0.0);
-        for segment in first..=last {
-            let direction = self.directions[segment].0;
-            let offset = point - self.points[segment];
-            let along = (offset.x * direction.x + offset.y * direction.y)
-                .min(self.s_m[segment + 1] - self.s_m[segment])
-                .max(0.0);
+        let segments = self.directions[first..=last].iter().zip(&self.points[first..=last]);
+        let segments = segments.zip(self.s_m[first..=last + 1].windows(2)).zip(first..);
+        for (((&(direction, _), start), s_m), segment) in segments {
+            let offset = point - start;
+            let (along, length_m) = (offset.x * direction.x + offset.y * direction.y, s_m[1] - s_m[0]);
+            // one instruction each, which `min` and `max` are not
+            let along = if along < length_m { along } else { length_m };
+            let along = if along > 0.0 { along } else { 0.0 };
             let distance_sq = (offset - direction * along).norm_squared();
             if distance_sq < best_sq {
                 (best_sq, best_segment, best_along) = (distance_sq, segment, along);

@@ -114,9 +114,9 @@ impl AgentRows {
 wide! {
     fn fill_comparison(all: &[Unturned], keys: &[u64], lanes: &Lanes, rows: &mut [Real])
     with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
-        put_rows::<{ COMPARISON.len() }, 8>(rows, keys.iter().map(|key| {
+        put_rows::<_, { COMPARISON.len() }, 8, 29>(rows, keys, |key| {
             turn(lanes, (&all[(key & 0xffff_ffff) as usize], &NOTHING))
-        }));
+        });
     }
 }
 

@@ -90,20 +90,34 @@ pub(super) fn clip(value: Real, low: Real, high: Real) -> Real {
     if value < high { value } else { high }
 }
 
-/// Writes rows of `W` numbers one after the other. What is left of the padding of a row lies under the next one, which
-/// is written later; the last row is written exactly.
+/// Writes rows of `W` numbers, made from items one after the other. What is left of the padding of a row lies under the
+/// next one, which is written later; the last row is written exactly.
+///
+/// Four rows at a time, for which there is one check whether they fit: `FOUR` is their room, padding included.
 #[inline(always)]
-pub(super) fn put_rows<const W: usize, const PADDED: usize>(
+pub(super) fn put_rows<T: Copy, const W: usize, const PADDED: usize, const FOUR: usize>(
     mut out: &mut [Real],
-    rows: impl Iterator<Item = [Real; PADDED]>,
+    items: &[T],
+    row: impl Fn(T) -> [Real; PADDED],
 ) {
-    const { assert!(W <= PADDED) };
-    for row in rows {
+    const { assert!(W <= PADDED && FOUR == 3 * W + PADDED) };
+    let mut rest = items;
+    while let (Some((four, after)), Some(to)) = (rest.split_first_chunk::<4>(), out.first_chunk_mut::<FOUR>())
+    {
+        for (i, item) in four.iter().enumerate() {
+            if let Some(to) = to[i * W..].first_chunk_mut::<PADDED>() {
+                *to = row(*item);
+            }
+        }
+        rest = after;
+        out = &mut out[4 * W..];
+    }
+    for item in rest {
         if let Some(to) = out.first_chunk_mut::<PADDED>() {
-            *to = row;
+            *to = row(*item);
             out = &mut out[W..];
         } else if let Some(to) = out.first_chunk_mut::<W>() {
-            to.copy_from_slice(&row[..W]);
+            to.copy_from_slice(&row(*item)[..W]);
             out = &mut [];
         }
     }

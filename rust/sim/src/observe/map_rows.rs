@@ -96,20 +96,20 @@ impl MapRows {
 wide! {
     fn fill_7(pieces: &MapPieces, nearest: &[u32], lanes: &Lanes, templates: &Templates, rows: &mut [Real])
     with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
-        put_rows::<7, 8>(rows, nearest.iter().map(|k| {
-            let (piece, kind) = pieces.row(*k);
+        put_rows::<_, 7, 8, 29>(rows, nearest, |k| {
+            let (piece, kind) = pieces.row(k);
             turn(lanes, (piece, &templates[0][kind]))
-        }));
+        });
     }
 
     fn fill_13(pieces: &MapPieces, nearest: &[u32], lanes: &Lanes, templates: &Templates, rows: &mut [Real])
     with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
-        put_rows::<13, 16>(rows, nearest.iter().map(|k| {
-            let (piece, kind) = pieces.row(*k);
+        put_rows::<_, 13, 16, 55>(rows, nearest, |k| {
+            let (piece, kind) = pieces.row(k);
             let mut row = [0.0; 16];
             row[..8].copy_from_slice(&turn(lanes, (piece, &templates[0][kind])));
             row[8..].copy_from_slice(&templates[1][kind].0);
             row
-        }));
+        });
     }
 }

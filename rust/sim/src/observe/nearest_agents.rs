@@ -12,6 +12,8 @@ const LANES: usize = 32;
 const STEPS: Real = 32_000.0;
 /// Steps of what is beyond every candidate.
 const BEYOND: i16 = i16::MAX;
+/// A place that no key has: no distance has these bits.
+const FREE: u64 = u64::MAX;
 
 /// Finds the nearest agents of one observer after the other.
 ///
@@ -95,24 +97,36 @@ impl NearestAgents {
         to_steps(keys, STEPS / self.radius_m, &mut steps[..]);
         steps[num_keys..num_padded].fill(BEYOND);
         count_nearer(&steps[..num_padded], num_keys, &mut self.ranks[..]);
-        // those at the same number of steps have the same rank and take places one after the other
-        let mut num_placed = [0u8; MOST_COUNTED];
         self.sorted.clear();
-        self.sorted.resize(num_keys, 0);
-        let sorted = &mut self.sorted[..num_keys];
-        for (key, rank) in keys.iter().zip(self.ranks.iter()) {
-            let rank = *rank as usize % MOST_COUNTED;
-            sorted[rank + usize::from(num_placed[rank])] = *key;
-            num_placed[rank] += 1;
-        }
-        for i in 1..num_keys {
-            let (key, mut at) = (sorted[i], i);
-            while at > 0 && sorted[at - 1] > key {
-                sorted[at] = sorted[at - 1];
-                at -= 1;
+        self.sorted.resize(MOST_COUNTED, FREE);
+        if let Some(sorted) = self.sorted.first_chunk_mut::<MOST_COUNTED>() {
+            for (key, rank) in keys.iter().zip(self.ranks.iter()) {
+                sorted[*rank as usize % MOST_COUNTED] = *key;
             }
-            sorted[at] = key;
         }
+        self.sorted.truncate(num_keys);
+        // the first of those at the same number of steps have lost their place to the last
+        if self.sorted.iter().fold(false, |any, key| any | (*key == FREE)) {
+            place_with_ties(keys, &self.ranks[..], &mut self.sorted);
+        }
+    }
+}
+
+/// Puts keys in order of which the ranks say how many have a lesser number of steps.
+fn place_with_ties(keys: &[u64], ranks: &[i16], sorted: &mut [u64]) {
+    let mut num_placed = [0u8; MOST_COUNTED];
+    for (key, rank) in keys.iter().zip(ranks) {
+        let rank = *rank as usize % MOST_COUNTED;
+        sorted[rank + usize::from(num_placed[rank])] = *key;
+        num_placed[rank] += 1;
+    }
+    for i in 1..keys.len() {
+        let (key, mut at) = (sorted[i], i);
+        while at > 0 && sorted[at - 1] > key {
+            sorted[at] = sorted[at - 1];
+            at -= 1;
+        }
+        sorted[at] = key;
     }
 }
 
@@ -183,11 +197,24 @@ fn count_less_avx2(own: &[i16; LANES], others: &[i16]) -> [i16; LANES] {
 
 /// Writes the keys of the agents within a distance; returns their number.
 fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64]) -> usize {
+    const BLOCK: usize = 8;
+    let key = |d: Real, j: usize| u64::from(d.to_bits()) << 32 | j as u64;
     let mut num_keys = 0;
-    for (j, d) in distance_sq.iter().enumerate() {
-        // written always, kept if near: no branch to guess
-        keys[num_keys] = u64::from(d.to_bits()) << 32 | j as u64;
-        num_keys += usize::from(*d <= limit_sq);
+    for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
+        let first = block_idx * BLOCK;
+        if let Some(block) = block.first_chunk::<BLOCK>()
+            && block.iter().fold(true, |all, d| all & (*d <= limit_sq))
+            && let Some(to) = keys[num_keys..].first_chunk_mut::<BLOCK>()
+        {
+            *to = std::array::from_fn(|lane| key(block[lane], first + lane));
+            num_keys += BLOCK;
+            continue;
+        }
+        for (lane, d) in block.iter().enumerate() {
+            // written always, kept if near: no branch to guess
+            keys[num_keys] = key(*d, first + lane);
+            num_keys += usize::from(*d <= limit_sq);
+        }
     }
     num_keys
 }
