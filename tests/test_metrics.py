@@ -16,7 +16,7 @@ from shapely.geometry import Point, Polygon, box
 
 from ccdiff_env import metrics
 from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
-from ccdiff_env.metrics import Rollout
+from ccdiff_env.metrics import Motion
 
 PAPER = json.loads((Path(__file__).parent / "golden/paper_tables.json").read_text())
 RAW = {name: np.array(PAPER[name]) for name in ("scr", "orr", "fde", "cfd")}
@@ -89,7 +89,7 @@ def outline(position, heading, size):
     return affinity.translate(affinity.rotate(body, heading, (0, 0), use_radians=True), *position)
 
 
-def random_rollout(seed, agents=6, steps=4, spread=7.0):
+def random_motion(seed, agents=6, steps=4, spread=7.0):
     rng = np.random.default_rng(seed)
     position = rng.uniform(-spread, spread, (agents, steps, 2))
     heading = rng.uniform(-4, 4, (agents, steps))
@@ -101,7 +101,7 @@ def random_rollout(seed, agents=6, steps=4, spread=7.0):
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_contacts_are_those_of_shapely_and_variants_filter_them(seed):
-    position, heading, size, valid = random_rollout(seed)
+    position, heading, size, valid = random_motion(seed)
     agents, steps = valid.shape
     rng = np.random.default_rng(seed)
     controlled = rng.random(agents) < 0.3
@@ -118,8 +118,8 @@ def test_contacts_are_those_of_shapely_and_variants_filter_them(seed):
         return pairs
 
     want, in_log = touching(position), touching(log_position)
-    log = Rollout(log_position, heading, size, valid)
-    got = Rollout(position, heading, size, valid).collisions(controlled=controlled, log=log)
+    log = Motion(log_position, heading, size, valid)
+    got = Motion(position, heading, size, valid).collisions(controlled=controlled, log=log)
     assert [tuple(row) for row in got.contacts] == sorted(want)
     for row, is_controlled, is_new in zip(got.contacts, got.controlled, got.new, strict=True):
         t, a, b = row
@@ -143,7 +143,7 @@ def test_contacts_are_those_of_shapely_and_variants_filter_them(seed):
 def test_boxes_that_touch_or_hold_each_other_collide():
     position = np.array([[[0, 0]], [[4, 0]], [[50, 0]], [[50, 0]]], float)
     size = [[4, 2], [4, 2], [8, 4], [1, 1]]
-    got = Rollout(position, np.zeros((4, 1)), size).collisions()
+    got = Motion(position, np.zeros((4, 1)), size).collisions()
     assert got.contacts.tolist() == [[0, 0, 1], [0, 2, 3]]
     assert not got.any("new")
     assert not got.any("controlled")
@@ -152,12 +152,12 @@ def test_boxes_that_touch_or_hold_each_other_collide():
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_off_road_flags_are_those_of_shapely(seed):
-    position, heading, size, valid = random_rollout(seed, spread=14.0)
+    position, heading, size, valid = random_motion(seed, spread=14.0)
     outer = [(-12, -8), (11, -9), (13, 7), (0, 12), (-10, 6)]
     hole = [(-2, -2), (2, -2), (2, 2), (-2, 2)]
     other = [(20, 20), (9, 5), (9, 9)]
     area = Polygon(outer, [hole]).union(Polygon(other))
-    got = Rollout(position, heading, size, valid).off_road([(outer, [hole]), (other, [])])
+    got = Motion(position, heading, size, valid).off_road([(outer, [hole]), (other, [])])
     for a, t in np.argwhere(valid):
         shape = outline(position[a, t], heading[a, t], size[a])
         assert got.centroid[a, t] != area.covers(Point(position[a, t]))
@@ -171,10 +171,10 @@ def test_off_road_flags_are_those_of_shapely(seed):
 
 
 def test_displacement_is_over_steps_that_both_have():
-    position, heading, size, valid = random_rollout(5)
+    position, heading, size, valid = random_motion(5)
     other = position + np.array([3.0, 4.0]) * np.arange(4)[:, None]
     there = np.random.default_rng(1).random(valid.shape) < 0.7
-    got = Rollout(other, heading, size, there).displacement(Rollout(position, heading, size, valid))
+    got = Motion(other, heading, size, there).displacement(Motion(position, heading, size, valid))
     for a in range(len(position)):
         common = np.flatnonzero(valid[a] & there[a])
         if len(common):
@@ -184,7 +184,7 @@ def test_displacement_is_over_steps_that_both_have():
             assert np.isnan(got.ade[a])
     ade, fde = got.mean([True] + [False] * 5)
     assert (ade, fde) == pytest.approx((got.ade[0], got.fde[0]), nan_ok=True)
-    same = Rollout(position, heading, size, valid)
+    same = Motion(position, heading, size, valid)
     assert same.displacement(same).mean()[1] == 0
 
 
@@ -267,7 +267,7 @@ def test_comfort_histograms_are_those_of_numpy(seed, axes):
             counts[k] += np.histogram(row, 20, (-limit, limit))[0]
     total = counts.sum(1, keepdims=True)
     want = np.divide(counts, total, where=total > 0, out=np.zeros_like(counts))
-    got = Rollout(position, heading, [[4.5, 2]] * agents, valid).comfort(axes=axes)
+    got = Motion(position, heading, [[4.5, 2]] * agents, valid).comfort(axes=axes)
     # a value within rounding of an edge may fall on either side
     np.testing.assert_allclose(got, want, atol=2.1 / max(total.min(), 1))
     assert np.abs(got - want).sum() < 0.2
@@ -275,8 +275,8 @@ def test_comfort_histograms_are_those_of_numpy(seed, axes):
 
 def test_estimated_histograms_are_means_over_scenes():
     x = np.stack([np.arange(40.0), np.zeros(40)], -1)[None]
-    moving = Rollout(x, np.zeros((1, 40)), [[4, 2]])
-    still = Rollout(np.zeros((1, 40, 2)), np.zeros((1, 40)), [[4, 2]])
+    moving = Motion(x, np.zeros((1, 40)), [[4, 2]])
+    still = Motion(np.zeros((1, 40, 2)), np.zeros((1, 40)), [[4, 2]])
     mean = metrics.estimate_histograms([moving, still])
     assert mean[:, 10].tolist() == [0.5, 0.5, 0.5]
     assert metrics.comfort_distance(moving.comfort(), mean).cfd == 0
@@ -309,19 +309,19 @@ def test_post_encroachment_time_is_the_least_gap_of_overlapping_footprints(seed)
                     if shapes[a][t].intersects(shapes[b][s])
                 ]
                 want[a] = min([want[a], *gaps])
-    got = Rollout(position, headings, size).post_encroachment_time()
+    got = Motion(position, headings, size).post_encroachment_time()
     np.testing.assert_allclose(got, want, atol=1e-5)
 
 
 def test_least_time_to_contact_is_that_of_the_causal_measures():
     from ccdiff_env import causal
 
-    position, heading, size, _ = random_rollout(3, agents=5, steps=1, spread=30)
+    position, heading, size, _ = random_motion(3, agents=5, steps=1, spread=30)
     speed = np.random.default_rng(3).uniform(0, 10, (5, 1))
     step = 0.1 * speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     both = np.concatenate([position, position + step], 1)
     headings = np.repeat(heading, 2, 1)
-    got = Rollout(both, headings, size).min_ttc()
+    got = Motion(both, headings, size).min_ttc()
     seconds = causal.ttc(
         both.swapaxes(0, 1), headings.T, np.repeat(speed, 2, 1).T, size, normalised=False
     )
@@ -335,9 +335,9 @@ def test_over_speed_needs_half_a_second_without_a_break():
 
     slow, fast = [5.0] * 10, 20.0
     position = np.stack([track(slow + [fast] * 5 + slow), track(slow + [fast] * 4 + [5.0] + slow)])
-    rollout = Rollout(position, np.zeros((2, 25)), [[4, 2]] * 2)
-    assert rollout.over_speed(15.0).tolist() == [True, False]
-    assert rollout.over_speed(15.0, counted=[False, True]).tolist() == [False, False]
+    motion = Motion(position, np.zeros((2, 25)), [[4, 2]] * 2)
+    assert motion.over_speed(15.0).tolist() == [True, False]
+    assert motion.over_speed(15.0, counted=[False, True]).tolist() == [False, False]
     speeds = np.array([[0.0, 3.0, np.nan], [7.0, 9.5, 2.0]])
     assert metrics.speed_limit(speeds) == pytest.approx(np.quantile([3, 7, 9.5, 2], 0.75))
     assert np.isnan(metrics.speed_limit([0.2]))
@@ -407,10 +407,10 @@ def test_bad_input_is_refused_with_the_offending_part():
     with pytest.raises(ShapeError):
         metrics.generational_distance(cs=[0.1], rs=[0.1])
     with pytest.raises(ShapeError, match="heading"):
-        Rollout(np.zeros((2, 3, 2)), np.zeros((2, 4)), [[4, 2]] * 2)
+        Motion(np.zeros((2, 3, 2)), np.zeros((2, 4)), [[4, 2]] * 2)
     with pytest.raises(ConfigError, match="dt_s"):
-        Rollout(np.zeros((1, 3, 2)), np.zeros((1, 3)), [[4, 2]], dt_s=0)
-    one, two = (Rollout(np.zeros((1, n, 2)), np.zeros((1, n)), [[4, 2]]) for n in (3, 4))
+        Motion(np.zeros((1, 3, 2)), np.zeros((1, 3)), [[4, 2]], dt_s=0)
+    one, two = (Motion(np.zeros((1, n, 2)), np.zeros((1, n)), [[4, 2]]) for n in (3, 4))
     with pytest.raises(ShapeError, match="log"):
         one.displacement(two)
     with pytest.raises(ShapeError, match="controlled"):
@@ -426,6 +426,6 @@ def test_bad_input_is_refused_with_the_offending_part():
 
 
 def test_examples_in_the_documentation_run():
-    result = doctest.testmod(metrics.rollout)
+    result = doctest.testmod(metrics.motion)
     assert result.attempted > 0
     assert result.failed == 0

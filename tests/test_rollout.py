@@ -77,13 +77,13 @@ def test_a_collision_is_listed_from_both_sides_where_the_boxes_begin_to_overlap(
     event = rollout.collisions("ego")[0]
     other = next(e for e in rollout.collisions(event.partner_id) if e.partner_id == "ego")
     assert (other.step, other.partner_id) == (event.step, "ego")
-    boxes = metrics.Rollout(
+    boxes = metrics.Motion(
         rollout.position, rollout.heading, rollout.scene.sizes[:, :2], rollout.valid, dt_s=0.1
     )
     i, j = 0, rollout.agent_ids.index(event.partner_id)
     controlled = np.arange(len(rollout.agent_ids)) == 0
     assert boxes.collisions(controlled=controlled).matrix()[i, j]
-    before = metrics.Rollout(
+    before = metrics.Motion(
         *(a[:, : event.step] for a in (rollout.position, rollout.heading)),
         rollout.scene.sizes[:, :2],
         rollout.valid[:, : event.step],

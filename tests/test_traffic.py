@@ -18,7 +18,7 @@ from ccdiff_env.errors import (
     SceneError,
     UnknownNameError,
 )
-from ccdiff_env.metrics import Rollout
+from ccdiff_env.metrics import Motion
 from ccdiff_env.scenes import Scene, SceneSet
 
 FIELDS = ("position", "heading", "velocity", "active")
@@ -299,7 +299,7 @@ def test_unguided_traffic_on_real_scenes_stays_on_the_road_and_beats_constant_ve
             [e.rollout.off_road(r).centroid_rate for e, r in zip(played, roads, strict=True)]
         )
         figures[name] = (fde, off)
-        assert all(isinstance(e.rollout, Rollout) for e in played)
+        assert all(isinstance(e.motion, Motion) for e in played)
     assert figures["ccdiff_unguided"][0] < figures["constant_velocity"][0]
     assert figures["ccdiff_unguided"][1] < 0.02
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.metrics import Rollout, speed_limit
-from ccdiff_env.rollout import Rollout as Recorded
+from ccdiff_env.metrics import Motion, speed_limit
+from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
 
 __all__ = ["Episode", "Relations", "drivable", "features", "measure", "relations"]
@@ -54,15 +54,15 @@ class Episode:
     chosen: list[int]
     #: Whether each of the A vehicles is in it.
     controlled: npt.NDArray[np.bool_]
-    rollout: Rollout
-    log: Rollout
+    motion: Motion
+    log: Motion
     position: npt.NDArray[np.float32]
     heading: npt.NDArray[np.float32]
     plans: list[dict[str, Any]]
     history: Relations
     #: Step of the log at which it starts.
     start_step: int
-    recorded: Recorded | None = None
+    recorded: Rollout | None = None
 
 
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:
@@ -93,10 +93,10 @@ def features(episode: Episode) -> dict[str, Any]:
 
 def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     """Return the figures of one episode, all of them finite or ``None``."""
-    rollout, log, controlled = episode.rollout, episode.log, episode.controlled
-    found = rollout.collisions(controlled=controlled, log=log)
-    road = rollout.off_road(drivable(episode.scene), replan_steps=replan_steps)
-    displacement = rollout.displacement(log)
+    motion, log, controlled = episode.motion, episode.log, episode.controlled
+    found = motion.collisions(controlled=controlled, log=log)
+    road = motion.off_road(drivable(episode.scene), replan_steps=replan_steps)
+    displacement = motion.displacement(log)
     ade, fde = displacement.mean()
     ade_controlled, fde_controlled = (
         displacement.mean(controlled) if controlled.any() else (np.nan, np.nan)
@@ -120,12 +120,12 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "fde_m": _number(fde),
         "ade_controlled_m": _number(ade_controlled),
         "fde_controlled_m": _number(fde_controlled),
-        "comfort": rollout.comfort().tolist(),
-        "comfort_parity": rollout.comfort(axes="parity").tolist(),
-        "over_speed": known and bool(rollout.over_speed(limit, counted=controlled).any()),
+        "comfort": motion.comfort().tolist(),
+        "comfort_parity": motion.comfort(axes="parity").tolist(),
+        "over_speed": known and bool(motion.over_speed(limit, counted=controlled).any()),
         "over_speed_log": known and bool(log.over_speed(limit, counted=controlled).any()),
         "excess_mps": _number(_excess(episode, limit) if known else np.nan),
-        "min_ttc_s": _number(rollout.min_ttc().min() if len(episode.agents) else np.nan),
+        "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
         "features": features(episode),
         "vehicle_collided": found.agents["new"].tolist(),
@@ -138,7 +138,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
 def _excess(episode: Episode, limit_mps: float) -> float:
     """Mean speed above a limit over all steps of controlled vehicles; NaN without any."""
     move = np.diff(episode.position[episode.controlled], axis=1)
-    there = episode.rollout.valid[episode.controlled]
+    there = episode.motion.valid[episode.controlled]
     speed = np.linalg.norm(move, axis=-1)[there[:, 1:] & there[:, :-1]] / episode.scene.dt
     return float(np.maximum(speed - limit_mps, 0.0).mean()) if speed.size else np.nan
 

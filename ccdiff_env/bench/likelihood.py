@@ -21,7 +21,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, METHODS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.metrics import Rollout
+from ccdiff_env.metrics import Motion
 
 __all__ = [
     "FEATURES",
@@ -152,10 +152,10 @@ def _overlap(corners: F64, ahead: F64, left: F64) -> npt.NDArray[np.bool_]:
     return touching
 
 
-def _features(episode: Episode, rollout: Rollout, states: tuple[Any, Any]) -> dict[str, F64]:
+def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict[str, F64]:
     """Features of the vehicles of an episode: [A, T'] or, of the whole episode, [A, 1]."""
     position, heading = states
-    valid, dt_s = rollout.valid, episode.scene.dt
+    valid, dt_s = motion.valid, episode.scene.dt
     found = motion_features(position, heading, valid, dt_s)
     sizes = episode.scene.sizes[episode.agents][:, :2]
     # speeds are known from the second step to the last but one
@@ -178,8 +178,8 @@ def _features(episode: Episode, rollout: Rollout, states: tuple[Any, Any]) -> di
     seconds[:, np.arange(len(sizes)), np.arange(len(sizes))] = np.inf
     found["ttc"] = np.where(there, seconds.min(axis=2, initial=np.inf).T, np.nan)
     found["ttc"] = np.minimum(found["ttc"], FEATURES["ttc"].high)
-    hits = rollout.collisions().agents["all"]
-    road = rollout.off_road(drivable(episode.scene)).box.any(axis=1)
+    hits = motion.collisions().agents["all"]
+    road = motion.off_road(drivable(episode.scene)).box.any(axis=1)
     present = valid.any(axis=1)
     found["collision"] = np.where(present, hits, np.nan)[:, None]
     found["off_road"] = np.where(present, road, np.nan)[:, None]
@@ -232,7 +232,7 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     span = slice(first.start_step, first.start_step + first.position.shape[1])
     logged = (tracks["position"][first.agents, span], tracks["heading"][first.agents, span])
     log = _features(first, first.log, logged)
-    samples = [_features(e, e.rollout, (e.position, e.heading)) for e in played]
+    samples = [_features(e, e.motion, (e.position, e.heading)) for e in played]
     weight = num_samples / len(played)
     found = {
         name: likelihood(feature, [s[name] for s in samples], log[name], weight)
@@ -241,7 +241,7 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     for group, names in GROUPS.items():
         values = [found[name] for name in names if np.isfinite(found[name])]
         found[group] = float(np.mean(values)) if values else np.nan
-    errors = np.stack([e.rollout.displacement(e.log).ade for e in played])
+    errors = np.stack([e.motion.displacement(e.log).ade for e in played])
     known = np.isfinite(errors).all(axis=0)
     found["ade_m"] = float(errors[:, known].mean()) if known.any() else np.nan
     found["min_ade_m"] = float(errors[:, known].mean(axis=1).min()) if known.any() else np.nan

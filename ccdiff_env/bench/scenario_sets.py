@@ -21,7 +21,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.metrics import Rollout as Measured
+from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 
@@ -250,14 +250,14 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     tracks = rollout.scene.tracks()
     span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     sizes = rollout.scene.sizes[agents][:, :2]
-    simulated = Measured(
+    simulated = Motion(
         rollout.position[agents],
         rollout.heading[agents],
         sizes,
         rollout.valid[agents],
         dt_s=rollout.dt_s,
     )
-    log = Measured(
+    log = Motion(
         tracks["position"][agents, span],
         tracks["heading"][agents, span],
         sizes,

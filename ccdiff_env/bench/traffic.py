@@ -26,10 +26,10 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.metrics import Rollout
+from ccdiff_env.metrics import Motion
 from ccdiff_env.models import guidance_preset
 from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout as Recorded
+from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import PAPER_PROTOCOL
 
@@ -168,7 +168,7 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     there = tracks["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
     now = slice(START_STEP, START_STEP + 1)
-    start = Rollout(
+    start = Motion(
         tracks["position"][agents, now], tracks["heading"][agents, now], scene.sizes[agents][:, :2]
     )
     off_road = start.off_road(drivable(scene)).centroid[:, 0]
@@ -308,10 +308,10 @@ def _episode(
         controlled=np.isin(agents, chosen),
         history=relations(scene, agents, START_STEP),
         start_step=START_STEP,
-        rollout=Rollout(
+        motion=Motion(
             stacked["position"], stacked["heading"], sizes, stacked["active"], dt_s=scene.dt
         ),
-        log=Rollout(
+        log=Motion(
             tracks["position"][agents, span],
             tracks["heading"][agents, span],
             sizes,
@@ -354,7 +354,7 @@ def evaluate_recorded(
     replan_steps: int,
     seed: int,
     record: Collection[str],
-) -> tuple[list[dict[str, Any]], dict[str, Recorded]]:
+) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes."""
     played = episodes(
         scenes_of(source, names),

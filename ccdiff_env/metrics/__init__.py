@@ -1,13 +1,13 @@
 """Evaluation metrics of recorded roll-outs, and the paper's scores.
 
-A recorded scene is a :class:`Rollout`: states of A agents over T steps. Rates over scenes are
+A recorded scene is a :class:`Motion`: states of A agents over T steps. Rates over scenes are
 means of what its methods give per scene. Everything is computed by the Rust code that the running
 world uses; docs/evaluation.md defines each number and says where it differs from the paper.
 """
 
 from __future__ import annotations
 
-from ccdiff_env.metrics.rollout import VARIANTS, Collisions, Displacement, OffRoad, Rollout
+from ccdiff_env.metrics.motion import VARIANTS, Collisions, Displacement, Motion, OffRoad
 from ccdiff_env.metrics.statistics import (
     PAPER_BOUNDS,
     ComfortDistance,
@@ -29,8 +29,8 @@ __all__ = [
     "ComfortDistance",
     "Displacement",
     "GradientConflict",
+    "Motion",
     "OffRoad",
-    "Rollout",
     "comfort_distance",
     "estimate_histograms",
     "generational_distance",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.metrics.rollout import Rollout
+from ccdiff_env.metrics.motion import Motion
 
 PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
     "scr": (0.31, 0.58),
@@ -42,15 +42,15 @@ def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.f
 
 
 def estimate_histograms(
-    rollouts: Iterable[Rollout], *, axes: Literal["body", "parity"] = "body", stride: int = 5
+    motions: Iterable[Motion], *, axes: Literal["body", "parity"] = "body", stride: int = 5
 ) -> npt.NDArray[np.float64]:
     """Estimate the reference histograms [3, 20] from logs: the mean over scenes of
-    :meth:`Rollout.comfort`.
+    :meth:`Motion.comfort`.
 
     Scenes without a moving agent count as zeros, so that rows may sum to less than 1.
     """
-    scenes = [rollout.comfort(axes=axes, stride=stride) for rollout in rollouts]
-    stacked = _histograms("rollouts", np.stack(scenes) if scenes else np.zeros((0, 3, 20)), 3)
+    scenes = [motion.comfort(axes=axes, stride=stride) for motion in motions]
+    stacked = _histograms("motions", np.stack(scenes) if scenes else np.zeros((0, 3, 20)), 3)
     mean: npt.NDArray[np.float64] = _native.metrics_comfort_mean(stacked)
     return mean
 

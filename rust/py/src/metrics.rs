@@ -4,7 +4,7 @@ use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
-    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Rollout,
+    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Motion,
     ScoreBounds, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
     off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
 };
@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<NativeRollout>()?;
+    module.add_class::<NativeMotion>()?;
     module.add_function(wrap_pyfunction!(metrics_scores, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_generational_distance, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_comfort_mean, module)?)?;
@@ -32,8 +32,8 @@ type PyF32<'py> = PyReadonlyArray2<'py, f32>;
 type Rings = (Vec<[f32; 2]>, Vec<Vec<[f32; 2]>>);
 
 /// One recorded scene: checked copies of its arrays [A, T].
-#[pyclass(frozen, module = "ccdiff_env._native", name = "Rollout")]
-pub(crate) struct NativeRollout {
+#[pyclass(frozen, module = "ccdiff_env._native", name = "Motion")]
+pub(crate) struct NativeMotion {
     dt_s: f32,
     num_steps: usize,
     x_m: Vec<f32>,
@@ -43,9 +43,9 @@ pub(crate) struct NativeRollout {
     bodies: Vec<Body>,
 }
 
-impl NativeRollout {
-    fn view(&self) -> Result<Rollout<'_>, SimError> {
-        Rollout::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
+impl NativeMotion {
+    fn view(&self) -> Result<Motion<'_>, SimError> {
+        Motion::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
     }
 }
 
@@ -58,7 +58,7 @@ type CollisionParts<'py> =
 type OffRoadParts<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3]);
 
 #[pymethods]
-impl NativeRollout {
+impl NativeMotion {
     #[new]
     fn new(
         dt_s: f32,
@@ -72,7 +72,7 @@ impl NativeRollout {
             [_, 2] => size.as_slice()?.chunks_exact(2).map(|s| Body::new(s[0], s[1])).collect(),
             got => return Err(ShapeError::new_err(format!("size has shape {got:?}, expected [A, 2]"))),
         };
-        let rollout = Self {
+        let motion = Self {
             dt_s,
             num_steps: x.shape()[1],
             x_m: x.as_slice()?.to_vec(),
@@ -81,8 +81,8 @@ impl NativeRollout {
             valid: valid.as_slice()?.to_vec(),
             bodies,
         };
-        rollout.view().map_err(from_sim)?;
-        Ok(rollout)
+        motion.view().map_err(from_sim)?;
+        Ok(motion)
     }
 
     fn collisions<'py>(
@@ -127,8 +127,8 @@ impl NativeRollout {
             .collect();
         let region = Region::new(&polygons)
             .ok_or_else(|| ShapeError::new_err("drivable has no polygon of three or more finite points"))?;
-        let rollout = self.view().map_err(from_sim)?;
-        let report = off_road_report(&rollout, &region, counted.as_slice()?, replan_steps);
+        let motion = self.view().map_err(from_sim)?;
+        let report = off_road_report(&motion, &region, counted.as_slice()?, replan_steps);
         let shape = [self.bodies.len(), self.num_steps];
         let centroid = report.flags.iter().map(|f| f.centroid).collect();
         let corner = report.flags.iter().map(|f| f.corner).collect();
@@ -141,8 +141,8 @@ impl NativeRollout {
 
     /// ADE and FDE of every agent, metres; not a number where there is none.
     fn displacement(&self, log: &Self) -> PyResult<(Vec<f64>, Vec<f64>)> {
-        let (rollout, log) = (self.view().map_err(from_sim)?, log.view().map_err(from_sim)?);
-        let result = displacement(&rollout, &log).map_err(from_sim)?;
+        let (motion, log) = (self.view().map_err(from_sim)?, log.view().map_err(from_sim)?);
+        let result = displacement(&motion, &log).map_err(from_sim)?;
         let filled = |errors: Vec<Option<f64>>| errors.into_iter().map(|e| e.unwrap_or(f64::NAN)).collect();
         Ok((filled(result.ade_m), filled(result.fde_m)))
     }
@@ -162,8 +162,8 @@ impl NativeRollout {
                 return Err(UnknownNameError::new_err(text));
             }
         };
-        let rollout = self.view().map_err(from_sim)?;
-        let found = ComfortHistograms::from_rollout(&rollout, axes, stride).map_err(from_sim)?;
+        let motion = self.view().map_err(from_sim)?;
+        let found = ComfortHistograms::from_motion(&motion, axes, stride).map_err(from_sim)?;
         histogram_array(py, &found)
     }
 

@@ -1,6 +1,6 @@
 //! Collisions of a recorded scene, in the variants that a collision rate can mean.
 
-use super::Rollout;
+use super::Motion;
 use crate::error::Result;
 use crate::events::{Collisions, ContactKind};
 use crate::scene::AgentKind;
@@ -68,9 +68,9 @@ impl CollisionReport {
     ///
     /// # Reference
     /// method.md 6.1.
-    pub fn new(rollout: &Rollout<'_>, controlled: &[bool], log: Option<&Rollout<'_>>) -> Result<Self> {
-        rollout.check_same(log, controlled)?;
-        let num_agents = rollout.num_agents();
+    pub fn new(motion: &Motion<'_>, controlled: &[bool], log: Option<&Motion<'_>>) -> Result<Self> {
+        motion.check_same(log, controlled)?;
+        let num_agents = motion.num_agents();
         let kinds = vec![AgentKind::Vehicle; num_agents];
         let (mut states, mut found) = (AgentStates::new(num_agents), Collisions::new());
         let (mut log_states, mut log_found) = (AgentStates::new(num_agents), Collisions::new());
@@ -78,13 +78,13 @@ impl CollisionReport {
             contacts: Vec::new(),
             first_kind: vec![None; num_agents],
             present: (0..num_agents)
-                .map(|a| (0..rollout.num_steps()).any(|t| rollout.is_valid(a, t)))
+                .map(|a| (0..motion.num_steps()).any(|t| motion.is_valid(a, t)))
                 .collect(),
         };
         let mut at_start: Vec<(u32, u32)> = Vec::new();
-        for step_idx in 0..rollout.num_steps() {
-            rollout.states_at(step_idx, &mut states);
-            found.detect(&states, rollout.bodies(), &kinds);
+        for step_idx in 0..motion.num_steps() {
+            motion.states_at(step_idx, &mut states);
+            found.detect(&states, motion.bodies(), &kinds);
             if step_idx == 0 {
                 at_start = found.pairs().to_vec();
             }
@@ -137,7 +137,7 @@ impl CollisionReport {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rollout::Recorded;
+    use super::super::motion::Recorded;
     use super::*;
 
     fn standing(x: f32, y: f32, steps: usize) -> Vec<Option<(f32, f32, f32)>> {
@@ -157,8 +157,8 @@ mod tests {
             standing(30.0, 0.0, 5),
             vanishing,
         ]);
-        let rollout = recorded.rollout(0.1);
-        let report = CollisionReport::new(&rollout, &[true, false, false, false, false], None).unwrap();
+        let motion = recorded.motion(0.1);
+        let report = CollisionReport::new(&motion, &[true, false, false, false, false], None).unwrap();
         assert_eq!(report.agents(CollisionVariant::All), [true, true, true, true, true]);
         assert_eq!(report.agents(CollisionVariant::Controlled), [true, true, false, false, false]);
         // 3 and 4 touch at the first step
@@ -174,11 +174,11 @@ mod tests {
         let mut late = standing(30.0, 0.0, 3);
         late[2] = Some((3.0, 0.0, 0.0));
         let recorded = Recorded::new(&[standing(0.0, 0.0, 3), late]);
-        let rollout = recorded.rollout(0.1);
+        let motion = recorded.motion(0.1);
         let none = [false; 2];
-        let alone = CollisionReport::new(&rollout, &none, None).unwrap();
+        let alone = CollisionReport::new(&motion, &none, None).unwrap();
         assert!(alone.any(CollisionVariant::New));
-        let replay = CollisionReport::new(&rollout, &none, Some(&rollout)).unwrap();
+        let replay = CollisionReport::new(&motion, &none, Some(&motion)).unwrap();
         assert!(replay.any(CollisionVariant::All) && !replay.any(CollisionVariant::New));
     }
 
@@ -186,8 +186,8 @@ mod tests {
     fn masks_and_logs_of_another_shape_are_refused() {
         let recorded = Recorded::new(&[standing(0.0, 0.0, 3)]);
         let other = Recorded::new(&[standing(0.0, 0.0, 2)]);
-        assert!(CollisionReport::new(&recorded.rollout(0.1), &[], None).is_err());
-        let log = other.rollout(0.1);
-        assert!(CollisionReport::new(&recorded.rollout(0.1), &[true], Some(&log)).is_err());
+        assert!(CollisionReport::new(&recorded.motion(0.1), &[], None).is_err());
+        let log = other.motion(0.1);
+        assert!(CollisionReport::new(&recorded.motion(0.1), &[true], Some(&log)).is_err());
     }
 }

@@ -1,6 +1,6 @@
 //! Comfort distance (CFD): how far the accelerations and jerks of a roll-out are from those of the log.
 
-use super::Rollout;
+use super::Motion;
 use crate::error::{Result, SimError};
 use crate::geom::{Real, Vector2, math};
 
@@ -41,16 +41,16 @@ impl ComfortHistograms {
     ///
     /// # Reference
     /// method.md 6.4; the release uses 0.5 s between entries.
-    pub fn from_rollout(rollout: &Rollout<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
+    pub fn from_motion(motion: &Motion<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
         if stride == 0 {
             return Err(SimError::Config { field: "stride", got: "0".into(), expected: "at least 1".into() });
         }
         let mut counts = [[0u64; HISTOGRAM_BINS]; 3];
-        let entries: Vec<usize> = (0..rollout.num_steps()).step_by(stride).collect();
-        for agent in 0..rollout.num_agents() {
-            for run in entries.chunk_by(|&a, &b| rollout.is_valid(agent, a) && rollout.is_valid(agent, b)) {
+        let entries: Vec<usize> = (0..motion.num_steps()).step_by(stride).collect();
+        for agent in 0..motion.num_agents() {
+            for run in entries.chunk_by(|&a, &b| motion.is_valid(agent, a) && motion.is_valid(agent, b)) {
                 if run.len() >= 2 {
-                    count_run(rollout, agent, run, axes, &mut counts);
+                    count_run(motion, agent, run, axes, &mut counts);
                 }
             }
         }
@@ -77,19 +77,19 @@ impl ComfortHistograms {
 }
 
 fn count_run(
-    rollout: &Rollout<'_>,
+    motion: &Motion<'_>,
     agent: usize,
     run: &[usize],
     axes: ComfortAxes,
     counts: &mut [[u64; HISTOGRAM_BINS]; 3],
 ) {
-    let dt_s = f64::from(rollout.dt_s()) * (run[1] - run[0]) as f64;
+    let dt_s = f64::from(motion.dt_s()) * (run[1] - run[0]) as f64;
     let differences = |values: &[nalgebra::Vector2<f64>]| {
         let mut out: Vec<_> = values.windows(2).map(|pair| (pair[1] - pair[0]) / dt_s).collect();
         out.insert(0, out[0]);
         out
     };
-    let positions: Vec<_> = run.iter().map(|&t| rollout.position(agent, t).coords.cast::<f64>()).collect();
+    let positions: Vec<_> = run.iter().map(|&t| motion.position(agent, t).coords.cast::<f64>()).collect();
     let velocity = differences(&positions);
     if velocity[0].norm() <= MOVING_MPS {
         return;
@@ -97,7 +97,7 @@ fn count_run(
     let acceleration = differences(&velocity);
     let size: Vec<f64> = acceleration.iter().map(|a| a.norm()).collect();
     for (k, &step_idx) in run.iter().enumerate() {
-        let (sin, cos) = math::sin_cos(rollout.heading_rad(agent, step_idx));
+        let (sin, cos) = math::sin_cos(motion.heading_rad(agent, step_idx));
         let (forward, left) = (Vector2::new(cos, sin).cast::<f64>(), Vector2::new(-sin, cos).cast::<f64>());
         let (longitudinal, lateral) = match axes {
             ComfortAxes::Body => (acceleration[k].dot(&forward), acceleration[k].dot(&left)),
@@ -155,7 +155,7 @@ pub fn comfort_distance(one: &ComfortHistograms, other: &ComfortHistograms) -> C
 
 #[cfg(test)]
 mod tests {
-    use super::super::rollout::Recorded;
+    use super::super::motion::Recorded;
     use super::*;
 
     /// Check values of method.md 6.4, in units of 1e-5; their rounding moves distances by up to 2e-5.
@@ -205,10 +205,10 @@ mod tests {
         let slow = (0..31).map(|t| Some((t as f32 * 0.04, 9.0, 0.0))).collect();
         let recorded = Recorded::new(&[fast, slow]);
         for axes in [ComfortAxes::Body, ComfortAxes::Parity] {
-            let h = ComfortHistograms::from_rollout(&recorded.rollout(0.1), axes, 5).unwrap();
+            let h = ComfortHistograms::from_motion(&recorded.motion(0.1), axes, 5).unwrap();
             assert!(h.rows.iter().all(|row| row[10] == 1.0));
         }
-        assert!(ComfortHistograms::from_rollout(&recorded.rollout(0.1), ComfortAxes::Body, 0).is_err());
+        assert!(ComfortHistograms::from_motion(&recorded.motion(0.1), ComfortAxes::Body, 0).is_err());
     }
 
     #[test]
@@ -221,7 +221,7 @@ mod tests {
             Recorded::new(&[track])
         };
         let (east, north) = (along(0.0), along(std::f32::consts::FRAC_PI_2));
-        let of = |r: &Recorded, axes| ComfortHistograms::from_rollout(&r.rollout(0.1), axes, 5).unwrap();
+        let of = |r: &Recorded, axes| ComfortHistograms::from_motion(&r.motion(0.1), axes, 5).unwrap();
         assert_eq!(of(&east, ComfortAxes::Body).rows[0], of(&north, ComfortAxes::Body).rows[0]);
         // rounding puts the lateral zeros on either side of 0
         assert!(of(&north, ComfortAxes::Body).rows[1][9..=10].iter().sum::<f64>() > 0.999);

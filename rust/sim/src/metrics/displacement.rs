@@ -1,6 +1,6 @@
 //! Distance of a roll-out from the log.
 
-use super::Rollout;
+use super::Motion;
 use crate::error::Result;
 
 /// Displacement errors of one scene.
@@ -35,13 +35,13 @@ impl Displacement {
 ///
 /// # Reference
 /// method.md 6.3.
-pub fn displacement(rollout: &Rollout<'_>, log: &Rollout<'_>) -> Result<Displacement> {
-    rollout.check_same(Some(log), &vec![false; rollout.num_agents()])?;
+pub fn displacement(motion: &Motion<'_>, log: &Motion<'_>) -> Result<Displacement> {
+    motion.check_same(Some(log), &vec![false; motion.num_agents()])?;
     let mut result = Displacement { ade_m: Vec::new(), fde_m: Vec::new() };
-    for agent in 0..rollout.num_agents() {
-        let errors: Vec<f64> = (0..rollout.num_steps())
-            .filter(|&t| rollout.is_valid(agent, t) && log.is_valid(agent, t))
-            .map(|t| f64::from((rollout.position(agent, t) - log.position(agent, t)).norm()))
+    for agent in 0..motion.num_agents() {
+        let errors: Vec<f64> = (0..motion.num_steps())
+            .filter(|&t| motion.is_valid(agent, t) && log.is_valid(agent, t))
+            .map(|t| f64::from((motion.position(agent, t) - log.position(agent, t)).norm()))
             .collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         result.ade_m.push(if errors.is_empty() { None } else { Some(mean) });
@@ -52,7 +52,7 @@ pub fn displacement(rollout: &Rollout<'_>, log: &Rollout<'_>) -> Result<Displace
 
 #[cfg(test)]
 mod tests {
-    use super::super::rollout::Recorded;
+    use super::super::motion::Recorded;
     use super::*;
 
     #[test]
@@ -65,7 +65,7 @@ mod tests {
             Recorded::new(&[log.clone(), gone, vec![None; 4]]),
             Recorded::new(&[log, shifted, vec![None; 4]]),
         );
-        let result = displacement(&b.rollout(0.1), &a.rollout(0.1)).unwrap();
+        let result = displacement(&b.motion(0.1), &a.motion(0.1)).unwrap();
         assert_eq!(result.ade_m, [Some(0.0), Some(1.0), None]);
         assert_eq!(result.fde_m, [Some(0.0), Some(2.0), None]);
         assert_eq!(result.mean_m(&[]), Some((0.5, 1.0)));

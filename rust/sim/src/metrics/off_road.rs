@@ -1,6 +1,6 @@
 //! How much of the time agents are off the drivable area.
 
-use super::Rollout;
+use super::Motion;
 use crate::events::{OffRoad, off_road};
 use crate::geom::Region;
 use crate::state::AgentStates;
@@ -26,18 +26,18 @@ pub struct OffRoadReport {
 ///
 /// Differs from the release: polygons of the map in place of pixels of a raster that is clamped at its border.
 pub fn off_road_report(
-    rollout: &Rollout<'_>,
+    motion: &Motion<'_>,
     region: &Region,
     counted: &[bool],
     replan_steps: usize,
 ) -> OffRoadReport {
-    let (num_agents, num_steps) = (rollout.num_agents(), rollout.num_steps());
+    let (num_agents, num_steps) = (motion.num_agents(), motion.num_steps());
     let replan_steps = replan_steps.max(1);
     let mut flags = vec![OffRoad::default(); num_agents * num_steps];
     let mut states = AgentStates::new(num_agents);
     for step_idx in 0..num_steps {
-        rollout.states_at(step_idx, &mut states);
-        for (agent, body) in rollout.bodies().iter().enumerate() {
+        motion.states_at(step_idx, &mut states);
+        for (agent, body) in motion.bodies().iter().enumerate() {
             if states.active[agent] {
                 flags[agent * num_steps + step_idx] = off_road(&states, agent, body, region);
             }
@@ -47,11 +47,11 @@ pub fn off_road_report(
     for agent in (0..num_agents).filter(|&a| counted.get(a).copied().unwrap_or(true)) {
         for step_idx in 0..num_steps {
             let flag = flags[agent * num_steps + step_idx];
-            if rollout.is_valid(agent, step_idx) {
+            if motion.is_valid(agent, step_idx) {
                 present += 1;
                 centroid += u64::from(flag.centroid);
                 corner += u64::from(flag.corner);
-            } else if rollout.is_valid(agent, step_idx - step_idx % replan_steps) {
+            } else if motion.is_valid(agent, step_idx - step_idx % replan_steps) {
                 vanished += 1;
             }
         }
@@ -67,7 +67,7 @@ pub fn off_road_report(
 
 #[cfg(test)]
 mod tests {
-    use super::super::rollout::Recorded;
+    use super::super::motion::Recorded;
     use super::*;
     use crate::geom::{Point2, Polygon};
 
@@ -79,11 +79,11 @@ mod tests {
         // centre leaves at the third step, a corner at the second; gone from the fourth on
         let leaving = [5.0, 9.0, 11.0].map(|x| Some((x, 5.0, 0.0))).into_iter().chain([None; 3]).collect();
         let recorded = Recorded::new(&[leaving, vec![Some((5.0, 5.0, 0.0)); 6]]);
-        let report = off_road_report(&recorded.rollout(0.1), &region, &[], 5);
+        let report = off_road_report(&recorded.motion(0.1), &region, &[], 5);
         assert_eq!(report.centroid_rate, 1.0 / 9.0);
         assert_eq!(report.box_rate, 2.0 / 9.0);
         assert_eq!(report.parity_rate, 3.0 / 11.0);
-        let only_second = off_road_report(&recorded.rollout(0.1), &region, &[false, true], 5);
+        let only_second = off_road_report(&recorded.motion(0.1), &region, &[false, true], 5);
         assert_eq!(only_second.parity_rate, 0.0);
         assert!(!only_second.flags[3].centroid);
     }

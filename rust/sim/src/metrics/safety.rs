@@ -1,6 +1,6 @@
 //! Surrogate safety measures of a recorded scene: least time to contact, post-encroachment time, over-speed.
 
-use super::Rollout;
+use super::Motion;
 use crate::causal::measures::TTC_CAP_S;
 use crate::geom::{OrientedBox, Real};
 
@@ -16,13 +16,13 @@ fn counts(mask: &[bool], agent_idx: usize) -> bool {
 /// Least time to contact of every agent with any other over all steps, seconds, capped at 20.
 ///
 /// Boxes move on at the velocity of their last step. 0 from the first contact on; 20 for agents that meet nobody.
-pub fn min_ttc_s(rollout: &Rollout<'_>) -> Vec<Real> {
-    let num_agents = rollout.num_agents();
+pub fn min_ttc_s(motion: &Motion<'_>) -> Vec<Real> {
+    let num_agents = motion.num_agents();
     let mut least = vec![TTC_CAP_S; num_agents];
-    for t in 0..rollout.num_steps() {
+    for t in 0..motion.num_steps() {
         let moving: Vec<_> = (0..num_agents)
-            .filter(|&a| rollout.is_valid(a, t))
-            .map(|a| (a, OrientedBox::new(&rollout.pose(a, t), &rollout.bodies()[a]), rollout.velocity(a, t)))
+            .filter(|&a| motion.is_valid(a, t))
+            .map(|a| (a, OrientedBox::new(&motion.pose(a, t), &motion.bodies()[a]), motion.velocity(a, t)))
             .collect();
         for (k, (a, box_a, velocity_a)) in moving.iter().enumerate() {
             for (b, box_b, velocity_b) in &moving[..k] {
@@ -43,19 +43,19 @@ pub fn min_ttc_s(rollout: &Rollout<'_>) -> Vec<Real> {
 /// The time between one agent's box leaving a place and another's reaching it: the least |t - s| over steps t, s
 /// at which the box of one at t overlaps the box of the other at s. 0 for a collision. Agents that follow each
 /// other count too, with their time headway.
-pub fn post_encroachment_time_s(rollout: &Rollout<'_>) -> Vec<Option<Real>> {
-    let (num_agents, num_steps) = (rollout.num_agents(), rollout.num_steps());
-    let horizon = (PET_HORIZON_S / rollout.dt_s()).round() as usize;
+pub fn post_encroachment_time_s(motion: &Motion<'_>) -> Vec<Option<Real>> {
+    let (num_agents, num_steps) = (motion.num_agents(), motion.num_steps());
+    let horizon = (PET_HORIZON_S / motion.dt_s()).round() as usize;
     let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
         .map(|a| {
-            let present = (0..num_steps).filter(|&t| rollout.is_valid(a, t));
-            present.map(|t| (t, OrientedBox::new(&rollout.pose(a, t), &rollout.bodies()[a]))).collect()
+            let present = (0..num_steps).filter(|&t| motion.is_valid(a, t));
+            present.map(|t| (t, OrientedBox::new(&motion.pose(a, t), &motion.bodies()[a]))).collect()
         })
         .collect();
     let mut least: Vec<Option<usize>> = vec![None; num_agents];
     for a in 0..num_agents {
         for b in 0..a {
-            let reach_m = rollout.bodies()[a].radius_m + rollout.bodies()[b].radius_m;
+            let reach_m = motion.bodies()[a].radius_m + motion.bodies()[b].radius_m;
             // a later meeting than both know of already is of no interest
             let mut limit = least[a].unwrap_or(horizon + 1).max(least[b].unwrap_or(horizon + 1));
             for (t, box_a) in &boxes[a] {
@@ -74,7 +74,7 @@ pub fn post_encroachment_time_s(rollout: &Rollout<'_>) -> Vec<Option<Real>> {
             }
         }
     }
-    least.into_iter().map(|gap| gap.map(|steps| steps as Real * rollout.dt_s())).collect()
+    least.into_iter().map(|gap| gap.map(|steps| steps as Real * motion.dt_s())).collect()
 }
 
 /// Whether every agent of a mask [A] (all, where it is shorter) drives faster than a limit for at least `at_least_s`
@@ -83,17 +83,17 @@ pub fn post_encroachment_time_s(rollout: &Rollout<'_>) -> Vec<Option<Real>> {
 /// The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
 ///
 /// Differs from the paper: it names the rate without a definition; this one is of method.md 6.5.
-pub fn over_speed(rollout: &Rollout<'_>, limit_mps: Real, at_least_s: Real, counted: &[bool]) -> Vec<bool> {
-    let needed = (at_least_s / rollout.dt_s()).round().max(1.0) as usize;
+pub fn over_speed(motion: &Motion<'_>, limit_mps: Real, at_least_s: Real, counted: &[bool]) -> Vec<bool> {
+    let needed = (at_least_s / motion.dt_s()).round().max(1.0) as usize;
     let of_agent = |agent: usize| {
         let mut run = 0;
-        (0..rollout.num_steps()).any(|t| {
-            let fast = rollout.is_valid(agent, t) && rollout.velocity(agent, t).norm() > limit_mps;
+        (0..motion.num_steps()).any(|t| {
+            let fast = motion.is_valid(agent, t) && motion.velocity(agent, t).norm() > limit_mps;
             run = if fast { run + 1 } else { 0 };
             run >= needed
         })
     };
-    (0..rollout.num_agents()).map(|agent| counts(counted, agent) && of_agent(agent)).collect()
+    (0..motion.num_agents()).map(|agent| counts(counted, agent) && of_agent(agent)).collect()
 }
 
 /// Speed limit taken from traffic: the 0.75 quantile of all speeds above 1 m/s, metres per second.
@@ -110,7 +110,7 @@ pub fn speed_limit_mps(speeds_mps: &[Real]) -> Option<Real> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rollout::Recorded;
+    use super::super::motion::Recorded;
     use super::*;
     use std::f32::consts::FRAC_PI_2;
 
@@ -120,7 +120,7 @@ mod tests {
         let chaser = (0..10).map(|t| Some((t as f32, if t > 5 { 30.0 } else { 0.0 }, 0.0))).collect();
         let recorded =
             Recorded::new(&[chaser, vec![Some((20.0, 0.0, 0.0)); 10], vec![Some((0.0, -50.0, 0.0)); 10]]);
-        let least = min_ttc_s(&recorded.rollout(0.1));
+        let least = min_ttc_s(&recorded.motion(0.1));
         assert!((least[0] - 1.1).abs() < 1e-4 && least[1] == least[0]);
         assert_eq!(least[2], TTC_CAP_S);
     }
@@ -132,7 +132,7 @@ mod tests {
         let first = (0..60).map(|t| Some((t as f32 - 20.25, 0.0, 0.0))).collect();
         let second = (0..60).map(|t| Some((0.0, t as f32 - 39.75, FRAC_PI_2))).collect();
         let recorded = Recorded::new(&[first, second, vec![Some((99.0, 0.0, 0.0)); 60]]);
-        let pet = post_encroachment_time_s(&recorded.rollout(0.1));
+        let pet = post_encroachment_time_s(&recorded.motion(0.1));
         assert!((pet[0].unwrap() - 1.4).abs() < 1e-5, "{pet:?}");
         assert_eq!((pet[0], pet[2]), (pet[1], None));
     }
@@ -150,7 +150,7 @@ mod tests {
         };
         let recorded = Recorded::new(&[at(20.0, 5, 10), at(20.0, 5, 9), at(5.0, 0, 0), at(20.0, 5, 15)]);
         let mask = [true, true, true, false];
-        assert_eq!(over_speed(&recorded.rollout(0.1), 15.0, 0.5, &mask), [true, false, false, false]);
+        assert_eq!(over_speed(&recorded.motion(0.1), 15.0, 0.5, &mask), [true, false, false, false]);
     }
 
     #[test]

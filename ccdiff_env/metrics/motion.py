@@ -98,7 +98,7 @@ def _states(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDA
     return array
 
 
-class Rollout:
+class Motion:
     """One recorded scene: states of A agents over T steps.
 
     Parameters
@@ -120,8 +120,8 @@ class Rollout:
 
     >>> x = np.stack([np.arange(0.0, 10.0), np.full(10, 9.0)])
     >>> position = np.stack([x, np.zeros_like(x)], axis=-1)
-    >>> rollout = Rollout(position, np.zeros((2, 10)), [[4.5, 2.0]] * 2)
-    >>> found = rollout.collisions(controlled=[True, False])
+    >>> motion = Motion(position, np.zeros((2, 10)), [[4.5, 2.0]] * 2)
+    >>> found = motion.collisions(controlled=[True, False])
     >>> found.any("controlled_new"), found.first_kind
     (True, ['front', 'rear'])
     """
@@ -148,7 +148,7 @@ class Rollout:
             there &= given
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
-        self._native = _native.Rollout(
+        self._native = _native.Motion(
             dt_s,
             np.ascontiguousarray(points[..., 0]),
             np.ascontiguousarray(points[..., 1]),
@@ -166,7 +166,7 @@ class Rollout:
         return array
 
     def collisions(
-        self, *, controlled: npt.ArrayLike | None = None, log: Rollout | None = None
+        self, *, controlled: npt.ArrayLike | None = None, log: Motion | None = None
     ) -> Collisions:
         """Find the contacts of oriented boxes, touching included.
 
@@ -217,7 +217,7 @@ class Rollout:
         )
         return OffRoad(centroid, box, *rates)
 
-    def displacement(self, log: Rollout) -> Displacement:
+    def displacement(self, log: Motion) -> Displacement:
         """Compare with the log of the same agents and steps."""
         ade, fde = self._native.displacement(log._native)
         return Displacement(ade=np.asarray(ade), fde=np.asarray(fde))

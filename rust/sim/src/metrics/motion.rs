@@ -8,7 +8,7 @@ use crate::state::{AgentStates, Body};
 ///
 /// Entries where `valid` is false mean nothing and may hold any number.
 #[derive(Debug, Clone, Copy)]
-pub struct Rollout<'a> {
+pub struct Motion<'a> {
     num_steps: usize,
     dt_s: Real,
     x_m: &'a [Real],
@@ -18,7 +18,7 @@ pub struct Rollout<'a> {
     bodies: &'a [Body],
 }
 
-impl<'a> Rollout<'a> {
+impl<'a> Motion<'a> {
     /// A view of A * T states, with A bodies.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl<'a> Rollout<'a> {
         let finite = |k: usize| x_m[k].is_finite() && y_m[k].is_finite() && heading_rad[k].is_finite();
         if let Some(k) = (0..expected).find(|&k| valid[k] && !finite(k)) {
             return Err(SimError::Config {
-                field: "rollout",
+                field: "motion",
                 got: format!("a state that is not finite at agent {}, step {}", k / num_steps, k % num_steps),
                 expected: "finite states wherever an agent is valid".into(),
             });
@@ -126,7 +126,7 @@ impl<'a> Rollout<'a> {
     }
 
     /// Checks that another roll-out has the same agents and steps, and a mask the same agents.
-    pub(super) fn check_same(&self, other: Option<&Rollout<'_>>, controlled: &[bool]) -> Result<()> {
+    pub(super) fn check_same(&self, other: Option<&Motion<'_>>, controlled: &[bool]) -> Result<()> {
         if controlled.len() != self.num_agents() {
             let (got, expected) = (controlled.len(), self.num_agents());
             return Err(SimError::Length { what: "mask of controlled agents", got, expected });
@@ -173,7 +173,7 @@ impl Recorded {
         }
     }
 
-    pub(super) fn rollout(&self, dt_s: Real) -> Rollout<'_> {
-        Rollout::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
+    pub(super) fn motion(&self, dt_s: Real) -> Motion<'_> {
+        Motion::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
     }
 }
