@@ -2,8 +2,8 @@
 
 In the manner of the Waymo Open Sim Agents Challenge (Montali et al. 2023): each feature of each
 vehicle has a histogram over samples and steps; the score of a scene is the geometric mean of what
-the histograms give the logged values. Written from the paper's definition; bins, horizon and the
-features of the map are ours, so that numbers compare with those of this package only.
+the histograms give the logged values. Bins, horizon and the features of the map are ours, so that
+numbers compare with those of this package only.
 """
 
 from __future__ import annotations
