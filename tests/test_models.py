@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -179,11 +178,8 @@ def test_the_shipped_network_follows_a_straight_road() -> None:
 
 
 @pytest.mark.nuscenes
-def test_the_shipped_network_beats_constant_velocity_on_validation_scenes() -> None:
-    folder = Path(os.environ.get("CCDIFF_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    if not (folder / "nuscenes" / "v1.0-mini").exists():
-        pytest.skip(f"no real data at {folder}: set CCDIFF_DATA")
-    scenes = load_nuscenes(folder / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
+def test_the_shipped_network_beats_constant_velocity_on_validation_scenes(data_root: Path) -> None:
+    scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
     cases = [(s, t) for s in scenes for t in range(30, s.num_steps - 52, 10)]
     plans = Planner(shipped_weights()).plan(
         [s for s, _ in cases], [t for _, t in cases], num_samples=5

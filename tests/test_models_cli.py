@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -11,19 +10,12 @@ from ccdiff_env.cli import main
 from ccdiff_env.models import Planner
 
 
-def dataroot() -> Path:
-    folder = Path(os.environ.get("CCDIFF_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    if not (folder / "nuscenes").exists():
-        pytest.skip(f"no real data at {folder}: set CCDIFF_DATA")
-    return folder / "nuscenes"
-
-
 @pytest.mark.nuscenes
 def test_training_on_the_mini_scenes_writes_weights_and_resumes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["train", "--dataroot", str(dataroot()), "--version", "v1.0-mini", "--split",
-               "mini_train", "--out", str(tmp_path), "--batch-scenes", "2", "--quiet",
+    command = ["train", "--dataroot", str(data_root / "nuscenes"), "--version", "v1.0-mini",
+               "--split", "mini_train", "--out", str(tmp_path), "--batch-scenes", "2", "--quiet",
                "--hold-out-every", "4"]  # fmt: skip
     assert main([*command, "--steps", "2"]) == 0
     assert main([*command, "--steps", "3"]) == 0
