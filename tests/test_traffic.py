@@ -290,13 +290,13 @@ def test_unguided_traffic_on_real_scenes_stays_on_the_road_and_beats_constant_ve
     figures = {}
     for name in ("constant_velocity", "ccdiff_unguided"):
         played = episodes(scenes, METHODS[name], num_controlled=None)
-        fde = np.nanmean([e.rollout.displacement(e.log).mean()[1] for e in played])
+        fde = np.nanmean([e.motion.displacement(e.log).mean()[1] for e in played])
         roads = [
             [(p["exterior"], p["holes"]) for p in e.scene.map_layers()["drivable_area"]]
             for e in played
         ]
         off = np.mean(
-            [e.rollout.off_road(r).centroid_rate for e, r in zip(played, roads, strict=True)]
+            [e.motion.off_road(r).centroid_rate for e, r in zip(played, roads, strict=True)]
         )
         figures[name] = (fde, off)
         assert all(isinstance(e.motion, Motion) for e in played)
