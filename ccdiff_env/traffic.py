@@ -105,6 +105,11 @@ class TrafficPlan:
     realism_cost: npt.NDArray[np.float32]
     #: Mean cosine of the gradients of two objectives, [J, J]; ``None`` unless ``explain`` is set.
     gradient_cosine: npt.NDArray[np.float32] | None
+    #: Mean cosine of the gradients of realism and guidance, [M]; 0 for a vehicle without a
+    #: gradient, ``None`` without guidance, and unless ``explain`` is set.
+    realism_cosine: npt.NDArray[np.float32] | None
+    #: Share of samples and denoising steps in which it is negative, [M]; ``None`` likewise.
+    conflict_share: npt.NDArray[np.float32] | None
 
 
 #: Options of an environment that follow the paper's evaluation as released (method.md 5): start at
@@ -153,7 +158,7 @@ def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DatasetNotFoundError(f"no ranking at {os.fspath(path)}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"no ranking in JSON ({error}): {os.fspath(path)}") from None
     if not isinstance(found, dict):
         raise DatasetError(f"{os.fspath(path)}: expected agent ids by scene name")

@@ -9,7 +9,6 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import cli
-from ccdiff_env.bench.conflict import conflicts
 from ccdiff_env.bench.correlation import correlations, write_correlations
 from ccdiff_env.bench.episode import features, relations
 from ccdiff_env.bench.scenes import scenes_of
@@ -17,7 +16,6 @@ from ccdiff_env.bench.speed import Timing, choose_moments, fit, write_speed
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import METHODS, START_STEP, episodes, evaluate
 from ccdiff_env.metrics import speed_limit
-from ccdiff_env.models import Planner, shipped_weights
 
 VAL = {"embedded": "val"}
 NAMES = ["cut-in-03", "left-turn-04"]
@@ -117,25 +115,48 @@ def test_correlations_agree_with_scipy(tmp_path):
         assert len(list(csv.DictReader(file))) == 4
 
 
-def test_conflict_is_that_of_the_guided_vehicles_of_the_first_plan():
-    both = played("ccdiff", 2)
-    found = conflicts(both, METHODS["ccdiff"].ccdiff, num_guided=1, step=START_STEP, seed=0)
-    planner = Planner(shipped_weights())
-    plans = planner.plan(
-        [e.scene for e in both], [START_STEP] * 2, seeds=[0, 0], num_samples=5, guidance="rl",
-        guided=[e.chosen[:1] for e in both], gradient_statistics=True,
-    )  # fmt: skip
-    for one, plan, episode in zip(found, plans, both, strict=True):
-        agent = plan.agents.tolist().index(episode.chosen[0])
-        assert one["gradient_cosine"] == pytest.approx(plan.guidance["gradient_cosine"][agent])
-        assert one["conflict_share"] == pytest.approx(plan.guidance["conflict_share"][agent])
-        assert -1.0 <= one["gradient_cosine"] <= 1.0
-        assert 0.0 <= one["conflict_share"] <= 1.0
-    nothing = {"gradient_cosine": None, "conflict_share": None}
-    for method in ("idm", "ccdiff_unguided"):
-        assert conflicts(
-            both, METHODS[method].ccdiff, num_guided=None, step=START_STEP, seed=0
-        ) == [nothing, nothing]
+def test_conflict_is_that_of_the_guided_vehicles_of_all_plans():
+    rows = measured("ccdiff")
+    told = episodes(scenes_of(VAL, NAMES), METHODS["ccdiff"], num_controlled=2, explain=True)
+    for row, episode in zip(rows, told, strict=True):
+        assert len(episode.plans) > 10
+        pairs = [
+            (cosine, share)
+            for plan in episode.plans
+            if plan["guided"].any()
+            for cosine, share, guided in zip(
+                plan["realism_cosine"], plan["conflict_share"], plan["guided"], strict=True
+            )
+            if guided and cosine != 0.0
+        ]
+        cosine, share = np.array(pairs).mean(axis=0)
+        assert row["gradient_cosine"] == pytest.approx(cosine)
+        assert row["conflict_share"] == pytest.approx(share)
+        assert -1.0 <= row["gradient_cosine"] <= 1.0
+        assert 0.0 <= row["conflict_share"] <= 1.0
+    for row in measured("ccdiff_unguided"):
+        assert row["gradient_cosine"] is None
+        assert row["conflict_share"] is None
+
+
+def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
+    for one, other in zip(
+        played("ccdiff"),
+        episodes(scenes_of(VAL, NAMES), METHODS["ccdiff"], num_controlled=2, explain=True),
+        strict=True,
+    ):
+        assert one.position.tobytes() == other.position.tobytes()
+        for plan, told in zip(one.plans, other.plans, strict=True):
+            assert plan["realism_cosine"] is None
+            assert plan["conflict_share"] is None
+            assert plan["samples"].tobytes() == told["samples"].tobytes()
+            if not told["guided"].any():
+                assert told["realism_cosine"] is None
+                continue
+            assert len(told["realism_cosine"]) == len(told["agents"])
+            cosine, share = told["realism_cosine"], told["conflict_share"]
+            assert (cosine[share == 1.0] < 0.0).all()
+            assert (cosine[share == 0.0] >= 0.0).all()
 
 
 def test_moments_cover_the_numbers_of_vehicles_and_times_are_fitted(tmp_path):

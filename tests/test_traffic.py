@@ -88,6 +88,7 @@ def test_a_plan_tells_what_it_was_made_from(scenes):
     assert plan["graph"].diagonal().all()
     assert (plan["attention"][~plan["graph"]] == 0).all()
     assert len(plan["objectives"]) == len(plan["losses"]) == len(plan["gradient_cosine"])
+    assert plan["realism_cosine"].shape == plan["conflict_share"].shape == (m,)
     assert plan["guided"].sum() <= 5
     assert set(plan["ranking"]) == set(plan["agents"][plan["executed"]])
     assert (plan["realism_cost"][~plan["guided"]] == 0).all()

@@ -61,6 +61,7 @@ def begin(args: argparse.Namespace, settings: dict[str, Any]) -> str:
     """
     weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
     settings = {**settings, "weights": weights}
+    known = {}
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "run.json"
     if path.exists():
@@ -71,7 +72,7 @@ def begin(args: argparse.Namespace, settings: dict[str, Any]) -> str:
                 f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
                 f"{settings[changed[0]]!r}; choose another folder"
             )
-    path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+    path.write_text(json.dumps({**known, **settings}, indent=1), encoding="utf-8")
     return weights
 
 

@@ -41,7 +41,14 @@ def _counts(text: str) -> list[int | None]:
     try:
         return [None if part == "Full" else int(part) for part in text.split(",")]
     except ValueError:
-        raise ConfigError(f"--k is {text!r}, expected numbers and Full, comma-separated") from None
+        raise ConfigError(f"K is {text!r}, expected numbers and Full, comma-separated") from None
+
+
+def _replan_steps(text: str) -> list[int]:
+    try:
+        return [round(10 * float(part)) for part in text.split(",")]
+    except (ValueError, OverflowError):
+        raise ConfigError(f"--t is {text!r}, expected seconds, comma-separated") from None
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -51,7 +58,13 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--methods", default="constant_velocity,idm,ccdiff_unguided,ccdiff", help="comma-separated"
     )
     parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
-    parser.add_argument("--t", default="0.5", help="seconds between plans, comma-separated")
+    parser.add_argument("--t", default="0.5", help="seconds between plans T, comma-separated")
+    parser.add_argument(
+        "--t-at", metavar="K", help="only these K with all of --t, others: the first"
+    )
+    parser.add_argument(
+        "--human", metavar="FILE", help="lists of vehicles (JSON); adds the method ccdiff_human"
+    )
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
 
@@ -62,15 +75,24 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
     from ccdiff_env.bench.traffic import traffic_jobs
+    from ccdiff_env.traffic import read_ranking
 
-    source = source_from(args)
-    weights = begin(args, {"benchmark": "traffic", "source": source, "seed": args.seed})
+    source, methods = source_from(args), args.methods.split(",")
+    settings = {"benchmark": "traffic", "source": source, "seed": args.seed}
+    listed = None
+    if args.human is not None:
+        listed = read_ranking(args.human)
+        settings["human"] = {name: list(ids) for name, ids in sorted(listed.items())}
+        methods += [] if "ccdiff_human" in methods else ["ccdiff_human"]
+    weights = begin(args, settings)
     start = time.perf_counter()
     jobs = traffic_jobs(
         source,
-        args.methods.split(","),
+        methods,
         num_controlled=_counts(args.k),
-        replan_steps=[round(10 * float(t)) for t in args.t.split(",")],
+        replan_steps=_replan_steps(args.t),
+        replan_controlled=None if args.t_at is None else _counts(args.t_at),
+        listed=listed,
         seed=args.seed,
     )
     raw = args.out / "raw"

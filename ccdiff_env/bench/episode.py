@@ -106,6 +106,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
     known = bool(np.isfinite(limit))
     cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
+    cosine, conflict_share = _conflict(episode.plans)
     return {
         "scene": episode.scene.name,
         "num_agents": len(episode.agents),
@@ -127,6 +128,8 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "excess_mps": _number(_excess(episode, limit) if known else np.nan),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
+        "gradient_cosine": _number(cosine),
+        "conflict_share": _number(conflict_share),
         "features": features(episode),
         "vehicle_collided": found.agents["new"].tolist(),
         "graph_sparsity": _number(
@@ -141,6 +144,22 @@ def _excess(episode: Episode, limit_mps: float) -> float:
     there = episode.motion.valid[episode.controlled]
     speed = np.linalg.norm(move, axis=-1)[there[:, 1:] & there[:, :-1]] / episode.scene.dt
     return float(np.maximum(speed - limit_mps, 0.0).mean()) if speed.size else np.nan
+
+
+def _conflict(plans: list[dict[str, Any]]) -> tuple[float, float]:
+    """Cosine of the gradients of realism and guidance, and share of the denoising steps and samples
+    in which it is negative, means over guided vehicles that have a gradient and over plans; NaN
+    without any.
+    """
+    told = [p for p in plans if p["realism_cosine"] is not None]
+    if not told:
+        return np.nan, np.nan
+    cosine = np.concatenate([p["realism_cosine"][p["guided"]] for p in told])
+    share = np.concatenate([p["conflict_share"][p["guided"]] for p in told])
+    pulled = cosine != 0.0
+    if not pulled.any():
+        return np.nan, np.nan
+    return float(cosine[pulled].mean()), float(share[pulled].mean())
 
 
 def _sparsity(graph: npt.NDArray[np.bool_]) -> float:

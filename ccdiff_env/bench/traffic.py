@@ -19,13 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.conflict import conflicts
 from ccdiff_env.bench.episode import Episode, drivable, measure, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import guidance_preset
 from ccdiff_env.recorder import Recorder
@@ -56,7 +55,8 @@ class Method:
         Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking
         ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set. With
-        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
+        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
+        ``given``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
     ccdiff
         Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where CCDiff drives.
     num_guided
@@ -96,6 +96,7 @@ METHODS: dict[str, Method] = {
     "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
     "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
     "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
+    "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
     "ccdiff_no_enc": Method(
         "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
     ),
@@ -110,6 +111,13 @@ METHODS: dict[str, Method] = {
     ),
 }
 
+#: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
+_REORDERED = {
+    name
+    for name, method in METHODS.items()
+    if method.ccdiff is _GUIDED and method.ranking != "cliques"
+}
+
 
 def traffic_jobs(
     source: Mapping[str, str],
@@ -117,11 +125,15 @@ def traffic_jobs(
     *,
     num_controlled: Sequence[int | None] = (1, 2, 3, 4, 5, 10, None),
     replan_steps: Sequence[int] = (5,),
+    replan_controlled: Sequence[int | None] | None = None,
+    listed: Mapping[str, Sequence[str]] | None = None,
     seed: int = 0,
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x pieces of the scenes.
 
-    The floor, K = 0, is always among them.
+    The floor, K = 0, is always among them. What cannot differ is not played twice: other periods of
+    methods that do not plan, and all vehicles by another ranking than that of ``ccdiff``, where
+    that one is asked for.
 
     Parameters
     ----------
@@ -133,33 +145,81 @@ def traffic_jobs(
         Numbers of controlled vehicles K; ``None`` is all.
     replan_steps
         Steps between plans; only CCDiff has any use for them.
+    replan_controlled
+        Those K at which all periods are played, the first one alone at the others; all K for
+        ``None``.
+    listed
+        Ids of vehicles by scene name, most important first, for ``ccdiff_human``.
     seed
         Seed of the episodes.
+
+    Raises
+    ------
+    UnknownNameError
+        For a method that does not exist.
+    ConfigError
+        For ``ccdiff_human`` without lists.
+    DatasetError
+        If scenes have no list, or a list names what cannot be controlled or names it twice.
     """
     for name in methods:
         if name not in METHODS:
             raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
+    names = scene_names(source)
+    lists: Mapping[str, Sequence[str]] = {}
+    if "ccdiff_human" in methods:
+        if listed is None:
+            raise ConfigError(
+                "method 'ccdiff_human' needs lists of vehicles, as --human names them"
+            )
+        lists = _checked(listed, scenes_of(source))
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
-        steps = replan_steps if METHODS[method].driver == "ccdiff" else replan_steps[:1]
-        conditions += [(method, k, n) for k in num_controlled for n in steps]
-    pieces = chunks(scene_names(source), CHUNK)
+        for k in num_controlled:
+            if k is None and method in _REORDERED and "ccdiff" in methods:
+                continue
+            every = METHODS[method].driver == "ccdiff" and k in (replan_controlled or (k,))
+            conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     return [
         Job(
             f"{method}-K{'Full' if k is None else k}-T{n}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": dict(source),
-                "names": names,
+                "names": piece,
                 "method": method,
                 "num_controlled": k,
                 "replan_steps": n,
                 "seed": seed,
+                **(
+                    {"lists": {scene: list(lists[scene]) for scene in piece}}
+                    if METHODS[method].ranking == "given"
+                    else {}
+                ),
             },
         )
         for method, k, n in conditions
-        for i, names in enumerate(pieces)
+        for i, piece in enumerate(chunks(names, CHUNK))
     ]
+
+
+def _checked(lists: Mapping[str, Sequence[str]], scenes: SceneSet) -> Mapping[str, Sequence[str]]:
+    """Return lists of vehicles if every scene has one, of vehicles that may be controlled."""
+    missing = [scene.name for scene in scenes if scene.name not in lists]
+    if missing:
+        raise DatasetError(f"lists of vehicles: none for {', '.join(missing)}")
+    for scene in scenes:
+        known = {scene.agent_ids[i] for i in _vehicles(scene)}
+        listed = lists[scene.name]
+        for k, agent in enumerate(listed):
+            if agent not in known:
+                raise DatasetError(
+                    f"lists of vehicles: {scene.name}: {agent!r}, expected a vehicle that is on "
+                    f"the road at step {START_STEP}: {', '.join(sorted(known))}"
+                )
+            if agent in listed[:k]:
+                raise DatasetError(f"lists of vehicles: {scene.name}: {agent!r} twice")
+    return lists
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
@@ -176,9 +236,21 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     return kept
 
 
-def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) -> list[int]:
-    """Return the first K vehicles of a ranking at the start of the episode; all for ``None``."""
+def control_set(
+    scene: Scene,
+    ranking: str,
+    top_k: int | None,
+    seed: int = 0,
+    *,
+    listed: Sequence[str] = (),
+) -> list[int]:
+    """Return the first K vehicles of a ranking at the start of the episode; all for ``None``.
+
+    With ``given`` they are those that are ``listed`` by their ids. A short list is filled up by
+    time to contact, then distance.
+    """
     agents = _vehicles(scene)
+    order = {scene.agent_ids[agent]: i for i, agent in enumerate(agents)}
     history = relations(scene, agents, START_STEP)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
@@ -186,6 +258,7 @@ def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) ->
         valid=np.ones(len(agents), bool),
         ttc=history.ttc,
         distance=history.distance,
+        agents=[order[name] for name in listed],
         seed=seed,
     )
     return [int(agents[i]) for i in ranked.agents]
@@ -200,6 +273,8 @@ def episodes(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
     record: Collection[str] = (),
+    explain: bool = False,
+    lists: Mapping[str, Sequence[str]] | None = None,
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
@@ -219,6 +294,10 @@ def episodes(
         Further fields of :class:`~ccdiff_env.config.WorldConfig`.
     record
         Names of the scenes to record; it changes nothing.
+    explain
+        Whether guided plans say how their gradients agree; it changes nothing else.
+    lists
+        Ids of vehicles by scene name, for the ranking ``given``.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -232,6 +311,8 @@ def episodes(
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
     if own:
         ccdiff |= {"ranking": method.ranking, "others": "replay", "num_guided": num_controlled}
+    # only guidance has gradients to tell of
+    ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
     config = WorldConfig().with_options(
         **{
             **PAPER_PROTOCOL,
@@ -250,7 +331,9 @@ def episodes(
     chosen = [
         _vehicles(scene).tolist()
         if own
-        else control_set(scene, method.ranking, num_controlled, seed)
+        else control_set(
+            scene, method.ranking, num_controlled, seed, listed=(lists or {}).get(scene.name, ())
+        )
         for scene in scenes
     ]
     for i in everyone:
@@ -324,25 +407,12 @@ def _episode(
     )
 
 
-def evaluate(
-    *,
-    source: Mapping[str, str],
-    names: Sequence[str],
-    method: str,
-    num_controlled: int | None,
-    replan_steps: int,
-    seed: int,
-) -> list[dict[str, Any]]:
-    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md."""
-    return evaluate_recorded(
-        source=source,
-        names=names,
-        method=method,
-        num_controlled=num_controlled,
-        replan_steps=replan_steps,
-        seed=seed,
-        record=(),
-    )[0]
+def evaluate(**arguments: Any) -> list[dict[str, Any]]:
+    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
+
+    The arguments are those of :func:`evaluate_recorded` but ``record``.
+    """
+    return evaluate_recorded(**arguments)[0]
 
 
 def evaluate_recorded(
@@ -353,7 +423,8 @@ def evaluate_recorded(
     num_controlled: int | None,
     replan_steps: int,
     seed: int,
-    record: Collection[str],
+    lists: Mapping[str, Sequence[str]] | None = None,
+    record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes."""
     played = episodes(
@@ -363,14 +434,8 @@ def evaluate_recorded(
         replan_steps=replan_steps,
         seed=seed,
         record=record,
+        explain=True,
+        lists=lists,
     )
-    chosen = METHODS[method]
-    # where the planner can be told what the method is
-    told = chosen.ranking not in OWN_RANKINGS and "graph" not in chosen.ccdiff
-    settings = chosen.ccdiff if told else {}
-    pulls = conflicts(played, settings, num_guided=chosen.num_guided, step=START_STEP, seed=seed)
-    rows = [
-        {**measure(episode, replan_steps), **pull}
-        for episode, pull in zip(played, pulls, strict=True)
-    ]
+    rows = [measure(episode, replan_steps) for episode in played]
     return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}

@@ -63,5 +63,9 @@ pub(crate) fn dict<'py>(py: Python<'py>, plan: &Explanation) -> PyResult<Bound<'
         Some(PyArray1::from_slice(py, &plan.gradient_cosine).reshape([j, j])?)
     };
     dict.set_item("gradient_cosine", cosine)?;
+    for (name, values) in [("realism_cosine", &plan.realism_cosine), ("conflict_share", &plan.conflict_share)]
+    {
+        dict.set_item(name, (!values.is_empty()).then(|| PyArray1::from_slice(py, values)))?;
+    }
     Ok(dict)
 }

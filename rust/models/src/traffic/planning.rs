@@ -4,7 +4,7 @@ use super::config::{Others, Partners, Ranking};
 use super::roster::{self, Hints, Roster};
 use super::{Ccdiff, WorldPlan};
 use crate::error::Result;
-use crate::guidance::WorldGuide;
+use crate::guidance::{GradientStatistics, WorldGuide};
 use crate::planner::{Plan, PlanOptions, WorldView as PlannerView};
 use crate::raster::MapBitmap;
 use crate::sampler::{SampleOptions, Solver};
@@ -169,6 +169,8 @@ impl Ccdiff {
         let guided = |row: &usize| due.is_guided() && due.guided[*row];
         let report = plan.guidance.as_ref();
         let objectives = options.guidance.as_ref().filter(|_| report.is_some());
+        let gradients = report.and_then(|r| r.conflict.as_ref());
+        let kept = |of: fn(&GradientStatistics) -> &Vec<Real>| gradients.map(of).cloned().unwrap_or_default();
         slot.explanation = Some(Explanation {
             made_at: due.world.elapsed_steps,
             executed,
@@ -186,10 +188,9 @@ impl Ccdiff {
                 .unwrap_or_default(),
             losses: report.map(|r| r.losses.clone()).unwrap_or_default(),
             realism_cost: report.map_or_else(|| vec![0.0; m], |r| r.realism_cost.clone()),
-            gradient_cosine: report
-                .and_then(|r| r.conflict.as_ref())
-                .map(|c| c.objective_cosine.clone())
-                .unwrap_or_default(),
+            gradient_cosine: kept(|g| &g.objective_cosine),
+            realism_cosine: kept(|g| &g.cosine),
+            conflict_share: kept(|g| &g.conflict_share),
             agents,
         });
     }

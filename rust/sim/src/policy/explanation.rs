@@ -47,4 +47,8 @@ pub struct Explanation {
     pub realism_cost: Vec<Real>,
     /// Mean cosine between the gradients of objectives j and k over guided agents, [J, J]; empty where not kept.
     pub gradient_cosine: Vec<Real>,
+    /// Mean cosine between the gradients of realism and guidance, [M]; 0 without a gradient, empty where not kept.
+    pub realism_cosine: Vec<Real>,
+    /// Share of samples and denoising steps in which that cosine is negative, [M]; empty where not kept.
+    pub conflict_share: Vec<Real>,
 }
