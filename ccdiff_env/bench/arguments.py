@@ -1,28 +1,25 @@
-"""Arguments that benchmarks share, and how a run begins and ends."""
+"""Arguments that benchmarks share, and the run folder that they name."""
 
 from __future__ import annotations
 
 import argparse
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
+from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import source_of, source_title
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import shipped_weights
 
-__all__ = [
-    "add_replays",
-    "add_run_arguments",
-    "add_scene_arguments",
-    "begin",
-    "close",
-    "run_options",
-    "source_from",
-]
+__all__ = ["Run", "add_replays", "add_run_arguments", "add_scene_arguments", "source_from"]
+
+K = TypeVar("K", bound=Hashable)
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,28 +51,6 @@ def source_from(args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
-def begin(args: argparse.Namespace, settings: dict[str, Any]) -> str:
-    """Make the run folder, or check that it belongs to the same run, by settings and weights.
-
-    Returns the SHA-256 of the weights.
-    """
-    weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
-    settings = {**settings, "weights": weights}
-    known = {}
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "run.json"
-    if path.exists():
-        known = json.loads(path.read_text(encoding="utf-8"))
-        changed = [k for k in settings if k in known and known[k] != settings[k]]
-        if changed:
-            raise ConfigError(
-                f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
-                f"{settings[changed[0]]!r}; choose another folder"
-            )
-    path.write_text(json.dumps({**known, **settings}, indent=1), encoding="utf-8")
-    return weights
-
-
 def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     """Add how many replays are made."""
     parser.add_argument(
@@ -83,31 +58,103 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     )
 
 
-def run_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return what :func:`~ccdiff_env.bench.jobs.run_jobs` is told."""
-    return {"backend": args.backend, "workers": args.workers, "progress": not args.quiet}
+class Run:
+    """A run folder of a resumable benchmark: its settings, jobs, replays, and report.
 
+    Parameters
+    ----------
+    args
+        Arguments of :func:`add_run_arguments`.
+    benchmark
+        Its name.
+    **settings
+        What else decides the results; a folder belongs to one choice of all of it, and to the
+        scenes, the seed, and the weights.
 
-def close(
-    args: argparse.Namespace,
-    *,
-    title: str,
-    weights: str,
-    plots: Sequence[str],
-    parts: Mapping[str, str],
-    changed: int,
-    num_jobs: int,
-    seconds: float,
-) -> int:
-    """Write the report page of a run, and say what there is."""
-    line = f"{source_title(source_from(args))} · seed {args.seed} · weights {weights[:12]}"
-    texts = {head: (args.out / file).read_text(encoding="utf-8") for head, file in parts.items()}
-    page = args.out / "report.html"
-    write_report_page(
-        page, title=title, line=line, plots=[args.out / name for name in plots], parts=texts
-    )
-    print((args.out / "table.md").read_text(encoding="utf-8"))
-    if changed:
-        print(f"{changed} replays differ from what was measured (by another machine or release)")
-    print(f"{num_jobs} jobs in {seconds:.0f} s; report: {page}")
-    return 0
+    Raises
+    ------
+    ConfigError
+        If the folder holds a run with other settings.
+    """
+
+    def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
+        self.source = source_from(args)
+        self.folder: Path = args.out
+        #: SHA-256 of the shipped weights.
+        self.weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
+        self._seed = args.seed
+        self._options = {
+            "backend": args.backend,
+            "workers": args.workers,
+            "progress": not args.quiet,
+        }
+        self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
+        given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
+        self._settle({**given, "weights": self.weights})
+
+    def _settle(self, settings: dict[str, Any]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / "run.json"
+        known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        changed = [k for k in settings if k in known and known[k] != settings[k]]
+        if changed:
+            raise ConfigError(
+                f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
+                f"{settings[changed[0]]!r}; choose another folder"
+            )
+        path.write_text(json.dumps({**known, **settings}, indent=1), encoding="utf-8")
+
+    def results(self, jobs: Sequence[Job], folder: str = "raw") -> dict[str, Any]:
+        """Do the jobs whose results are not there yet; return the results of all by name."""
+        run_jobs(jobs, self.folder / folder, **self._options)
+        self._num_jobs += len(jobs)
+        return results(jobs, self.folder / folder)
+
+    def rows(self, jobs: Sequence[Job], *keys: str) -> dict[tuple[Any, ...], list[Any]]:
+        """Do the jobs, whose results are lists; join those whose arguments agree in some keys."""
+        found: dict[tuple[Any, ...], list[Any]] = {}
+        by_name = self.results(jobs)
+        for job in jobs:
+            found.setdefault(tuple(job.arguments.get(k) for k in keys), []).extend(
+                by_name[job.name]
+            )
+        return found
+
+    def replays(self, wanted: Mapping[K, tuple[Job, str]]) -> dict[K, str]:
+        """Write replay pages of scenes of jobs; return their addresses from the run folder."""
+        pages, changed = make_replays(wanted, self.folder, **self._options)
+        self._num_changed += len(changed)
+        return pages
+
+    def write(self, file: str, text: str) -> None:
+        """Write a text of the run."""
+        (self.folder / file).write_text(text, encoding="utf-8")
+
+    def report(self, title: str, *, plots: Sequence[str], parts: Mapping[str, str]) -> int:
+        """Write the report page, say what there is, and return the exit status.
+
+        Parameters
+        ----------
+        title
+            Heading.
+        plots
+            Pictures in the run folder.
+        parts
+            Headings, and Markdown files in the run folder.
+        """
+        line = f"{source_title(self.source)} · seed {self._seed} · weights {self.weights[:12]}"
+        texts = {
+            head: (self.folder / file).read_text(encoding="utf-8") for head, file in parts.items()
+        }
+        page = self.folder / "report.html"
+        pictures = [self.folder / name for name in plots]
+        write_report_page(page, title=title, line=line, plots=pictures, parts=texts)
+        print((self.folder / "table.md").read_text(encoding="utf-8"))
+        if self._num_changed:
+            print(
+                f"{self._num_changed} replays differ from what was measured "
+                "(by another machine or release)"
+            )
+        seconds = time.perf_counter() - self._start
+        print(f"{self._num_jobs} jobs in {seconds:.0f} s; report: {page}")
+        return 0

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.arguments import (
+    Run,
     add_replays,
     add_run_arguments,
     add_scene_arguments,
-    begin,
-    close,
-    run_options,
     source_from,
 )
-from ccdiff_env.bench.jobs import Job, results, run_jobs
-from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
 
@@ -77,17 +72,15 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.traffic import traffic_jobs
     from ccdiff_env.traffic import read_ranking
 
-    source, methods = source_from(args), args.methods.split(",")
-    settings = {"benchmark": "traffic", "source": source, "seed": args.seed}
-    listed = None
+    methods, listed = args.methods.split(","), None
+    settings: dict[str, Any] = {}
     if args.human is not None:
         listed = read_ranking(args.human)
         settings["human"] = {name: list(ids) for name, ids in sorted(listed.items())}
         methods += [] if "ccdiff_human" in methods else ["ccdiff_human"]
-    weights = begin(args, settings)
-    start = time.perf_counter()
+    run = Run(args, "traffic", **settings)
     jobs = traffic_jobs(
-        source,
+        run.source,
         methods,
         num_controlled=_counts(args.k),
         replan_steps=_replan_steps(args.t),
@@ -95,35 +88,28 @@ def _traffic(args: argparse.Namespace) -> int:
         listed=listed,
         seed=args.seed,
     )
-    raw = args.out / "raw"
-    run_jobs(jobs, raw, **run_options(args))
-    by_condition = conditions(results(jobs, raw))
+    by_condition = conditions(run.results(jobs))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
-    write_tables(table, args.out)
-    write_correlations(by_condition, args.out)
-    plot_scores(table, args.out / "scores.png")
+    write_tables(table, run.folder)
+    write_correlations(by_condition, run.folder)
+    plot_scores(table, run.folder / "scores.png")
     job_of = {
         (condition_of(job.name), scene): job for job in jobs for scene in job.arguments["names"]
     }
     chosen = choose_examples(by_condition, args.replays)
-    wanted = {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
-    pages, changed = make_replays(wanted, args.out, **run_options(args))
-    examples = examples_table(chosen, pages)
-    (args.out / "examples.md").write_text(examples, encoding="utf-8")
-    return close(
-        args,
-        title="Traffic",
-        weights=weights,
+    pages = run.replays(
+        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
+    )
+    run.write("examples.md", examples_table(chosen, pages))
+    return run.report(
+        "Traffic",
         plots=["scores.png"],
         parts={
             "Tables": "table.md",
             "Cliques and collisions": "correlation.md",
             "Examples of guided traffic": "examples.md",
         },
-        changed=len(changed),
-        num_jobs=len(jobs),
-        seconds=time.perf_counter() - start,
     )
 
 
@@ -146,35 +132,27 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.planner_report import worst_scenes, write_report
     from ccdiff_env.bench.planners import planner_jobs
 
-    source, planners = source_from(args), args.planners.split(",")
-    settings = {"benchmark": "planners", "source": source, "planners": planners, "seed": args.seed}
-    weights = begin(args, settings)
-    start = time.perf_counter()
-    jobs = planner_jobs(source, planners, args.traffic.split(","), seed=args.seed)
-    run_jobs(jobs, args.out / "raw", **run_options(args))
-    rows: dict[tuple[str, str], list[Any]] = {}
-    job_of: dict[tuple[str, str, str], Job] = {}
-    by_name = results(jobs, args.out / "raw")
-    for job in jobs:
-        key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
-        rows.setdefault(key, []).extend(by_name[job.name])
-        job_of |= {(*key, scene): job for scene in job.arguments["names"]}
-    wanted = {
-        (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
-        for planner in planners
-        for name, row in worst_scenes(rows, planner, args.replays)
+    planners = args.planners.split(",")
+    run = Run(args, "planners", planners=planners)
+    jobs = planner_jobs(run.source, planners, args.traffic.split(","), seed=args.seed)
+    rows = run.rows(jobs, "planner", "traffic")
+    job_of = {
+        (job.arguments["planner"], job.arguments["traffic"], scene): job
+        for job in jobs
+        for scene in job.arguments["names"]
     }
-    pages, changed = make_replays(wanted, args.out, **run_options(args))
-    write_report(rows, args.out, worst=max(args.replays, 10), pages=pages)
-    return close(
-        args,
-        title="Planners in traffic",
-        weights=weights,
+    pages = run.replays(
+        {
+            (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
+            for planner in planners
+            for name, row in worst_scenes(rows, planner, args.replays)
+        }
+    )
+    write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages)
+    return run.report(
+        "Planners in traffic",
         plots=["weakness.png"],
         parts={"Scores": "table.md", "Worst scenes": "worst.md"},
-        changed=len(changed),
-        num_jobs=len(jobs),
-        seconds=time.perf_counter() - start,
     )
 
 
@@ -195,62 +173,50 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _scenarios(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.cross import (
-        cross_jobs,
-        generation_jobs,
-        read_cells,
-        set_folders,
-        write_sets,
-    )
+    from ccdiff_env.bench.cross import cross_jobs, generation_jobs, set_folders, write_sets
     from ccdiff_env.bench.cross_report import avoidable_rows, write_collisions, write_cross
     from ccdiff_env.bench.planner_report import worst_scenes, worst_table
 
-    source, planners = source_from(args), args.planners.split(",")
-    settings = {"generators": args.generators.split(","), "planners": planners}
-    settings |= {"traffic": args.traffic, "plans": args.plans}
-    weights = begin(
-        args, {"benchmark": "scenarios", "source": source, "seed": args.seed, **settings}
+    generators, planners = args.generators.split(","), args.planners.split(",")
+    run = Run(
+        args,
+        "scenarios",
+        generators=generators,
+        planners=planners,
+        traffic=args.traffic,
+        plans=args.plans,
     )
-    start = time.perf_counter()
-    raw, run = args.out / "raw", run_options(args)
-    folders = set_folders(settings["generators"], args.out / "sets")
+    folders = set_folders(generators, run.folder / "sets")
     making = generation_jobs(
-        source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
+        run.source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
     )
-    run_jobs(making, raw, **run)
-    sets, realism = write_sets(making, raw, weights=weights)
+    sets, realism = write_sets(making, run.results(making), weights=run.weights)
     driving = cross_jobs(sets, planners, seed=args.seed)
-    run_jobs(driving, raw, **run)
-    cells = read_cells(driving, raw)
-    write_cross(sets, realism, cells, args.out)
-    write_collisions(sets, args.out, args.replays)
+    cells = run.rows(driving, "generator", "planner")
+    write_cross(sets, realism, cells, run.folder)
+    write_collisions(sets, run.folder, args.replays)
     avoidable = avoidable_rows(sets, cells)
     job_of = {
         (job.arguments["planner"], job.arguments["generator"], scene): job
         for job in driving
         for scene in job.arguments.get("files", ())
     }
-    wanted = {
-        (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
-        for planner in planners
-        for name, row in worst_scenes(avoidable, planner, args.replays)
-    }
-    pages, changed = make_replays(wanted, args.out, **run)
-    worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")
-    (args.out / "worst.md").write_text(worst, encoding="utf-8")
-    return close(
-        args,
-        title="Egos that traffic is made against, and planners in it",
-        weights=weights,
+    pages = run.replays(
+        {
+            (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
+            for planner in planners
+            for name, row in worst_scenes(avoidable, planner, args.replays)
+        }
+    )
+    run.write("worst.md", worst_table(avoidable, max(args.replays, 10), pages, "made against"))
+    return run.report(
+        "Egos that traffic is made against, and planners in it",
         plots=["cross.png"],
         parts={
             "Cross matrix": "table.md",
             "Worst scenarios that can be avoided": "worst.md",
             "Collisions in the sets": "collisions.md",
         },
-        changed=len(changed),
-        num_jobs=len(making) + len(driving),
-        seconds=time.perf_counter() - start,
     )
 
 
@@ -272,37 +238,27 @@ def _learning(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
     from ccdiff_env.bench.planners import planner_jobs
 
-    source = source_from(args)
-    settings = {"benchmark": "learning", "source": source, "seed": args.seed}
-    settings |= {"steps": args.steps, "base_steps": args.base_steps}
-    begin(args, settings)
+    run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
-        lesson_source(args, source),
+        lesson_source(args, run.source),
         args.lessons.split(","),
         [args.seed + k for k in range(args.seeds)],
         steps=args.steps,
         base_steps=args.base_steps,
-        folder=args.out / "egos",
+        folder=run.folder / "egos",
     )
-    run = run_options(args)
-    run_jobs(base, args.out / "training", **run)
-    run_jobs(taught, args.out / "training", **run)
+    run.results(base, "training")
+    run.results(taught, "training")
     planners = [str(job.arguments["path"]) for job in taught]
     tests = planner_jobs(
-        source,
+        run.source,
         [*planners, "constant_velocity", "idm", "replay"],
         args.traffic.split(","),
         seed=args.seed,
         options={"observation": OBSERVATION},
     )
-    run_jobs(tests, args.out / "raw", **run)
-    by_name = results(tests, args.out / "raw")
-    rows: dict[tuple[str, str], list[Any]] = {}
-    for job in tests:
-        key = (str(job.arguments["planner"]), str(job.arguments["traffic"]))
-        rows.setdefault(key, []).extend(by_name[job.name])
-    text = learning_table(rows)
-    (args.out / "table.md").write_text(text, encoding="utf-8")
+    text = learning_table(run.rows(tests, "planner", "traffic"))
+    run.write("table.md", text)
     print(text)
     return 0
 
@@ -327,28 +283,19 @@ def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _selection(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import selection
 
-    source = source_from(args)
-    settings = {"benchmark": "selection", "source": source, "ego": args.ego, "seed": args.seed}
-    begin(args, {**settings, "steps": args.steps})
+    run = Run(args, "selection", ego=args.ego, steps=args.steps)
     jobs = selection.chooser_jobs(
-        lesson_source(args, source),
+        lesson_source(args, run.source),
         [args.seed + k for k in range(args.seeds)],
         ego=args.ego,
         steps=args.steps,
-        folder=args.out / "choosers",
+        folder=run.folder / "choosers",
     )
-    run = run_options(args)
-    run_jobs(jobs, args.out / "training", **run)
+    run.results(jobs, "training")
     policies = [str(job.arguments["path"]) for job in jobs]
-    tests = selection.trial_jobs(source, policies, ego=args.ego, seed=args.seed)
-    run_jobs(tests, args.out / "raw", **run)
-    by_name = results(tests, args.out / "raw")
-    rows: dict[tuple[str, float], list[Any]] = {}
-    for job in tests:
-        key = (str(job.arguments["chooser"]), float(job.arguments["strength"]))
-        rows.setdefault(key, []).extend(by_name[job.name])
-    text = selection.selection_table(rows)
-    (args.out / "table.md").write_text(text, encoding="utf-8")
+    tests = selection.trial_jobs(run.source, policies, ego=args.ego, seed=args.seed)
+    text = selection.selection_table(run.rows(tests, "chooser", "strength"))
+    run.write("table.md", text)
     print(text)
     return 0
 
@@ -396,26 +343,12 @@ def _realism(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.likelihood import likelihood_jobs
     from ccdiff_env.bench.likelihood_report import write_likelihoods
 
-    source = source_from(args)
-    settings = {"benchmark": "realism", "source": source, "seed": args.seed}
-    weights = begin(args, {**settings, "samples": args.samples})
-    start = time.perf_counter()
+    run = Run(args, "realism", samples=args.samples)
     jobs = likelihood_jobs(
-        source, args.methods.split(","), num_samples=args.samples, seed=args.seed
+        run.source, args.methods.split(","), num_samples=args.samples, seed=args.seed
     )
-    run_jobs(jobs, args.out / "raw", **run_options(args))
-    by_name = results(jobs, args.out / "raw")
-    rows: dict[str, list[Any]] = {}
-    for job in jobs:
-        rows.setdefault(str(job.arguments["method"]), []).extend(by_name[job.name])
-    write_likelihoods(rows, args.out)
-    return close(
-        args,
-        title="Realism",
-        weights=weights,
-        plots=["likelihoods.png"],
-        parts={"Likelihood of the log": "table.md"},
-        changed=0,
-        num_jobs=len(jobs),
-        seconds=time.perf_counter() - start,
+    rows = {method: found for (method,), found in run.rows(jobs, "method").items()}
+    write_likelihoods(rows, run.folder)
+    return run.report(
+        "Realism", plots=["likelihoods.png"], parts={"Likelihood of the log": "table.md"}
     )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.jobs import Job, results
+from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs
 from ccdiff_env.bench.scenario_sets import (
@@ -35,7 +35,6 @@ __all__ = [
     "cross_jobs",
     "evaluate_in_set",
     "generation_jobs",
-    "read_cells",
     "set_folders",
     "write_sets",
 ]
@@ -121,7 +120,7 @@ def generation_jobs(
 
 
 def write_sets(
-    jobs: Sequence[Job], raw: Path, *, weights: str
+    jobs: Sequence[Job], by_name: Mapping[str, Any], *, weights: str
 ) -> tuple[dict[str, ScenarioSet], dict[str, Realism]]:
     """Write the manifests of finished :func:`generation_jobs`; return sets and their realism.
 
@@ -129,12 +128,11 @@ def write_sets(
     ----------
     jobs
         The jobs.
-    raw
-        Where their results are.
+    by_name
+        Their results.
     weights
         SHA-256 of the weights that drove.
     """
-    by_name = results(jobs, raw)
     rows: dict[str, Rows] = {}
     for job in jobs:
         rows.setdefault(str(job.arguments["generator"]), []).extend(by_name[job.name])
@@ -244,16 +242,3 @@ def evaluate_in_set_recorded(
         raise ConfigError(f"the set is not the one that was asked for: {folder}")
     scenes = SceneSet([found.scene(scene) for scene in files])
     return drive(scenes, planner, RECORDED, seed=seed, record=record)
-
-
-def read_cells(jobs: Sequence[Job], raw: Path) -> dict[tuple[str | None, str], Rows]:
-    """Return the rows of finished :func:`cross_jobs` by generator and planner.
-
-    The generator is ``None`` where the traffic reacted.
-    """
-    cells: dict[tuple[str | None, str], Rows] = {}
-    by_name = results(jobs, raw)
-    for job in jobs:
-        key = (job.arguments.get("generator"), str(job.arguments["planner"]))
-        cells.setdefault(key, []).extend(by_name[job.name])
-    return cells
