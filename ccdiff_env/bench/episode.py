@@ -13,7 +13,7 @@ from ccdiff_env.metrics import Motion, speed_limit
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
 
-__all__ = ["Episode", "Relations", "drivable", "features", "measure", "relations"]
+__all__ = ["Episode", "Relations", "drivable", "features", "logged", "measure", "relations"]
 
 #: Logged steps that rankings look at, the present one left out.
 PAST_STEPS = 30
@@ -63,6 +63,15 @@ class Episode:
     #: Step of the log at which it starts.
     start_step: int
     recorded: Rollout | None = None
+
+
+def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
+    """Return the logged motion of agents over some steps."""
+    tracks = scene.tracks()
+    position, heading, valid = (
+        tracks[name][agents, steps] for name in ("position", "heading", "valid")
+    )
+    return Motion(position, heading, scene.sizes[agents][:, :2], valid, dt_s=scene.dt)
 
 
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:

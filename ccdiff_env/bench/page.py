@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
+from ccdiff_env.view.page import plain_html
+
 __all__ = ["markdown_html", "write_report_page"]
 
 
@@ -29,17 +31,15 @@ def write_report_page(
         Sections: heading and Markdown, see :func:`markdown_html`; empty ones are left out.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
-    template = resources.files("ccdiff_env.bench").joinpath("assets/report.html")
-    page = template.read_text(encoding="utf-8").format(
-        title=html.escape(title),
-        line=html.escape(line),
-        contents="".join(f'<a href="#{_anchor(h)}">{html.escape(h)}</a>' for h in shown),
-        plots="\n".join(_picture(plot) for plot in plots if plot.exists()),
-        parts="\n".join(
-            f'<h2 id="{_anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
-            for head, text in shown.items()
-        ),
+    contents = "".join(f'<a href="#{_anchor(h)}">{html.escape(h)}</a>' for h in shown)
+    pictures = "\n".join(_picture(plot) for plot in plots if plot.exists())
+    sections = (
+        f'<h2 id="{_anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
+        for head, text in shown.items()
     )
+    body = "\n".join([f"<nav>{contents}</nav>", f'<div class="plots">{pictures}</div>', *sections])
+    style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
+    page = plain_html(title, line, style=style.read_text(encoding="utf-8"), body=body)
     path.write_text(page, encoding="utf-8")
 
 

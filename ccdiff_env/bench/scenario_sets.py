@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.episode import logged
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.counterfactual import rollout_avoidability
@@ -247,23 +248,15 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     }
     agents = np.array([i for i, name in enumerate(rollout.agent_ids) if name in ids], np.int64)
     cost = [plan.realism_cost[plan.guided] for plan in rollout.plans if plan.guided.any()]
-    tracks = rollout.scene.tracks()
-    span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
-    sizes = rollout.scene.sizes[agents][:, :2]
     simulated = Motion(
         rollout.position[agents],
         rollout.heading[agents],
-        sizes,
+        rollout.scene.sizes[agents][:, :2],
         rollout.valid[agents],
         dt_s=rollout.dt_s,
     )
-    log = Motion(
-        tracks["position"][agents, span],
-        tracks["heading"][agents, span],
-        sizes,
-        tracks["valid"][agents, span],
-        dt_s=rollout.dt_s,
-    )
+    steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    log = logged(rollout.scene, agents, steps)
     fde = simulated.displacement(log).mean()[1]
     return {
         "realism_cost": float(np.concatenate(cost).mean()) if cost else None,

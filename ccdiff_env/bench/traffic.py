@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.episode import Episode, drivable, measure, relations
+from ccdiff_env.bench.episode import Episode, drivable, logged, measure, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
@@ -224,13 +224,9 @@ def _checked(lists: Mapping[str, Sequence[str]], scenes: SceneSet) -> Mapping[st
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     """Vehicles that are there, and on the road, at the start; the ego in any case (as released)."""
-    tracks = scene.tracks()
-    there = tracks["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
+    there = scene.tracks()["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
-    now = slice(START_STEP, START_STEP + 1)
-    start = Motion(
-        tracks["position"][agents, now], tracks["heading"][agents, now], scene.sizes[agents][:, :2]
-    )
+    start = logged(scene, agents, slice(START_STEP, START_STEP + 1))
     off_road = start.off_road(drivable(scene)).centroid[:, 0]
     kept: npt.NDArray[np.int64] = agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
     return kept
@@ -377,13 +373,10 @@ def _episode(
     scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[dict[str, Any]]
 ) -> Episode:
     agents = _vehicles(scene)
-    sizes = scene.sizes[agents][:, :2]
     stacked = {
         name: np.stack([s[name] for s in states], axis=1)[agents]
         for name in ("position", "heading", "active")
     }
-    tracks = scene.tracks()
-    span = slice(START_STEP, START_STEP + len(states))
     return Episode(
         scene=scene,
         agents=agents,
@@ -392,15 +385,13 @@ def _episode(
         history=relations(scene, agents, START_STEP),
         start_step=START_STEP,
         motion=Motion(
-            stacked["position"], stacked["heading"], sizes, stacked["active"], dt_s=scene.dt
-        ),
-        log=Motion(
-            tracks["position"][agents, span],
-            tracks["heading"][agents, span],
-            sizes,
-            tracks["valid"][agents, span],
+            stacked["position"],
+            stacked["heading"],
+            scene.sizes[agents][:, :2],
+            stacked["active"],
             dt_s=scene.dt,
         ),
+        log=logged(scene, agents, slice(START_STEP, START_STEP + len(states))),
         position=stacked["position"],
         heading=stacked["heading"],
         plans=plans,

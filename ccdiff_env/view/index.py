@@ -12,7 +12,7 @@ from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.facts import collisions, subtitle
 from ccdiff_env.view.film import Film
-from ccdiff_env.view.page import address, part, write_page
+from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.sources import log_rollout, rollout_files
 
 THUMBNAIL = (320, 200)
@@ -103,7 +103,8 @@ def index_page(title: str, entries: list[Entry]) -> str:
     cards = "\n".join(_card(entry) for entry in entries) or "<p>No rollouts here.</p>"
     hits = sum(entry.collisions > 0 for entry in entries)
     line = f"{len(entries)} replays, {hits} with a collision"
-    return part("index.html").format(title=html.escape(title), line=line, cards=cards)
+    body = f'<div class="cards">\n{cards}\n</div>'
+    return plain_html(title, line, style=part("index.css"), body=body)
 
 
 def _card(entry: Entry) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from urllib.parse import quote, urlencode
@@ -65,7 +66,27 @@ def page_html(
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part("page.html"))
+    return _filled("page.html", parts)
+
+
+def plain_html(title: str, line: str, *, style: str, body: str) -> str:
+    """Return a page without scripts: a heading, a line below it, and HTML.
+
+    Parameters
+    ----------
+    title, line
+        Texts.
+    style
+        CSS of the body.
+    body
+        HTML.
+    """
+    texts = {"title": html.escape(title), "line": html.escape(line)}
+    return _filled("plain.html", {**texts, "style": style, "body": body})
+
+
+def _filled(template: str, parts: Mapping[str, str]) -> str:
+    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part(template))
 
 
 def address(path: str, *, time_s: float | None = None, follow: str | None = None) -> str:
