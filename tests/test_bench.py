@@ -17,6 +17,7 @@ from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
+from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import METHODS, control_set, evaluate, traffic_jobs
@@ -189,6 +190,24 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     assert all(f"{v:.2f}" in lines[0] for v in rs)
     assert (tmp_path / "table.tex").read_text(encoding="utf-8").count(r"\midrule") == 1
     assert len((tmp_path / "figures.csv").read_text(encoding="utf-8").splitlines()) == 4
+
+
+def test_tables_of_periods_show_methods_that_plan_and_lines_join_neighbours(tmp_path):
+    histogram = np.full((3, 20), 0.05).tolist()
+    figures = summarise(*[[_row("a", True, 0.0, 1.0, histogram)]] * 2)
+    named = [("ccdiff", 10, 5), ("ccdiff", None, 5), ("ccdiff", 5, 20), ("ccdiff", 5, 10)]
+    named += [("ccdiff", 5, 5), ("ccdiff", 1, 5), ("idm", 5, 5)]
+    table = {Condition(*c): figures for c in named}
+    write_tables(table, tmp_path)
+    by_k, by_period = (tmp_path / "table.md").read_text(encoding="utf-8").split("T seconds, K = 5")
+    assert "| method | | 1 | 5 | 10 | Full |" in by_k
+    assert "| IDM |" in by_k
+    assert "| method | | 0.5 s | 1 s | 2 s |" in by_period
+    assert "| CCDiff |" in by_period
+    assert "| IDM |" not in by_period
+    lines = _lines([c for c in table if c.method == "ccdiff"])
+    assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
+    assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
 
 
 def test_projections_on_a_path_agree_with_shapely():

@@ -208,7 +208,8 @@ def _axes(
         rows = {}
         for c in part:
             rows.setdefault(c.method, {})[f"{c.replan_steps / 10:g} s"] = c
-        found.append((f"a plan every T seconds, K = {k}", heads, rows))
+        swept = {method: by_head for method, by_head in rows.items() if len(by_head) > 1}
+        found.append((f"a plan every T seconds, K = {k}", heads, swept))
     return found
 
 
