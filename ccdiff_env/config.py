@@ -221,6 +221,8 @@ class WorldConfig:
     dt_s: float = 0.1
     #: Logged steps before the first free one; episodes start at this step of the log.
     history_steps: int = 30
+    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
+    start_spread_steps: int = 0
     #: Steps of an episode at most, >= 1.
     horizon_steps: int = 100
     #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), ids, or

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -59,10 +59,13 @@ class Curriculum:
     def _range(self) -> tuple[float, float]:
         found = self._criticality
         strength = found(self._progress) if callable(found) else found
-        low, high = strength if isinstance(strength, tuple) else (strength, strength)
+        try:
+            low, high = map(float, strength if isinstance(strength, Sequence) else (strength,) * 2)
+        except (TypeError, ValueError):
+            low = high = np.nan
         if not (0.0 <= low <= high and np.isfinite(high)):
             raise ConfigError(f"criticality is {strength!r}, expected 0 <= low <= high, finite")
-        return float(low), float(high)
+        return low, high
 
     def draw(self, seed: int, episode: int) -> float:
         """Return the criticality of an episode; the same seed and number give the same one."""

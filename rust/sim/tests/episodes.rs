@@ -296,3 +296,25 @@ fn reward_is_the_sum_of_its_components() {
         }
     }
 }
+
+#[test]
+fn starts_are_spread_over_the_log_by_the_seed_and_stand_where_the_log_stands() {
+    let config = WorldConfig { start_spread_steps: 40, driver: Driver::Replay, ..base() };
+    let mut batch = Batch::new(vec![city(3)], config.clone(), 1, 1);
+    let mut starts = Vec::new();
+    for seed in 0..60 {
+        batch.reset_all(seed);
+        let first = batch.world.status(0).unwrap().step_idx;
+        assert_eq!(batch.columns[Col::LogDistance as usize], 0.0);
+        starts.push(first);
+        batch.reset_all(seed);
+        assert_eq!(batch.world.status(0).unwrap().step_idx, first, "seed {seed}");
+    }
+    let (least, most) = (starts.iter().min().unwrap(), starts.iter().max().unwrap());
+    assert!(*least >= config.history_steps && *most <= config.history_steps + 40, "{least} {most}");
+    assert!(most - least > 30, "{least} {most}");
+
+    let mut fixed = Batch::new(vec![city(3)], base(), 1, 1);
+    fixed.reset_all(5);
+    assert_eq!(fixed.world.status(0).unwrap().step_idx, base().history_steps);
+}

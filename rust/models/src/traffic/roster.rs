@@ -44,7 +44,7 @@ pub(super) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
 
 /// Which agents of a scene do not move in an episode.
 pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
-    let (scene, start) = (&world.scene.scene, world.config.history_steps);
+    let (scene, start) = (&world.scene.scene, world.step_idx - world.elapsed_steps);
     (0..world.states.len())
         .map(|a| match rule {
             Frozen::Parked => world.scene.routes[a].is_parked(),

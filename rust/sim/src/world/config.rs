@@ -4,6 +4,7 @@ use crate::dynamics::{ActionGrid, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::ObservationConfig;
+use crate::scene::{AgentKind, EGO_ID, Scene};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -47,6 +48,20 @@ pub enum Controlled {
     Ids(Vec<String>),
     /// Agents by id, chosen for each scene by its name; slots beyond a scene's list stay empty.
     PerScene(BTreeMap<String, Vec<String>>),
+}
+
+impl Controlled {
+    /// Whether one of these agents is there at a step of a scene's log.
+    pub(crate) fn anyone_at(&self, scene: &Scene, step: usize) -> bool {
+        let present = |id: &str| scene.agent_index(id).is_some_and(|a| scene.is_valid(a, step));
+        match self {
+            Self::Ego => present(EGO_ID),
+            Self::Vehicles => (0..scene.num_agents())
+                .any(|a| scene.agents[a].kind == AgentKind::Vehicle && scene.is_valid(a, step)),
+            Self::Ids(ids) => ids.iter().any(|id| present(id)),
+            Self::PerScene(scenes) => scenes.get(&scene.name).into_iter().flatten().any(|id| present(id)),
+        }
+    }
 }
 
 /// What follows when a controlled agent touches another one, or leaves the road.
@@ -205,6 +220,8 @@ pub struct WorldConfig {
     pub dt_s: Real,
     /// Logged steps before the first free one; episodes start at this step of the log.
     pub history_steps: usize,
+    /// Episodes start up to this many steps later, drawn anew for each; 0: always at the same step.
+    pub start_spread_steps: usize,
     /// Steps of an episode at most.
     pub horizon_steps: usize,
     /// Agents with a slot.
@@ -250,6 +267,7 @@ impl Default for WorldConfig {
         Self {
             dt_s: 0.1,
             history_steps: 30,
+            start_spread_steps: 0,
             horizon_steps: 100,
             controlled: Controlled::Ego,
             num_slots: 1,

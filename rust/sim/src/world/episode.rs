@@ -1,7 +1,7 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
 use crate::geom::{Pose2, Real, Vector2};
-use crate::scene::AgentKind;
+use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::config::{Controlled, Driver, WorldConfig};
 use crate::world::history::History;
@@ -115,7 +115,7 @@ impl Episode {
         self.phase = Phase::Running;
         self.number += 1;
         self.scene_idx = scene_idx;
-        self.step_idx = config.history_steps;
+        self.step_idx = self.start_step(log, config);
         self.elapsed_steps = 0;
         self.states.clear_for(num_agents);
         self.route_s_m.clear();
@@ -137,6 +137,18 @@ impl Episode {
         self.history = history_len.map(|len| History::from_log(log, self.step_idx, len));
     }
 
+    /// Step of the log at which the episode starts: drawn, or the first where nobody is to be controlled there.
+    fn start_step(&self, log: &Scene, config: &WorldConfig) -> usize {
+        let first = config.history_steps;
+        let spread = config.start_spread_steps.min(log.num_steps.saturating_sub(first + 2));
+        if spread == 0 {
+            return first;
+        }
+        let mut rng = Rng::new(self.seed).split(self.number).split(u64::MAX);
+        let step = first + rng.below(spread + 1);
+        if config.controlled.anyone_at(log, step) { step } else { first }
+    }
+
     /// Puts an agent at its logged state of the present step.
     pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize) {
         let log = &scene.scene;
@@ -152,7 +164,7 @@ impl Episode {
     fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig) {
         let log = &scene.scene;
         let mut first_unseen = 0;
-        let end_step = config.history_steps + config.horizon_steps;
+        let (start_step, end_step) = (self.step_idx, self.step_idx + config.horizon_steps);
         self.slots.clear();
         for c in 0..config.num_slots {
             let agent = match &config.controlled {
@@ -174,10 +186,10 @@ impl Episode {
             if let Some(a) = agent_idx {
                 self.drivers[a] = config.driver;
                 start_s_m = self.route_s_m[a];
-                let last = (config.history_steps..log.num_steps.min(end_step + 1))
+                let last = (start_step..log.num_steps.min(end_step + 1))
                     .rev()
                     .find(|t| log.is_valid(a, *t))
-                    .unwrap_or(config.history_steps);
+                    .unwrap_or(start_step);
                 let goal = log.tracks.position[log.at(a, last)];
                 goal_s_m = scene.routes[a].path.project(goal).s_m.max(start_s_m);
             }

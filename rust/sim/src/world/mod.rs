@@ -331,16 +331,7 @@ fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
     if scene.num_steps < config.history_steps + 2 {
         return fail("num_steps", scene.num_steps.to_string(), "more steps than the history and one");
     }
-    let start = config.history_steps;
-    let present = |id: &str| scene.agent_index(id).is_some_and(|a| scene.is_valid(a, start));
-    let any = match &config.controlled {
-        Controlled::Ego => present(crate::scene::EGO_ID),
-        Controlled::Vehicles => (0..scene.num_agents())
-            .any(|a| scene.agents[a].kind == crate::scene::AgentKind::Vehicle && scene.is_valid(a, start)),
-        Controlled::Ids(ids) => ids.iter().any(|id| present(id)),
-        Controlled::PerScene(scenes) => scenes.get(&scene.name).into_iter().flatten().any(|id| present(id)),
-    };
-    if any {
+    if config.controlled.anyone_at(scene, config.history_steps) {
         Ok(())
     } else {
         fail("agents", "nobody to control".into(), "a controlled agent present at the start")
