@@ -104,7 +104,15 @@ def test_certificates_hold_the_criticality_that_was_drawn(scenes):
 
 
 def test_mistakes_are_named(scenes):
-    for bad in (-1.0, (1.0, 0.0), float("nan"), lambda p: (0.0, float("inf"))):
+    for bad in (
+        -1.0,
+        (1.0, 0.0),
+        [0.0, 1.0, 2.0],
+        "high",
+        None,
+        float("nan"),
+        lambda p: (0.0, float("inf")),
+    ):
         with pytest.raises(ConfigError):
             Curriculum(bad)
     with pytest.raises(ConfigError, match="ccdiff"):

@@ -45,6 +45,7 @@ def driven(scenes, *, episodes=1, **options) -> tuple[EgoEnv, list[float]]:
         {"discrete": True, "dynamics": "bicycle", "horizon_steps": 30},
         {"episodes": 3, "traffic": "constant_velocity", "dynamics": "delta_pose"},
         {"driver": "idm", "traffic": "idm"},
+        {"episodes": 2, "start_spread_steps": 40},
     ],
     ids=str,
 )

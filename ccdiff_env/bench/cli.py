@@ -230,7 +230,9 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--base-steps", type=int, default=1_200_000, help="steps in log replay before the lessons"
     )
-    parser.add_argument("--traffic", default="replay,ccdiff,ccdiff-1,ccdiff-2", help="of the evaluation")
+    parser.add_argument(
+        "--traffic", default="replay,ccdiff,ccdiff-1,ccdiff-2", help="of the evaluation"
+    )
     parser.set_defaults(run=_learning)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.envs.selection.options import SelectionReward
 
 __all__ = [
     "CHOOSERS",
@@ -32,6 +33,14 @@ CHOOSERS = ("none", "random", "distance", "ttc", "causal")
 #: Strengths of the guidance at which the simple choosers are measured; PPO chooses at 1.
 STRENGTHS = (0.25, 0.5, 0.75, 1.0)
 NUM_ENVS = 32
+#: Rewards of training: a fifth of the default ones, so that the loss of the value function does not
+#: rule the features that it shares with the policy.
+REWARD = SelectionReward(
+    **{
+        name: 0.2 * getattr(SelectionReward(), name)
+        for name in ("collision", "realism", "off_road", "comfort")
+    }
+)
 #: Scenes that share a batch of the network.
 CHUNK = 12
 
@@ -97,19 +106,22 @@ def train_chooser(
     from ccdiff_env.bench.learning import curve_callback
     from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
     from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
+    from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy
 
     env = SelectionSB3VecEnv(
-        AdversarySelectionVectorEnv(NUM_ENVS, scenes=scenes_of(source), **_options(ego, 1.0))
+        AdversarySelectionVectorEnv(
+            NUM_ENVS, scenes=scenes_of(source), reward=REWARD, **_options(ego, 1.0)
+        )
     )
     model = MaskablePPO(
-        "MultiInputPolicy",
+        CandidatePolicy,
         env,
+        learning_rate=lambda left: 1e-3 * max(left, 0.05),
         n_steps=64,
         batch_size=256,
         n_epochs=6,
-        gamma=0.95,
-        ent_coef=0.01,
-        policy_kwargs={"net_arch": [128, 128]},
+        gamma=0.97,
+        ent_coef=0.003,
         seed=seed,
         device="cpu",
     )
