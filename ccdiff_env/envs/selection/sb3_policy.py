@@ -54,7 +54,8 @@ class _Scores(nn.Module):
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         rows = features.reshape(len(features), -1, WIDTH)
-        return torch.cat([self.somebody(rows[:, :-1]), self.nobody(rows[:, -1:])], dim=1).squeeze(-1)
+        scores = [self.somebody(rows[:, :-1]), self.nobody(rows[:, -1:])]
+        return torch.cat(scores, dim=1).squeeze(-1)
 
 
 class CandidatePolicy(MaskableMultiInputActorCriticPolicy):
