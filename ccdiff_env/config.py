@@ -186,6 +186,14 @@ class RewardConfig:
     #: When the goal is reached.
     goal: float = 2.0
 
+    def scaled(self, factor: float) -> RewardConfig:
+        """Return all weights times a factor.
+
+        Learners whose value function shares features with the policy learn better from small
+        rewards: the loss of the value function grows with their square.
+        """
+        return RewardConfig(**{name: factor * w for name, w in dataclasses.asdict(self).items()})
+
 
 @dataclass(frozen=True, kw_only=True)
 class IdmConfig:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import json
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.config import ObservationConfig, WorldConfig
+from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
 FIGURES = (
@@ -44,8 +45,11 @@ LESSONS: tuple[dict[str, Any], ...] = (
 #: Learning rate of each part: what was learned in the first is not to be lost in the second.
 LEARNING_RATES = (3e-4, 1e-4)
 NUM_ENVS = 32
-#: What the ego sees: fewer agents and pieces of the map than by default, so that it learns faster.
-CONFIG = WorldConfig(observation=ObservationConfig(num_agents=8, num_map_pieces=16))
+#: What the ego sees: fewer pieces of the map than by default, so that it learns faster.
+CONFIG = WorldConfig(observation=ObservationConfig(num_map_pieces=16))
+
+#: Worlds of training: small rewards, and starts all over the log.
+TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2), start_spread_steps=50)
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
 
@@ -111,6 +115,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     from stable_baselines3.common.logger import configure
 
     from ccdiff_env.envs.sb3 import SB3VecEnv
+    from ccdiff_env.envs.sb3_rows import rows_policy
 
     class Curve(BaseCallback):
         """Collects finished episodes."""
@@ -130,7 +135,11 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     envs = [
         SB3VecEnv(
             ccdiff_env.make_vec(
-                NUM_ENVS, scenes=scenes, config=CONFIG, autoreset_mode="same_step", **lesson
+                NUM_ENVS,
+                scenes=scenes,
+                config=TRAINING,
+                autoreset_mode="same_step",
+                **lesson,
             )
         )
         for lesson in LESSONS
@@ -145,7 +154,11 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
         gamma=0.98,
         gae_lambda=0.95,
         ent_coef=0.0,
-        policy_kwargs={"net_arch": [128, 128], "log_std_init": -1.0},
+        policy_kwargs={
+            **rows_policy(envs[0].env.worlds.layout),
+            "net_arch": [128, 128],
+            "log_std_init": -1.0,
+        },
         seed=seed,
         device="cpu",
     )

@@ -130,3 +130,10 @@ def test_configurations_are_frozen_and_hashable():
         config.dt_s = 0.2  # type: ignore[misc]
     assert hash(config) == hash(WorldConfig())
     assert ActionGrid(first=(1.0,), second=(0.0,)) == ActionGrid(first=(1.0,), second=(0.0,))
+
+
+def test_scaled_rewards_are_all_weights_times_the_factor():
+    weights, scaled = RewardConfig(), RewardConfig().scaled(0.2)
+    for field in dataclasses.fields(RewardConfig):
+        expected = 0.2 * getattr(weights, field.name)
+        assert getattr(scaled, field.name) == pytest.approx(expected)

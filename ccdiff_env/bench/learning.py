@@ -8,7 +8,6 @@ traffic. Training scenes and evaluation scenes have no scene in common.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +30,10 @@ LESSONS: dict[str, dict[str, Any]] = {
 #: What the egos see. In real scenes the nearest 8 agents are often parked cars and cones: the
 #: vehicle ahead is seen with 24.
 OBSERVATION: dict[str, Any] = {"num_agents": 24, "num_map_pieces": 16}
-#: Worlds of training: rewards a fifth of the default ones, so that the loss of the value function
-#: does not rule the features that it shares with the policy; starts all over the log.
+#: Worlds of training: small rewards, and starts all over the log.
 TRAINING: dict[str, Any] = {
     "observation": OBSERVATION,
-    "reward": {f.name: 0.2 * getattr(RewardConfig(), f.name) for f in fields(RewardConfig)},
+    "reward": RewardConfig().scaled(0.2),
     "start_spread_steps": 60,
 }
 PPO_SETTINGS: dict[str, Any] = {
