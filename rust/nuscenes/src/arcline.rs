@@ -1,23 +1,21 @@
 //! Lane centre lines of the map expansion: chains of paths, each of three pieces that are arcs or straight.
 
-use serde::Deserialize;
-
 /// Paths longer than this are damaged data, metres.
 const MAX_PATH_M: f64 = 1e5;
 /// Points nearer than this to the one before are left out (the joints of paths are in the data twice), metres.
 const MIN_SPACING_M: f64 = 1e-2;
 
 /// One path of `arcline_path_3`.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ArcLinePath {
     /// x, y, yaw in the global frame.
-    start_pose: [f64; 3],
+    pub(crate) start_pose: [f64; 3],
     /// L, S or R for each piece.
-    shape: String,
+    pub(crate) shape: String,
     /// Radius of the arcs, metres.
-    radius: f64,
+    pub(crate) radius: f64,
     /// Length of each piece, metres.
-    segment_length: [f64; 3],
+    pub(crate) segment_length: [f64; 3],
 }
 
 /// Why a path cannot be followed.

@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
 const CENTRELINE_SPACING_M: f64 = 1.0;
+/// Points of a ring that have a box of their own.
+pub(crate) const BLOCK_POINTS: usize = 16;
 
 /// Axis-aligned box, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +38,11 @@ impl Bounds {
         bounds
     }
 
+    /// Boxes round [`BLOCK_POINTS`] points after one another, in order.
+    pub(crate) fn of_blocks(points: &[[f64; 2]]) -> Vec<Self> {
+        points.chunks(BLOCK_POINTS).map(Self::of).collect()
+    }
+
     pub(crate) fn touches(&self, other: &Self) -> bool {
         (0..2).all(|i| self.min[i] <= other.max[i] && other.min[i] <= self.max[i])
     }
@@ -55,6 +62,8 @@ pub(crate) struct GlobalPolygon {
     pub(crate) exterior: Vec<[f64; 2]>,
     pub(crate) holes: Vec<Vec<[f64; 2]>>,
     pub(crate) bounds: Bounds,
+    /// [`Bounds::of_blocks`] of the exterior.
+    pub(crate) blocks: Vec<Bounds>,
 }
 
 /// A line in the global frame, metres.
@@ -184,6 +193,22 @@ fn parse<'a, T: Deserialize<'a>>((text, source): Text<'a>) -> Result<T> {
     serde_json::from_slice(text).map_err(|e| source.fail(0, e.to_string()))
 }
 
+/// The paths of a lane.
+fn arcline_paths((text, source): Text<'_>) -> Result<Vec<ArcLinePath>> {
+    let path = |range: Range<usize>| {
+        let source = Source { offset: source.offset + range.start as u64, ..source };
+        let names = &["start_pose", "shape", "radius", "segment_length"];
+        let mut row = Record::new(&text[range], names, source);
+        Ok(ArcLinePath {
+            start_pose: row.numbers(0)?,
+            shape: row.text(1)?,
+            radius: row.number(2)?,
+            segment_length: row.numbers(3)?,
+        })
+    };
+    elements(text, source)?.into_iter().map(path).collect()
+}
+
 /// Resolves tokens to geometry.
 struct Assembler<'a> {
     file: &'a MapText<'a>,
@@ -252,12 +277,13 @@ impl<'a> Assembler<'a> {
     fn points(&self, owner: Token, (text, source): Text<'a>) -> Result<Vec<[f64; 2]>> {
         let tokens = elements(text, source)?;
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
+        let mut next = 0;
         for range in tokens {
             let token = match plain_string(&text[range.clone()]) {
                 Some(bytes) => Token::from_bytes(bytes),
                 None => Token::from_text(&parse::<String>((&text[range], source))?),
             };
-            let point = self.nodes.get(token);
+            let point = self.nodes.get_from(&mut next, token);
             points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
         }
         points.dedup();
@@ -291,7 +317,8 @@ impl<'a> Assembler<'a> {
             }
         }
         rings.retain(|ring| ring.len() >= 3);
-        Ok(Some(GlobalPolygon { bounds: Bounds::of(&exterior), exterior, holes: rings }))
+        let (bounds, blocks) = (Bounds::of(&exterior), Bounds::of_blocks(&exterior));
+        Ok(Some(GlobalPolygon { exterior, holes: rings, bounds, blocks }))
     }
 
     fn drivable_area(&self, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
@@ -347,7 +374,7 @@ impl<'a> Assembler<'a> {
         paths: &BTreeMap<&'a [u8], Text<'a>>,
     ) -> Result<GlobalLane> {
         let id = row.text(0)?;
-        let paths: Vec<ArcLinePath> = paths.get(id.as_bytes()).map_or(Ok(Vec::new()), |text| parse(*text))?;
+        let paths = paths.get(id.as_bytes()).map_or(Ok(Vec::new()), |text| arcline_paths(*text))?;
         let centreline = discretise(&paths, CENTRELINE_SPACING_M).map_err(|fault| {
             let (path, token) = (self.path.to_owned(), id.clone());
             let (field, got, expected) = (fault.field, fault.got, fault.expected);

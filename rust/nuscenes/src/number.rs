@@ -48,6 +48,18 @@ fn plain_prefix(text: &[u8]) -> Option<(f64, usize)> {
     Some((if negative { -value } else { value }, at))
 }
 
+/// The value of a whole number without sign or exponent.
+pub(crate) fn plain_integer(text: &[u8]) -> Option<i64> {
+    // eighteen digits certainly fit
+    if !(1..=18).contains(&text.len()) || (text.len() > 1 && text[0] == b'0') {
+        return None;
+    }
+    text.iter().try_fold(0, |value, byte| {
+        let digit = byte.wrapping_sub(b'0');
+        (digit < 10).then(|| value * 10 + i64::from(digit))
+    })
+}
+
 /// The value of a plain number.
 pub(crate) fn plain_number(text: &[u8]) -> Option<f64> {
     plain_prefix(text).filter(|(_, length)| *length == text.len()).map(|(value, _)| value)

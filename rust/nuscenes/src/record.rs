@@ -4,8 +4,8 @@
 //! records that nobody needs. Finding where values end is several times faster than parsing them.
 
 use crate::error::{NuscenesError, Result};
-use crate::number::{plain_number, plain_numbers};
-use crate::scan::{Nesting, find_quote_or_escape};
+use crate::number::{plain_integer, plain_number, plain_numbers};
+use crate::scan::{Nesting, find_quote_or_escape, flat_end};
 use crate::token::Token;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -113,6 +113,23 @@ impl<'a, const N: usize> Record<'a, N> {
         self.parse(field)
     }
 
+    /// A whole number.
+    pub(crate) fn integer(&mut self, field: usize) -> Result<i64> {
+        match plain_integer(self.raw(field)?.0) {
+            Some(value) => Ok(value),
+            None => self.parse(field),
+        }
+    }
+
+    /// True or false.
+    pub(crate) fn flag(&mut self, field: usize) -> Result<bool> {
+        match self.raw(field)?.0 {
+            b"true" => Ok(true),
+            b"false" => Ok(false),
+            _ => self.parse(field),
+        }
+    }
+
     /// Three or four numbers and the like.
     pub(crate) fn numbers<const K: usize>(&mut self, field: usize) -> Result<[f64; K]>
     where
@@ -163,10 +180,10 @@ fn skip_string(text: &[u8], at: usize) -> Option<usize> {
 fn skip_value(text: &[u8], at: usize) -> Option<usize> {
     match text.get(at)? {
         b'"' => skip_string(text, at),
-        b'{' | b'[' => {
+        b'{' | b'[' => flat_end(text, at).or_else(|| {
             let (end, closed) = { Nesting::START }.advance(text, at);
             closed.then_some(end)
-        }
+        }),
         _ => {
             let ends = |b: &u8| matches!(b, b',' | b'}' | b']') || b.is_ascii_whitespace();
             let length = text[at..].iter().position(ends)?;

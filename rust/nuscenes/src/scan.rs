@@ -131,6 +131,21 @@ pub(crate) fn find_quote_or_escape(text: &[u8], mut at: usize) -> Option<usize> 
     rest.iter().position(|b| matches!(b, b'"' | b'\\')).map(|i| at + i)
 }
 
+/// Position after the array or object that begins at `at`, where it is short and has neither strings nor brackets in
+/// it; as [`Nesting::advance`] finds it.
+#[inline]
+pub(crate) fn flat_end(text: &[u8], at: usize) -> Option<usize> {
+    let bytes = text.get(at + 1..)?.first_chunk::<STRIP>()?;
+    let (halves, _) = bytes.as_chunks::<16>();
+    let mut hits = 0;
+    for (i, half) in halves.iter().enumerate() {
+        let half = Strip::new(half);
+        hits |= u32::from(half.brackets() | half.equal_to(b'"') | half.equal_to(b'\\')) << (16 * i);
+    }
+    let first = hits.trailing_zeros() as usize;
+    bytes.get(first).is_some_and(|b| matches!(b, b']' | b'}')).then_some(at + first + 2)
+}
+
 /// Where a search for the end of an object or array stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Nesting {
@@ -263,6 +278,9 @@ mod tests {
             let text = [b"[", text.as_slice()].concat();
             let expected = plain_end(&text, 0);
             prop_assert_eq!({ Nesting::START }.advance(&text, 0), expected);
+            if let Some(end) = flat_end(&text, 0) {
+                prop_assert_eq!((end, true), expected);
+            }
             let (mut nesting, mut at, mut closed) = (Nesting::START, 0, false);
             let mut cuts: Vec<usize> = cuts.into_iter().map(|c| c.min(text.len())).collect();
             cuts.sort_unstable();
@@ -272,6 +290,13 @@ mod tests {
                 }
             }
             prop_assert_eq!((at, closed), expected);
+        }
+
+        #[test]
+        fn short_arrays_of_numbers_end_at_their_bracket(numbers in "[0-9., -]{0,31}", rest in any_text(60)) {
+            let text = [b"[", numbers.as_bytes(), b"]", rest.as_slice()].concat();
+            let whole = text.len() > 32;
+            prop_assert_eq!(flat_end(&text, 0), whole.then_some(numbers.len() + 2));
         }
 
         #[test]

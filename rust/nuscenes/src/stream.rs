@@ -20,7 +20,8 @@ const MAX_RECORD_BYTES: usize = 16 << 20;
 const RECORDS_PER_TASK: usize = 256;
 
 /// Finds the fields of these names in every record of a table and keeps what `keep` makes of them, in the order of the
-/// file.
+/// file. The number that `keep` is given is its own from one record to the next of a task and 0 at first: a place in
+/// another table to look at first ([`TokenIndex::place_from`](crate::index::TokenIndex::place_from)).
 ///
 /// # Errors
 /// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
@@ -32,7 +33,7 @@ pub(crate) fn read_table<Kept, F, const N: usize>(
 ) -> Result<Vec<Kept>>
 where
     Kept: Send,
-    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let file = File::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
     read_records(file, path, BLOCK_BYTES, names, &keep)
@@ -49,7 +50,7 @@ fn read_records<R, Kept, F, const N: usize>(
 where
     R: Read + Send,
     Kept: Send,
-    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
@@ -84,13 +85,13 @@ fn parse_block<Kept, F, const N: usize>(
 ) -> Result<Vec<Vec<Kept>>>
 where
     Kept: Send,
-    F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let parse = |records: &[Range<usize>]| {
-        let mut kept = Vec::new();
+        let (mut kept, mut next) = (Vec::with_capacity(records.len()), 0);
         for range in records {
             let source = Source { path, offset: block.offset + range.start as u64 };
-            kept.extend(keep(&mut Record::new(&block.bytes[range.clone()], names, source))?);
+            kept.extend(keep(&mut Record::new(&block.bytes[range.clone()], names, source), &mut next)?);
         }
         Ok(kept)
     };
@@ -222,7 +223,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        let keep = |row: &mut Record<'_, 2>| Ok(Some((row.parse(0)?, row.text(1)?)));
+        let keep = |row: &mut Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
         read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
     }
 

@@ -1,12 +1,13 @@
 //! The rows of the official tables, and the join of them to the logged facts of each scene.
 
 use crate::error::{NuscenesError, Result};
-use crate::index::TokenIndex;
+use crate::index::{TokenIndex, find_twice};
 use crate::record::Record;
 use crate::stream::read_table;
 use crate::token::Token;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Tables that are read; a data set must have them all.
@@ -91,10 +92,24 @@ impl Tables {
         Kept: Send,
         F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
     {
+        self.read_near(table, names, |row, _| keep(row))
+    }
+
+    /// [`Self::read`] with a number that is kept from one record to the next, see [`read_table`].
+    fn read_near<Kept, F, const N: usize>(
+        &self,
+        table: &str,
+        names: &'static [&'static str; N],
+        keep: F,
+    ) -> Result<Vec<Kept>>
+    where
+        Kept: Send,
+        F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    {
         read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
 
-    fn index<T: Send>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
+    fn index<T>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
         TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token.to_string()))
     }
 
@@ -157,12 +172,12 @@ impl Tables {
         }
         let tokens = scenes.iter().map(|s| Token::from_text(&s.token));
         let slots = self.index("scene", tokens.zip(slots).collect())?;
-        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row| {
+        let mut list = self.read_near("sample", &["token", "timestamp", "scene_token"], |row, next| {
             let (token, scene) = (row.token(0)?, row.token(2)?);
             let slot = *slots
-                .get(scene)
+                .get_from(next, scene)
                 .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene, "scene"))?;
-            Ok(Some(Sample { slot, timestamp_us: row.parse(1)?, token, frame: 0 }))
+            Ok(Some(Sample { slot, timestamp_us: row.integer(1)?, token, frame: 0 }))
         })?;
         list.par_sort_by_key(|s| (s.slot, s.timestamp_us));
         for i in 1..list.len() {
@@ -175,7 +190,7 @@ impl Tables {
                 }
             }
         }
-        let tokens = list.iter().enumerate().map(|(i, s)| (s.token, i as u32)).collect();
+        let tokens = list.iter().map(|s| (s.token, ())).collect();
         Ok(Samples { by_token: self.index("sample", tokens)?, list })
     }
 
@@ -183,17 +198,20 @@ impl Tables {
         const TABLE: &str = "sample_annotation";
         let path = self.path(TABLE);
         let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
-        let rows = self.read(TABLE, names, |row| {
+        let rows = self.read_near(TABLE, names, |row, next| {
             let (token, of) = (row.token(0)?, row.token(1)?);
-            let sample = samples
-                .find(of)
-                .ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
+            let place = samples.by_token.place_from(next, of);
+            let place = place.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
+            let sample = &samples.list[place];
             let Some(slot) = sample.slot else { return Ok(None) };
             let (translation, rotation) = (row.numbers(3)?, row.numbers(5)?);
             let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation)?;
             Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.numbers(4)? }))
         })?;
-        self.index(TABLE, rows.iter().map(|a| (a.token, ())).collect())?;
+        let tokens: Vec<Token> = rows.iter().map(|a| a.token).collect();
+        if let Some(token) = find_twice(&tokens) {
+            return Err(self.duplicate(TABLE, "token", token.to_string()));
+        }
         let instances = self.read_instances(&rows)?;
         for group in group(&rows) {
             let track = self.track(&rows, &group, &instances)?;
@@ -207,7 +225,8 @@ impl Tables {
         let categories =
             self.read("category", &["token", "name"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let categories = self.index("category", categories)?;
-        let mut used: Vec<Token> = rows.iter().map(|a| a.instance).collect();
+        let runs = rows.chunk_by(|a, b| a.instance == b.instance);
+        let mut used: Vec<Token> = runs.map(|run| run[0].instance).collect();
         used.par_sort_unstable();
         used.dedup();
         let rows = self.read("instance", &["token", "category_token"], |row| {
@@ -257,32 +276,44 @@ impl Tables {
     fn add_ego(&self, samples: &Samples, logged: &mut [LoggedScene]) -> Result<()> {
         let (channels, rows) = self.read_key_frame_data(samples)?;
         let chosen = choose_channels(&rows, samples, channels.len(), logged.len());
-        let mut wanted: Vec<(Token, u32)> = rows
+        let wanted: Vec<(Token, u32)> = rows
             .iter()
             .filter(|r| samples.list[r.sample as usize].slot.and_then(|s| chosen[s]) == Some(r.channel))
             .map(|r| (r.ego_pose, r.sample))
             .collect();
-        wanted.par_sort_unstable();
-        wanted.dedup_by_key(|(token, _)| *token);
-        let wanted = self.index("sample_data", wanted)?;
-        let path = self.path("ego_pose");
-        let poses = self.read("ego_pose", &["token", "timestamp", "translation", "rotation"], |row| {
-            let token = row.token(0)?;
-            let Some(sample) = wanted.get(token) else { return Ok(None) };
-            let sample = &samples.list[*sample as usize];
-            let (translation, rotation) = (row.numbers(2)?, row.numbers(3)?);
-            let key = ground_pose(&path, token, sample, row.parse(1)?, translation, rotation)?;
-            Ok(Some((token, (sample.slot, key))))
-        })?;
-        let poses = self.index("ego_pose", poses)?;
-        for (token, sample) in wanted.into_entries() {
-            let Some((slot, key)) = poses.get(token) else {
-                let of = format!("of sample {}", samples.list[sample as usize].token);
-                return Err(self.dangling(("sample_data", "ego_pose_token"), of, token, "ego_pose"));
-            };
-            if let Some(slot) = slot {
-                logged[*slot].ego.push(*key);
+        let wanted = match TokenIndex::new(wanted.clone()) {
+            Ok(wanted) => wanted,
+            // several records of one pose: it is that of the first key frame
+            Err(_) => {
+                let mut wanted = wanted;
+                wanted.par_sort_unstable();
+                wanted.dedup_by_key(|(token, _)| *token);
+                self.index("sample_data", wanted)?
             }
+        };
+        let path = self.path("ego_pose");
+        let names = &["token", "timestamp", "translation", "rotation"];
+        let poses = self.read_near("ego_pose", names, |row, next| {
+            let token = row.token(0)?;
+            let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
+            let sample = &samples.list[wanted.entries()[place].1 as usize];
+            let (translation, rotation) = (row.numbers(2)?, row.numbers(3)?);
+            let key = ground_pose(&path, token, sample, row.integer(1)?, translation, rotation)?;
+            Ok(Some((place, sample.slot, key)))
+        })?;
+        let mut found = vec![false; wanted.entries().len()];
+        for (place, slot, key) in poses {
+            if std::mem::replace(&mut found[place], true) {
+                return Err(self.duplicate("ego_pose", "token", wanted.entries()[place].0.to_string()));
+            }
+            if let Some(slot) = slot {
+                logged[slot].ego.push(key);
+            }
+        }
+        if let Some(place) = found.iter().position(|found| !found) {
+            let (token, sample) = wanted.entries()[place];
+            let of = format!("of sample {}", samples.list[sample as usize].token);
+            return Err(self.dangling(("sample_data", "ego_pose_token"), of, token, "ego_pose"));
         }
         for (scene, channel) in logged.iter_mut().zip(&chosen) {
             scene.ego.sort_by_key(|k| k.frame);
@@ -321,22 +352,22 @@ impl Tables {
         let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
         let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
-        let rows = self.read(TABLE, names, |row| {
-            if !row.parse::<bool>(0)? {
+        let rows = self.read_near(TABLE, names, |row, next| {
+            if !row.flag(0)? {
                 return Ok(None);
             }
             let of = row.token(2)?;
-            let sample = samples.position(of).ok_or_else(|| {
+            let sample = samples.by_token.place_from(next, of).ok_or_else(|| {
                 self.dangling((TABLE, "sample_token"), row.token(1).unwrap_or_default(), of, "sample")
             })?;
-            if samples.list[sample as usize].slot.is_none() {
+            if samples.list[sample].slot.is_none() {
                 return Ok(None);
             }
             let (token, sensor) = (row.token(1)?, row.token(4)?);
             let channel = *calibrated.get(sensor).ok_or_else(|| {
                 self.dangling((TABLE, "calibrated_sensor_token"), token, sensor, "calibrated_sensor")
             })?;
-            Ok(Some(KeyFrameData { sample, channel, ego_pose: row.token(3)? }))
+            Ok(Some(KeyFrameData { sample: sample as u32, channel, ego_pose: row.token(3)? }))
         })?;
         Ok((channels, rows))
     }
@@ -356,18 +387,8 @@ struct Sample {
 /// All key frames, in the order of scene and time.
 struct Samples {
     list: Vec<Sample>,
-    by_token: TokenIndex<u32>,
-}
-
-impl Samples {
-    /// Place of a token's sample in the list.
-    fn position(&self, token: Token) -> Option<u32> {
-        self.by_token.get(token).copied()
-    }
-
-    fn find(&self, token: Token) -> Option<&Sample> {
-        self.list.get(self.position(token)? as usize)
-    }
+    /// In the order of the list.
+    by_token: TokenIndex<()>,
 }
 
 struct KeyFrameData {
@@ -387,13 +408,29 @@ struct Annotation {
 /// Places of the annotations of each scene and instance in time order, instances by first appearance (then by place in
 /// the file).
 fn group(rows: &[Annotation]) -> Vec<Vec<u32>> {
-    let mut order: Vec<(usize, Token, usize, u32)> =
-        rows.iter().enumerate().map(|(i, a)| (a.slot, a.instance, a.key.frame, i as u32)).collect();
-    order.par_sort_unstable();
-    let same = |a: &(usize, Token, usize, u32), b: &(usize, Token, usize, u32)| (a.0, a.1) == (b.0, b.1);
-    let mut groups: Vec<&[(usize, Token, usize, u32)]> = order.chunk_by(same).collect();
-    groups.sort_unstable_by_key(|group| (group[0].0, group[0].2, group[0].3));
-    groups.into_iter().map(|group| group.iter().map(|(_, _, _, place)| *place).collect()).collect()
+    // official tables list an instance in one run, in time order
+    let same = |a: &Annotation, b: &Annotation| (a.slot, a.instance) == (b.slot, b.instance);
+    let mut first = 0;
+    let mut runs: Vec<(usize, Token, Range<u32>)> = Vec::new();
+    for run in rows.chunk_by(same) {
+        let end = first + run.len() as u32;
+        runs.push((run[0].slot, run[0].instance, first..end));
+        first = end;
+    }
+    runs.par_sort_unstable_by_key(|(slot, instance, places)| (*slot, *instance, places.start));
+    let key = |place: &u32| (rows[*place as usize].key.frame, *place);
+    let mut groups: Vec<Vec<u32>> = runs
+        .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+        .map(|runs| {
+            let mut places: Vec<u32> = runs.iter().flat_map(|(_, _, places)| places.clone()).collect();
+            if !places.is_sorted_by_key(key) {
+                places.sort_unstable_by_key(key);
+            }
+            places
+        })
+        .collect();
+    groups.sort_unstable_by_key(|places| (rows[places[0] as usize].slot, key(&places[0])));
+    groups
 }
 
 /// For each scene the channel that covers the most key frames; among equals the most wanted.
