@@ -27,9 +27,24 @@ LESSONS: dict[str, dict[str, Any]] = {
     # criticality is drawn anew for every episode, so that realistic traffic is not forgotten
     "critical": {"traffic": "ccdiff", "criticality": (0.0, 2.0)},
 }
-#: What the egos see. In real scenes the nearest 8 agents are often parked cars and cones: the
-#: vehicle ahead is seen with 24.
-OBSERVATION: dict[str, Any] = {"num_agents": 24, "num_map_pieces": 16}
+#: What the egos see: themselves, their route and the agents. Pieces of the map, the time that is
+#: left and the like tell one scene from another, and egos that see them drive the scenes of
+#: training by heart: 84 to 89 % success in unseen ones, against 92 %.
+OBSERVATION: dict[str, Any] = {
+    "num_map_pieces": 0,
+    "ego_columns": (
+        "speed",
+        "acceleration",
+        "yaw_rate",
+        "last_action_0",
+        "last_action_1",
+        "route_distance",
+        "route_sin",
+        "route_cos",
+        "off_road",
+        "route_remaining",
+    ),
+}
 #: Worlds of training: small rewards, and starts all over the log.
 TRAINING: dict[str, Any] = {
     "observation": OBSERVATION,
