@@ -192,18 +192,19 @@ def _axes(
     table: Mapping[Condition, Figures],
 ) -> list[tuple[str, list[str], dict[str, dict[str, Condition]]]]:
     """Tables to print: caption, column heads, conditions by method and head."""
-    steps = sorted({c.replan_steps for c in table})
+    played = [c for c in table if c.num_controlled != 0]
+    steps = sorted({c.replan_steps for c in played})
     found = []
     for n in steps[:1]:
-        part = [c for c in table if c.replan_steps == n and c.num_controlled != 0]
+        part = [c for c in played if c.replan_steps == n]
         heads = sorted({c.k for c in part}, key=lambda k: (k == "Full", k.zfill(3)))
         rows: dict[str, dict[str, Condition]] = {}
         for c in part:
             rows.setdefault(c.method, {})[c.k] = c
         if rows:
             found.append((f"K controlled vehicles, a plan every {n / 10:g} s", heads, rows))
-    for k in sorted({c.k for c in table if c.replan_steps != steps[0]}):
-        part = [c for c in table if c.k == k]
+    for k in sorted({c.k for c in played if c.replan_steps != steps[0]}):
+        part = [c for c in played if c.k == k]
         heads = [f"{n / 10:g} s" for n in steps]
         rows = {}
         for c in part:
