@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
+from ccdiff_env.bench.learning import OBSERVATION
+from ccdiff_env.config import RewardConfig, WorldConfig
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
 FIGURES = (
@@ -45,8 +46,8 @@ LESSONS: tuple[dict[str, Any], ...] = (
 #: Learning rate of each part: what was learned in the first is not to be lost in the second.
 LEARNING_RATES = (3e-4, 1e-4)
 NUM_ENVS = 32
-#: What the ego sees: fewer pieces of the map than by default, so that it learns faster.
-CONFIG = WorldConfig(observation=ObservationConfig(num_map_pieces=16))
+#: The ego sees less than by default, so that it learns faster and does not know scenes by heart.
+CONFIG = WorldConfig().with_options(observation=OBSERVATION)
 
 #: Worlds of training: small rewards, and starts all over the log.
 TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2), start_spread_steps=50)
