@@ -479,26 +479,18 @@ def _scalar(path: str, value: Any, kind: Any) -> Any:
 
 def _plain(value: Any) -> Any:
     """Form of a value in JSON."""
-    if isinstance(value, WorldConfig):
-        fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        if isinstance(value.controlled, Mapping):
-            scenes = {name: list(ids) for name, ids in value.controlled.items()}
-            fields["controlled"] = {"per_scene": scenes}
-        elif not isinstance(value.controlled, str):
-            fields["controlled"] = {"ids": list(value.controlled)}
-        return fields
-    if isinstance(value, CcdiffConfig):
-        fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        if not isinstance(value.ranking, str):
-            fields["ranking"] = {"list": fields["ranking"]}
-        return fields
-    for name, kind in DYNAMICS.items():
-        if isinstance(value, kind):
-            return {
-                name: {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-            }
-    if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {name: _plain(entry) for name, entry in value.items()}
-    return list(value) if isinstance(value, tuple) else value
+    if not dataclasses.is_dataclass(value):
+        return list(value) if isinstance(value, tuple) else value
+    fields: dict[str, Any] = {
+        f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)
+    }
+    if isinstance(value, WorldConfig) and not isinstance(value.controlled, str):
+        form = "per_scene" if isinstance(value.controlled, Mapping) else "ids"
+        fields["controlled"] = {form: fields["controlled"]}
+    if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):
+        fields["ranking"] = {"list": fields["ranking"]}
+    names = (name for name, kind in DYNAMICS.items() if isinstance(value, kind))
+    name = next(names, None)
+    return fields if name is None else {name: fields}

@@ -82,21 +82,8 @@ impl Tables {
         self.folder.join(format!("{table}.json"))
     }
 
+    /// What `keep` makes of the records of a table, see [`read_table`].
     fn read<Kept, F, const N: usize>(
-        &self,
-        table: &str,
-        names: &'static [&'static str; N],
-        keep: F,
-    ) -> Result<Vec<Kept>>
-    where
-        Kept: Send,
-        F: Fn(&mut Record<'_, N>) -> Result<Option<Kept>> + Sync,
-    {
-        self.read_near(table, names, |row, _| keep(row))
-    }
-
-    /// [`Self::read`] with a number that is kept from one record to the next, see [`read_table`].
-    fn read_near<Kept, F, const N: usize>(
         &self,
         table: &str,
         names: &'static [&'static str; N],
@@ -131,9 +118,9 @@ impl Tables {
     /// The scene table, in its order, with the location of each scene.
     pub(crate) fn read_scenes(&self) -> Result<Vec<SceneEntry>> {
         let locations =
-            self.read("log", &["token", "location"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("log", &["token", "location"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let locations = self.index("log", locations)?;
-        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row| {
+        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row, _| {
             let (token, log) = (row.text(0)?, row.token(2)?);
             let location = locations
                 .get(log)
@@ -172,7 +159,7 @@ impl Tables {
         }
         let tokens = scenes.iter().map(|s| Token::from_text(&s.token));
         let slots = self.index("scene", tokens.zip(slots).collect())?;
-        let mut list = self.read_near("sample", &["token", "timestamp", "scene_token"], |row, next| {
+        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row, next| {
             let (token, scene) = (row.token(0)?, row.token(2)?);
             let slot = *slots
                 .get_from(next, scene)
@@ -198,7 +185,7 @@ impl Tables {
         const TABLE: &str = "sample_annotation";
         let path = self.path(TABLE);
         let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
-        let rows = self.read_near(TABLE, names, |row, next| {
+        let rows = self.read(TABLE, names, |row, next| {
             let (token, of) = (row.token(0)?, row.token(1)?);
             let place = samples.by_token.place_from(next, of);
             let place = place.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
@@ -223,13 +210,13 @@ impl Tables {
     /// Id and category of the instances that are annotated.
     fn read_instances(&self, rows: &[Annotation]) -> Result<TokenIndex<(String, String)>> {
         let categories =
-            self.read("category", &["token", "name"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("category", &["token", "name"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let categories = self.index("category", categories)?;
         let runs = rows.chunk_by(|a, b| a.instance == b.instance);
         let mut used: Vec<Token> = runs.map(|run| run[0].instance).collect();
         used.par_sort_unstable();
         used.dedup();
-        let rows = self.read("instance", &["token", "category_token"], |row| {
+        let rows = self.read("instance", &["token", "category_token"], |row, _| {
             let token = row.token(0)?;
             if used.binary_search(&token).is_err() {
                 return Ok(None);
@@ -293,7 +280,7 @@ impl Tables {
         };
         let path = self.path("ego_pose");
         let names = &["token", "timestamp", "translation", "rotation"];
-        let poses = self.read_near("ego_pose", names, |row, next| {
+        let poses = self.read("ego_pose", names, |row, next| {
             let token = row.token(0)?;
             let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
             let sample = &samples.list[wanted.entries()[place].1 as usize];
@@ -332,7 +319,7 @@ impl Tables {
     /// Channel names, most wanted first, and the key-frame sample_data of the wanted scenes.
     fn read_key_frame_data(&self, samples: &Samples) -> Result<(Vec<String>, Vec<KeyFrameData>)> {
         let sensors =
-            self.read("sensor", &["token", "channel"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("sensor", &["token", "channel"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let rank = |channel: &str| match channel {
             "LIDAR_TOP" => 0,
             "CAM_FRONT" => 1,
@@ -342,7 +329,7 @@ impl Tables {
         channels.sort_by(|a, b| (rank(a), a).cmp(&(rank(b), b)));
         channels.dedup();
         let sensors = self.index("sensor", sensors)?;
-        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row| {
+        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row, _| {
             let (token, of) = (row.token(0)?, row.token(1)?);
             let channel = sensors
                 .get(of)
@@ -352,7 +339,7 @@ impl Tables {
         let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
         let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
-        let rows = self.read_near(TABLE, names, |row, next| {
+        let rows = self.read(TABLE, names, |row, next| {
             if !row.flag(0)? {
                 return Ok(None);
             }
