@@ -291,6 +291,7 @@ def train(
     minutes: float | None = None,
     device: str = "cpu",
     settings: dict[str, Any] | None = None,
+    network: dict[str, Any] | None = None,
     smooth: bool = True,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
@@ -319,6 +320,9 @@ def train(
         ``"cpu"`` or ``"cuda"``.
     settings
         Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
+    network
+        Parts of the network that differ from the preset's, such as ``{"width": 128}``; the names
+        are those of the weight file's header.
     smooth
         Whether tracks are smoothed first, as logs joined from 2 Hz key frames need it.
     notes
@@ -352,7 +356,8 @@ def train(
         _native.training_settings(os.fspath(state)) if resumed else _native.model_preset(preset)
     )
     if not resumed:
-        training = json.dumps(_merged(json.loads(training), settings or {}))
+        training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
+        model = json.dumps(_merged("part of the network", json.loads(model), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
         run = _native.Trainer(
             list(scenes),
@@ -385,13 +390,11 @@ def train(
     return folder / WEIGHTS
 
 
-def _merged(training: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
-    unknown = sorted(set(settings) - set(training))
+def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    unknown = sorted(set(changes) - set(preset))
     if unknown:
-        raise ConfigError(
-            f"unknown training setting {unknown[0]!r}, expected one of {', '.join(training)}"
-        )
-    return {**training, **settings}
+        raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
+    return {**preset, **changes}
 
 
 def _loop(

@@ -60,6 +60,26 @@ def test_episodes_are_simulated_again_from_a_small_file(options, scenes, tmp_pat
     assert again.frames == []
 
 
+def test_certificates_from_before_an_option_existed_mean_its_default(scenes, tmp_path):
+    env, rewards = driven(scenes, traffic="idm")
+    path = tmp_path / "episode.json"
+    env.certificate().save(path)
+    fields = json.loads(path.read_text())
+    del fields["config"]["start_spread_steps"]
+    del fields["config"]["observation"]["bev"]
+    path.write_text(json.dumps(fields))
+    assert replay(path).rewards.tolist() == rewards
+    assert Certificate.load(path).config == env.certificate().config
+
+
+def test_snapshots_taken_with_another_raster_are_refused(scenes):
+    plain, raster = EgoEnv(scenes=scenes), EgoEnv(scenes=scenes, observation="bev")
+    plain.reset(seed=1)
+    raster.reset(seed=1)
+    with pytest.raises(SnapshotError, match="another configuration"):
+        raster.restore(plain.snapshot())
+
+
 def test_another_process_finds_the_same_episode(scenes, tmp_path):
     env, _ = driven(scenes, traffic="idm")
     path = tmp_path / "episode.json"

@@ -125,6 +125,17 @@ def test_training_leaves_torchs_generator_and_gradient_mode_alone(tmp_path: Path
     assert torch.equal(state, torch.get_rng_state())
 
 
+def test_parts_of_the_network_can_differ_from_the_preset(tmp_path: Path) -> None:
+    wide = train(
+        [road()], out=tmp_path, steps=1, settings=QUICK, network={"width": 32}, progress=False
+    )
+    assert Planner(wide).header["model"]["width"] == 32
+    with pytest.raises(ConfigError, match="widht"):
+        train([road()], out=tmp_path / "a", steps=1, network={"widht": 32})
+    with pytest.raises(ConfigError, match="width"):
+        train([road()], out=tmp_path / "b", steps=1, network={"width": 30, "heads": 4})
+
+
 def test_what_cannot_be_trained_is_refused_with_the_facts(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="steps or minutes"):
         train([road()], out=tmp_path)

@@ -206,14 +206,14 @@ def test_supersuit_wraps_it(scenes):
     options = {"scenes": scenes, "agents": 3, "names": "slot", "horizon_steps": 20}
     stacked = supersuit.frame_stack_v1(parallel_env(**options), 3)
     observations, _ = stacked.reset(seed=0)
-    assert observations["ego_0"].shape == (3 * 1285,)
+    assert observations["ego_0"].shape == (3 * 1335,)
     rows = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(parallel_env(**options)))
     rows = supersuit.concat_vec_envs_v1(rows, 2, base_class="stable_baselines3")
-    assert rows.reset().shape == (6, 1285)
+    assert rows.reset().shape == (6, 1335)
     ends = 0
     for _ in range(45):
         obs, rewards, dones, _ = rows.step(np.zeros((6, 2), np.float32))
-        assert obs.shape == (6, 1285)
+        assert obs.shape == (6, 1335)
         assert rewards.shape == (6,)
         ends += dones.sum()
     assert ends >= 12

@@ -228,7 +228,7 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
     parser.add_argument("--steps", type=int, default=150_000, help="steps of each lesson")
     parser.add_argument(
-        "--base-steps", type=int, default=800_000, help="steps in log replay before the lessons"
+        "--base-steps", type=int, default=1_200_000, help="steps in log replay before the lessons"
     )
     parser.add_argument(
         "--traffic", default="replay,ccdiff,ccdiff-1,ccdiff-2", help="of the evaluation"

@@ -43,6 +43,8 @@ OBSERVATION: dict[str, Any] = {
         "route_cos",
         "off_road",
         "route_remaining",
+        "leader_gap",
+        "leader_closing",
     ),
 }
 #: Worlds of training: small rewards, and starts all over the log.

@@ -1,7 +1,9 @@
 //! Contacts and leaving the road, against the `geo` crate and hand-made situations.
 
-use ccdiff_sim::events::{Collisions, ContactKind, LeastTimes, OffRoad, off_road, time_to_contact};
-use ccdiff_sim::geom::{Point2, Polygon, Pose2, Region, Vector2};
+use ccdiff_sim::events::{
+    Collisions, ContactKind, Leader, LeastTimes, OffRoad, leader, off_road, time_to_contact,
+};
+use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Region, Vector2};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::state::{AgentStates, Body};
 use geo::{Area, BooleanOps};
@@ -166,4 +168,27 @@ proptest! {
             prop_assert_eq!(times.of(&states, &bodies, a, 10.0), expected);
         }
     }
+}
+
+/// The leader of the first car on a straight route along x from −10 to 100 m, the car 10 m along it.
+fn ahead(agents: &[(f32, f32, f32, f32)]) -> Option<Leader> {
+    let (states, bodies, _) = cars(agents);
+    let route = Polyline::new((-10..=100).map(|x| Point2::new(x as f32, 0.0)).collect()).unwrap();
+    leader(&states, &bodies, &route, 10.0, 0, 1.0)
+}
+
+#[test]
+fn the_leader_is_the_nearest_agent_that_leaves_too_little_room() {
+    let own = (0.0, 0.0, 0.0, 10.0);
+    let gap = |agents: &[_]| ahead(agents).map(|l| (l.gap_m.round(), l.speed_mps.round()));
+    assert_eq!(gap(&[own, (30.0, 0.5, 0.0, 6.0), (20.0, 0.0, 0.0, 3.0)]), Some((16.0, 3.0)));
+    // beside the route, behind, beyond what is looked at
+    assert_eq!(gap(&[own, (30.0, 3.0, 0.0, 6.0), (-20.0, 0.0, 0.0, 3.0), (75.0, 0.0, 0.0, 0.0)]), None);
+    // a moving car needs more room beside it than a parked one
+    assert_eq!(gap(&[own, (30.0, 2.2, 0.0, 6.0)]), Some((26.0, 6.0)));
+    assert_eq!(gap(&[own, (30.0, 2.2, 0.0, 0.0)]), None);
+    // oncoming cars count as standing; a crossing one counts where it will be in a second
+    assert_eq!(gap(&[own, (30.0, 0.0, PI, 6.0)]), Some((26.0, 0.0)));
+    assert_eq!(gap(&[own, (30.0, -8.0, FRAC_PI_2, 8.0)]), Some((27.0, 0.0)));
+    assert_eq!(gap(&[own, (30.0, -8.0, FRAC_PI_2, 2.0)]), None);
 }

@@ -378,6 +378,25 @@ proptest! {
     }
 
     #[test]
+    fn sparse_projections_of_gentle_curves_are_nearest_points(
+        turns in prop::collection::vec(-0.06f32..0.06, 8..120), along in 0f32..1.0, aside in -8f32..8.0,
+    ) {
+        // a metre from point to point; curves of 16 m radius at the least, twice what the points stray
+        let mut heading = 0.0f32;
+        let mut line = vec![Point2::origin()];
+        for turn in turns {
+            heading = (heading + turn).clamp(-1.2, 1.2);
+            line.push(line[line.len() - 1] + Vector2::new(heading.cos(), heading.sin()));
+        }
+        let line = Polyline::new(line).unwrap();
+        let at = line.at(along * line.length_m());
+        let p = at.to_outer(Point2::new(0.0, aside));
+        let (sparse, whole) = (line.project_sparsely(p, at.position.x, 200.0), line.project(p));
+        prop_assert!((sparse.distance_m - whole.distance_m).abs() < 1e-4);
+        prop_assert!((sparse.s_m - whole.s_m).abs() < 1e-2);
+    }
+
+    #[test]
     fn points_along_a_line_lie_at_their_arc_length(line in winding_line(), share in 0f32..1.0) {
         let line = Polyline::new(line).unwrap();
         let s_m = share * line.length_m();
@@ -412,6 +431,7 @@ proptest! {
             }
             if let Some(line) = &line {
                 std::hint::black_box((line.project(p), line.at(x), line.project_near(p, x, y)));
+                std::hint::black_box(line.project_sparsely(p, x, y));
             }
         }
     }

@@ -3,11 +3,13 @@
 
 mod common;
 
+use ccdiff_sim::events::leader;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::observe::{EntryKind, Layout, MapPieces, ObservationConfig};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{Map, Scene};
-use ccdiff_sim::world::{Autoreset, Driver, WorldConfig};
+use ccdiff_sim::state::Body;
+use ccdiff_sim::world::{Autoreset, Driver, Route, WorldConfig};
 use common::{Batch, actions, city};
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -82,6 +84,70 @@ fn nearest_agents_agree_with_a_slow_search() {
             assert!((row[9] * 60.0 - distance).abs() < 1e-3);
         }
     }
+}
+
+#[test]
+fn the_leader_of_the_observation_is_that_of_the_events() {
+    let scene = city(40);
+    let route = Route::new(&scene, 0, None);
+    let bodies: Vec<_> = scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect();
+    let mut batch = Batch::new(vec![scene], config(), 1, 1);
+    batch.reset_all(1);
+    let ego = batch.world.layout().entry("ego").unwrap().clone();
+    let column = |name: &str| ego.columns.iter().position(|c| c.name == name).unwrap();
+    let (gap, closing) = (column("leader_gap"), column("leader_closing"));
+    let mut seen = [0, 0];
+    for t in 0..60 {
+        batch.step(&actions(t, 2)).unwrap();
+        let status = batch.world.status(0).unwrap();
+        let found = leader(status.states, &bodies, &route.path, status.route_s_m[0], 0, 1.0);
+        let (expected_gap, expected_closing) =
+            found.map_or((60.0, 0.0), |l| (l.gap_m, status.states.speed_mps[0] - l.speed_mps));
+        assert!((batch.obs[gap] * 60.0 - expected_gap.clamp(0.0, 60.0)).abs() < 1e-3);
+        assert!((batch.obs[closing] * 20.0 - expected_closing).abs() < 1e-3);
+        seen[usize::from(found.is_some())] += 1;
+    }
+    assert!(seen.iter().all(|n| *n > 0), "{seen:?}");
+}
+
+#[test]
+fn places_of_agents_along_the_route_agree_with_a_search_along_it() {
+    let scene = city(30);
+    let route = Route::new(&scene, 0, None);
+    let mut batch = Batch::new(vec![scene], config(), 1, 1);
+    batch.reset_all(1);
+    let agents = batch.world.layout().entry("agents").unwrap().clone();
+    let column = |name: &str| agents.columns.iter().position(|c| c.name == name).unwrap();
+    let names = ["x", "y", "route_position", "route_distance", "route_speed"].map(column);
+    let mut compared = 0;
+    for t in 0..60 {
+        batch.step(&actions(t, 2)).unwrap();
+        let status = batch.world.status(0).unwrap();
+        let (s, ego, ego_s) = (status.states, status.states.pose(0), status.route_s_m[0]);
+        for row in batch.obs[agents.offset..].chunks_exact(agents.shape[1]).take(agents.shape[0]) {
+            let [x, y, position, distance, speed] = names.map(|i| row[i] * agents.columns[i].scale);
+            let p = ego.to_outer(Point2::new(x, y));
+            let Some(j) = (1..s.len()).find(|j| s.active[*j] && (s.position(*j) - p).norm() < 0.05) else {
+                continue;
+            };
+            // a centimetre from place to place, sixty metres to both sides
+            let places = (-6000..=6000).map(|k| ego_s + 0.01 * k as f32);
+            let places = places.filter(|at| *at >= 0.0 && *at <= route.path.length_m());
+            let away = |at: f32| (s.position(j) - route.path.at(at).position).norm();
+            let nearest = places.min_by(|a, b| away(*a).total_cmp(&away(*b))).unwrap();
+            let at = route.path.at(nearest);
+            let aside = at.to_local(s.position(j));
+            assert!(
+                (position - (nearest - ego_s).clamp(-60.0, 60.0)).abs() < 0.05,
+                "{position} {nearest} {ego_s}"
+            );
+            assert!((distance - aside.y.clamp(-10.0, 10.0)).abs() < 0.05, "{distance} {aside}");
+            let along = s.velocity_x_mps[j] * at.cos + s.velocity_y_mps[j] * at.sin;
+            assert!((speed - along.clamp(-20.0, 20.0)).abs() < 0.05);
+            compared += 1;
+        }
+    }
+    assert!(compared > 200, "{compared}");
 }
 
 /// The scene turned by an angle and moved.

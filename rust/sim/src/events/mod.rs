@@ -1,14 +1,16 @@
-//! What happens to agents at one step: contacts, leaving the road, driving against traffic.
+//! What happens to agents at one step: contacts, leaving the road, driving against traffic, who is ahead.
 //!
 //! In: states, bodies and kinds of the agents of one world and the indices built from its map. Out: pairs and flags.
 //! Decides nothing about what follows from an event, and allocates nothing after its first calls.
 
 mod collision;
 mod lane_facts;
+mod leader;
 mod off_road;
 mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
 pub use lane_facts::{LaneFacts, WRONG_WAY_CLEARANCE_M, lane_facts};
+pub use leader::{Leader, leader};
 pub use off_road::{OffRoad, off_road};
 pub use ttc::{LeastTimes, time_to_contact};

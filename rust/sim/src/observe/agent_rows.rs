@@ -13,6 +13,8 @@ use crate::wide::wide;
 const TTC: usize = 10;
 /// Index of the first kind among the columns.
 const KINDS: usize = 11;
+/// Index of `route_position`, the first of the three columns about the observer's route.
+const ROUTE_POSITION: usize = 16;
 const PLACE_FACTOR: [Real; 4] =
     [1.0 / AGENT[0].scale, 1.0 / AGENT[1].scale, 1.0 / AGENT[2].scale, 1.0 / AGENT[3].scale];
 const VELOCITY_FACTOR: Real = 1.0 / AGENT[4].scale;
@@ -20,6 +22,7 @@ const SPEED_FACTOR: Real = 1.0 / AGENT[6].scale;
 const LENGTH_FACTOR: Real = 2.0 / AGENT[7].scale;
 const WIDTH_FACTOR: Real = 2.0 / AGENT[8].scale;
 const DISTANCE_FACTOR: Real = 1.0 / AGENT[9].scale;
+const ROUTE_FACTOR: [Real; 3] = [1.0 / AGENT[16].scale, 1.0 / AGENT[17].scale, 1.0 / AGENT[18].scale];
 
 /// Columns of the comparison with other simulators: place, direction, speed, size.
 const COMPARISON: [usize; 7] = [0, 1, 2, 3, 6, 7, 8];
@@ -37,12 +40,20 @@ const COMPARISON_FACTOR: [Real; 8] = [
 
 const NOTHING: Eight = Eight([0.0; 8]);
 
+/// What the chosen columns need beside places, velocities and sizes.
+#[derive(Debug, Clone, Copy)]
+struct Wants {
+    ttc: bool,
+    /// How far along the route agents are looked for, metres, where columns about the route are chosen.
+    route_reach_m: Option<Real>,
+}
+
 /// Writes the nearest agents.
 #[derive(Debug, Clone)]
 pub(super) struct AgentRows {
     chosen: Vec<usize>,
     num_rows: usize,
-    wants_ttc: bool,
+    wants: Wants,
     nearest: NearestAgents,
     /// Rows of all agents before they are turned; only for the columns of the comparison.
     rows: Vec<Unturned>,
@@ -54,7 +65,10 @@ impl AgentRows {
         let config = &layout.config;
         Self {
             num_rows: config.num_agents,
-            wants_ttc: chosen.contains(&TTC),
+            wants: Wants {
+                ttc: chosen.contains(&TTC),
+                route_reach_m: chosen.iter().any(|c| *c >= ROUTE_POSITION).then_some(config.radius_m),
+            },
             nearest: NearestAgents::new(config.num_agents, config.radius_m),
             rows: Vec::new(),
             chosen,
@@ -97,7 +111,7 @@ impl AgentRows {
             fill_comparison(&self.rows, keys, &frame.lanes(COMPARISON_FACTOR), rows);
         } else {
             for (row, key) in rows.chunks_exact_mut(width).zip(keys) {
-                let full = full_row(view, frame, *key, self.wants_ttc);
+                let full = full_row(self.wants, view, frame, *key);
                 for (to, column) in row.iter_mut().zip(&self.chosen) {
                     *to = full[*column];
                 }
@@ -136,7 +150,20 @@ fn speed_and_size(view: &View<'_>, j: usize) -> [Real; 3] {
     ]
 }
 
-fn full_row(view: &View<'_>, frame: &Frame, key: u64, wants_ttc: bool) -> [Real; AGENT.len()] {
+/// Position, distance and speed along the observer's route.
+fn along_route(view: &View<'_>, j: usize, reach_m: Real) -> [Real; 3] {
+    let s = view.states;
+    let nearest = view.route.project_sparsely(s.position(j), view.route_s_m, reach_m);
+    let along = view.route.tangent_at(nearest.s_m);
+    let quantities = [
+        nearest.s_m - view.route_s_m,
+        nearest.lateral_m,
+        s.velocity_x_mps[j] * along.x + s.velocity_y_mps[j] * along.y,
+    ];
+    std::array::from_fn(|i| clip(quantities[i] * ROUTE_FACTOR[i], -1.0, 1.0))
+}
+
+fn full_row(wants: Wants, view: &View<'_>, frame: &Frame, key: u64) -> [Real; AGENT.len()] {
     let (s, a, j) = (view.states, view.agent_idx, (key & 0xffff_ffff) as usize);
     let velocity_x = s.velocity_x_mps[j] - s.velocity_x_mps[a];
     let velocity_y = s.velocity_y_mps[j] - s.velocity_y_mps[a];
@@ -147,9 +174,12 @@ fn full_row(view: &View<'_>, frame: &Frame, key: u64, wants_ttc: bool) -> [Real;
     row[6..9].copy_from_slice(&speed_and_size(view, j));
     row[9] = clip(Real::from_bits((key >> 32) as u32).sqrt() * DISTANCE_FACTOR, 0.0, 1.0);
     row[KINDS + view.kinds[j] as usize] = 1.0;
-    if wants_ttc {
+    if wants.ttc {
         let ttc_s = time_to_contact(s, view.bodies, a, j, TTC_SCALE_S);
         row[TTC] = ttc_s.map_or(1.0, |t| clip(t * (1.0 / TTC_SCALE_S), 0.0, 1.0));
+    }
+    if let Some(reach_m) = wants.route_reach_m {
+        row[ROUTE_POSITION..].copy_from_slice(&along_route(view, j, reach_m));
     }
     row
 }

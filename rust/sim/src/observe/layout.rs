@@ -131,7 +131,7 @@ const fn column(
     Column { name, unit, scale, low, high, doc }
 }
 
-pub(crate) const EGO: [Column; 17] = [
+pub(crate) const EGO: [Column; 19] = [
     column("speed", "m/s", 20.0, -1.0, 1.0, "along the heading"),
     column("acceleration", "m/s2", 10.0, -1.0, 1.0, "change of speed over the last step"),
     column("yaw_rate", "rad/s", 1.0, -1.0, 1.0, "change of heading over the last step"),
@@ -149,6 +149,22 @@ pub(crate) const EGO: [Column; 17] = [
     column("collided", "", 1.0, 0.0, 1.0, "1 while touching another agent"),
     column("route_remaining", "m", 100.0, 0.0, 1.0, "along the route to the goal"),
     column("time_remaining", "", 1.0, 0.0, 1.0, "share of the episode that is left"),
+    column(
+        "leader_gap",
+        "m",
+        60.0,
+        0.0,
+        1.0,
+        "bumper to bumper to the next agent on the route, 1: none near",
+    ),
+    column(
+        "leader_closing",
+        "m/s",
+        20.0,
+        -1.0,
+        1.0,
+        "speed less the speed of that agent along the route, 0 without one",
+    ),
 ];
 
 pub(crate) const ROUTE: [Column; 4] = [
@@ -158,7 +174,7 @@ pub(crate) const ROUTE: [Column; 4] = [
     column("sin", "", 1.0, -1.0, 1.0, "sine of the direction"),
 ];
 
-pub(crate) const AGENT: [Column; 16] = [
+pub(crate) const AGENT: [Column; 19] = [
     column("x", "m", 60.0, -1.0, 1.0, "centre, ahead"),
     column("y", "m", 60.0, -1.0, 1.0, "centre, to the left"),
     column("cos", "", 1.0, -1.0, 1.0, "cosine of the heading"),
@@ -175,6 +191,9 @@ pub(crate) const AGENT: [Column; 16] = [
     column("is_cyclist", "", 1.0, 0.0, 1.0, "kind"),
     column("is_motorcycle", "", 1.0, 0.0, 1.0, "kind"),
     column("is_static", "", 1.0, 0.0, 1.0, "kind"),
+    column("route_position", "m", 60.0, -1.0, 1.0, "along the observer's route, from the observer on"),
+    column("route_distance", "m", 10.0, -1.0, 1.0, "signed distance from that route, left positive"),
+    column("route_speed", "m/s", 20.0, -1.0, 1.0, "velocity along that route, at the nearest place"),
 ];
 
 pub(crate) const MAP: [Column; 13] = [

@@ -5,6 +5,7 @@ use super::frame::{Frame, clip};
 use super::layout::{EGO, Layout, ROUTE};
 use super::map_pieces::MapPieces;
 use super::map_rows::MapRows;
+use crate::events::leader;
 use crate::geom::{Polyline, Real, math};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Body};
@@ -49,9 +50,14 @@ pub struct View<'a> {
     pub route_s_m: Real,
     /// The observing agent.
     pub agent_idx: usize,
+    /// How far ahead in time crossing agents are looked for on the route, seconds, see [`leader`].
+    pub anticipation_s: Real,
     /// Facts about it.
     pub facts: EgoFacts,
 }
+
+/// Index of `leader_gap` among the columns of the ego; `leader_closing` is next.
+const LEADER_GAP: usize = 17;
 
 const ROUTE_FACTOR: [Real; 4] =
     [1.0 / ROUTE[0].scale, 1.0 / ROUTE[1].scale, 1.0 / ROUTE[2].scale, 1.0 / ROUTE[3].scale];
@@ -101,6 +107,11 @@ impl Observer {
         let (states, a, facts) = (view.states, view.agent_idx, &view.facts);
         let flag = |b: bool| if b { 1.0 } else { 0.0 };
         let (sin, cos) = math::sin_cos(facts.heading_error_rad);
+        let ahead = self.layout.chosen[0]
+            .iter()
+            .any(|c| *c >= LEADER_GAP)
+            .then(|| leader(states, view.bodies, view.route, view.route_s_m, a, view.anticipation_s));
+        let ahead = ahead.flatten();
         let full: [Real; EGO.len()] = [
             states.speed_mps[a],
             states.acceleration_mps2[a],
@@ -119,6 +130,8 @@ impl Observer {
             flag(facts.collided),
             facts.route_remaining_m,
             facts.time_remaining,
+            ahead.map_or(Real::MAX, |l| l.gap_m),
+            ahead.map_or(0.0, |l| states.speed_mps[a] - l.speed_mps),
         ];
         for (to, column) in out.iter_mut().zip(&self.layout.chosen[0]) {
             let c = &EGO[*column];

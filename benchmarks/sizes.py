@@ -1,0 +1,78 @@
+"""What each economy of the ``fast`` network costs: networks that lack one, trained equally long.
+
+``python benchmarks/sizes.py --dataroot <nuscenes> --out <folder> [--steps 1500] [--only NAME ...]``
+trains each on the training scenes, goes on where it was stopped, and prints a table in Markdown:
+parameters, seconds per training step, open-loop errors on the validation scenes. Each differs from
+``fast`` in one part only, which it has from ``paper``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from open_loop import HORIZON, quality
+
+import ccdiff_env
+from ccdiff_env.models import Planner, train
+
+#: Parts of the network that differ from ``fast``, by name.
+SIZES: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "an action every 0.1 s, not 0.4 s": {"knot_stride": 1},
+    "a token per history step, not one in all": {"history": "per_step"},
+    "width 128, 16 heads": {
+        "width": 128,
+        "heads": 16,
+        "feed_forward": 384,
+        "social_feed_forward": 512,
+        "edge_width": 64,
+    },
+    "2 temporal and 4 edge layers, not 1 and 1": {"temporal_layers": 2, "edge_layers": 4},
+    "20 neighbours, not 8": {"max_neighbours": 20},
+    "no map": {"map": None},
+}
+
+
+def main() -> None:
+    """Train, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dataroot", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--only", nargs="+", default=list(SIZES), choices=list(SIZES))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+
+    def load(split: str) -> list[ccdiff_env.Scene]:
+        return list(
+            ccdiff_env.load_nuscenes(args.dataroot, "v1.0-trainval", split, kinds=["vehicle"])
+        )
+
+    scenes, validation = load("train") + load("train_val"), load("val")
+    cases = [(s, t) for s in validation for t in range(30, s.num_steps - HORIZON, 20)]
+    print("| network | parameters | s per step | last loss | minADE | minFDE | ADE | FDE |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    for name in args.only:
+        folder = args.out / str(list(SIZES).index(name))
+        weights = train(
+            scenes, out=folder, steps=args.steps, network=SIZES[name], checkpoint_minutes=5.0
+        )
+        with (folder / "loss.csv").open() as file:
+            rows = [{key: float(v) for key, v in row.items()} for row in csv.DictReader(file)]
+        steps, seconds = ([row[key] for row in rows] for key in ("step", "seconds"))
+        rates = np.diff(seconds) / np.diff(steps)
+        late = [row["loss"] for row in rows if row["step"] > 0.9 * args.steps]
+        planner = Planner(weights)
+        found = quality(planner, cases, 5)
+        figures = [found[key] for key in ("min_ade_m", "min_fde_m", "ade_m", "fde_m")]
+        cells = [f"{planner.num_parameters:,}", f"{np.median(rates):.2f}", f"{np.mean(late):.3f}"]
+        print(f"| {name} | " + " | ".join(cells + [f"{v:.2f}" for v in figures]) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+//! Who is next on the way ahead.
+
+use crate::geom::{Point2, Polyline, Pose2, Real};
+use crate::state::{AgentStates, Body};
+
+/// Sideways clearance that a moving obstacle must leave, metres.
+const CLEARANCE_M: Real = 0.3;
+/// The same for one that stands still: logged paths pass parked cars closely.
+const STANDING_CLEARANCE_M: Real = 0.05;
+/// Metres (samples of the route) from one place to the next when an agent is looked for along it.
+const COARSE: usize = 4;
+
+/// The nearest agent on the route ahead.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leader {
+    /// From bumper to bumper along the route, metres; negative where the boxes overlap.
+    pub gap_m: Real,
+    /// Its velocity along the route, 0 if it comes the other way, m/s.
+    pub speed_mps: Real,
+}
+
+/// The nearest agent, of every kind, whose box leaves too little room on the route ahead; `None` where there is none
+/// within 20 m and the way of four seconds, 70 m at most.
+///
+/// Agents that cross count also where they will be, at constant velocity, after the anticipation time. The route has
+/// points about a metre apart; `s_m` is the position along it of agent `agent_idx`.
+pub fn leader(
+    states: &AgentStates,
+    bodies: &[Body],
+    route: &Polyline,
+    s_m: Real,
+    agent_idx: usize,
+    anticipation_s: Real,
+) -> Option<Leader> {
+    let own = &bodies[agent_idx];
+    let pose = states.pose(agent_idx);
+    let speed = states.speed_mps[agent_idx].max(0.0);
+    let reach = (20.0 + speed * 4.0).min(70.0).min(route.length_m() - s_m);
+    let window = window(route, s_m, reach);
+    let (low, high) = bounds(window);
+    let mut best: Option<Leader> = None;
+    for j in 0..states.len() {
+        if j == agent_idx || !states.active[j] {
+            continue;
+        }
+        let body = &bodies[j];
+        let (dx, dy) = (states.x[j] - pose.position.x, states.y[j] - pose.position.y);
+        // where the agent can matter: round the window, as far as it comes while it is anticipated
+        let travel = states.speed_mps[j].abs() * anticipation_s;
+        let margin = own.half_width_m + body.radius_m + CLEARANCE_M + travel;
+        if states.x[j] < low.x - margin
+            || states.x[j] > high.x + margin
+            || states.y[j] < low.y - margin
+            || states.y[j] > high.y + margin
+            || dx * pose.cos + dy * pose.sin < -(own.radius_m + body.radius_m)
+        {
+            continue;
+        }
+        let crossing = (states.cos[j] * pose.cos + states.sin[j] * pose.sin).abs() < 0.8;
+        let moving = states.speed_mps[j].abs() > 0.5;
+        let times = [0.0, anticipation_s];
+        for time_s in &times[..if crossing && moving { 2 } else { 1 }] {
+            let px = states.x[j] + states.velocity_x_mps[j] * time_s;
+            let py = states.y[j] + states.velocity_y_mps[j] * time_s;
+            let Some((at_s, at)) = nearest_ahead(route, s_m, window, px, py) else { continue };
+            let lateral = (py - at.position.y) * at.cos - (px - at.position.x) * at.sin;
+            let along = (states.cos[j] * at.cos + states.sin[j] * at.sin).abs();
+            let across = (states.sin[j] * at.cos - states.cos[j] * at.sin).abs();
+            let half_side = across * body.half_length_m + along * body.half_width_m;
+            let clearance = if moving { CLEARANCE_M } else { STANDING_CLEARANCE_M };
+            if lateral.abs() > own.half_width_m + half_side + clearance {
+                continue;
+            }
+            let half_ahead = along * body.half_length_m + across * body.half_width_m;
+            let gap_m = at_s - s_m - own.half_length_m - half_ahead;
+            if best.is_none_or(|l| gap_m < l.gap_m) {
+                let v = states.velocity_x_mps[j] * at.cos + states.velocity_y_mps[j] * at.sin;
+                best = Some(Leader { gap_m, speed_mps: v.max(0.0) });
+            }
+        }
+    }
+    best
+}
+
+/// Samples of a route from `s_m` on for `reach` metres; at least one.
+fn window(route: &Polyline, s_m: Real, reach: Real) -> &[Point2] {
+    let points = route.points();
+    let first = (s_m as usize).min(points.len() - 1);
+    let last = ((s_m + reach).ceil() as usize).clamp(first, points.len() - 1);
+    &points[first..=last]
+}
+
+/// Least and greatest coordinates of a window; between its samples the route bends by less than a body's size.
+fn bounds(window: &[Point2]) -> (Point2, Point2) {
+    let last = window[window.len() - 1];
+    window.iter().step_by(COARSE).fold((last, last), |(low, high), p| (low.inf(p), high.sup(p)))
+}
+
+/// Nearest place of the route ahead of `s_m` to a point: position along the route and pose; `None` when the point lies
+/// abreast or behind.
+fn nearest_ahead(route: &Polyline, s_m: Real, window: &[Point2], x: Real, y: Real) -> Option<(Real, Pose2)> {
+    let mut best = (Real::MAX, 0);
+    for k in (0..window.len()).step_by(COARSE) {
+        let (dx, dy) = (x - window[k].x, y - window[k].y);
+        let d2 = dx * dx + dy * dy;
+        if d2 < best.0 {
+            best = (d2, k);
+        }
+    }
+    // two steps of projection on the local tangent
+    let mut at_s = s_m.floor() + best.1 as Real;
+    let mut at = route.at(at_s);
+    for _ in 0..2 {
+        let ahead = (x - at.position.x) * at.cos + (y - at.position.y) * at.sin;
+        at_s = (at_s + ahead.clamp(-(COARSE as Real), COARSE as Real)).max(s_m);
+        at = route.at(at_s);
+    }
+    (at_s > s_m + 0.1).then_some((at_s, at))
+}
