@@ -305,6 +305,8 @@ def test_learning_tables_average_over_scenes_then_seeds():
         "100.0 ± 0.0 | 0.30 ± 0.14 |"
     )
     assert lines[2] == "| idm | 50.0 | 25.0 | 0.0 | 50.0 | 100.0 | 1.00 |"
+    assert lines[3] == "| evaluated in | trained in | seed 0 | seed 1 |"
+    assert lines[4] == "| IDM | replay | 50.0 (25.0) | 50.0 (25.0) |"
 
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):

@@ -233,6 +233,9 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--traffic", default="replay,ccdiff,ccdiff-1,ccdiff-2", help="of the evaluation"
     )
+    parser.add_argument(
+        "--draws", type=int, default=3, help="times that each scene is driven in CCDiff traffic"
+    )
     parser.set_defaults(run=_learning)
 
 
@@ -252,13 +255,18 @@ def _learning(args: argparse.Namespace) -> int:
     run.results(base, "training")
     run.results(taught, "training")
     planners = [str(job.arguments["path"]) for job in taught]
-    tests = planner_jobs(
-        run.source,
-        [*planners, "constant_velocity", "idm", "replay"],
-        args.traffic.split(","),
-        seed=args.seed,
-        options={"observation": OBSERVATION},
-    )
+    traffic = args.traffic.split(",")
+    tests = [
+        job
+        for draw in range(args.draws)
+        for job in planner_jobs(
+            run.source,
+            [*planners, "constant_velocity", "idm", "replay"],
+            [name for name in traffic if draw == 0 or name.startswith("ccdiff")],
+            seed=args.seed + draw,
+            options={"observation": OBSERVATION},
+        )
+    ]
     text = learning_table(run.rows(tests, "planner", "traffic"))
     run.write("table.md", text)
     print(text)

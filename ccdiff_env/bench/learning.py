@@ -227,7 +227,7 @@ def curve_callback() -> Any:
 
 
 def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> str:
-    """Return the table in Markdown: mean over scenes, then mean ± spread over seeds.
+    """Return the tables in Markdown: mean over scenes, then mean ± spread over seeds; then by seed.
 
     Parameters
     ----------
@@ -237,8 +237,8 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
     """
     groups: dict[str, list[str]] = {}
     for planner, _ in rows:
-        lesson, _, seed = Path(planner).stem.rpartition("-")
-        name = f"PPO, trained in {lesson}" if lesson in LESSONS and seed.isdigit() else planner
+        lesson, seed = _lesson_of(planner)
+        name = planner if seed is None else f"PPO, trained in {lesson}"
         if planner not in groups.setdefault(name, []):
             groups[name].append(planner)
     lines = []
@@ -258,4 +258,31 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
                 cells.append(f"{values.mean():.{digits}f}{spread}")
             lines.append(f"| {name} | " + " | ".join(cells) + " |")
         lines.append("")
-    return "\n".join(lines)
+    return "\n".join(lines + _by_seed(rows))
+
+
+def _lesson_of(planner: str) -> tuple[str, str | None]:
+    """Return the lesson and the seed of a trained ego, the name and ``None`` of another planner."""
+    lesson, _, seed = Path(planner).stem.rpartition("-")
+    return (lesson, seed) if lesson in LESSONS and seed.isdigit() else (planner, None)
+
+
+def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Return the lines of a table: collisions, and those at fault, of each ego."""
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    for (planner, traffic), found in rows.items():
+        lesson, seed = _lesson_of(planner)
+        if seed is not None:
+            hit = 100.0 * np.mean([row["collision"] for row in found])
+            fault = 100.0 - 100.0 * np.mean([row["no_at_fault_collision"] for row in found])
+            cells.setdefault((traffic, lesson), {})[seed] = f"{hit:.1f} ({fault:.1f})"
+    seeds = sorted({seed for by_seed in cells.values() for seed in by_seed}, key=int)
+    if not seeds:
+        return []
+    lines = ["### By seed: collision % (at fault %)", ""]
+    lines += ["| evaluated in | trained in | " + " | ".join(f"seed {s}" for s in seeds) + " |"]
+    lines += ["|---|---|" + "---:|" * len(seeds)]
+    for (traffic, lesson), by_seed in cells.items():
+        row = " | ".join(by_seed.get(seed, "") for seed in seeds)
+        lines.append(f"| {TRAFFIC[traffic].label} | {lesson} | {row} |")
+    return [*lines, ""]

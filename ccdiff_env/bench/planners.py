@@ -102,7 +102,7 @@ def planner_jobs(
     pieces = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{p:02d}-{name}-{i:03d}",
+            f"{p:02d}-{name}-{seed}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": dict(source),

@@ -45,16 +45,18 @@ impl Cutter {
     fn whole(&self, polygon: &GlobalPolygon) -> Polygon {
         Polygon {
             exterior: self.points(&polygon.exterior),
-            holes: polygon.holes.iter().map(|h| self.points(h)).collect(),
+            holes: polygon.holes.iter().map(|h| self.points(&h.points)).collect(),
         }
     }
 
     /// A polygon with the same part in the rectangle and few points far from it.
     fn near(&self, polygon: &GlobalPolygon) -> Polygon {
         let ring = |points: &[[f64; 2]], blocks| self.points(&near_ring(points, blocks, &self.rect));
+        // of a hole beyond one side nothing would be left
+        let holes = polygon.holes.iter().filter(|h| beyond(&h.bounds, &self.rect) == 0);
         Polygon {
             exterior: ring(&polygon.exterior, &polygon.blocks),
-            holes: polygon.holes.iter().map(|h| ring(h, &[])).filter(|h| h.len() >= 3).collect(),
+            holes: holes.map(|h| ring(&h.points, &[])).filter(|h| h.len() >= 3).collect(),
         }
     }
 

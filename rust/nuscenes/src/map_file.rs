@@ -60,7 +60,7 @@ impl Bounds {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GlobalPolygon {
     pub(crate) exterior: Vec<[f64; 2]>,
-    pub(crate) holes: Vec<Vec<[f64; 2]>>,
+    pub(crate) holes: Vec<GlobalLine>,
     pub(crate) bounds: Bounds,
     /// [`Bounds::of_blocks`] of the exterior.
     pub(crate) blocks: Vec<Bounds>,
@@ -71,6 +71,12 @@ pub(crate) struct GlobalPolygon {
 pub(crate) struct GlobalLine {
     pub(crate) points: Vec<[f64; 2]>,
     pub(crate) bounds: Bounds,
+}
+
+impl GlobalLine {
+    fn new(points: Vec<[f64; 2]>) -> Self {
+        Self { bounds: Bounds::of(&points), points }
+    }
 }
 
 /// A lane in the global frame.
@@ -317,8 +323,9 @@ impl<'a> Assembler<'a> {
             }
         }
         rings.retain(|ring| ring.len() >= 3);
+        let holes = rings.into_iter().map(GlobalLine::new).collect();
         let (bounds, blocks) = (Bounds::of(&exterior), Bounds::of_blocks(&exterior));
-        Ok(Some(GlobalPolygon { exterior, holes: rings, bounds, blocks }))
+        Ok(Some(GlobalPolygon { exterior, holes, bounds, blocks }))
     }
 
     fn drivable_area(&self, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
@@ -358,7 +365,7 @@ impl<'a> Assembler<'a> {
             let nodes = nodes
                 .ok_or_else(|| self.dangling(row.text(0).unwrap_or_default(), "line_token", token, "line"))?;
             let points = self.points(token, *nodes)?;
-            Ok(GlobalLine { bounds: Bounds::of(&points), points })
+            Ok(GlobalLine::new(points))
         })?;
         let before = lines.len();
         lines.retain(|line| line.points.len() >= 2);

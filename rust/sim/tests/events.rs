@@ -1,4 +1,5 @@
 //! Contacts and leaving the road, against the `geo` crate and hand-made situations.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::events::{
     Collisions, ContactKind, Leader, LeastTimes, OffRoad, leader, off_road, time_to_contact,

@@ -1,6 +1,7 @@
 //! Lines of points: arc length, points along, projection onto.
 
 use super::{Point2, Pose2, Real, Vector2, math};
+use crate::wide::wide;
 
 /// Points nearer to each other than this count as one, metres.
 const MIN_SPACING_M: Real = 1e-3;
@@ -16,10 +17,95 @@ pub struct Polyline {
     s_m: Vec<Real>,
     /// Unit direction and heading of each segment [P - 1].
     directions: Vec<(Vector2, Real)>,
+    /// The segments once more, for searches.
+    segments: Segments,
     /// Segment at each multiple of `bin_m` along the line, so that a position is found without a search.
     bins: Vec<u32>,
     /// Spacing of `bins`, metres.
     bin_m: Real,
+}
+
+/// Segments as columns of numbers [P - 1]: start, unit direction, length.
+#[derive(Debug, Clone, PartialEq)]
+struct Segments {
+    x: Vec<Real>,
+    y: Vec<Real>,
+    cos: Vec<Real>,
+    sin: Vec<Real>,
+    length_m: Vec<Real>,
+}
+
+impl Segments {
+    fn new(points: &[Point2], s_m: &[Real], directions: &[(Vector2, Real)]) -> Self {
+        let column = |of: &dyn Fn(usize) -> Real| (0..directions.len()).map(of).collect();
+        Self {
+            x: column(&|i| points[i].x),
+            y: column(&|i| points[i].y),
+            cos: column(&|i| directions[i].0.x),
+            sin: column(&|i| directions[i].0.y),
+            length_m: column(&|i| s_m[i + 1] - s_m[i]),
+        }
+    }
+
+    /// The nearest point of a segment: squared distance, and arc length from the segment's start.
+    #[inline(always)]
+    fn nearest_point(&self, segment_idx: usize, point: Point2) -> (Real, Real) {
+        let (x, y) = (point.x - self.x[segment_idx], point.y - self.y[segment_idx]);
+        nearest_on(x, y, self.cos[segment_idx], self.sin[segment_idx], self.length_m[segment_idx])
+    }
+}
+
+#[inline(always)]
+fn nearest_on(x: Real, y: Real, cos: Real, sin: Real, length_m: Real) -> (Real, Real) {
+    let along = x * cos + y * sin;
+    // one instruction each, which `min` and `max` are not
+    let along = if along < length_m { along } else { length_m };
+    let along = if along > 0.0 { along } else { 0.0 };
+    let (x, y) = (x - cos * along, y - sin * along);
+    (x * x + y * y, along)
+}
+
+struct Nearest {
+    distance_sq: Real,
+    segment_idx: usize,
+    along_m: Real,
+}
+
+/// Segments that are looked at together.
+const LANES: usize = 8;
+
+wide! {
+    /// Puts the nearest of some segments in the place of `best` if it is nearer; the first of those equally near.
+    fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
+        let [x, y, cos, sin, length_m] =
+            [&segments.x, &segments.y, &segments.cos, &segments.sin, &segments.length_m]
+                .map(|column| column[first..end].as_chunks::<LANES>().0);
+        let mut distance_sq = [best.distance_sq; LANES];
+        let (mut along_m, mut blocks) = ([0.0; LANES], [0u32; LANES]);
+        for block in 0..x.len() {
+            for lane in 0..LANES {
+                let (x, y) = (point.x - x[block][lane], point.y - y[block][lane]);
+                let (d, along) = nearest_on(x, y, cos[block][lane], sin[block][lane], length_m[block][lane]);
+                let nearer = d < distance_sq[lane];
+                distance_sq[lane] = if nearer { d } else { distance_sq[lane] };
+                along_m[lane] = if nearer { along } else { along_m[lane] };
+                blocks[lane] = if nearer { block as u32 } else { blocks[lane] };
+            }
+        }
+        for lane in 0..LANES {
+            let segment_idx = first + blocks[lane] as usize * LANES + lane;
+            let d = distance_sq[lane];
+            if d < best.distance_sq || (d == best.distance_sq && segment_idx < best.segment_idx) {
+                *best = Nearest { distance_sq: d, segment_idx, along_m: along_m[lane] };
+            }
+        }
+        for segment_idx in first + x.len() * LANES..end {
+            let (d, along_m) = segments.nearest_point(segment_idx, point);
+            if d < best.distance_sq {
+                *best = Nearest { distance_sq: d, segment_idx, along_m };
+            }
+        }
+    }
 }
 
 /// Where a point lies relative to a line.
@@ -67,20 +153,18 @@ impl Polyline {
             }
             bins.push(segment as u32);
         }
-        Some(Self { points, s_m, directions, bins, bin_m })
+        let segments = Segments::new(&points, &s_m, &directions);
+        Some(Self { points, s_m, directions, segments, bins, bin_m })
     }
 
     /// Straight line from a pose along its heading, at least a metre long.
     pub fn straight(pose: &Pose2, length_m: Real) -> Self {
         let length_m = if length_m.is_finite() { length_m.max(1.0) } else { 1.0 };
         let direction = Vector2::new(pose.cos, pose.sin);
-        Self {
-            points: vec![pose.position, pose.position + direction * length_m],
-            s_m: vec![0.0, length_m],
-            directions: vec![(direction, pose.heading_rad)],
-            bins: vec![0, 0],
-            bin_m: 0.5 * length_m,
-        }
+        let points = vec![pose.position, pose.position + direction * length_m];
+        let (s_m, directions) = (vec![0.0, length_m], vec![(direction, pose.heading_rad)]);
+        let segments = Segments::new(&points, &s_m, &directions);
+        Self { points, s_m, directions, segments, bins: vec![0, 0], bin_m: 0.5 * length_m }
     }
 
     /// Length, metres.
@@ -159,20 +243,9 @@ impl Polyline {
     }
 
     fn project_onto(&self, point: Point2, first: usize, last: usize) -> Projection {
-        let (mut best_sq, mut best_segment, mut best_along) = (Real::INFINITY, first, 0.0);
-        let segments = self.directions[first..=last].iter().zip(&self.points[first..=last]);
-        let segments = segments.zip(self.s_m[first..=last + 1].windows(2)).zip(first..);
-        for (((&(direction, _), start), s_m), segment) in segments {
-            let offset = point - start;
-            let (along, length_m) = (offset.x * direction.x + offset.y * direction.y, s_m[1] - s_m[0]);
-            // one instruction each, which `min` and `max` are not
-            let along = if along < length_m { along } else { length_m };
-            let along = if along > 0.0 { along } else { 0.0 };
-            let distance_sq = (offset - direction * along).norm_squared();
-            if distance_sq < best_sq {
-                (best_sq, best_segment, best_along) = (distance_sq, segment, along);
-            }
-        }
+        let mut best = Nearest { distance_sq: Real::INFINITY, segment_idx: first, along_m: 0.0 };
+        nearest_segment(&self.segments, first, last + 1, point, &mut best);
+        let Nearest { distance_sq: best_sq, segment_idx: best_segment, along_m: best_along } = best;
         let direction = self.directions[best_segment].0;
         let offset = point - self.points[best_segment];
         Projection {

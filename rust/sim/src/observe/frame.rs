@@ -20,13 +20,12 @@ pub(super) struct Frame {
     sin: Real,
 }
 
-/// A frame with the factors of eight columns, written out for eight lanes.
+/// A frame written out for eight lanes; cosines and sines times the factors of the columns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lanes {
     origin: [Real; 8],
     cos: [Real; 8],
     sin: [Real; 8],
-    factor: [Real; 8],
 }
 
 impl Frame {
@@ -39,28 +38,31 @@ impl Frame {
     pub(super) fn turn(&self, [x0, y0, x1, y1]: [Real; 4], factor: [Real; 4]) -> [Real; 4] {
         let (v, w) = ([x0, y0, x1, y1], [y0, x0, y1, x1]);
         let sin = [self.sin, -self.sin, self.sin, -self.sin];
-        std::array::from_fn(|i| clip((v[i] * self.cos + w[i] * sin[i]) * factor[i], -1.0, 1.0))
+        // in the order of [`Lanes::turn`], for the same bits
+        std::array::from_fn(|i| clip(v[i] * (self.cos * factor[i]) + w[i] * (sin[i] * factor[i]), -1.0, 1.0))
     }
 
     pub(super) fn lanes(&self, factor: [Real; 8]) -> Lanes {
         let (c, s) = (self.cos, self.sin);
+        let cos = [c, c, c, c, 1.0, 1.0, 1.0, 1.0];
+        let sin = [s, -s, s, -s, 0.0, 0.0, 0.0, 0.0];
         Lanes {
             origin: [self.x, self.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            cos: [c, c, c, c, 1.0, 1.0, 1.0, 1.0],
-            sin: [s, -s, s, -s, 0.0, 0.0, 0.0, 0.0],
-            factor,
+            cos: std::array::from_fn(|i| cos[i] * factor[i]),
+            sin: std::array::from_fn(|i| sin[i] * factor[i]),
         }
     }
 }
 
 impl Lanes {
-    /// A row in the frame, scaled and clipped, and another one added.
+    /// A row in the frame, scaled and clipped, and the numbers of another one where this one's are 0.
     #[inline(always)]
     pub(super) fn turn(&self, (row, added): (&Unturned, &Eight)) -> [Real; 8] {
         let v: [Real; 8] = std::array::from_fn(|i| row.0[i] - self.origin[i]);
         let w = [v[1], v[0], v[3], v[2], v[5], v[4], v[7], v[6]];
         let sum = |i: usize| v[i] * self.cos[i] + w[i] * self.sin[i];
-        std::array::from_fn(|i| clip(sum(i) * self.factor[i], -1.0, 1.0) + added.0[i])
+        let joined = |i: usize| clip(sum(i), -1.0, 1.0).to_bits() | added.0[i].to_bits();
+        std::array::from_fn(|i| Real::from_bits(joined(i)))
     }
 
     /// [`Self::turn`] in one vector.
@@ -71,15 +73,14 @@ impl Lanes {
     pub(super) fn turn_avx2(&self, (row, added): (&Unturned, &Eight)) -> [Real; 8] {
         use std::arch::x86_64::*;
         // SAFETY: eight floats each
-        let [row, added, origin, cos, sin, factor]: [__m256; 6] =
-            unsafe { std::mem::transmute([row.0, added.0, self.origin, self.cos, self.sin, self.factor]) };
+        let [row, added, origin, cos, sin]: [__m256; 5] =
+            unsafe { std::mem::transmute([row.0, added.0, self.origin, self.cos, self.sin]) };
         let v = _mm256_sub_ps(row, origin);
         let w = _mm256_permute_ps::<0b10_11_00_01>(v);
         let sum = _mm256_add_ps(_mm256_mul_ps(v, cos), _mm256_mul_ps(w, sin));
-        let low = _mm256_max_ps(_mm256_mul_ps(sum, factor), _mm256_set1_ps(-1.0));
-        let clipped = _mm256_min_ps(low, _mm256_set1_ps(1.0));
+        let clipped = _mm256_min_ps(_mm256_max_ps(sum, _mm256_set1_ps(-1.0)), _mm256_set1_ps(1.0));
         // SAFETY: as above
-        unsafe { std::mem::transmute(_mm256_add_ps(clipped, added)) }
+        unsafe { std::mem::transmute(_mm256_or_ps(clipped, added)) }
     }
 }
 
