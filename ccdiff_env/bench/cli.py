@@ -284,7 +284,7 @@ def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = kinds.add_parser("selection", help="learned and simple choices of the adversary")
     add_run_arguments(parser)
     parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
-    parser.add_argument("--ego", default="idm", help="driver of the ego, or a policy (.zip)")
+    parser.add_argument("--ego", default="replay", help="driver of the ego, or a policy (.zip)")
     parser.add_argument("--seeds", type=int, default=3, help="choosers that are trained")
     parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
     parser.set_defaults(run=_selection)

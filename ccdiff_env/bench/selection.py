@@ -117,7 +117,7 @@ def train_chooser(
         CandidatePolicy,
         env,
         learning_rate=lambda left: 1e-3 * max(left, 0.05),
-        n_steps=64,
+        n_steps=32,
         batch_size=256,
         n_epochs=6,
         gamma=0.97,
