@@ -23,7 +23,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 24;
 const SECONDS_PER_ROUND: f64 = 0.15;
 
 /// Seconds of processor time of this thread, or of the wall clock where that is not to be had.
@@ -204,7 +204,36 @@ fn report(name: &str, scene: &Arc<Scene>, config: &WorldConfig, envs: usize, thr
     Ok(())
 }
 
-fn main() -> Result<()> {
+/// One row of the table: name, agents and roads of the city, configuration, worlds, threads.
+type Row = (String, usize, usize, WorldConfig, usize, usize);
+
+fn rows() -> Vec<Row> {
+    let mut rows = Vec::new();
+    for (name, traffic) in [("default, replay", Driver::Replay), ("default, IDM", Driver::Idm)] {
+        for (envs, threads) in [(1, 1), (64, 1), (1024, 1), (1024, 2)] {
+            rows.push((name.to_owned(), 32, 3, default_config(traffic), envs, threads));
+        }
+    }
+    for (envs, threads) in [(1, 1), (64, 1), (1024, 1), (1024, 2)] {
+        rows.push(("equal work".to_owned(), 64, 3, equal_work(64), envs, threads));
+    }
+    for agents in [8, 32, 64, 128, 256] {
+        rows.push(("agents per scene".to_owned(), agents, 5, equal_work(agents), 4, 1));
+    }
+    for roads in [1, 3, 9, 15] {
+        rows.push((format!("map of {roads} x {roads} roads"), 32, roads, equal_work(32), 4, 1));
+    }
+    rows
+}
+
+/// Prints the table. Every row is measured in a process of its own, called with the row's number: memory that another
+/// row has left behind makes the pages of the buffers smaller.
+fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
+    let rows = rows();
+    let chosen = std::env::args().find_map(|a| a.strip_prefix("row=").and_then(|k| k.parse::<usize>().ok()));
+    if let Some((name, agents, roads, config, envs, threads)) = chosen.and_then(|k| rows.get(k)) {
+        return Ok(report(name, &city(*agents, *roads)?, config, *envs, *threads)?);
+    }
     println!(
         "E worlds, n threads, A agents in the scene, C of them controlled, D floats of observation each;"
     );
@@ -213,22 +242,9 @@ fn main() -> Result<()> {
     );
     println!("last: percent of the time in {}.", VecWorld::phase_names().join(", "));
     println!("{:22}     E  n    A    C     D scene-st/s agent-st/s ns/as  fill ratio   KiB", "");
-    for (name, traffic) in [("default, replay", Driver::Replay), ("default, IDM", Driver::Idm)] {
-        for envs in [1, 64, 1024] {
-            report(name, &city(32, 3)?, &default_config(traffic), envs, 1)?;
-        }
-        report(name, &city(32, 3)?, &default_config(traffic), 1024, 2)?;
-    }
-    for (envs, threads) in [(1, 1), (64, 1), (1024, 1), (1024, 2)] {
-        report("equal work", &city(64, 3)?, &equal_work(64), envs, threads)?;
-    }
-    for agents in [8, 32, 64, 128, 256] {
-        report("agents per scene", &city(agents, 5)?, &equal_work(agents), 4, 1)?;
-    }
-    for roads in [1, 3, 9, 15] {
-        let scene = city(32, roads)?;
-        let points = scene.map.lanes.iter().map(|l| l.centreline.len()).sum::<usize>();
-        report(&format!("map of {points} points"), &scene, &equal_work(32), 4, 1)?;
+    let this = std::env::current_exe()?;
+    for k in 0..rows.len() {
+        std::process::Command::new(&this).arg(format!("row={k}")).status()?;
     }
     Ok(())
 }
