@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import ccdiff_env
 from ccdiff_env import cli
@@ -307,6 +308,24 @@ def test_learning_tables_average_over_scenes_then_seeds():
     assert lines[2] == "| idm | 50.0 | 25.0 | 0.0 | 50.0 | 100.0 | 1.00 |"
     assert lines[3] == "| evaluated in | trained in | seed 0 | seed 1 |"
     assert lines[4] == "| IDM | replay | 50.0 (25.0) | 50.0 (25.0) |"
+    assert len(lines) == 5
+
+
+def test_lessons_are_compared_with_log_replay_pair_by_pair():
+    def rows(*collisions):
+        whole = dict.fromkeys(("on_road", "progress", "comfort", "score"), 1.0)
+        return [{**whole, "collision": c, "no_at_fault_collision": 1.0 - c} for c in collisions]
+
+    table = learning_table(
+        {
+            ("egos/replay-0.zip", "ccdiff"): rows(1.0, 1.0, 0.0, 0.0),
+            ("egos/critical-0.zip", "ccdiff"): rows(1.0, 0.0, 0.0, 0.0),
+            ("egos/critical-1.zip", "ccdiff"): rows(1.0, 1.0, 1.0, 1.0),  # nothing to compare with
+        }
+    )
+    difference = np.array([0.0, -100.0, 0.0, 0.0])
+    cell = f"{difference.mean():+.1f} ± {scipy.stats.sem(difference):.1f}"
+    assert table.splitlines()[-1] == f"| CCDiff, no guidance | critical | {cell} | {cell} |"
 
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):

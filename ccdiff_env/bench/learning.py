@@ -258,7 +258,7 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
                 cells.append(f"{values.mean():.{digits}f}{spread}")
             lines.append(f"| {name} | " + " | ".join(cells) + " |")
         lines.append("")
-    return "\n".join(lines + _by_seed(rows))
+    return "\n".join(lines + _by_seed(rows) + _against_replay(rows))
 
 
 def _lesson_of(planner: str) -> tuple[str, str | None]:
@@ -285,4 +285,34 @@ def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> lis
     for (traffic, lesson), by_seed in cells.items():
         row = " | ".join(by_seed.get(seed, "") for seed in seeds)
         lines.append(f"| {TRAFFIC[traffic].label} | {lesson} | {row} |")
+    return [*lines, ""]
+
+
+def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Return the lines of a table: other lessons less the one in log replay, pair by pair.
+
+    A pair is an episode of two egos of one seed in the same scene and draw of the traffic.
+    """
+    pairs: dict[tuple[str, str], list[list[float]]] = {}
+    for (planner, traffic), found in rows.items():
+        lesson, seed = _lesson_of(planner)
+        beside = rows.get((str(Path(planner).with_name(f"replay-{seed}.zip")), traffic))
+        if seed is None or lesson == "replay" or beside is None:
+            continue
+        pairs.setdefault((traffic, lesson), []).extend(
+            [
+                row["collision"] - other["collision"],
+                other["no_at_fault_collision"] - row["no_at_fault_collision"],
+            ]
+            for row, other in zip(found, beside, strict=True)
+        )
+    if not pairs:
+        return []
+    lines = ["### Less the egos trained in log replay: percent of paired episodes ± standard error"]
+    lines += ["", "| evaluated in | trained in | collision | at fault |", "|---|---|---:|---:|"]
+    for (traffic, lesson), differences in pairs.items():
+        points = 100.0 * np.array(differences)
+        errors = points.std(axis=0, ddof=1) / np.sqrt(len(points))
+        cells = [f"{m:+.1f} ± {e:.1f}" for m, e in zip(points.mean(axis=0), errors, strict=True)]
+        lines.append(f"| {TRAFFIC[traffic].label} | {lesson} | " + " | ".join(cells) + " |")
     return [*lines, ""]
