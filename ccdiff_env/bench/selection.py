@@ -43,6 +43,8 @@ REWARD = SelectionReward(
 )
 #: Scenes that share a batch of the network.
 CHUNK = 12
+#: Steps from one decision to the next: 2 s, in which a vehicle that was chosen can come near the ego.
+REPLAN_STEPS = 20
 
 
 def _options(ego: str, strength: float) -> dict[str, Any]:
@@ -52,7 +54,7 @@ def _options(ego: str, strength: float) -> dict[str, Any]:
         "budget": 1,
         "max_agents": 8,
         "num_threads": 1,
-        "ccdiff": {"criticality": strength},
+        "ccdiff": {"criticality": strength, "replan_steps": REPLAN_STEPS},
     }
 
 
@@ -117,9 +119,9 @@ def train_chooser(
         CandidatePolicy,
         env,
         learning_rate=lambda left: 1e-3 * max(left, 0.05),
-        n_steps=32,
-        batch_size=256,
-        n_epochs=6,
+        n_steps=16,
+        batch_size=128,
+        n_epochs=5,
         gamma=0.97,
         ent_coef=0.003,
         seed=seed,

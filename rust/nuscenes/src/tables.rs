@@ -147,8 +147,14 @@ impl Tables {
                 logged[slot].timestamps_us.push(sample.timestamp_us);
             }
         }
-        self.add_tracks(&samples, &mut logged)?;
-        self.add_ego(&samples, &mut logged)?;
+        let (tracks, egos) =
+            rayon::join(|| self.read_tracks(&samples), || self.read_egos(&samples, wanted.len()));
+        for (slot, track) in tracks? {
+            logged[slot].tracks.push(track);
+        }
+        for (scene, (keys, channel)) in logged.iter_mut().zip(egos?) {
+            (scene.ego, scene.ego_channel) = (keys, channel);
+        }
         Ok(logged)
     }
 
@@ -181,7 +187,8 @@ impl Tables {
         Ok(Samples { by_token: self.index("sample", tokens)?, list })
     }
 
-    fn add_tracks(&self, samples: &Samples, logged: &mut [LoggedScene]) -> Result<()> {
+    /// Tracks, each with the slot of its scene.
+    fn read_tracks(&self, samples: &Samples) -> Result<Vec<(usize, LoggedTrack)>> {
         const TABLE: &str = "sample_annotation";
         let path = self.path(TABLE);
         let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
@@ -200,11 +207,9 @@ impl Tables {
             return Err(self.duplicate(TABLE, "token", token.to_string()));
         }
         let instances = self.read_instances(&rows)?;
-        for group in group(&rows) {
-            let track = self.track(&rows, &group, &instances)?;
-            logged[rows[group[0] as usize].slot].tracks.push(track);
-        }
-        Ok(())
+        let track =
+            |group: Vec<u32>| Ok((rows[group[0] as usize].slot, self.track(&rows, &group, &instances)?));
+        group(&rows).into_iter().map(track).collect()
     }
 
     /// Id and category of the instances that are annotated.
@@ -260,9 +265,10 @@ impl Tables {
         Ok(LoggedTrack { instance, category, size_m: first.size_m, keys })
     }
 
-    fn add_ego(&self, samples: &Samples, logged: &mut [LoggedScene]) -> Result<()> {
+    /// For each scene the key poses of the ego, and the channel they are of.
+    fn read_egos(&self, samples: &Samples, num_scenes: usize) -> Result<Vec<(Vec<Key>, Option<String>)>> {
         let (channels, rows) = self.read_key_frame_data(samples)?;
-        let chosen = choose_channels(&rows, samples, channels.len(), logged.len());
+        let chosen = choose_channels(&rows, samples, channels.len(), num_scenes);
         let wanted: Vec<(Token, u32)> = rows
             .iter()
             .filter(|r| samples.list[r.sample as usize].slot.and_then(|s| chosen[s]) == Some(r.channel))
@@ -288,13 +294,14 @@ impl Tables {
             let key = ground_pose(&path, token, sample, row.integer(1)?, translation, rotation)?;
             Ok(Some((place, sample.slot, key)))
         })?;
+        let mut egos: Vec<Vec<Key>> = vec![Vec::new(); num_scenes];
         let mut found = vec![false; wanted.entries().len()];
         for (place, slot, key) in poses {
             if std::mem::replace(&mut found[place], true) {
                 return Err(self.duplicate("ego_pose", "token", wanted.entries()[place].0.to_string()));
             }
             if let Some(slot) = slot {
-                logged[slot].ego.push(key);
+                egos[slot].push(key);
             }
         }
         if let Some(place) = found.iter().position(|found| !found) {
@@ -302,18 +309,15 @@ impl Tables {
             let of = format!("of sample {}", samples.list[sample as usize].token);
             return Err(self.dangling(("sample_data", "ego_pose_token"), of, token, "ego_pose"));
         }
-        for (scene, channel) in logged.iter_mut().zip(&chosen) {
-            scene.ego.sort_by_key(|k| k.frame);
-            scene.ego_channel = channel.map(|c| channels[c as usize].clone());
-            if let Some(pair) = scene.ego.windows(2).find(|w| w[0].timestamp_us >= w[1].timestamp_us) {
-                return Err(self.duplicate(
-                    "ego_pose",
-                    "key frame or its time, in one scene,",
-                    pair[1].timestamp_us.to_string(),
-                ));
+        for keys in &mut egos {
+            keys.sort_by_key(|k| k.frame);
+            if let Some(pair) = keys.windows(2).find(|w| w[0].timestamp_us >= w[1].timestamp_us) {
+                let got = pair[1].timestamp_us.to_string();
+                return Err(self.duplicate("ego_pose", "key frame or its time, in one scene,", got));
             }
         }
-        Ok(())
+        let channels = chosen.iter().map(|channel| channel.map(|c| channels[c as usize].clone()));
+        Ok(egos.into_iter().zip(channels).collect())
     }
 
     /// Channel names, most wanted first, and the key-frame sample_data of the wanted scenes.
