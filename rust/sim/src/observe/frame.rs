@@ -55,7 +55,7 @@ impl Frame {
 }
 
 impl Lanes {
-    /// A row in the frame, scaled and clipped, and the numbers of another one where this one's are 0.
+    /// A row in the frame, scaled and clipped, and the numbers of another one where this one's are +0.
     #[inline(always)]
     pub(super) fn turn(&self, (row, added): (&Unturned, &Eight)) -> [Real; 8] {
         let v: [Real; 8] = std::array::from_fn(|i| row.0[i] - self.origin[i]);
