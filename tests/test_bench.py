@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,6 +46,51 @@ def fragile(x, marker):
             pass
         os.kill(os.getpid(), signal.SIGKILL)
     return x * x
+
+
+def sleepy(folder):
+    """A job's function that leaves the number of its process, and goes on for long."""
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(300)
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # a zombie is not alive, only not yet collected
+    return (
+        Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    )
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_workers_end_with_the_run_that_was_killed(tmp_path):
+    pids = tmp_path / "pids"
+    pids.mkdir()
+    code = f"""
+from pathlib import Path
+from ccdiff_env.bench.jobs import Job, run_jobs
+if __name__ == "__main__":
+    jobs = [Job(str(x), "test_bench:sleepy", {{"folder": {str(pids)!r}}}) for x in (0, 1)]
+    run_jobs(jobs, Path({str(tmp_path / "raw")!r}), workers=2, progress=False)
+"""
+    (tmp_path / "main.py").write_text(code, encoding="utf-8")
+    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
+    run = subprocess.Popen(
+        [sys.executable, str(tmp_path / "main.py")], env={**os.environ, "PYTHONPATH": path}
+    )
+    end = time.monotonic() + 60.0
+    while len(list(pids.iterdir())) < 2 and time.monotonic() < end:
+        time.sleep(0.1)
+    workers = [int(file.name) for file in pids.iterdir()]
+    run.kill()
+    run.wait()
+    assert len(workers) == 2
+    while any(alive(pid) for pid in workers) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not any(alive(pid) for pid in workers)
 
 
 def test_a_killed_run_goes_on_where_it_stopped(tmp_path):

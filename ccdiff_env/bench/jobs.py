@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, Literal
 
 from ccdiff_env.errors import ConfigError, DatasetError
@@ -104,9 +105,22 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
             yield _run(job)
         return
     # forked children may not enter worlds that hold threads
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    context = get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent) as pool:
         for future in as_completed([pool.submit(_run, job) for job in jobs]):
             yield future.result()
+
+
+def _end_with_parent() -> None:
+    """Let this worker end when the process that began it has: else it would work on unseen."""
+
+    def watch() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def _ray(jobs: Sequence[Job]) -> Iterator[tuple[str, Any, float]]:

@@ -43,7 +43,7 @@ REWARD = SelectionReward(
 )
 #: Scenes that share a batch of the network.
 CHUNK = 12
-#: Steps from one decision to the next: 2 s, in which a vehicle that was chosen can come near the ego.
+#: Steps from one decision to the next: 2 s, in which who was chosen can come near the ego.
 REPLAN_STEPS = 20
 
 
