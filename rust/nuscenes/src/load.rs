@@ -113,7 +113,11 @@ impl Load<'_> {
                 built[slot] = Some(scene);
             }
             self.report.cache.built = lost.len();
-            self.report.maps = maps.into_values().filter_map(|(m, report)| m.map(|_| report)).collect();
+            let (used, reports): (Vec<_>, Vec<_>) = maps.into_values().unzip();
+            let read = used.iter().zip(reports).filter(|(map, _)| map.is_some());
+            self.report.maps = read.map(|(_, report)| report).collect();
+            // tens of thousands of small vectors: given back while the caller goes on
+            rayon::spawn(move || drop((logged, used)));
             self.report.timing.build_s = lap.take();
         }
         self.note_missing_maps(wanted.iter().map(|i| &entries[*i]));
