@@ -3,13 +3,14 @@
 ``python benchmarks/sizes.py --dataroot <nuscenes> --out <folder> [--steps 1500] [--only NAME ...]``
 trains each on the training scenes, goes on where it was stopped, and prints a table in Markdown:
 parameters, seconds per training step, open-loop errors on the validation scenes. Each differs from
-``fast`` in one part only, which it has from ``paper``.
+``fast`` in one part only, which it has from ``paper``, or has no map.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +19,28 @@ import torch
 from open_loop import HORIZON, quality
 
 import ccdiff_env
+from ccdiff_env import _native
 from ccdiff_env.models import Planner, train
 
-#: Parts of the network that differ from ``fast``, by name.
+PAPER: dict[str, Any] = json.loads(_native.model_preset("paper")[0])
+#: Parts that a network has from ``paper``, by its name in the table.
+PARTS: dict[str, tuple[str, ...]] = {
+    "fast": (),
+    "an action every 0.1 s, not 0.4 s": ("knot_stride",),
+    "a token per history step, not one in all": ("history",),
+    "width 128, 16 heads": (
+        "width",
+        "heads",
+        "feed_forward",
+        "social_feed_forward",
+        "edge_width",
+    ),
+    "2 temporal and 4 edge layers, not 1 and 1": ("temporal_layers", "edge_layers"),
+    "20 neighbours, not 8": ("max_neighbours",),
+}
+#: Networks that differ from ``fast``, by name.
 SIZES: dict[str, dict[str, Any]] = {
-    "fast": {},
-    "an action every 0.1 s, not 0.4 s": {"knot_stride": 1},
-    "a token per history step, not one in all": {"history": "per_step"},
-    "width 128, 16 heads": {
-        "width": 128,
-        "heads": 16,
-        "feed_forward": 384,
-        "social_feed_forward": 512,
-        "edge_width": 64,
-    },
-    "2 temporal and 4 edge layers, not 1 and 1": {"temporal_layers": 2, "edge_layers": 4},
-    "20 neighbours, not 8": {"max_neighbours": 20},
+    **{name: {part: PAPER[part] for part in parts} for name, parts in PARTS.items()},
     "no map": {"map": None},
 }
 

@@ -241,7 +241,7 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def _learning(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
-    from ccdiff_env.bench.planners import planner_jobs
+    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 
     run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
@@ -262,7 +262,7 @@ def _learning(args: argparse.Namespace) -> int:
         for job in planner_jobs(
             run.source,
             [*planners, "constant_velocity", "idm", "replay"],
-            [name for name in traffic if draw == 0 or name.startswith("ccdiff")],
+            [name for name in traffic if draw == 0 or TRAFFIC[name].driver == "ccdiff"],
             seed=args.seed + draw,
             options={"observation": OBSERVATION},
         )

@@ -46,15 +46,9 @@ impl Segments {
             length_m: column(&|i| s_m[i + 1] - s_m[i]),
         }
     }
-
-    /// The nearest point of a segment: squared distance, and arc length from the segment's start.
-    #[inline(always)]
-    fn nearest_point(&self, segment_idx: usize, point: Point2) -> (Real, Real) {
-        let (x, y) = (point.x - self.x[segment_idx], point.y - self.y[segment_idx]);
-        nearest_on(x, y, self.cos[segment_idx], self.sin[segment_idx], self.length_m[segment_idx])
-    }
 }
 
+/// The nearest point of a segment to one at (x, y) from its start: squared distance, and arc length from the start.
 #[inline(always)]
 fn nearest_on(x: Real, y: Real, cos: Real, sin: Real, length_m: Real) -> (Real, Real) {
     let along = x * cos + y * sin;
@@ -100,7 +94,9 @@ wide! {
             }
         }
         for segment_idx in first + x.len() * LANES..end {
-            let (d, along_m) = segments.nearest_point(segment_idx, point);
+            let (x, y) = (point.x - segments.x[segment_idx], point.y - segments.y[segment_idx]);
+            let (cos, sin) = (segments.cos[segment_idx], segments.sin[segment_idx]);
+            let (d, along_m) = nearest_on(x, y, cos, sin, segments.length_m[segment_idx]);
             if d < best.distance_sq {
                 *best = Nearest { distance_sq: d, segment_idx, along_m };
             }
@@ -245,14 +241,13 @@ impl Polyline {
     fn project_onto(&self, point: Point2, first: usize, last: usize) -> Projection {
         let mut best = Nearest { distance_sq: Real::INFINITY, segment_idx: first, along_m: 0.0 };
         nearest_segment(&self.segments, first, last + 1, point, &mut best);
-        let Nearest { distance_sq: best_sq, segment_idx: best_segment, along_m: best_along } = best;
-        let direction = self.directions[best_segment].0;
-        let offset = point - self.points[best_segment];
+        let direction = self.directions[best.segment_idx].0;
+        let offset = point - self.points[best.segment_idx];
         Projection {
-            s_m: self.s_m[best_segment] + best_along,
+            s_m: self.s_m[best.segment_idx] + best.along_m,
             lateral_m: direction.x * offset.y - direction.y * offset.x,
-            distance_m: best_sq.sqrt(),
-            segment_idx: best_segment,
+            distance_m: best.distance_sq.sqrt(),
+            segment_idx: best.segment_idx,
         }
     }
 }

@@ -66,6 +66,7 @@ const ROUTE_FACTOR: [Real; 4] =
 #[derive(Debug, Clone)]
 pub struct Observer {
     layout: Layout,
+    wants_leader: bool,
     agents: AgentRows,
     map: MapRows,
 }
@@ -73,7 +74,8 @@ pub struct Observer {
 impl Observer {
     /// Observer of worlds with this layout.
     pub fn new(layout: Layout) -> Self {
-        Self { agents: AgentRows::new(&layout), map: MapRows::new(&layout), layout }
+        let wants_leader = layout.chosen[0].iter().any(|c| *c >= LEADER_GAP);
+        Self { agents: AgentRows::new(&layout), map: MapRows::new(&layout), wants_leader, layout }
     }
 
     /// Takes what all rows of a step have in common from the states; to be called before [`Observer::write`] whenever
@@ -107,11 +109,11 @@ impl Observer {
         let (states, a, facts) = (view.states, view.agent_idx, &view.facts);
         let flag = |b: bool| if b { 1.0 } else { 0.0 };
         let (sin, cos) = math::sin_cos(facts.heading_error_rad);
-        let ahead = self.layout.chosen[0]
-            .iter()
-            .any(|c| *c >= LEADER_GAP)
-            .then(|| leader(states, view.bodies, view.route, view.route_s_m, a, view.anticipation_s));
-        let ahead = ahead.flatten();
+        let ahead = if self.wants_leader {
+            leader(states, view.bodies, view.route, view.route_s_m, a, view.anticipation_s)
+        } else {
+            None
+        };
         let full: [Real; EGO.len()] = [
             states.speed_mps[a],
             states.acceleration_mps2[a],
