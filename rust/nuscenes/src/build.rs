@@ -49,8 +49,7 @@ pub(crate) fn build_scene(
     .map(f64::round);
     let num_steps = (logged.timestamps_us.len() - 1) * steps_per_key + 1;
     let scene_map = map.map(|map| {
-        let positions: Vec<[f64; 2]> = states().map(|s| s.position_m).collect();
-        crop(map, origin, &Bounds::of(&positions).grown(options.map_margin_m))
+        crop(map, origin, &Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m))
     });
     let scene_map = scene_map.unwrap_or_default();
     count_layers(&scene_map, &mut report);

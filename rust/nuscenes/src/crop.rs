@@ -16,7 +16,7 @@ pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds) -> Map {
         Cutter { origin, rect: *rect, min: recentre(origin, &rect.min), max: recentre(origin, &rect.max) };
     Map {
         drivable_area: cutter.polygons(&map.drivable_area),
-        lanes: cutter.lanes(&map.lanes),
+        lanes: cutter.lanes(map),
         road_dividers: cutter.lines(&map.road_dividers),
         lane_dividers: cutter.lines(&map.lane_dividers),
         ped_crossings: cutter.polygons(&map.ped_crossings),
@@ -51,7 +51,11 @@ impl Cutter {
 
     /// A polygon with the same part in the rectangle and few points far from it.
     fn near(&self, polygon: &GlobalPolygon) -> Polygon {
-        let ring = |points: &[[f64; 2]], blocks| self.points(&near_ring(points, blocks, &self.rect));
+        let ring = |points: &[[f64; 2]], blocks: &[Bounds]| {
+            let mut near = Vec::new();
+            near_ring(points, blocks, &self.rect, |point| near.push(recentre(self.origin, point)));
+            near
+        };
         // of a hole beyond one side nothing would be left
         let holes = polygon.holes.iter().filter(|h| beyond(&h.bounds, &self.rect) == 0);
         Polygon {
@@ -86,10 +90,11 @@ impl Cutter {
         cut
     }
 
-    fn lanes(&self, lanes: &[GlobalLane]) -> Vec<Lane> {
-        let kept: Vec<usize> = (0..lanes.len()).filter(|i| lanes[*i].bounds.touches(&self.rect)).collect();
+    fn lanes(&self, map: &GlobalMap) -> Vec<Lane> {
+        let bounds = (0..).zip(&map.lane_bounds);
+        let kept: Vec<u32> = bounds.filter(|(_, b)| b.touches(&self.rect)).map(|(i, _)| i).collect();
         let links = |indices: &[u32]| {
-            let new = |old: &u32| kept.binary_search(&(*old as usize)).ok().map(|i| i as u32);
+            let new = |old: &u32| kept.binary_search(old).ok().map(|i| i as u32);
             indices.iter().filter_map(new).collect()
         };
         let lane = |lane: &GlobalLane| Lane {
@@ -101,7 +106,7 @@ impl Cutter {
             predecessors: links(&lane.predecessors),
             speed_limit_mps: None,
         };
-        kept.iter().map(|i| lane(&lanes[*i])).collect()
+        kept.iter().map(|i| lane(&map.lanes[*i as usize])).collect()
     }
 }
 
@@ -113,15 +118,15 @@ fn beyond(points: &Bounds, rect: &Bounds) -> u8 {
         | u8::from(points.min[1] > rect.max[1]) << 3
 }
 
-/// A ring without points that lie, with both their neighbours, beyond one side of the rectangle: the shorter way
-/// between the neighbours lies beyond that side as well.
+/// Gives `keep` the points of a ring but those that lie, with both their neighbours, beyond one side of the rectangle:
+/// the shorter way between the neighbours lies beyond that side as well.
 ///
 /// `blocks` are the boxes round [`BLOCK_POINTS`] points after one another, or nothing; they only make it faster.
-fn near_ring(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds) -> Vec<[f64; 2]> {
+fn near_ring(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds, mut keep: impl FnMut(&[f64; 2])) {
     let beyond_at = |point: &[f64; 2]| beyond(&Bounds { min: *point, max: *point }, rect);
-    let Some(first) = points.first() else { return Vec::new() };
+    let Some(first) = points.first() else { return };
     // one point is left out at a time, so the neighbour before is the last one kept; the first point always stays
-    let mut near = vec![*first];
+    keep(first);
     let mut before = beyond_at(first);
     let mut here = beyond_at(points.get(1).unwrap_or(first));
     let mut i = 1;
@@ -136,13 +141,12 @@ fn near_ring(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds) -> Vec<[f64;
         }
         let after = beyond_at(points.get(i + 1).unwrap_or(first));
         if before & here & after == 0 {
-            near.push(points[i]);
+            keep(&points[i]);
             before = here;
         }
         here = after;
         i += 1;
     }
-    near
 }
 
 /// Appends the pieces of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
@@ -218,6 +222,12 @@ mod tests {
         assert!((length(&pieces[0]) - 1.0).abs() < 1e-6 && (length(&pieces[1]) - 0.5).abs() < 1e-6);
     }
 
+    fn near(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds) -> Vec<[f64; 2]> {
+        let mut near = Vec::new();
+        near_ring(points, blocks, rect, |point| near.push(*point));
+        near
+    }
+
     proptest! {
         #[test]
         fn rings_cut_short_have_the_same_part_in_the_rectangle(
@@ -236,7 +246,7 @@ mod tests {
                 let polygon = Polygon::from_exterior(points);
                 polygon.clip_to_rect(Point2::new(-1.0, -1.0), Point2::new(1.0, 1.0)).unwrap_or_default()
             };
-            let (whole, short) = (clipped(&ring), clipped(&near_ring(&ring, &[], &rect)));
+            let (whole, short) = (clipped(&ring), clipped(&near(&ring, &[], &rect)));
             prop_assert!((whole.area() - short.area()).abs() < 1e-4, "{} {}", whole.area(), short.area());
             for i in 0..100 {
                 let point = Point2::new((i % 10) as Real * 0.199 - 0.9, (i / 10) as Real * 0.199 - 0.9);
@@ -257,7 +267,7 @@ mod tests {
             };
             let ring: Vec<[f64; 2]> = steps.iter().enumerate().map(walk).collect();
             let rect = Bounds { min: [-2.0, 3.0], max: [4.0, 9.0] };
-            prop_assert_eq!(near_ring(&ring, &Bounds::of_blocks(&ring), &rect), near_ring(&ring, &[], &rect));
+            prop_assert_eq!(near(&ring, &Bounds::of_blocks(&ring), &rect), near(&ring, &[], &rect));
         }
 
         #[test]

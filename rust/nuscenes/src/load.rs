@@ -14,6 +14,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
+/// About what the allocations of one scene take. glibc grows the heap of a thread page by page, each time with a system
+/// call that holds up the other threads' page faults: one piece of this size, given back at once, grows it in one.
+const SCENE_BYTES: usize = 96 << 10;
+
 /// Scenes and what the load has to say about them.
 #[derive(Debug, Clone)]
 pub struct Loaded {
@@ -100,6 +104,7 @@ impl Load<'_> {
             self.report.timing.read_s = lap.take();
             let build = |(logged, (slot, scene_idx)): (_, (&usize, &usize))| {
                 let entry = &entries[*scene_idx];
+                drop(std::hint::black_box(Vec::<u8>::with_capacity(SCENE_BYTES)));
                 let map = maps.get(&entry.location).and_then(|(map, _)| map.as_ref());
                 let built = build_scene(entry, logged, map, &self.source, &self.options.build)?;
                 if let Some(keys) = &keys {

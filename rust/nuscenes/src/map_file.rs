@@ -88,8 +88,13 @@ pub(crate) struct GlobalLane {
     pub(crate) polygon: Option<GlobalPolygon>,
     pub(crate) successors: Vec<u32>,
     pub(crate) predecessors: Vec<u32>,
-    /// Round centre line and polygon.
-    pub(crate) bounds: Bounds,
+}
+
+impl GlobalLane {
+    /// Box round centre line and polygon.
+    fn bounds(&self) -> Bounds {
+        Bounds::of(self.centreline.iter().chain(self.polygon.iter().flat_map(|p| &p.exterior)))
+    }
 }
 
 /// The whole map of one location.
@@ -97,6 +102,8 @@ pub(crate) struct GlobalLane {
 pub(crate) struct GlobalMap {
     pub(crate) drivable_area: Vec<GlobalPolygon>,
     pub(crate) lanes: Vec<GlobalLane>,
+    /// Boxes round the lanes, which every scene looks through.
+    pub(crate) lane_bounds: Vec<Bounds>,
     pub(crate) road_dividers: Vec<GlobalLine>,
     pub(crate) lane_dividers: Vec<GlobalLine>,
     pub(crate) ped_crossings: Vec<GlobalPolygon>,
@@ -119,6 +126,7 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
     let file = MapText::new(&bytes, path)?;
     let assembler = Assembler::new(&file, path)?;
     let mut report = MapReport { location: location.to_owned(), ..MapReport::default() };
+    let lanes = assembler.lanes(&mut report)?;
     let map = GlobalMap {
         drivable_area: assembler.drivable_area(&mut report)?,
         ped_crossings: assembler.areas("ped_crossing", &mut report)?,
@@ -127,7 +135,8 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
         carpark_areas: assembler.areas("carpark_area", &mut report)?,
         road_dividers: assembler.dividers("road_divider", &mut report)?,
         lane_dividers: assembler.dividers("lane_divider", &mut report)?,
-        lanes: assembler.lanes(&mut report)?,
+        lane_bounds: lanes.iter().map(GlobalLane::bounds).collect(),
+        lanes,
     };
     report.layers = [
         ("drivable_area", map.drivable_area.len()),
@@ -388,9 +397,8 @@ impl<'a> Assembler<'a> {
             NuscenesError::Value { path, token, field, got, expected }
         })?;
         let polygon = if row.has(1)? { self.polygon(&id, row.token(1)?)? } else { None };
-        let bounds = Bounds::of(centreline.iter().chain(polygon.iter().flat_map(|p| &p.exterior)));
         let (successors, predecessors) = (Vec::new(), Vec::new());
-        Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors, bounds })
+        Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })
     }
 
     fn lanes(&self, report: &mut MapReport) -> Result<Vec<GlobalLane>> {

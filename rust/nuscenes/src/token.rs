@@ -3,6 +3,9 @@
 use std::fmt;
 use xxhash_rust::xxh3::xxh3_128;
 
+/// One in each of eight bytes.
+const EACH: u64 = 0x0101_0101_0101_0101;
+
 /// A token of the data set in 16 bytes: the value of 32 lower-case hexadecimal digits, otherwise a hash of the text.
 ///
 /// Official tokens are of the first kind. Two different texts with one value would be reported as a duplicate or a
@@ -21,28 +24,22 @@ impl Token {
     }
 }
 
-/// Values of lower-case hexadecimal digits; 255 for other bytes.
-const DIGITS: [u8; 256] = {
-    let mut digits = [255; 256];
-    let mut value = 0;
-    while value < 16 {
-        digits[b"0123456789abcdef"[value] as usize] = value as u8;
-        value += 1;
-    }
-    digits
-};
-
+/// The value of 32 lower-case hexadecimal digits, eight of them at a time.
 fn hex_value(bytes: &[u8]) -> Option<u128> {
     let bytes: &[u8; 32] = bytes.try_into().ok()?;
-    let (mut halves, mut seen) = ([0_u64; 2], 0);
-    for (half, digits) in halves.iter_mut().zip(bytes.as_chunks::<16>().0) {
-        for byte in digits {
-            let digit = DIGITS[*byte as usize];
-            seen |= digit;
-            *half = *half << 4 | u64::from(digit & 15);
-        }
+    let (mut value, mut wrong) = (0, 0);
+    for digits in bytes.as_chunks::<8>().0 {
+        let text = u64::from_be_bytes(*digits);
+        // letters have bit 6, and 1 to 6 in their lower half
+        let nibbles = ((text & EACH * 0x0f) + (text >> 6 & EACH) * 9) & EACH * 0x0f;
+        // what is not a digit is not what its value is written as
+        let is_letter = (nibbles + EACH * 6) >> 4 & EACH;
+        wrong |= text ^ (nibbles + EACH * 0x30 + is_letter * 0x27);
+        let pairs = (nibbles | nibbles >> 4) & 0x00ff_00ff_00ff_00ff;
+        let fours = (pairs | pairs >> 8) & 0x0000_ffff_0000_ffff;
+        value = value << 32 | u128::from((fours | fours >> 16) as u32);
     }
-    (seen < 16).then_some(u128::from(halves[0]) << 64 | u128::from(halves[1]))
+    (wrong == 0).then_some(value)
 }
 
 /// For messages: the digits of an official token; of any other only its hash is known.
@@ -55,6 +52,23 @@ impl fmt::Display for Token {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn digits_are_read_as_the_standard_library_reads_them(
+            value in any::<u128>(),
+            place in 0_usize..32,
+            other in any::<u8>(),
+        ) {
+            let mut text = format!("{value:032x}").into_bytes();
+            prop_assert_eq!(hex_value(&text), Some(value));
+            text[place] = other;
+            let known = std::str::from_utf8(&text).ok();
+            let known = known.filter(|t| !t.contains(|c: char| c == '+' || c.is_ascii_uppercase()));
+            prop_assert_eq!(hex_value(&text), known.and_then(|t| u128::from_str_radix(t, 16).ok()));
+        }
+    }
 
     #[test]
     fn official_tokens_keep_their_digits_and_others_are_told_apart() {
