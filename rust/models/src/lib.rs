@@ -44,8 +44,12 @@ pub fn device_named(name: &str) -> Result<tch::Device> {
     let fail = |expected| Err(ModelError::Config { field: "device", got: format!("{name:?}"), expected });
     match name {
         "cpu" => Ok(tch::Device::Cpu),
-        "cuda" if tch::Cuda::is_available() => Ok(tch::Device::Cuda(0)),
-        "cuda" => fail("a device that torch finds"),
+        "cuda" => {
+            let device = tch::Device::Cuda(0);
+            // what torch says it has is not always what it can use
+            let tried = tch::Tensor::f_zeros([1], (tch::Kind::Float, device));
+            tried.map(|_| device).or_else(|_| fail("a device that torch can use"))
+        }
         _ => fail("\"cpu\" or \"cuda\""),
     }
 }

@@ -32,9 +32,15 @@ pub(crate) fn from_sim(error: SimError) -> PyErr {
         SimError::ResetNeeded { .. } => py::ResetNeededError::new_err(message),
         SimError::Unknown { .. } => py::UnknownNameError::new_err(message),
         SimError::Snapshot(_) => py::SnapshotError::new_err(message),
-        SimError::Policy { .. } => py::PolicyError::new_err(message),
+        SimError::Policy { .. } => policy_failed(message),
         _ => py::ConfigError::new_err(message),
     }
+}
+
+/// The Python exception for what libtorch refuses: that of the Python code which torch called (a dispatch mode, a hook),
+/// where it raised one.
+pub(crate) fn policy_failed(message: String) -> PyErr {
+    Python::attach(PyErr::take).unwrap_or_else(|| py::PolicyError::new_err(message))
 }
 
 /// The Python exception for a loader error.

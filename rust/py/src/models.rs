@@ -1,6 +1,6 @@
 //! Bindings of `ccdiff_models`: training runs and planners.
 
-use crate::errors::py;
+use crate::errors::{policy_failed, py};
 use crate::scene::PyScene;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
@@ -37,7 +37,7 @@ pub(crate) fn from_model(error: ModelError) -> PyErr {
         ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
         ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
         ModelError::Sim(source) => crate::errors::from_sim(source),
-        _ => py::PolicyError::new_err(message),
+        _ => policy_failed(message),
     }
 }
 

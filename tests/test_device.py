@@ -1,0 +1,207 @@
+"""What runs with ``device="cuda"``, checked without a GPU.
+
+Tensors that torch takes for CUDA tensors hold ordinary ones inside: every operation of libtorch,
+called from Rust or not, comes by here, is refused where it mixes devices as CUDA would refuse it,
+and is carried out on the processor. So the figures must be those of ``device="cpu"``. What this
+cannot show: memory, speed, kernels that CUDA lacks, and the backward pass, which torch runs in a
+thread of the device.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map
+
+import ccdiff_env
+from ccdiff_env import _native, make_vec
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.traffic import CcdiffConfig
+
+aten = torch.ops.aten
+
+needs_no_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU to run on")
+
+
+class Pretended(torch.Tensor):
+    """A tensor that says it is on CUDA."""
+
+    held: torch.Tensor
+
+    @staticmethod
+    def __new__(cls, held: torch.Tensor) -> Pretended:
+        """Wrap a tensor of the processor."""
+        made = torch.Tensor._make_wrapper_subclass(
+            cls,
+            held.size(),
+            strides=held.stride(),
+            storage_offset=held.storage_offset(),
+            dtype=held.dtype,
+            device="cuda:0",
+        )
+        made.held = held
+        return made  # type: ignore[no-any-return]
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Run an operation on the held tensors."""
+        return carried_out(func, args, kwargs or {})
+
+
+def carried_out(func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """What an operation gives, on the device where CUDA would leave it."""
+    tensors = [x for x in tree_leaves((args, kwargs)) if isinstance(x, torch.Tensor)]
+    pretended = [x for x in tensors if isinstance(x, Pretended)]
+    moves = func in (aten._to_copy.default, aten.copy_.default)
+    if pretended and not moves and any(x.dim() for x in tensors if not isinstance(x, Pretended)):
+        raise RuntimeError(f"{func}: tensors on two devices")
+    on_cuda = isinstance(args[0], Pretended) if func is aten.copy_.default else bool(pretended)
+    if kwargs.get("device") is not None:
+        on_cuda = torch.device(kwargs["device"]).type == "cuda"
+        kwargs = {**kwargs, "device": torch.device("cpu")}
+    args, kwargs = tree_map(lambda x: x.held if isinstance(x, Pretended) else x, (args, kwargs))
+    if func is aten.cudnn_batch_norm.default:
+        made = (*aten.native_batch_norm.default(*args), torch.empty(0, dtype=torch.uint8))
+    else:
+        made = func(*args, **kwargs)
+    known = {id(x.held): x for x in pretended}
+
+    def wrapped(x: Any) -> Any:
+        if not on_cuda or not isinstance(x, torch.Tensor):
+            return x
+        # operations in place give back what they were given
+        return known[id(x)] if id(x) in known else Pretended(x)
+
+    return tree_map(wrapped, made)
+
+
+class PretendCuda(TorchDispatchMode):
+    """Within it, there is a CUDA device."""
+
+    def __init__(self, *, stops_before_backward: bool = False) -> None:
+        super().__init__()
+        self.num_on_cuda = 0
+        self.stops_before_backward = stops_before_backward
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Run an operation; count those on CUDA."""
+        if self.stops_before_backward and func is aten.ones_like.default and args[0].dim() == 0:
+            raise RuntimeError("the forward pass is done")
+        made = carried_out(func, args, kwargs or {})
+        self.num_on_cuda += any(isinstance(x, Pretended) for x in tree_leaves(made))
+        return made
+
+
+@pytest.fixture(autouse=True)
+def guards_for_cuda() -> None:
+    torch._C._ensureCUDADeviceGuardSet()
+
+
+def test_tensors_on_two_devices_are_refused_and_moved_ones_are_not() -> None:
+    with PretendCuda() as cuda:
+        here, there = torch.ones(3), Pretended(torch.ones(3))
+        assert there.device.type == "cuda"
+        with pytest.raises(RuntimeError, match="two devices"):
+            here + there
+        assert (there + 1.0).device.type == "cuda"
+        assert (here + there.cpu()).tolist() == [2.0, 2.0, 2.0]
+    assert cuda.num_on_cuda == 1
+
+
+@needs_no_gpu
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(ConfigError, match="cuda"):
+        Planner(shipped_weights(), device="cuda")
+
+
+@needs_no_gpu
+def test_plans_on_cuda_are_those_of_the_processor() -> None:
+    scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
+
+    def plans(device: str) -> Any:
+        return Planner(shipped_weights(), device=device).plan(
+            scenes,
+            [30, 30],
+            solver_steps=3,
+            num_samples=2,
+            guidance_weight=1.5,
+            guidance="paper",
+            guided=[[0, 1], [1]],
+            attention=True,
+        )
+
+    with PretendCuda() as cuda:
+        on_cuda = plans("cuda")
+    assert cuda.num_on_cuda > 1000
+    for ours, theirs in zip(on_cuda, plans("cpu"), strict=True):
+        np.testing.assert_allclose(ours.states, theirs.states, atol=2e-3)
+        np.testing.assert_allclose(ours.attention, theirs.attention, atol=1e-4)
+        np.testing.assert_array_equal(ours.chosen, theirs.chosen)
+
+
+@needs_no_gpu
+def test_traffic_on_cuda_is_that_of_the_processor() -> None:
+    scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
+
+    def observations(device: Any) -> np.ndarray:
+        config = CcdiffConfig(
+            device=device,
+            criticality=1.0,
+            num_samples=2,
+            cfg_weight=1.5,
+            ranking="gradient",
+            explain=True,
+        )
+        worlds = make_vec(scenes=scenes, num_envs=2, traffic="ccdiff", ccdiff=config)
+        seen = [worlds.reset(seed=0)[0]]
+        seen += [worlds.step(np.zeros((2, 2), np.float32))[0] for _ in range(7)]
+        return np.stack(seen)
+
+    with PretendCuda() as cuda:
+        on_cuda = observations("cuda")
+    assert cuda.num_on_cuda > 1000
+    np.testing.assert_allclose(on_cuda, observations("cpu"), atol=2e-3)
+
+
+@needs_no_gpu
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_training_on_cuda_gets_to_its_backward_pass_and_its_state_can_be_kept(
+    preset: str, tmp_path: Path
+) -> None:
+    scenes = list(ccdiff_env.embedded_scenes("val"))
+    model, training = (json.loads(text) for text in _native.model_preset(preset))
+    training |= {"batch_scenes": 2}
+
+    def trainer(device: str) -> Any:
+        return _native.Trainer(
+            scenes[:2],
+            scenes[2:3],
+            json.dumps(model),
+            json.dumps(training),
+            device=device,
+            stride=10,
+            smooth=False,
+            estimate=False,
+        )
+
+    torch.manual_seed(0)
+    with PretendCuda(stops_before_backward=True) as cuda:
+        there = trainer("cuda")
+        there.save(tmp_path / "state.safetensors")
+        there.resume(tmp_path / "state.safetensors")
+        there.export(tmp_path / "weights.safetensors", "{}")
+        found = there.validate(2, solver_steps=2, num_samples=1, guidance_weight=1.0)
+        with pytest.raises(RuntimeError, match="the forward pass is done"):
+            there.run(1)
+    assert cuda.num_on_cuda > 300
+    here = trainer("cpu")
+    here.resume(tmp_path / "state.safetensors")
+    expected = here.validate(2, solver_steps=2, num_samples=1, guidance_weight=1.0)
+    assert found == pytest.approx(expected, abs=1e-2)
