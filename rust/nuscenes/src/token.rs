@@ -31,7 +31,8 @@ fn hex_value(bytes: &[u8]) -> Option<u128> {
     for digits in bytes.as_chunks::<8>().0 {
         let text = u64::from_be_bytes(*digits);
         // letters have bit 6, and 1 to 6 in their lower half
-        let nibbles = ((text & EACH * 0x0f) + (text >> 6 & EACH) * 9) & EACH * 0x0f;
+        let lower_half = EACH * 0x0f;
+        let nibbles = ((text & lower_half) + (text >> 6 & EACH) * 9) & lower_half;
         // what is not a digit is not what its value is written as
         let is_letter = (nibbles + EACH * 6) >> 4 & EACH;
         wrong |= text ^ (nibbles + EACH * 0x30 + is_letter * 0x27);
