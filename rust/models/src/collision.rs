@@ -5,7 +5,7 @@
 //! hurry. The yaw rate takes no gradient: the loss teaches to brake, not to swerve.
 
 use crate::batch::{Batch, Targets};
-use crate::ccdiff::Network;
+use crate::plan_space::PlanSpace;
 use crate::unicycle;
 use tch::{Kind, Tensor};
 
@@ -92,14 +92,14 @@ impl Neighbours {
     /// Mean overrun of plans, each row weighted by `share` [R], metres. `knots` are normalised [R, knots, 2].
     pub(crate) fn loss(
         &self,
-        network: &Network,
+        space: &PlanSpace,
         knots: &Tensor,
         speed_mps: &Tensor,
         share: &Tensor,
     ) -> Tensor {
-        let actions = network.actions(knots);
+        let actions = space.actions(knots);
         let actions = Tensor::stack(&[actions.select(2, 0), actions.select(2, 1).detach()], 2);
-        let states = unicycle::rollout(&actions, speed_mps, network.config().dt_s);
+        let states = unicycle::rollout(&actions, speed_mps, space.config().dt_s);
         (self.overrun_m(&states, GAP_M) * share.unsqueeze(1)).mean(Kind::Float)
     }
 
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
     use crate::config::ModelConfig;
     use crate::features::{EDGE_FEATURES, HISTORY_FEATURES};
-    use tch::{Device, nn};
+    use tch::Device;
 
     const STEPS: i64 = 52;
 
@@ -186,20 +186,19 @@ mod tests {
     #[test]
     fn the_loss_brakes_and_does_not_steer() {
         let config = ModelConfig { map: None, ..ModelConfig::fast() };
-        let store = nn::VarStore::new(Device::Cpu);
-        let network = Network::new(&store.root(), &config);
+        let space = PlanSpace::new(&config, Device::Cpu);
         let (batch, targets) = pair([25.0, 0.6], 0.1, 3.0);
         let neighbours = Neighbours::new(&batch, &targets).unwrap();
         let knots = Tensor::zeros([2, 13, 2], (Kind::Float, Device::Cpu)).set_requires_grad(true);
         let share = Tensor::from_slice(&[1f32, 1.0]);
-        let loss = neighbours.loss(&network, &knots, &batch.speed_mps, &share);
+        let loss = neighbours.loss(&space, &knots, &batch.speed_mps, &share);
         assert!(loss.double_value(&[]) > 0.0);
         loss.backward();
         let gradient = knots.grad();
         assert!(gradient.get(0).select(1, 0).get(0).double_value(&[]) > 0.0, "less acceleration, less loss");
         assert_eq!(gradient.select(2, 1).abs().max().double_value(&[]), 0.0, "the yaw rate");
         assert_eq!(gradient.get(1).abs().max().double_value(&[]), 0.0, "who is hit from behind");
-        let none = neighbours.loss(&network, &knots, &batch.speed_mps, &Tensor::from_slice(&[0f32, 1.0]));
+        let none = neighbours.loss(&space, &knots, &batch.speed_mps, &Tensor::from_slice(&[0f32, 1.0]));
         assert_eq!(none.double_value(&[]), 0.0, "a row's share");
     }
 

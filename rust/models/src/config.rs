@@ -3,6 +3,24 @@
 use crate::error::{ModelError, Result};
 use serde::{Deserialize, Serialize};
 
+/// Which network it is, by its name in files, options and tables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelKind {
+    /// Scene diffusion over the decision causal graph.
+    #[default]
+    Ccdiff,
+}
+
+impl ModelKind {
+    /// The name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ccdiff => "ccdiff",
+        }
+    }
+}
+
 /// How an agent's history becomes tokens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -85,9 +103,12 @@ impl Default for Normalisation {
     }
 }
 
-/// Sizes and switches of a CCDiff network.
+/// Sizes and switches of a planning network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
+    /// Which network.
+    #[serde(default)]
+    pub kind: ModelKind,
     /// Name of the preset this came from.
     pub preset: String,
     /// History steps, the current one included.
@@ -145,6 +166,7 @@ impl ModelConfig {
     /// Differs from the released code: the map is attended to (method.md 2.5), every social layer is masked by G.
     pub fn paper() -> Self {
         Self {
+            kind: ModelKind::Ccdiff,
             preset: "paper".into(),
             history_steps: 31,
             horizon_steps: 52,

@@ -1,8 +1,8 @@
 //! Policies on libtorch: the one crate that links it.
 //!
 //! ```text
-//! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► ccdiff::Network
-//!                                                    dataset, train ◄── losses       │
+//! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► PlanModel
+//!                                                    dataset, train ◄── losses       │ (ccdiff, …)
 //!                                                    sampler, planner ◄──────────────┘ clean action knots
 //! ```
 //! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour
@@ -14,14 +14,19 @@ pub mod checkpoint;
 mod collision;
 pub mod config;
 pub mod dataset;
+pub mod diffusion;
 pub mod error;
 pub mod features;
 pub mod grad;
 pub mod guidance;
+mod layers;
+mod losses;
 pub mod noise;
 mod optimiser;
 mod pace;
 mod perturb;
+pub mod plan_model;
+pub mod plan_space;
 pub mod planner;
 pub mod raster;
 pub mod sampler;

@@ -1,7 +1,8 @@
 //! Adam with moments that can be saved, and the moving average of the weights.
 
-use crate::ccdiff::Network;
 use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::plan_model::{self, PlanModel};
 use std::collections::BTreeMap;
 use tch::{Kind, Tensor, nn};
 
@@ -65,20 +66,20 @@ impl Adam {
 #[derive(Debug)]
 pub(crate) struct MovingAverage {
     pub(crate) store: nn::VarStore,
-    pub(crate) network: Network,
+    pub(crate) model: Box<dyn PlanModel>,
     pairs: Vec<(Tensor, Tensor)>,
 }
 
 impl MovingAverage {
-    pub(crate) fn new(source: &nn::VarStore, config: &ModelConfig) -> Self {
+    pub(crate) fn new(source: &nn::VarStore, config: &ModelConfig) -> Result<Self> {
         let mut store = nn::VarStore::new(source.device());
-        let network = Network::new(&store.root(), config);
+        let model = plan_model::build(&store.root(), config)?;
         store.freeze();
         let pairs: Vec<(Tensor, Tensor)> =
             variables(&store).into_values().zip(variables(source).into_values()).collect();
-        let mut average = Self { store, network, pairs };
+        let mut average = Self { store, model, pairs };
         average.follow(0.0);
-        average
+        Ok(average)
     }
 
     /// average ← decay · average + (1 - decay) · source.

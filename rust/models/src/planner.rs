@@ -1,7 +1,6 @@
 //! Plans for the agents of many worlds at once: the network behind the background policy.
 
 use crate::batch::{Batch, row_offsets};
-use crate::ccdiff::Network;
 use crate::checkpoint;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
@@ -9,9 +8,9 @@ use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
 use crate::guidance::{GuidanceConfig, GuidanceReport, Guide, Situation, WorldGuide};
 use crate::optimiser::variables;
+use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
-use crate::sampler::{self, SampleOptions, Samples, Solver, to_vec};
-use crate::schedule::Schedule;
+use crate::sampler::{SampleOptions, Samples, Solver, to_vec};
 use rayon::prelude::*;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
@@ -106,8 +105,7 @@ impl Plan {
 /// A loaded network.
 #[derive(Debug)]
 pub struct Planner {
-    network: Network,
-    schedule: Schedule,
+    network: Box<dyn PlanModel>,
     header: serde_json::Value,
     store: nn::VarStore,
     device: Device,
@@ -123,28 +121,27 @@ impl Planner {
     pub fn load(path: &Path, device: Device) -> Result<Self> {
         guarded(false, "loading weights", || {
             let (header, tensors) = checkpoint::read(path)?;
+            let config = checkpoint::field::<ModelConfig>(path, &header, "model")?.validated()?;
             let kind: String = checkpoint::field(path, &header, "kind")?;
-            if kind != "ccdiff" {
+            if kind != config.kind.name() {
                 return Err(ModelError::Checkpoint {
                     path: path.to_path_buf(),
                     entry: "kind".into(),
                     got: format!("{kind:?}"),
-                    expected: "\"ccdiff\"".into(),
+                    expected: format!("weights of {:?}", config.kind.name()),
                 });
             }
-            let config = checkpoint::field::<ModelConfig>(path, &header, "model")?.validated()?;
             let mut store = nn::VarStore::new(device);
-            let network = Network::new(&store.root(), &config);
+            let network = plan_model::build(&store.root(), &config)?;
             store.freeze();
             checkpoint::fill(path, &tensors, "", &mut variables(&store))?;
-            let schedule = Schedule::cosine(config.diffusion_steps)?;
-            Ok(Self { network, schedule, header, store, device, inputs: config })
+            Ok(Self { network, header, store, device, inputs: config })
         })
     }
 
     /// The network's configuration.
     pub fn config(&self) -> &ModelConfig {
-        self.network.config()
+        self.network.space().config()
     }
 
     /// The file's JSON header.
@@ -174,7 +171,7 @@ impl Planner {
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
         let options = options.clone().validated()?;
-        let config = self.network.config();
+        let config = self.network.space().config();
         let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
@@ -226,13 +223,12 @@ impl Planner {
         options: &PlanOptions,
         guide: Option<&mut Guide<'_>>,
     ) -> Result<Drawn> {
-        let (net, n) = (&self.network, options.sampling.num_samples as i64);
+        let (space, n) = (self.network.space(), options.sampling.num_samples as i64);
         let features: Vec<&SceneFeatures> = features.iter().collect();
-        let batch = Batch::new(&features, net.config(), self.device)?;
-        let Samples { knots, attention } =
-            sampler::sample(net, &self.schedule, &batch, seeds, options.sampling, guide)?;
-        let attention = options.attention.then(|| {
-            let (config, size) = (net.config(), attention.size());
+        let batch = Batch::new(&features, space.config(), self.device)?;
+        let Samples { knots, attention } = self.network.propose(&batch, seeds, options.sampling, guide)?;
+        let attention = attention.filter(|_| options.attention).map(|attention| {
+            let (config, size) = (space.config(), attention.size());
             let history = config.history_token_steps().len() as i64;
             let executed = options.guidance.as_ref().and_then(|g| g.executed_steps);
             let tokens = executed.map_or(config.num_knots(), |s| s.div_ceil(config.knot_stride));
@@ -241,8 +237,8 @@ impl Planner {
             to_vec(&plan.mean_dim([0i64, 3].as_slice(), false, Kind::Float))
         });
         Ok(Drawn {
-            actions: to_vec(&net.actions(&knots)),
-            states: to_vec(&net.states(&knots, &batch.speed_mps.repeat([n]))),
+            actions: to_vec(&space.actions(&knots)),
+            states: to_vec(&space.states(&knots, &batch.speed_mps.repeat([n]))),
             knots: to_vec(&knots),
             attention,
         })

@@ -1,7 +1,7 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
 use crate::batch::{Batch, row_offsets};
-use crate::ccdiff::Network;
+use crate::diffusion::Denoiser;
 use crate::error::{ModelError, Result};
 use crate::guidance::{Guide, GuideStep, Target};
 use crate::noise::Noise;
@@ -62,9 +62,21 @@ impl SampleOptions {
     }
 }
 
-/// Standard normal noise [N · R, knots, 2], sample by sample. A world's numbers depend on its own seed, the stream and
+/// Checks that there is one seed per scene.
+pub(crate) fn check_seeds(batch: &Batch, seeds: &[u64]) -> Result<()> {
+    if seeds.len() == batch.scene_sizes.len() {
+        return Ok(());
+    }
+    Err(ModelError::Shape {
+        what: "seeds",
+        got: seeds.len().to_string(),
+        expected: format!("{} (one per scene)", batch.scene_sizes.len()),
+    })
+}
+
+/// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
 /// its own agents alone, not on the worlds beside it.
-fn noise(batch: &Batch, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
+pub(crate) fn noise(batch: &Batch, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
     let rows: usize = batch.scene_sizes.iter().sum();
     let mut out = vec![0.0; samples * rows * per_row];
     for ((size, offset), seed) in batch.scene_sizes.iter().zip(row_offsets(&batch.scene_sizes)).zip(seeds) {
@@ -83,8 +95,8 @@ pub struct Samples {
     /// Clean normalised knots [N · R, knots, 2], sample by sample.
     pub knots: Tensor,
     /// Attention of the last denoising step's conditional pass in the first edge-aware layer, mean of heads,
-    /// [N · R, K, tokens].
-    pub attention: Tensor,
+    /// [N · R, K, tokens]; `None` for a network without it.
+    pub attention: Option<Tensor>,
 }
 
 /// From a noisy plan and the clean one predicted from it to the mean of the next one.
@@ -103,8 +115,8 @@ struct Update {
 ///
 /// # Errors
 /// [`ModelError::Shape`] for a wrong number of seeds, [`ModelError::Config`] for bad options.
-pub fn sample(
-    network: &Network,
+pub fn sample<D: Denoiser>(
+    network: &D,
     schedule: &Schedule,
     batch: &Batch,
     seeds: &[u64],
@@ -112,14 +124,8 @@ pub fn sample(
     mut guide: Option<&mut Guide<'_>>,
 ) -> Result<Samples> {
     let options = options.validated()?;
-    if seeds.len() != batch.scene_sizes.len() {
-        return Err(ModelError::Shape {
-            what: "seeds",
-            got: seeds.len().to_string(),
-            expected: format!("{} (one per scene)", batch.scene_sizes.len()),
-        });
-    }
-    let knots = network.config().num_knots();
+    check_seeds(batch, seeds)?;
+    let knots = network.space().config().num_knots();
     let device = batch.speed_mps.device();
     let rows = options.num_samples as i64 * batch.num_rows();
     let normal = |stream: u64| {
@@ -128,18 +134,18 @@ pub fn sample(
     };
     let repeat = |b: &Batch| {
         let context = network.encode(b, false);
-        if options.num_samples == 1 { context } else { context.repeated(options.num_samples as i64) }
+        if options.num_samples == 1 { context } else { D::repeated(&context, options.num_samples as i64) }
     };
     let cond = repeat(batch);
     let w = options.guidance_weight;
-    let uncond = (w > 1.0).then(|| repeat(&batch.with_identity_graph(network.config())));
-    let mut attention = Tensor::new();
+    let uncond = (w > 1.0).then(|| repeat(&batch.with_identity_graph(network.space().config())));
+    let mut attention = None;
     let mut clean = |x: &Tensor, k: usize| {
         let steps = Tensor::full([rows], k as i64, (Kind::Int64, device));
-        let (x0, weights) = network.denoise_explained(&cond, x, &steps);
+        let (x0, weights) = network.predict(&cond, x, &steps);
         attention = weights;
         match &uncond {
-            Some(context) => network.denoise(context, x, &steps) * (1.0 - w) + x0 * w,
+            Some(context) => network.predict(context, x, &steps).0 * (1.0 - w) + x0 * w,
             None => x0,
         }
     };

@@ -1,28 +1,20 @@
-//! Training: the 6-component loss through the unicycle, counterfactual dropping of G, exact resume.
+//! Training of planning networks, with exact resume.
 //!
 //! Everything random is a function of (seed, step), so the state of a run is its step, weights, averages and moments.
 
-use crate::batch::{Batch, Targets};
-use crate::ccdiff::Network;
+use crate::batch::Targets;
 use crate::checkpoint;
-use crate::collision::Neighbours;
 use crate::config::ModelConfig;
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
-use crate::noise::Noise;
 use crate::optimiser::{Adam, MovingAverage, variables};
-use crate::sampler::{self, SampleOptions};
-use crate::schedule::Schedule;
+use crate::plan_model::{self, Lesson, PlanModel};
+use crate::sampler::SampleOptions;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
-
-/// Bounds of logged actions before they are noised: jumps of the log beyond them are label noise.
-const ACTION_BOUNDS: [(f64, f64); 2] = [(-10.0, 8.0), (-1.5, 1.5)];
-/// Streams of random numbers of one step.
-const STREAMS: u64 = 4;
 
 /// How a network is trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -140,9 +132,8 @@ pub struct Trainer {
     model: ModelConfig,
     config: TrainConfig,
     dataset: Dataset,
-    schedule: Schedule,
     store: nn::VarStore,
-    network: Network,
+    network: Box<dyn PlanModel>,
     average: MovingAverage,
     adam: Adam,
     step: u64,
@@ -158,10 +149,9 @@ impl Trainer {
         let (model, config) = (model.validated()?, config.validated()?);
         guarded(true, "building the network", || {
             let store = nn::VarStore::new(device);
-            let network = Network::new(&store.root(), &model);
-            let average = tch::no_grad(|| MovingAverage::new(&store, &model));
+            let network = plan_model::build(&store.root(), &model)?;
+            let average = tch::no_grad(|| MovingAverage::new(&store, &model))?;
             Ok(Self {
-                schedule: Schedule::cosine(model.diffusion_steps)?,
                 adam: Adam::new(&store),
                 store,
                 network,
@@ -207,46 +197,6 @@ impl Trainer {
         self.config.learning_rate * warm.min(1.0) * cool.max(0.0)
     }
 
-    fn draw(&self, stream: u64) -> Noise {
-        Noise::new(self.config.seed, self.step * STREAMS + stream)
-    }
-
-    /// Loss of one batch at this step's random draws.
-    fn loss(&self, batch: &Batch, targets: &Targets) -> Tensor {
-        let device = batch.speed_mps.device();
-        let (of_step, of_drop) = (self.draw(0), self.draw(1));
-        let per_scene = |f: &dyn Fn(u64) -> i64| -> Vec<i64> {
-            let scenes = batch.scene_sizes.iter().zip(0u64..);
-            scenes.flat_map(|(size, s)| std::iter::repeat_n(f(s), *size)).collect()
-        };
-        let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
-        let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < self.config.drop_graph));
-        let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
-        let batch = batch.with_graph_dropped(&dropped, &self.model);
-
-        let clean = self.network.knots_of(&logged_actions(targets));
-        let numbers = self.draw(2).normals(clean.numel());
-        let noise = Tensor::from_slice(&numbers).view_as(&clean).to_device(device);
-        let of_noise = |f: &dyn Fn(f64) -> f64| {
-            let values: Vec<f32> = k.iter().map(|k| f(self.schedule.alpha_bar[*k as usize]) as f32).collect();
-            Tensor::from_slice(&values).view([-1, 1, 1]).to_device(device)
-        };
-        let noisy = &clean * of_noise(&f64::sqrt) + noise * of_noise(&|a| (1.0 - a).sqrt());
-
-        let context = self.network.encode(&batch, true);
-        let steps = Tensor::from_slice(&k).to_device(device);
-        let predicted = self.network.denoise(&context, &noisy, &steps);
-        let states = self.network.states(&predicted, &batch.speed_mps);
-        let weight = self.config.collision_weight;
-        let neighbours = (weight > 0.0).then(|| Neighbours::new(&batch, targets)).flatten();
-        let Some(neighbours) = neighbours else {
-            return trajectory_loss(&self.network, &states, targets, &targets.valid);
-        };
-        let share = of_noise(&f64::sqrt).flatten(0, 2);
-        let driven_into = neighbours.loss(&self.network, &predicted, &batch.speed_mps, &share);
-        trajectory_loss(&self.network, &states, targets, &neighbours.examples(targets)) + driven_into * weight
-    }
-
     /// Takes `steps` training steps and returns their losses.
     ///
     /// # Errors
@@ -257,9 +207,11 @@ impl Trainer {
             for _ in 0..steps {
                 let indices =
                     self.dataset.indices_of_step(self.config.seed, self.step, self.config.batch_scenes);
-                let push = self.config.perturb.then(|| self.draw(3));
+                let push = self.config.perturb.then(|| plan_model::pushes(&self.config, self.step));
                 let (batch, targets) = self.dataset.batch(&indices, push, self.store.device())?;
-                let loss = self.loss(&batch, &targets);
+                let lesson =
+                    Lesson { batch: &batch, targets: &targets, config: &self.config, step: self.step };
+                let loss = self.network.loss(&lesson);
                 let value = loss.double_value(&[]);
                 if !value.is_finite() {
                     return Err(ModelError::Diverged { step: self.step, loss: value });
@@ -290,10 +242,10 @@ impl Trainer {
             for chunk in indices.chunks(32) {
                 let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
-                let net = &self.average.network;
-                let knots = sampler::sample(net, &self.schedule, &batch, &seeds, options, None)?.knots;
+                let model = &self.average.model;
+                let knots = model.propose(&batch, &seeds, options, None)?.knots;
                 let n = options.num_samples as i64;
-                let states = net.states(&knots, &batch.speed_mps.repeat([n]));
+                let states = model.space().states(&knots, &batch.speed_mps.repeat([n]));
                 errors.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
             }
             Ok(errors.means())
@@ -308,7 +260,7 @@ impl Trainer {
         guarded(false, "writing weights", || {
             let header = serde_json::json!({
                 "format": 1,
-                "kind": "ccdiff",
+                "kind": self.model.kind,
                 "model": self.model,
                 "training": self.config,
                 "step": self.step,
@@ -388,28 +340,6 @@ impl Trainer {
 pub fn settings_of(path: &Path) -> Result<(ModelConfig, TrainConfig)> {
     let (header, _) = guarded(false, "reading a training state", || checkpoint::read(path))?;
     Ok((checkpoint::field(path, &header, "model")?, checkpoint::field(path, &header, "training")?))
-}
-
-/// Logged actions [R, T, 2], bounded, zero where not logged.
-fn logged_actions(targets: &Targets) -> Tensor {
-    let bounded: Vec<Tensor> = ACTION_BOUNDS
-        .iter()
-        .zip(4..)
-        .map(|((low, high), c)| targets.states.select(2, c).clamp(*low, *high) * &targets.valid)
-        .collect();
-    Tensor::stack(&bounded, 2)
-}
-
-/// Mean squared error over the six normalised components of the steps that count [R, T] (method.md 2.9).
-///
-/// Differs from the released code: the mean is over logged steps, not over padding as well.
-fn trajectory_loss(network: &Network, states: &Tensor, targets: &Targets, counts: &Tensor) -> Tensor {
-    let config = network.config();
-    let difference = network.standardised_states(states) - network.standardised_states(&targets.states);
-    let weights =
-        Tensor::from_slice(&config.loss_weights).to_kind(Kind::Float).to_device(difference.device());
-    let per_step = (difference.square() * weights).mean_dim([2i64].as_slice(), false, Kind::Float);
-    (per_step * counts).sum(Kind::Float) / counts.sum(Kind::Float).clamp_min(1.0)
 }
 
 /// Sums of [`Validation`].

@@ -6,12 +6,6 @@
 //! ```
 //! [`Network::encode`] computes what does not depend on the noisy plan once; [`Network::denoise`] runs per step.
 
-mod edge;
-pub(crate) mod embed;
-mod map_encoder;
 mod network;
-mod resnet;
-mod social;
-mod temporal;
 
 pub use network::{Context, Network};

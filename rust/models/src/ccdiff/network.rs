@@ -1,13 +1,14 @@
 //! The whole network.
 
-use super::edge::{self, EdgeEncoder};
-use super::embed::{self, HistoryEmbedding, StepEmbedding, standardise};
-use super::map_encoder::MapNetwork;
-use super::social::{EdgeAwareLayer, PlainLayer, Slots};
-use super::temporal::{Attention, TemporalLayer};
 use crate::batch::Batch;
 use crate::config::{HistoryTokens, ModelConfig};
-use crate::unicycle::{self, Knots};
+use crate::diffusion::Denoiser;
+use crate::layers::attention::{Attention, TemporalLayer};
+use crate::layers::edge::{self, EdgeEncoder};
+use crate::layers::embed::{self, HistoryEmbedding, StepEmbedding};
+use crate::layers::map::MapNetwork;
+use crate::layers::social::{EdgeAwareLayer, PlainLayer, Slots};
+use crate::plan_space::PlanSpace;
 use tch::{Kind, Tensor, nn};
 
 /// Decoder rounds: the first ends in the edge-aware social layers, the second in a plain one.
@@ -23,8 +24,7 @@ struct Round {
 /// Weights of a CCDiff network and what is computed from its configuration.
 #[derive(Debug)]
 pub struct Network {
-    config: ModelConfig,
-    knots: Knots,
+    space: PlanSpace,
     history: HistoryEmbedding,
     noisy: nn::Linear,
     step: StepEmbedding,
@@ -72,10 +72,10 @@ impl Network {
         let tokens = config.history_token_steps().len() + config.num_knots();
         let hidden = config.social_feed_forward;
         Self {
-            knots: Knots::new(config, p.device()),
+            space: PlanSpace::new(config, p.device()),
             history: HistoryEmbedding::new(&(p / "history"), config),
             noisy: nn::linear(p / "noisy", 6 * config.knot_stride as i64, d, Default::default()),
-            step: StepEmbedding::new(&(p / "step"), config),
+            step: StepEmbedding::new(&(p / "step"), config.diffusion_steps, d),
             edges: EdgeEncoder::new(&(p / "edges"), config.edge_width),
             map: config.map.as_ref().map(|m| MapNetwork::new(&(p / "map"), m, config.history_steps)),
             rounds,
@@ -86,34 +86,30 @@ impl Network {
             plain: PlainLayer::new(&(p / "plain"), d, heads, config.feed_forward),
             out: nn::linear(p / "out", d, 2, Default::default()),
             positions: embed::positions(tokens, d, p.device()),
-            config: config.clone(),
         }
     }
 
     /// The configuration.
     pub fn config(&self) -> &ModelConfig {
-        &self.config
+        self.space.config()
     }
 
     /// Encodes histories, edges and maps. `train` switches batch normalisation.
     pub fn encode(&self, batch: &Batch, train: bool) -> Context {
-        let n = &self.config.normalisation;
-        let raw = &batch.history;
-        let available = raw.narrow(2, 7, 1);
-        let place = standardise(&raw.narrow(2, 0, 2), &n.history_mean[..2], &n.history_std[..2]);
-        let body = standardise(&raw.narrow(2, 4, 3), &n.history_mean[2..], &n.history_std[2..]);
-        let history = Tensor::cat(&[&place, &raw.narrow(2, 2, 2), &body, &available], 2) * &available;
-        let (edges, edge_available) = edge::at_tokens(&batch.edges, &self.config);
+        let config = self.config();
+        let history = embed::standardised_history(&batch.history, config);
+        let available = batch.history.narrow(2, 7, 1);
+        let (edges, edge_available) = edge::at_tokens(&batch.edges, config);
         let map_tokens = self.map.as_ref().zip(batch.image.as_ref()).map(|(m, i)| m.forward(i, train));
         let map = self
             .rounds
             .iter()
             .map(|r| r.map.as_ref().zip(map_tokens.as_ref()).map(|(a, t)| a.memory(t)))
             .collect();
-        let seen = (self.config.history == HistoryTokens::PerStep).then(|| {
+        let seen = (config.history == HistoryTokens::PerStep).then(|| {
             let past = available.squeeze_dim(2).gt(0.5);
-            let future = past.narrow(1, self.config.history_steps as i64 - 1, 1);
-            let future = future.expand([-1, self.config.num_knots() as i64], false);
+            let future = past.narrow(1, config.history_steps as i64 - 1, 1);
+            let future = future.expand([-1, config.num_knots() as i64], false);
             Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1)
         });
         Context {
@@ -126,30 +122,6 @@ impl Network {
         }
     }
 
-    /// Physical actions [R, T, 2] of normalised knots [R, knots, 2].
-    pub fn actions(&self, knots: &Tensor) -> Tensor {
-        let n = &self.config.normalisation;
-        let row = |v: &[f64]| Tensor::from_slice(v).to_kind(Kind::Float).to_device(knots.device());
-        self.knots.spread(&(knots * row(&n.action_std) + row(&n.action_mean)))
-    }
-
-    /// Normalised knots [R, knots, 2] that fit physical actions [R, T, 2] best.
-    pub fn knots_of(&self, actions: &Tensor) -> Tensor {
-        let n = &self.config.normalisation;
-        standardise(&self.knots.fit(actions), &n.action_mean, &n.action_std)
-    }
-
-    /// States [R, T, 6] of normalised knots, rolled out through the unicycle.
-    pub fn states(&self, knots: &Tensor, speed_mps: &Tensor) -> Tensor {
-        unicycle::rollout(&self.actions(knots), speed_mps, self.config.dt_s)
-    }
-
-    /// Trajectories in the units of the loss and of the network's input.
-    pub fn standardised_states(&self, states: &Tensor) -> Tensor {
-        let n = &self.config.normalisation;
-        standardise(states, &n.trajectory_mean, &n.trajectory_std)
-    }
-
     /// Predicts the clean knots from noisy ones.
     ///
     /// # Shapes
@@ -160,10 +132,11 @@ impl Network {
 
     /// As [`Self::denoise`], with the attention weights of the first edge-aware layer, mean of heads, [R, K, T].
     pub fn denoise_explained(&self, context: &Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Tensor) {
-        let plan = self.standardised_states(&self.states(noisy, &context.speed_mps));
-        let knots = self.config.num_knots() as i64;
-        let future = plan.reshape([-1, knots, 6 * self.config.knot_stride as i64]).apply(&self.noisy);
-        let future = match self.config.history {
+        let config = self.config();
+        let plan = self.space.standardised_states(&self.space.states(noisy, &context.speed_mps));
+        let knots = config.num_knots() as i64;
+        let future = plan.reshape([-1, knots, 6 * config.knot_stride as i64]).apply(&self.noisy);
+        let future = match config.history {
             HistoryTokens::PerStep => future,
             // with one history token, its content also goes straight into the plan's tokens
             HistoryTokens::Summary => future + &context.history,
@@ -197,6 +170,27 @@ impl Network {
             |a| a.mean_dim([3i64].as_slice(), false, Kind::Float),
         );
         (clean, attention)
+    }
+}
+
+impl Denoiser for Network {
+    type Context = Context;
+
+    fn space(&self) -> &PlanSpace {
+        &self.space
+    }
+
+    fn encode(&self, batch: &Batch, train: bool) -> Context {
+        Self::encode(self, batch, train)
+    }
+
+    fn repeated(context: &Context, samples: i64) -> Context {
+        context.repeated(samples)
+    }
+
+    fn predict(&self, context: &Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>) {
+        let (clean, attention) = self.denoise_explained(context, noisy, steps);
+        (clean, Some(attention))
     }
 }
 

@@ -6,7 +6,7 @@ use tch::nn::{self, Module};
 use tch::{Device, Kind, Tensor};
 
 /// Sinusoidal table [positions, width], sine and cosine interleaved, base 10⁴.
-pub(super) fn positions(positions: usize, width: i64, device: Device) -> Tensor {
+pub(crate) fn positions(positions: usize, width: i64, device: Device) -> Tensor {
     let half = width / 2;
     let mut table = Vec::with_capacity(positions * width as usize);
     for p in 0..positions {
@@ -33,37 +33,36 @@ fn diffusion_steps(steps: usize, width: i64, device: Device) -> Tensor {
 
 /// Diffusion step → width: sinusoid, Linear, Mish, Linear.
 #[derive(Debug)]
-pub(super) struct StepEmbedding {
+pub(crate) struct StepEmbedding {
     table: Tensor,
     up: nn::Linear,
     down: nn::Linear,
 }
 
 impl StepEmbedding {
-    pub(super) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
-        let d = config.width;
+    pub(crate) fn new(p: &nn::Path, steps: usize, d: i64) -> Self {
         Self {
-            table: diffusion_steps(config.diffusion_steps, d, p.device()),
+            table: diffusion_steps(steps, d, p.device()),
             up: nn::linear(p / "up", d, 4 * d, Default::default()),
             down: nn::linear(p / "down", 4 * d, d, Default::default()),
         }
     }
 
     /// `steps` [R] int64 → [R, 1, d].
-    pub(super) fn forward(&self, steps: &Tensor) -> Tensor {
+    pub(crate) fn forward(&self, steps: &Tensor) -> Tensor {
         self.table.index_select(0, steps).apply(&self.up).mish().apply(&self.down).unsqueeze(1)
     }
 }
 
 /// Histories → tokens.
 #[derive(Debug)]
-pub(super) enum HistoryEmbedding {
+pub(crate) enum HistoryEmbedding {
     PerStep(nn::Linear),
     Summary(nn::Linear, nn::Linear),
 }
 
 impl HistoryEmbedding {
-    pub(super) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
+    pub(crate) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
         let d = config.width;
         match config.history {
             HistoryTokens::PerStep => {
@@ -80,7 +79,7 @@ impl HistoryEmbedding {
     }
 
     /// Normalised histories [R, H, 8] → tokens [R, H or 1, d].
-    pub(super) fn forward(&self, history: &Tensor) -> Tensor {
+    pub(crate) fn forward(&self, history: &Tensor) -> Tensor {
         match self {
             Self::PerStep(step) => step.forward(&history.narrow(2, 0, HISTORY_FEATURES as i64 - 1)),
             Self::Summary(first, second) => {
@@ -88,6 +87,15 @@ impl HistoryEmbedding {
             }
         }
     }
+}
+
+/// Histories [R, H, 8] with standardised places, speeds and sizes, zero where not available.
+pub(crate) fn standardised_history(raw: &Tensor, config: &ModelConfig) -> Tensor {
+    let n = &config.normalisation;
+    let available = raw.narrow(2, 7, 1);
+    let place = standardise(&raw.narrow(2, 0, 2), &n.history_mean[..2], &n.history_std[..2]);
+    let body = standardise(&raw.narrow(2, 4, 3), &n.history_mean[2..], &n.history_std[2..]);
+    Tensor::cat(&[&place, &raw.narrow(2, 2, 2), &body, &available], 2) * &available
 }
 
 /// (x - mean) / std over the last dimension.

@@ -6,13 +6,13 @@ use tch::{Kind, Tensor, nn};
 
 /// Raster [R, channels, size, size] (bytes) → tokens [R, S, feature width].
 #[derive(Debug)]
-pub(super) enum MapNetwork {
+pub(crate) enum MapNetwork {
     ResNet(Box<ResNet18>),
     Light(Box<LightEncoder>),
 }
 
 impl MapNetwork {
-    pub(super) fn new(p: &nn::Path, config: &MapConfig, history_steps: usize) -> Self {
+    pub(crate) fn new(p: &nn::Path, config: &MapConfig, history_steps: usize) -> Self {
         let channels = config.num_channels(history_steps) as i64;
         match config.encoder {
             MapEncoder::ResNet18 => Self::ResNet(Box::new(ResNet18::new(p, channels, config.feature_width))),
@@ -20,7 +20,7 @@ impl MapNetwork {
         }
     }
 
-    pub(super) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
+    pub(crate) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
         let zero = f64::from(crate::raster::ZERO);
         let image = (image.to_kind(Kind::Float) - zero) * (1.0 / 127.0);
         match self {
@@ -32,7 +32,7 @@ impl MapNetwork {
 
 /// Three strided convolutions; every pixel of the last is a token with a learned position.
 #[derive(Debug)]
-pub(super) struct LightEncoder {
+pub(crate) struct LightEncoder {
     convolutions: Vec<nn::Conv2D>,
     norm: nn::LayerNorm,
     place: Tensor,

@@ -8,7 +8,7 @@ const GROUPS: i64 = 4;
 
 /// Edge features [.., 8] → [.., edge width].
 #[derive(Debug)]
-pub(super) struct EdgeEncoder {
+pub(crate) struct EdgeEncoder {
     groups: Vec<(nn::Linear, nn::LayerNorm, nn::Linear)>,
     norm: nn::LayerNorm,
     out: nn::Linear,
@@ -16,7 +16,7 @@ pub(super) struct EdgeEncoder {
 }
 
 impl EdgeEncoder {
-    pub(super) fn new(p: &nn::Path, width: i64) -> Self {
+    pub(crate) fn new(p: &nn::Path, width: i64) -> Self {
         let norm = |p: nn::Path| nn::layer_norm(p, vec![width], Default::default());
         Self {
             groups: (0..GROUPS)
@@ -35,7 +35,7 @@ impl EdgeEncoder {
         }
     }
 
-    pub(super) fn forward(&self, edges: &Tensor) -> Tensor {
+    pub(crate) fn forward(&self, edges: &Tensor) -> Tensor {
         let parts = self.groups.iter().zip(0..).map(|((first, norm, second), g)| {
             edges.narrow(-1, 2 * g, 2).apply(first).apply(norm).relu().apply(second)
         });
@@ -47,7 +47,7 @@ impl EdgeEncoder {
 /// Edges at every token, normalised, [R, K, T, 8], and their availability [R, K, T].
 ///
 /// History tokens have the edge of their step; future tokens that of now, moved on at constant relative velocity.
-pub(super) fn at_tokens(edges: &Tensor, config: &ModelConfig) -> (Tensor, Tensor) {
+pub(crate) fn at_tokens(edges: &Tensor, config: &ModelConfig) -> (Tensor, Tensor) {
     let n = &config.normalisation;
     let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
     let history = edges.size()[2];

@@ -3,25 +3,25 @@
 //! Every row attends to its own slots: batched per row, identical to masking an M x M² attention. The mask is applied
 //! before the softmax (method.md 9, row 7).
 
-use super::temporal::FeedForward;
+use super::attention::FeedForward;
 use tch::{Kind, Tensor, nn};
 
 /// Which row sits in which slot, and who may be seen.
 #[derive(Debug)]
-pub(super) struct Slots {
+pub(crate) struct Slots {
     /// Row of each slot, flat [R · K], int64.
-    pub(super) rows: Tensor,
+    pub(crate) rows: Tensor,
     /// Others that may be seen, or the row itself (slot 0) where nobody else may be, [R, K, T].
-    pub(super) others_or_self: Tensor,
+    pub(crate) others_or_self: Tensor,
     /// Others that may be seen and the row itself, [R, K, T].
-    pub(super) with_self: Tensor,
+    pub(crate) with_self: Tensor,
     /// Number of slots K.
-    pub(super) num_slots: i64,
+    pub(crate) num_slots: i64,
 }
 
 impl Slots {
     /// From neighbour rows [R, K], edges of G [R, K] and availability [R, K, T].
-    pub(super) fn new(neighbours: &Tensor, joined: &Tensor, available: &Tensor) -> Self {
+    pub(crate) fn new(neighbours: &Tensor, joined: &Tensor, available: &Tensor) -> Self {
         let others = available.logical_and(&joined.unsqueeze(2));
         let num_slots = others.size()[1];
         let rest = others.narrow(1, 1, num_slots - 1);
@@ -62,7 +62,7 @@ fn mix(weights: &Tensor, v: &Tensor) -> Tensor {
 
 /// Gated attention over neighbours' tokens joined with the edge to them; self excluded unless alone.
 #[derive(Debug)]
-pub(super) struct EdgeAwareLayer {
+pub(crate) struct EdgeAwareLayer {
     query: nn::Linear,
     key: nn::Linear,
     value: nn::Linear,
@@ -78,7 +78,7 @@ pub(super) struct EdgeAwareLayer {
 }
 
 impl EdgeAwareLayer {
-    pub(super) fn new(p: &nn::Path, width: i64, edge_width: i64, heads: i64, hidden: i64) -> Self {
+    pub(crate) fn new(p: &nn::Path, width: i64, edge_width: i64, heads: i64, hidden: i64) -> Self {
         let linear = |name: &str, inputs: i64| nn::linear(p / name, inputs, width, Default::default());
         let norm = |name: &str| nn::layer_norm(p / name, vec![width], Default::default());
         Self {
@@ -115,7 +115,7 @@ impl EdgeAwareLayer {
     }
 
     /// `x` [R, T, d] → x and the attention weights [R, K, T, h]; the memory is that of the first layer's input.
-    pub(super) fn forward(
+    pub(crate) fn forward(
         &self,
         x: &Tensor,
         memory: &Tensor,
@@ -132,7 +132,7 @@ impl EdgeAwareLayer {
 
 /// A plain encoder layer across agents, masked by G with self.
 #[derive(Debug)]
-pub(super) struct PlainLayer {
+pub(crate) struct PlainLayer {
     query: nn::Linear,
     key: nn::Linear,
     value: nn::Linear,
@@ -144,7 +144,7 @@ pub(super) struct PlainLayer {
 }
 
 impl PlainLayer {
-    pub(super) fn new(p: &nn::Path, width: i64, heads: i64, hidden: i64) -> Self {
+    pub(crate) fn new(p: &nn::Path, width: i64, heads: i64, hidden: i64) -> Self {
         let linear = |name: &str| nn::linear(p / name, width, width, Default::default());
         let norm = |name: &str| nn::layer_norm(p / name, vec![width], Default::default());
         Self {
@@ -159,7 +159,7 @@ impl PlainLayer {
         }
     }
 
-    pub(super) fn forward(&self, x: &Tensor, slots: &Slots) -> Tensor {
+    pub(crate) fn forward(&self, x: &Tensor, slots: &Slots) -> Tensor {
         let k = slots.gather(&x.apply(&self.key));
         let v = slots.gather(&x.apply(&self.value));
         let attention = weights(&x.apply(&self.query), &k, &slots.with_self, self.heads);

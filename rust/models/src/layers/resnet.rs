@@ -40,7 +40,7 @@ impl Block {
 
 /// The trunk and its last linear layer: [R, channels, H, W] → [R, outputs].
 #[derive(Debug)]
-pub(super) struct ResNet18 {
+pub(crate) struct ResNet18 {
     stem: nn::Conv2D,
     stem_norm: nn::BatchNorm,
     blocks: Vec<Block>,
@@ -48,7 +48,7 @@ pub(super) struct ResNet18 {
 }
 
 impl ResNet18 {
-    pub(super) fn new(p: &nn::Path, channels: i64, outputs: i64) -> Self {
+    pub(crate) fn new(p: &nn::Path, channels: i64, outputs: i64) -> Self {
         let mut blocks = Vec::with_capacity(8);
         let mut inputs = 64;
         for (stage, width) in [64, 128, 256, 512].into_iter().enumerate() {
@@ -66,7 +66,7 @@ impl ResNet18 {
         }
     }
 
-    pub(super) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
+    pub(crate) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
         let mut x = self.stem_norm.forward_t(&image.apply(&self.stem), train).relu();
         x = x.max_pool2d([3, 3], [2, 2], [1, 1], [1, 1], false);
         for block in &self.blocks {

@@ -1,0 +1,96 @@
+//! Plans by denoising: what a denoising network is, its loss, its proposals.
+
+use crate::batch::Batch;
+use crate::error::Result;
+use crate::guidance::Guide;
+use crate::losses::{logged_actions, plan_loss};
+use crate::plan_model::{Lesson, PlanModel};
+use crate::plan_space::PlanSpace;
+use crate::sampler::{self, SampleOptions, Samples};
+use crate::schedule::Schedule;
+use std::fmt::Debug;
+use tch::{Kind, Tensor};
+
+/// A network from noisy plans to clean ones.
+pub trait Denoiser: Debug + Send {
+    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
+    type Context;
+
+    /// The space of its plans.
+    fn space(&self) -> &PlanSpace;
+
+    /// Encodes a batch. `train` switches batch normalisation.
+    fn encode(&self, batch: &Batch, train: bool) -> Self::Context;
+
+    /// The same context for N samples: rows are repeated sample by sample, [N · R].
+    fn repeated(context: &Self::Context, samples: i64) -> Self::Context;
+
+    /// Predicts clean knots [R, knots, 2] from noisy ones at diffusion steps [R] (int64), with the attention between
+    /// agents [R, K, tokens] of a network that has it.
+    fn predict(&self, context: &Self::Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>);
+}
+
+/// A denoising network with its schedule.
+#[derive(Debug)]
+pub struct Diffusion<D> {
+    denoiser: D,
+    schedule: Schedule,
+}
+
+impl<D: Denoiser> Diffusion<D> {
+    /// A denoiser with the cosine schedule of its configuration.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Config`] for fewer than two diffusion steps.
+    pub fn new(denoiser: D) -> Result<Self> {
+        let schedule = Schedule::cosine(denoiser.space().config().diffusion_steps)?;
+        Ok(Self { denoiser, schedule })
+    }
+}
+
+impl<D: Denoiser> PlanModel for Diffusion<D> {
+    fn space(&self) -> &PlanSpace {
+        self.denoiser.space()
+    }
+
+    /// The loss of the plan predicted from the noised log, each scene at a diffusion step of its own, with G replaced by
+    /// the identity in some scenes.
+    fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
+        let (batch, targets, space) = (lesson.batch, lesson.targets, self.space());
+        let device = batch.speed_mps.device();
+        let (of_step, of_drop) = (lesson.draw(0), lesson.draw(1));
+        let per_scene = |f: &dyn Fn(u64) -> i64| -> Vec<i64> {
+            let scenes = batch.scene_sizes.iter().zip(0u64..);
+            scenes.flat_map(|(size, s)| std::iter::repeat_n(f(s), *size)).collect()
+        };
+        let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
+        let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < lesson.config.drop_graph));
+        let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
+        let batch = batch.with_graph_dropped(&dropped, space.config());
+
+        let clean = space.knots_of(&logged_actions(targets));
+        let numbers = lesson.draw(2).normals(clean.numel());
+        let noise = Tensor::from_slice(&numbers).view_as(&clean).to_device(device);
+        let of_noise = |f: &dyn Fn(f64) -> f64| {
+            let values: Vec<f32> = k.iter().map(|k| f(self.schedule.alpha_bar[*k as usize]) as f32).collect();
+            Tensor::from_slice(&values).view([-1, 1, 1]).to_device(device)
+        };
+        let noisy = &clean * of_noise(&f64::sqrt) + noise * of_noise(&|a| (1.0 - a).sqrt());
+
+        let context = self.denoiser.encode(&batch, true);
+        let steps = Tensor::from_slice(&k).to_device(device);
+        let (predicted, _) = self.denoiser.predict(&context, &noisy, &steps);
+        let share = || of_noise(&f64::sqrt).flatten(0, 2);
+        plan_loss(space, &predicted, &batch, targets, lesson.config.collision_weight, share)
+    }
+
+    fn propose(
+        &self,
+        batch: &Batch,
+        seeds: &[u64],
+        options: SampleOptions,
+        guide: Option<&mut Guide<'_>>,
+    ) -> Result<Samples> {
+        sampler::sample(&self.denoiser, &self.schedule, batch, seeds, options, guide)
+    }
+}

@@ -1,0 +1,8 @@
+//! Parts that several networks are made of.
+
+pub(crate) mod attention;
+pub(crate) mod edge;
+pub(crate) mod embed;
+pub(crate) mod map;
+mod resnet;
+pub(crate) mod social;

@@ -1,0 +1,50 @@
+//! Losses of plans against logged futures.
+
+use crate::batch::{Batch, Targets};
+use crate::collision::Neighbours;
+use crate::plan_space::PlanSpace;
+use tch::{Kind, Tensor};
+
+/// Bounds of logged actions before they are fitted: jumps of the log beyond them are label noise.
+const ACTION_BOUNDS: [(f64, f64); 2] = [(-10.0, 8.0), (-1.5, 1.5)];
+
+/// Logged actions [R, T, 2], bounded, zero where not logged.
+pub(crate) fn logged_actions(targets: &Targets) -> Tensor {
+    let bounded: Vec<Tensor> = ACTION_BOUNDS
+        .iter()
+        .zip(4..)
+        .map(|((low, high), c)| targets.states.select(2, c).clamp(*low, *high) * &targets.valid)
+        .collect();
+    Tensor::stack(&bounded, 2)
+}
+
+/// Mean squared error over the six normalised components of the steps that count [R, T] (method.md 2.9).
+///
+/// Differs from the released code: the mean is over logged steps, not over padding as well.
+fn trajectory_loss(space: &PlanSpace, states: &Tensor, targets: &Targets, counts: &Tensor) -> Tensor {
+    let config = space.config();
+    let difference = space.standardised_states(states) - space.standardised_states(&targets.states);
+    let weights =
+        Tensor::from_slice(&config.loss_weights).to_kind(Kind::Float).to_device(difference.device());
+    let per_step = (difference.square() * weights).mean_dim([2i64].as_slice(), false, Kind::Float);
+    (per_step * counts).sum(Kind::Float) / counts.sum(Kind::Float).clamp_min(1.0)
+}
+
+/// Loss of planned knots [R, knots, 2]: their distance to the log and, with a weight above 0, how far they drive over
+/// neighbours' logged futures, each row with its share [R].
+pub(crate) fn plan_loss(
+    space: &PlanSpace,
+    knots: &Tensor,
+    batch: &Batch,
+    targets: &Targets,
+    collision_weight: f64,
+    share: impl FnOnce() -> Tensor,
+) -> Tensor {
+    let states = space.states(knots, &batch.speed_mps);
+    let neighbours = (collision_weight > 0.0).then(|| Neighbours::new(batch, targets)).flatten();
+    let Some(neighbours) = neighbours else {
+        return trajectory_loss(space, &states, targets, &targets.valid);
+    };
+    let driven_into = neighbours.loss(space, knots, &batch.speed_mps, &share());
+    trajectory_loss(space, &states, targets, &neighbours.examples(targets)) + driven_into * collision_weight
+}

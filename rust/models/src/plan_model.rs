@@ -1,0 +1,78 @@
+//! What every planning network is to the rest of the crate: a loss to train it, proposals to plan with.
+
+use crate::batch::{Batch, Targets};
+use crate::ccdiff::Network;
+use crate::config::{ModelConfig, ModelKind};
+use crate::diffusion::Diffusion;
+use crate::error::Result;
+use crate::guidance::Guide;
+use crate::noise::Noise;
+use crate::plan_space::PlanSpace;
+use crate::sampler::{SampleOptions, Samples};
+use crate::train::TrainConfig;
+use std::fmt::Debug;
+use tch::{Tensor, nn};
+
+/// Streams of random numbers of one training step; the last one moves agents off their log.
+const STREAMS: u64 = 4;
+
+/// A network from a batch to action knots.
+pub trait PlanModel: Debug + Send {
+    /// The space of its plans.
+    fn space(&self) -> &PlanSpace;
+
+    /// Loss of one batch of a training step, with its gradient.
+    fn loss(&self, lesson: &Lesson<'_>) -> Tensor;
+
+    /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves the plans on the way.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
+    fn propose(
+        &self,
+        batch: &Batch,
+        seeds: &[u64],
+        options: SampleOptions,
+        guide: Option<&mut Guide<'_>>,
+    ) -> Result<Samples>;
+}
+
+/// One training step's batch and random numbers.
+#[derive(Debug, Clone, Copy)]
+pub struct Lesson<'a> {
+    /// Inputs.
+    pub batch: &'a Batch,
+    /// Logged futures.
+    pub targets: &'a Targets,
+    /// Settings of the run.
+    pub config: &'a TrainConfig,
+    /// Steps taken before.
+    pub step: u64,
+}
+
+impl Lesson<'_> {
+    /// A stream of the step's random numbers, 0 to 2.
+    pub(crate) fn draw(&self, stream: u64) -> Noise {
+        stream_of(self.config, self.step, stream)
+    }
+}
+
+/// A stream of a step's random numbers.
+fn stream_of(config: &TrainConfig, step: u64, stream: u64) -> Noise {
+    Noise::new(config.seed, step * STREAMS + stream)
+}
+
+/// The numbers that move a step's agents off their log.
+pub(crate) fn pushes(config: &TrainConfig, step: u64) -> Noise {
+    stream_of(config, step, STREAMS - 1)
+}
+
+/// A network with fresh weights under a path.
+///
+/// # Errors
+/// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
+pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
+    match config.kind {
+        ModelKind::Ccdiff => Ok(Box::new(Diffusion::new(Network::new(p, config))?)),
+    }
+}
