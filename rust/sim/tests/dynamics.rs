@@ -1,8 +1,6 @@
 //! Motion models against test vectors, closed forms and their inverses.
 
-use ccdiff_sim::dynamics::{
-    ActionGrid, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits, rollout_unicycle,
-};
+use ccdiff_sim::dynamics::{ActionGrid, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits};
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::state::{AgentStates, Body};
 use proptest::prelude::*;
@@ -70,34 +68,6 @@ fn stepwise_unicycle_follows_the_released_vectors() {
 }
 
 #[test]
-fn parallel_unicycle_follows_the_released_vectors() {
-    for (speed, actions, expected) in released_vectors() {
-        let mut states = vec![KinState::default(); actions.len()];
-        let limits = UnicycleLimits::default();
-        rollout_unicycle(&limits, at_rest_or_moving(speed), &actions, DT_S, &mut states);
-        for (state, want) in states.iter().zip(expected) {
-            assert_near(*state, want);
-        }
-    }
-}
-
-#[test]
-fn the_two_modes_part_once_the_speed_limit_is_hit() {
-    // 29 m/s, two steps at 8 m/s² sum to 30.6: parallel mode clips the sum to 30 and is at 29.6 after one step of
-    // -10 m/s²; stepwise forgets the surplus and is at 29.0
-    let actions = [[8.0, 0.0], [8.0, 0.0], [-10.0, 0.0]];
-    let mut parallel = [KinState::default(); 3];
-    rollout_unicycle(&UnicycleLimits::default(), at_rest_or_moving(29.0), &actions, DT_S, &mut parallel);
-    let mut stepwise = at_rest_or_moving(29.0);
-    for [a, w] in actions {
-        Dynamics::default().step(&mut stepwise, [a, w, 0.0], DT_S, &car());
-    }
-    assert!((parallel[1].speed_mps - 30.0).abs() < 1e-6);
-    assert!((parallel[2].speed_mps - 29.6).abs() < 1e-5);
-    assert!((stepwise.speed_mps - 29.0).abs() < 1e-5);
-}
-
-#[test]
 fn bicycle_drives_the_circle_of_its_steering_angle() {
     let limits = BicycleLimits::default();
     let body = car();
@@ -155,14 +125,6 @@ fn limits_out_of_order_or_not_finite_are_named() {
 }
 
 #[test]
-fn actions_that_are_short_or_not_finite_are_refused() {
-    let [unicycle, _, delta] = models();
-    assert_eq!(unicycle.action_from_slice(&[1.0, 0.5]), Some([1.0, 0.5, 0.0]));
-    assert_eq!(unicycle.action_from_slice(&[1.0, f32::NAN]), None);
-    assert_eq!(delta.action_from_slice(&[1.0, 0.5]), None);
-}
-
-#[test]
 fn models_survive_a_round_trip_through_json() {
     for model in models() {
         let text = serde_json::to_string(&model).unwrap();
@@ -212,20 +174,6 @@ proptest! {
             prop_assert!(state.speed_mps >= -10.0 && state.speed_mps <= 30.0);
             let yaw_rate = (state.heading_rad - before.heading_rad).abs() / DT_S;
             prop_assert!(yaw_rate <= limits.yaw_rate_bound(before.speed_mps) + 1e-4);
-        }
-    }
-
-    #[test]
-    fn rollouts_agree_with_steps_below_the_speed_limits(
-        speed in 5f32..10.0, actions in prop::collection::vec((-2f32..2.0, -0.5f32..0.5), 20),
-    ) {
-        let actions: Vec<[f32; 2]> = actions.into_iter().map(|(a, w)| [a, w]).collect();
-        let mut states = vec![KinState::default(); 20];
-        rollout_unicycle(&UnicycleLimits::default(), at_rest_or_moving(speed), &actions, DT_S, &mut states);
-        let mut state = at_rest_or_moving(speed);
-        for (action, rolled) in actions.iter().zip(states) {
-            Dynamics::default().step(&mut state, [action[0], action[1], 0.0], DT_S, &car());
-            assert_near(rolled, [state.x, state.y, state.speed_mps, state.heading_rad]);
         }
     }
 

@@ -21,7 +21,7 @@ mod unicycle;
 pub use action_grid::ActionGrid;
 pub use bicycle::BicycleLimits;
 pub use delta_pose::DeltaPoseLimits;
-pub use unicycle::{UnicycleLimits, rollout_unicycle};
+pub use unicycle::UnicycleLimits;
 
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::state::{AgentStates, Body};
@@ -103,15 +103,6 @@ impl Dynamics {
             Self::Bicycle(limits) => limits.action_bounds(),
             Self::DeltaPose(limits) => limits.action_bounds(),
         }
-    }
-
-    /// Action from the first columns of a slice; `None` when it is too short or a number is not finite.
-    #[inline]
-    pub fn action_from_slice(&self, columns: &[Real]) -> Option<Action> {
-        let mut action = [0.0; 3];
-        let used = columns.get(..self.num_columns())?;
-        action[..used.len()].copy_from_slice(used);
-        used.iter().all(|v| v.is_finite()).then_some(action)
     }
 
     /// Clips an action to [`Self::action_bounds`].

@@ -1,7 +1,7 @@
 //! Unicycle: acceleration and yaw rate.
 
 use super::{Action, KinState, Motion, is_positive, is_range};
-use crate::geom::{Real, math};
+use crate::geom::Real;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::TAU;
 
@@ -73,52 +73,12 @@ impl UnicycleLimits {
     ) -> Motion {
         let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let next_speed = (state.speed_mps + acceleration * dt_s).clamp(self.speed_mps[0], self.speed_mps[1]);
-        self.move_to_speed(state, next_speed, cos, sin, action[1], dt_s);
-        Motion { lateral_mps: 0.0 }
-    }
-
-    #[inline]
-    fn move_to_speed(
-        &self,
-        state: &mut KinState,
-        next_speed: Real,
-        cos: Real,
-        sin: Real,
-        yaw_rate: Real,
-        dt_s: Real,
-    ) {
         let bound = self.yaw_rate_bound(state.speed_mps);
         let distance = 0.5 * (state.speed_mps + next_speed) * dt_s;
         state.x += distance * cos;
         state.y += distance * sin;
-        state.heading_rad += yaw_rate.clamp(-bound, bound) * dt_s;
+        state.heading_rad += action[1].clamp(-bound, bound) * dt_s;
         state.speed_mps = next_speed;
-    }
-}
-
-/// Rolls a unicycle out over T actions (acceleration, yaw rate) in the "parallel" mode of the released models;
-/// `states[t]` is the state after `actions[t]`. Extra entries of the longer slice are left alone.
-///
-/// Differs from stepping with [`super::Dynamics::step`] once a speed limit is hit: here the *running sum* of the
-/// accelerations is clipped, v_t = clip(v_0 + Σ a dt), so acceleration spent beyond the limit must first be taken
-/// back before the speed changes again; stepwise, every v_t is clipped and the next step starts from the clipped one.
-/// Below the limits the two agree to rounding.
-pub fn rollout_unicycle(
-    limits: &UnicycleLimits,
-    start: KinState,
-    actions: &[[Real; 2]],
-    dt_s: Real,
-    states: &mut [KinState],
-) {
-    let mut state = start;
-    let mut gained_mps = 0.0_f64;
-    for (action, out) in actions.iter().zip(states) {
-        let acceleration = action[0].clamp(limits.acceleration_mps2[0], limits.acceleration_mps2[1]);
-        gained_mps += f64::from(acceleration) * f64::from(dt_s);
-        let next_speed = (f64::from(start.speed_mps) + gained_mps) as Real;
-        let (sin, cos) = math::sin_cos(state.heading_rad);
-        let next_speed = next_speed.clamp(limits.speed_mps[0], limits.speed_mps[1]);
-        limits.move_to_speed(&mut state, next_speed, cos, sin, action[1], dt_s);
-        *out = state;
+        Motion { lateral_mps: 0.0 }
     }
 }
