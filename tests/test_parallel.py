@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import pickle
 import types
 import warnings
 
 import numpy as np
 import pytest
+import shapely
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 
@@ -114,23 +116,65 @@ def test_names_are_instance_tokens_of_all_scenes_or_ranks(scenes):
     assert [info["agent_id"] for info in infos.values()] == by_token.agents
 
 
-def test_rankings_by_distance_and_contact_are_those_of_brute_force(scenes):
-    scene = scenes["cut-in-04"] if "cut-in-04" in scenes.names else scenes[0]
-    tracks, step = scene.tracks(), 30
-    there = [
-        i
+CONTACT_STEP_S = 0.02
+
+
+def contact_s(scene, step, agent_idx):
+    """When the boxes of agent 0 and of another first meet at constant velocity, by trying."""
+    tracks, times = scene.tracks(), np.arange(0.0, 20.0, CONTACT_STEP_S)
+
+    def boxes(i):
+        heading = tracks["heading"][i, step]
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        left = np.array([-ahead[1], ahead[0]])
+        corners = [(1, 1), (1, -1), (-1, -1), (-1, 1)] * scene.sizes[i, :2] / 2
+        speed = np.linalg.norm(tracks["velocity"][i, step])
+        moved = tracks["position"][i, step] + speed * times[:, None] * ahead
+        return shapely.polygons(moved[:, None] + corners @ np.stack([ahead, left]))
+
+    meet = shapely.intersects(boxes(0), boxes(agent_idx))
+    return times[meet.argmax()] if meet.any() else np.inf
+
+
+def metres_of_others(scene, step):
+    """Distance from agent 0 to each other vehicle that is there."""
+    tracks = scene.tracks()
+    position = tracks["position"][:, step]
+    return {
+        i: np.hypot(*(position[i] - position[0]))
         for i, kind in enumerate(scene.agent_types)
         if kind == "vehicle" and tracks["valid"][i, step] and i != 0
-    ]
-    metres = {
-        i: np.hypot(*(tracks["position"][i, step] - tracks["position"][0, step])) for i in there
     }
+
+
+def test_the_ranking_by_distance_is_that_of_brute_force(scenes):
+    scene = scenes["cut-in-04"] if "cut-in-04" in scenes.names else scenes[0]
+    step = 30
+    metres = metres_of_others(scene, step)
+    there = list(metres)
     got = key_agents.logged_vehicles(scene, step, "distance")
     assert got == [0, *sorted(there, key=metres.__getitem__)]
     for ranking in key_agents.RANKINGS:
         ranked = key_agents.logged_vehicles(scene, step, ranking)
         assert sorted(ranked) == [0, *there]
         assert ranked[0] == 0
+
+
+def test_the_ranking_by_contact_is_that_of_boxes_that_are_moved(scenes):
+    contacts = 0
+    for scene, step in itertools.product(scenes, (20, 30, 60, 90)):
+        metres = metres_of_others(scene, step)
+        seconds = {i: contact_s(scene, step, i) for i in metres}
+        contacts += np.isfinite(list(seconds.values())).sum()
+        got = key_agents.logged_vehicles(scene, step, "ttc")
+        assert sorted(got[1:]) == sorted(metres)
+        for before, after in itertools.pairwise(got[1:]):
+            if np.isinf(seconds[before]):
+                assert np.isinf(seconds[after])
+                assert metres[before] <= metres[after]
+            else:
+                assert seconds[before] <= seconds[after] + CONTACT_STEP_S
+    assert contacts >= 20
 
 
 def test_egos_and_adversaries_have_opposite_rewards(scenes):
@@ -204,16 +248,17 @@ def test_agents_end_at_different_times_and_never_come_back(scenes):
 def test_supersuit_wraps_it(scenes):
     supersuit = pytest.importorskip("supersuit")
     options = {"scenes": scenes, "agents": 3, "names": "slot", "horizon_steps": 20}
+    (width,) = parallel_env(**options).observation_space("ego_0").shape
     stacked = supersuit.frame_stack_v1(parallel_env(**options), 3)
     observations, _ = stacked.reset(seed=0)
-    assert observations["ego_0"].shape == (3 * 1335,)
+    assert observations["ego_0"].shape == (3 * width,)
     rows = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.black_death_v3(parallel_env(**options)))
     rows = supersuit.concat_vec_envs_v1(rows, 2, base_class="stable_baselines3")
-    assert rows.reset().shape == (6, 1335)
+    assert rows.reset().shape == (6, width)
     ends = 0
     for _ in range(45):
         obs, rewards, dones, _ = rows.step(np.zeros((6, 2), np.float32))
-        assert obs.shape == (6, 1335)
+        assert obs.shape == (6, width)
         assert rewards.shape == (6,)
         ends += dones.sum()
     assert ends >= 12
