@@ -177,7 +177,8 @@ class RewardConfig:
     collision: float = -10.0
     #: At each step with a corner off the road.
     off_road: float = -5.0
-    #: Per unit of discomfort (see docs/architecture.md), at most 3, per step.
+    #: Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most
+    #: 3, per step.
     comfort: float = -0.004
     #: Per m/s above the speed limit, per step.
     speed_limit: float = -0.05

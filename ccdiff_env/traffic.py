@@ -112,9 +112,10 @@ class TrafficPlan:
     conflict_share: npt.NDArray[np.float32] | None
 
 
-#: Options of an environment that follow the paper's evaluation as released (method.md 5): start at
-#: step 31, 10 s, agents of the start only, vanish with the log, contacts without consequence, the
-#: guided vehicles found once, everybody else replays the log.
+#: Options of an environment that follow the paper's evaluation as released
+#: (reference.md#closed-loop-evaluation): start at step 31, 10 s, agents of the start only, vanish
+#: with the log, contacts without consequence, the guided vehicles found once, everybody else
+#: replays the log.
 PAPER_PROTOCOL: Mapping[str, Any] = {
     "history_steps": 31,
     "horizon_steps": 100,

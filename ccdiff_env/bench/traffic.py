@@ -1,12 +1,13 @@
 """The paper's experiments: who drives K vehicles of each scene, and what comes of it.
 
-The protocol is that of the released evaluation (method.md 5): an episode starts at step 31 of the
-log with the vehicles that are there then and lasts 10 s; nobody enters later, vehicles vanish with
-their log, contacts and departures from the road have no consequence. The K vehicles of the control
-set are driven by the method, all others replay the log.
+The protocol is that of the released evaluation (reference.md#closed-loop-evaluation): an episode
+starts at step 31 of the log with the vehicles that are there then and lasts 10 s; nobody enters
+later, vehicles vanish with their log, contacts and departures from the road have no consequence.
+The K vehicles of the control set are driven by the method, all others replay the log.
 
 Differs from the paper: control sets are found at the start of the episode from the logged history,
-by the same ranking for every method, and filled up by nearness, not at random (method.md 3.5).
+by the same ranking for every method, and filled up by nearness, not at random
+(reference.md#other-rankings).
 """
 
 from __future__ import annotations

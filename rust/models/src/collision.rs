@@ -1,8 +1,9 @@
-//! An auxiliary loss of training: plans that drive into a neighbour's logged future (method.md 2.9, an option there).
+//! An auxiliary loss of training: plans that drive into a neighbour's logged future (reference.md#training, an option there).
 //!
 //! Ours: the planned body is a rectangle with a gap kept free before its front, neighbours are rows of disks as in the
-//! guidance (method.md 2.11). The loss is how far the front has driven over them, which falls by braking alone. What lies behind the middle of the body does not count: who is hit from behind need not
-//! hurry. The yaw rate takes no gradient: the loss teaches to brake, not to swerve.
+//! guidance (reference.md#guidance). The loss is how far the front has driven over them, which falls by braking
+//! alone. What lies behind the middle of the body does not count: a vehicle that is hit from behind need not hurry.
+//! The yaw rate takes no gradient: the loss teaches to brake, not to swerve.
 
 use crate::batch::{Batch, Targets};
 use crate::plan_space::PlanSpace;

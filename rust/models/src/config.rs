@@ -66,7 +66,7 @@ pub struct MapConfig {
 
 /// Means and standard deviations estimated from the training data; x_n = (x - mean) / std.
 ///
-/// Differs from the released code, which adds the mean instead of subtracting it (method.md 1.8).
+/// Differs from the released code, which adds the mean instead of subtracting it (reference.md#normalisation).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Normalisation {
     /// Mean of the future x, y, v, yaw, acceleration, yaw rate in the agent frame.
@@ -163,7 +163,7 @@ pub struct ModelConfig {
 impl ModelConfig {
     /// The sizes of the paper's table: 83 tokens of width 128, ResNet-18 at 224 x 224.
     ///
-    /// Differs from the released code: the map is attended to (method.md 2.5), every social layer is masked by G.
+    /// Differs from the released code: the map is attended to (reference.md#map), every social layer is masked by G.
     pub fn paper() -> Self {
         Self {
             kind: ModelKind::Ccdiff,

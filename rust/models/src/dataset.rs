@@ -160,7 +160,7 @@ impl Dataset {
     /// Features and futures of a sample (index below [`Self::len`]).
     ///
     /// The agents are the vehicles within `agents_within_m` of the ego, nearest first, at most `max_agents`. Differs from
-    /// the released code, which truncates the list before it filters by distance (method.md 1.4).
+    /// the released code, which truncates the list before it filters by distance (reference.md#training-samples).
     ///
     /// `noise` pushes some agents off their path (ours); `None` leaves the log as it is.
     ///

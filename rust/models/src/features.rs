@@ -1,6 +1,6 @@
 //! From a window of states to the network's inputs: one code for training and for the running world.
 //!
-//! Everything is agent-centric (method.md 1.5): for agent i the origin is its position at the current step and +x its
+//! Everything is agent-centric (reference.md#frames): for agent i the origin is its position at the current step and +x its
 //! heading. Numbers are physical here; the network normalises them.
 
 use crate::config::ModelConfig;
@@ -366,7 +366,7 @@ fn slots(graph: &CausalGraph, urgency_s: &[f32], max_neighbours: usize) -> (usiz
 
 /// Edge of agents (i, j) at a step in i's frame of now; `None` where either was not there.
 ///
-/// Differs from the released code (method.md 2.4): position and velocity are those of j relative to i at the same step,
+/// Differs from the released code (reference.md#pairwise-features): position and velocity are those of j relative to i at the same step,
 /// in physical units.
 fn edge_at(
     window: &Window,

@@ -18,7 +18,7 @@ pub(crate) fn logged_actions(targets: &Targets) -> Tensor {
     Tensor::stack(&bounded, 2)
 }
 
-/// Mean squared error over the six normalised components of the steps that count [R, T] (method.md 2.9).
+/// Mean squared error over the six normalised components of the steps that count [R, T] (reference.md#training).
 ///
 /// Differs from the released code: the mean is over logged steps, not over padding as well.
 fn trajectory_loss(space: &PlanSpace, states: &Tensor, targets: &Targets, counts: &Tensor) -> Tensor {

@@ -1,4 +1,4 @@
-//! Agent-centred map rasters, cut from a bitmap of the scene that is drawn once (method.md 1.6).
+//! Agent-centred map rasters, cut from a bitmap of the scene that is drawn once (reference.md#rasters).
 //!
 //! Layers: drivable area, lines between lanes and directions, pedestrian areas; then, if asked for, cosine and sine of
 //! the lane direction against the agent's heading. Bytes code numbers in [-1, 1] as 128 + 127 v; the network decodes

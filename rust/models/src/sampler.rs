@@ -29,7 +29,7 @@ pub struct SampleOptions {
     pub solver: Solver,
     /// Samples per plan N.
     pub num_samples: usize,
-    /// Weight w of the conditional branch, (1 - w) · uncond + w · cond with w in [1, 2); 1 runs it alone (method.md 9, row 1).
+    /// Weight w of the conditional branch, (1 - w) · uncond + w · cond with w in [1, 2); 1 runs it alone (reference.md#open-points).
     pub guidance_weight: f64,
 }
 
@@ -109,9 +109,9 @@ struct Update {
 }
 
 /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves plans in every step but the last, whose
-/// standard deviation is zero (as released, method.md 2.10).
+/// standard deviation is zero (as released, reference.md#sampling).
 ///
-/// Differs from the released code: the first, pure-noise plan is rolled out like the others (method.md 2.8).
+/// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
 ///
 /// # Errors
 /// [`ModelError::Shape`] for a wrong number of seeds, [`ModelError::Config`] for bad options.

@@ -1,4 +1,4 @@
-//! The diffusion schedule in f64, without tensors (method.md 2.8).
+//! The diffusion schedule in f64, without tensors (reference.md#schedule).
 
 use crate::error::{ModelError, Result};
 
@@ -23,7 +23,7 @@ pub struct Posterior {
 }
 
 impl Schedule {
-    /// Cosine schedule with offset s = 0.008, on K points over 0..=K+1 (method.md 2.8), betas at most 0.999.
+    /// Cosine schedule with offset s = 0.008, on K points over 0..=K+1 (reference.md#schedule), betas at most 0.999.
     ///
     /// # Errors
     /// [`ModelError::Config`] for fewer than two steps.

@@ -1,6 +1,6 @@
 //! Smooth tracks for training.
 //!
-//! Logs made from 2 Hz key frames by straight lines have no acceleration but spikes at the key frames (method.md 1.2).
+//! Logs made from 2 Hz key frames by straight lines have no acceleration but spikes at the key frames (reference.md#time-base).
 //! Two passes of a 0.5 s moving average turn straight lines between key frames into the uniform cubic B-spline over
 //! them: continuous acceleration, and a position error of at most a sixth of acceleration times 0.25 s².
 //! Velocities become central differences, which do not lag as the data set's backward ones do.

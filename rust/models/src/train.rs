@@ -45,7 +45,7 @@ pub struct TrainConfig {
 }
 
 impl TrainConfig {
-    /// Settings of a preset (method.md 7.1); `fast` takes larger steps and batches, as it has minutes, not days.
+    /// Settings of a preset (reference.md#training-settings); `fast` takes larger steps and batches, as it has minutes, not days.
     pub fn preset(name: &str) -> Self {
         let paper = Self {
             batch_scenes: 4,

@@ -1,4 +1,4 @@
-//! The unicycle as tensors (method.md 2.7), action knots, and actions from logged poses (method.md 1.9).
+//! The unicycle as tensors (reference.md#unicycle), action knots, and actions from logged poses (reference.md#logged-actions).
 //!
 //! This is the roll-out of a *plan*: the cumulative sum of accelerations is clipped ("parallel" mode), which differs
 //! from integrating step by step once a bound is hit.

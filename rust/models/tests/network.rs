@@ -48,7 +48,7 @@ fn temporary(name: &str) -> PathBuf {
 
 #[test]
 fn the_paper_preset_has_the_released_number_of_parameters_in_use() {
-    // method.md 10, item 2: 1,024 + 896 + 131,712 + 22,336 + 661,504 + 1,222,400 + 258
+    // reference.md#token-stream: 1,024 + 896 + 131,712 + 22,336 + 661,504 + 1,222,400 + 258
     assert_eq!(count(&network(&blind(ModelConfig::paper())).0), 2_040_130);
     // plus ResNet-18 with 256 outputs (11,405,056) and the attention to its token (98,816)
     assert_eq!(count(&network(&ModelConfig::paper()).0), 2_040_130 + 11_405_056 + 98_816);

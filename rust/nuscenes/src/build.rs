@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// Category of the ego, which has none in the tables.
 const EGO_CATEGORY: &str = "vehicle.ego";
-/// Length, width, height of the recording car, metres (method.md 1.3).
+/// Length, width, height of the recording car, metres (reference.md#agents).
 const EGO_SIZE_M: [Real; 3] = [4.084, 1.730, 1.562];
 /// Key frames further from their nominal distance than this are noted, seconds.
 const JITTER_NOTED_S: f64 = 0.15;

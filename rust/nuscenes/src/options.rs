@@ -12,7 +12,7 @@ pub const KEY_FRAME_INTERVAL_S: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
-    /// Straight lines in position, unwrapped heading and velocity (method.md 1.2).
+    /// Straight lines in position, unwrapped heading and velocity (reference.md#time-base).
     #[default]
     Linear,
     /// Cubic Hermite curves through the key frames with their velocities as tangents; velocity is the curve's own.
@@ -125,7 +125,7 @@ pub struct LoadOptions {
 
 /// The kind of a nuScenes category; `None` for one that is not known.
 ///
-/// Bicycles and motorcycles stand apart from other vehicles (method.md 1.3); animals move like pedestrians.
+/// Bicycles and motorcycles stand apart from other vehicles (reference.md#agents); animals move like pedestrians.
 pub fn kind_of_category(category: &str) -> Option<AgentKind> {
     match category {
         "vehicle.bicycle" => return Some(AgentKind::Cyclist),

@@ -26,7 +26,7 @@ pub(crate) struct Resampled {
 
 /// Resamples a track; `keys` in time order, one per key frame at most.
 ///
-/// The key frame k is step k * `steps_per_key` exactly, whatever the sensors' jitter (method.md 1.2); velocities use
+/// The key frame k is step k * `steps_per_key` exactly, whatever the sensors' jitter (reference.md#time-base); velocities use
 /// the true timestamps. Steps between key frames follow `interpolation`; missing key frames are bridged the same way.
 pub(crate) fn resample(keys: &[Key], steps_per_key: usize, interpolation: Interpolation) -> Resampled {
     let Some(first) = keys.first() else { return Resampled::default() };

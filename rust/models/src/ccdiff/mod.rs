@@ -1,4 +1,4 @@
-//! The CCDiff network: causal scene encoder and decoder that predicts the clean actions (method.md 2.3-2.6).
+//! The CCDiff network: causal scene encoder and decoder that predicts the clean actions (reference.md#network).
 //!
 //! ```text
 //! histories, noisy plan ─► tokens ─► round 0: [map] temporal, edge-aware social (masked by G)

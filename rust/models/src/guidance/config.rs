@@ -113,7 +113,7 @@ pub enum Target {
 pub enum FilterWeights {
     /// Those of guidance, with their signs.
     Signed,
-    /// 1 for all, as released (method.md 2.10): with a negative collision weight the least colliding sample is taken.
+    /// 1 for all, as released (reference.md#sampling): with a negative collision weight the least colliding sample is taken.
     Unweighted,
 }
 
@@ -151,7 +151,7 @@ impl Default for GuidanceConfig {
 }
 
 impl GuidanceConfig {
-    /// Values of the paper's table: 30 steps of 0.001 within a norm of 100, discount 0.99 (method.md 7.2).
+    /// Values of the paper's table: 30 steps of 0.001 within a norm of 100, discount 0.99 (reference.md#guidance-settings).
     pub fn paper() -> Self {
         Self {
             discount: 0.99,
@@ -163,7 +163,7 @@ impl GuidanceConfig {
         }
     }
 
-    /// Values of the released evaluation: one step of 0.3 within σ, discount 0.9, the mean is moved (method.md 7.2).
+    /// Values of the released evaluation: one step of 0.3 within σ, discount 0.9, the mean is moved (reference.md#guidance-settings).
     ///
     /// Differs from the released code: the step does reach the plan, σ does clip, and the filter keeps the signs.
     pub fn released() -> Self {

@@ -1,4 +1,4 @@
-//! Guidance: moving plans, while they are denoised, towards what a user wants of them (method.md 2.11).
+//! Guidance: moving plans, while they are denoised, towards what a user wants of them (reference.md#guidance).
 //!
 //! ```text
 //! GuidanceConfig, WorldGuide ─► Situation ─► Guide::adjust in each denoising step ─► Guide::report

@@ -115,7 +115,7 @@ fn compare(a: &[f32], b: &[f32]) -> (f64, Option<f64>) {
     (inner, (norms > 0.0).then(|| (inner / norms).clamp(-1.0, 1.0)))
 }
 
-/// The sample to take for each of M agents by losses [J, N, M] (method.md 2.10): the least sum of weighted losses, per agent,
+/// The sample to take for each of M agents by losses [J, N, M] (reference.md#sampling): the least sum of weighted losses, per agent,
 /// or summed over all agents where an objective is joint. Ties go to the first.
 ///
 /// Differs from the released code: weights keep their signs unless the configuration says otherwise.

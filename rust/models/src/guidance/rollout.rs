@@ -1,7 +1,7 @@
 //! The unicycle and its adjoint in plain numbers: the same plan roll-out as [`crate::unicycle::rollout`], in the scene
 //! frame, with the gradient of a loss on states with respect to actions.
 //!
-//! Forward, from (x₀, y₀, ψ₀, v₀), with a and ω clipped as in method.md 2.7:
+//! Forward, from (x₀, y₀, ψ₀, v₀), with a and ω clipped as in reference.md#unicycle:
 //! v_t = clip(v₀ + Σ_{s≤t} a_s dt), ψ_t = ψ₀ + Σ_{s≤t} ω_s dt, p_t = p_{t-1} + ½ (v_{t-1} + v_t) dt (cos ψ_{t-1}, sin ψ_{t-1}).
 //! Backward, sums over time turn round: each clip passes a gradient where it did not act; the yaw-rate bound has none.
 

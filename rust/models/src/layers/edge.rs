@@ -1,4 +1,4 @@
-//! Encoder of pairwise features (method.md 2.4): four groups of two, summed.
+//! Encoder of pairwise features (reference.md#pairwise-features): four groups of two, summed.
 
 use crate::config::ModelConfig;
 use tch::Tensor;

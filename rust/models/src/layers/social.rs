@@ -1,7 +1,7 @@
-//! Attention between agents at each token, masked by the decision causal graph G (method.md 2.6).
+//! Attention between agents at each token, masked by the decision causal graph G (reference.md#attention-between-agents).
 //!
 //! Every row attends to its own slots: batched per row, identical to masking an M x M² attention. The mask is applied
-//! before the softmax (method.md 9, row 7).
+//! before the softmax (reference.md#causal-mask).
 
 use super::attention::FeedForward;
 use tch::{Kind, Tensor, nn};

@@ -183,7 +183,7 @@ impl CcdiffConfig {
     }
 
     /// How the plans of worlds without guidance are drawn: of several samples the one that touches least and stays on
-    /// the road is taken, as in the released code (method.md 2.10).
+    /// the road is taken, as in the released code (reference.md#sampling).
     pub fn unguided(&self) -> PlanOptions {
         let filter = GuidanceConfig {
             objectives: vec![

@@ -1,10 +1,10 @@
 //! CCDiff as a background policy: plans for all worlds of a batch at once, anew every n steps, followed in between.
 //!
 //! The network plans for every vehicle that is there, the ones driven from outside included: those are predicted only.
-//! Pedestrians, cyclists and motorcycles are not seen, as in the released code (method.md 1.3).
+//! Pedestrians, cyclists and motorcycles are not seen, as in the released code (reference.md#agents).
 //!
 //! Differs from the released code: vehicles that arrive later are driven too, and nobody vanishes where the log ends but
-//! at the edge of the map, unless the world is told otherwise (method.md 5.4).
+//! at the edge of the map, unless the world is told otherwise (reference.md#consequences-of-contact).
 
 mod config;
 mod planning;

@@ -13,7 +13,7 @@ use ccdiff_sim::world::Driver;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
 const STANDING_REACH_M: Real = 20.0;
-/// Logged speed below which a vehicle counts as standing, m/s (method.md 2.10).
+/// Logged speed below which a vehicle counts as standing, m/s (reference.md#sampling).
 const STANDING_MPS: Real = 0.5;
 
 /// The vehicles of a world at a moment.

@@ -37,7 +37,7 @@ impl CausalGraph {
     /// or not a number.
     ///
     /// # Reference
-    /// Paper, section on the causal scene encoder; thresholds in physical units (method.md 9, row 6).
+    /// Paper, section on the causal scene encoder; thresholds in physical units (reference.md#open-points).
     pub fn from_measures(
         num_agents: usize,
         ttc_s: &[Real],

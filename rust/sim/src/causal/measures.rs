@@ -1,15 +1,15 @@
 //! Pairwise measures of agents: time to contact (TTC) and distance, as matrices [M, M].
 //!
 //! Two times to contact: [`Ttc::Oriented`] sweeps oriented boxes at constant velocity and is right for every
-//! heading and side; [`Ttc::Released`] repeats the arithmetic of the authors' release (method.md 2.4), quirks
+//! heading and side; [`Ttc::Released`] repeats the arithmetic of the authors' release (reference.md#pairwise-features), quirks
 //! included, for parity with its rankings. Entries of absent agents hold "no contact" (20 s) or an infinite distance.
 
 use crate::error::{Result, SimError};
 use crate::geom::{OrientedBox, Pose2, Real, Vector2, math};
 
-/// Times to contact are capped here, seconds (method.md 2.4).
+/// Times to contact are capped here, seconds (reference.md#pairwise-features).
 pub const TTC_CAP_S: Real = 20.0;
-/// Distances beyond this are 0 in the normalised form, metres (method.md 2.4).
+/// Distances beyond this are 0 in the normalised form, metres (reference.md#pairwise-features).
 pub const DISTANCE_CAP_M: Real = 20.0;
 
 /// Which time to contact.
@@ -153,7 +153,7 @@ impl<'a> AgentFrame<'a> {
     }
 
     /// Writes the distances less half the mean of length and width of either agent, metres, into `out` [M, M];
-    /// infinite where an agent is absent. Negative where the agents overlap. (The `rel_d_lw` of method.md 2.4
+    /// infinite where an agent is absent. Negative where the agents overlap. (The `rel_d_lw` of reference.md#pairwise-features
     /// before it is normalised.)
     ///
     /// # Errors

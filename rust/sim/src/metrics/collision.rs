@@ -67,7 +67,7 @@ impl CollisionReport {
     /// [`crate::SimError::Length`] where `controlled` or `log` do not fit the roll-out.
     ///
     /// # Reference
-    /// method.md 6.1.
+    /// reference.md#collisions.
     pub fn new(motion: &Motion<'_>, controlled: &[bool], log: Option<&Motion<'_>>) -> Result<Self> {
         motion.check_same(log, controlled)?;
         let num_agents = motion.num_agents();

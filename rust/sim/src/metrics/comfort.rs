@@ -40,7 +40,7 @@ impl ComfortHistograms {
     /// [`SimError::Config`] for a stride of 0.
     ///
     /// # Reference
-    /// method.md 6.4; the release uses 0.5 s between entries.
+    /// reference.md#comfort-distance; the release uses 0.5 s between entries.
     pub fn from_motion(motion: &Motion<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
         if stride == 0 {
             return Err(SimError::Config { field: "stride", got: "0".into(), expected: "at least 1".into() });
@@ -158,7 +158,7 @@ mod tests {
     use super::super::motion::Recorded;
     use super::*;
 
-    /// Check values of method.md 6.4, in units of 1e-5; their rounding moves distances by up to 2e-5.
+    /// Check values of reference.md#comfort-distance, in units of 1e-5; their rounding moves distances by up to 2e-5.
     fn reference() -> ComfortHistograms {
         let rows = [
             [

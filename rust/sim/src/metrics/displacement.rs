@@ -34,7 +34,7 @@ impl Displacement {
 /// [`crate::SimError::Length`] where the log has other agents or steps.
 ///
 /// # Reference
-/// method.md 6.3.
+/// reference.md#displacement.
 pub fn displacement(motion: &Motion<'_>, log: &Motion<'_>) -> Result<Displacement> {
     motion.check_same(Some(log), &vec![false; motion.num_agents()])?;
     let mut result = Displacement { ade_m: Vec::new(), fde_m: Vec::new() };

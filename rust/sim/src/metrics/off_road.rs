@@ -15,7 +15,7 @@ pub struct OffRoadReport {
     /// The same for boxes that have a corner outside.
     pub box_rate: f64,
     /// The centre variant as the release is thought to count: an agent that vanishes between two plans counts as
-    /// outside until the next plan (method.md 6.2, caveat 3, an inference).
+    /// outside until the next plan (reference.md#off-road, an inference).
     pub parity_rate: f64,
 }
 

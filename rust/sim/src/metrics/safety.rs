@@ -82,7 +82,7 @@ pub fn post_encroachment_time_s(motion: &Motion<'_>) -> Vec<Option<Real>> {
 ///
 /// The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
 ///
-/// Differs from the paper: it names the rate without a definition; this one is of method.md 6.5.
+/// Differs from the paper: it names the rate without a definition; this one is of reference.md#over-speed-rate.
 pub fn over_speed(motion: &Motion<'_>, limit_mps: Real, at_least_s: Real, counted: &[bool]) -> Vec<bool> {
     let needed = (at_least_s / motion.dt_s()).round().max(1.0) as usize;
     let of_agent = |agent: usize| {

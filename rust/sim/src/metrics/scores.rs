@@ -44,7 +44,7 @@ pub struct ScoreBounds {
 }
 
 impl ScoreBounds {
-    /// Over the paper's six methods and eleven columns: puts other results on the paper's scale (method.md 6.7).
+    /// Over the paper's six methods and eleven columns: puts other results on the paper's scale (reference.md#scores).
     pub const PAPER: Self = Self {
         scr: Bounds { min: 0.31, max: 0.58 },
         orr: Bounds { min: 0.51, max: 12.21 },
@@ -62,7 +62,7 @@ impl ScoreBounds {
 /// [`SimError::Length`] where the arrays differ in length.
 ///
 /// # Reference
-/// Paper, section on metrics; method.md 6.7.
+/// Paper, section on metrics; reference.md#scores.
 pub fn scores(
     scr: &[f64],
     orr: &[f64],
@@ -115,7 +115,7 @@ fn mean_distance(from: &[Point], to: &[Point]) -> f64 {
 /// GD is the root mean square distance of the method's points to the front, IGD that of the front to the method's
 /// points: q = 2. Smaller is better.
 ///
-/// Differs from the paper: its formula subtracts `a` where it must mean `d` (method.md 9, row 20).
+/// Differs from the paper: its formula subtracts `a` where it must mean `d` (reference.md#scores).
 ///
 /// # Shapes
 /// `cs`, `rs`: [methods, columns] of finite numbers, row-major.
@@ -125,7 +125,7 @@ fn mean_distance(from: &[Point], to: &[Point]) -> f64 {
 /// values that are not finite.
 ///
 /// # Reference
-/// method.md 6.7.
+/// reference.md#scores.
 pub fn generational_distance(num_methods: usize, cs: &[f64], rs: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
     if cs.len() != rs.len() {
         return Err(SimError::Length { what: "RS", got: rs.len(), expected: cs.len() });

@@ -40,7 +40,7 @@ pub struct GradientConflict {
 
 /// Compares two gradients per agent.
 ///
-/// Differs from the paper: it gives the two figures without a definition; these are of method.md 6.8.
+/// Differs from the paper: it gives the two figures without a definition; these are of reference.md#gradient-conflict.
 ///
 /// # Shapes
 /// `realism`, `guidance`: [agents, dimensions], row-major.

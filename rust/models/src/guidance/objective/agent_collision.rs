@@ -1,4 +1,4 @@
-//! Overlap of vehicles as disks, as released (method.md 2.11).
+//! Overlap of vehicles as disks, as released (reference.md#guidance).
 //!
 //! D_ij = W_i/2 + W_j/2 + buffer; d_ij(t) = least distance of their disks; pen_ij(t) = max(0, 1 - d_ij(t) / D_ij);
 //! loss_i = (1/M) Σ_j Σ_t w_t pen_ij(t), w_t = γ^t / Σ γ^t; 0 for agents that stand now.

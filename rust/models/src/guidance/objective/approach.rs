@@ -1,7 +1,7 @@
 //! Closeness of vehicles, with a gradient before contact.
 //!
 //! Differs from the paper: ours. The collision loss of the paper has no gradient until two bodies are within 0.2 m of
-//! touching, so with a negative weight it can only deepen a contact that a sample already has (method.md 2.11).
+//! touching, so with a negative weight it can only deepen a contact that a sample already has (reference.md#guidance).
 //!
 //! With c_ij(t) the distances of the disks' centres (all pairs of disks, not the nearest alone, so that it is smooth):
 //! loss_i = (1/M) Σ_j Σ_t w_t mean over disk pairs of max(0, 1 - c_ij(t) / reach)³, w_t = γ^t / Σ γ^t; 0 for agents that

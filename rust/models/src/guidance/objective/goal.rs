@@ -1,7 +1,7 @@
 //! Distance from a wanted position.
 //!
 //! loss_i = ‖p_i(t*) - g_i‖ with t* the given step, else the step at which the plan comes nearest. Gradient: the unit vector
-//! from the goal at t*. Source: the target position (at a time) of released CCDiff (method.md 2.11), whose formula is not
+//! from the goal at t*. Source: the target position (at a time) of released CCDiff (reference.md#guidance), whose formula is not
 //! recorded there; this one is ours. The loss is zero for agents without a goal.
 
 use super::Evaluation;

@@ -1,4 +1,4 @@
-//! Parts of the body off the road, as released (method.md 2.11).
+//! Parts of the body off the road, as released (reference.md#guidance).
 //!
 //! A grid of 10 x 10 points in the box. Steps at which some points are on the road and some are not count:
 //! loss_i = Σ_t w_t Σ over off-road points c of (1 - d_c / diagonal), d_c the distance from c to the nearest on-road point of

@@ -1,7 +1,7 @@
 //! Speed above a limit.
 //!
 //! loss_i = mean over t of max(0, |v_i(t)| - limit). Gradient: sign(v) / T where above the limit.
-//! Source: CTG's speed limit (method.md 2.11); with a negative weight it is the paper's over-speed objective. The limit is
+//! Source: CTG's speed limit (reference.md#guidance); with a negative weight it is the paper's over-speed objective. The limit is
 //! the objective's own, else the world's (`ccdiff_env.metrics.speed_limit`: 0.75 quantile of logged speeds above 1 m/s); the
 //! loss is zero without either.
 

@@ -1,7 +1,7 @@
 //! Distance from a wanted speed.
 //!
 //! loss_i = mean over t of |v_i(t) - v*_i|. Gradient: sign(v - v*) / T. Source: released CCDiff's target speed
-//! (method.md 2.11). The speed is the world's for that agent, else the objective's; the loss is zero without either.
+//! (reference.md#guidance). The speed is the world's for that agent, else the objective's; the loss is zero without either.
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;

@@ -19,7 +19,7 @@ pub enum GreedyOrder {
 /// if they are joined to every member. Its weight is the sum over its pairs. Agents without a neighbour are left out.
 ///
 /// Differs from the paper: it leaves open the order of the vertices, the symmetrisation and ties; here the weight
-/// of a pair is the larger of its two directions, and ties go to the smaller index (method.md 3.1, 3.7).
+/// of a pair is the larger of its two directions, and ties go to the smaller index (reference.md#greedy-cliques).
 ///
 /// # Shapes
 /// `weights`: [M, M], G times attention, entries at least 0; the diagonal is ignored.

@@ -20,11 +20,11 @@ impl CliqueSettings {
     /// Cliques visited per step at most, unless told otherwise.
     pub const NODE_LIMIT: usize = 20_000;
 
-    /// What made the released lists of key agents: any contact within 20 s joins, pairs count (method.md 3.3).
+    /// What made the released lists of key agents: any contact within 20 s joins, pairs count (reference.md#shipped-lists).
     pub const PARITY: Self =
         Self { threshold: 0.0, min_size: 2, top_per_frame: 3, node_limit: Self::NODE_LIMIT };
 
-    /// What stands in the released script: contact within 10 s joins, triples and larger count (method.md 3.2).
+    /// What stands in the released script: contact within 10 s joins, triples and larger count (reference.md#released-script).
     pub const RELEASED_SCRIPT: Self = Self { threshold: 0.5, min_size: 3, ..Self::PARITY };
 }
 
@@ -58,7 +58,7 @@ pub struct Occurrences {
 /// outside [0, 1] or a negative threshold.
 ///
 /// # Reference
-/// method.md 3.2 and 3.3.
+/// reference.md#released-script and reference.md#shipped-lists.
 pub fn clique_occurrences<V: Into<f64> + Copy>(
     num_agents: usize,
     measure: &[V],
