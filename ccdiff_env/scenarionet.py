@@ -10,7 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,9 @@ import numpy.typing as npt
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
+from ccdiff_env.scenario_fields import F64, ScenarioFields
 from ccdiff_env.scenario_pickle import load_scenario_dict
 from ccdiff_env.scene_types import Lane, MapLayers, Polygon
-
-F64 = npt.NDArray[np.float64]
 
 #: Type and kind. The category tells motorcycles and bicycles apart where the data has one.
 _KINDS = {
@@ -38,42 +37,11 @@ _KINDS_OF_CATEGORIES = {"vehicle.motorcycle": "motorcycle", "vehicle.bicycle": "
 
 _EGO_ID = "ego"
 _INDEX_FILES = ("dataset_summary.pkl", "dataset_mapping.pkl")
+_LINKS = ("exit_lanes", "entry_lanes")
 _CENTRELINE_SPACING_M = 1.0
 
-
-@dataclass
-class _Import:
-    """One file on its way to a scene."""
-
-    path: Path
-    data: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
-    dropped: Counter[tuple[str, str]] = field(default_factory=Counter)
-
-    def part(self, name: str) -> dict[Any, Any]:
-        """Return a dictionary of the description."""
-        value = self.data.get(name)
-        if not isinstance(value, dict):
-            raise self.fault(name, type(value).__name__, "a dictionary")
-        return value
-
-    def fault(self, field_name: str, got: object, expected: str) -> DatasetError:
-        """Return the error for a field that breaks a rule."""
-        return DatasetError(f"{field_name} is {got}, expected {expected}: {self.path}")
-
-    def array(self, value: object, name: str, *, columns: int | None = None) -> F64:
-        """Return numbers as an array: [N] where ``columns`` is None, else [N, >= columns]."""
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise self.fault(name, type(value).__name__, "an array of numbers") from error
-        if columns is None:
-            array = array.reshape(-1) if array.ndim == 2 and array.shape[1] == 1 else array
-            if array.ndim != 1:
-                raise self.fault(f"shape of {name}", array.shape, "[T]")
-        elif array.ndim != 2 or array.shape[1] < columns:
-            raise self.fault(f"shape of {name}", array.shape, f"[N, {columns}] or more columns")
-        return array
+#: Map points lie as near to the origin as tracks must, see ``Scene``.
+_FARTHEST_M = 1e6
 
 
 @dataclass
@@ -97,14 +65,14 @@ def _kind_of(type_name: str, category: str, own: object) -> str | None:
     return _KINDS_OF_CATEGORIES.get(category) or _KINDS.get(type_name)
 
 
-def _states(source: _Import, key: str, track: Mapping[str, Any], num_steps: int) -> _Track | None:
+def _states(
+    source: ScenarioFields, key: str, track: Mapping[str, Any], num_steps: int
+) -> _Track | None:
     """One track, or ``None`` (counted) where there is nothing to show."""
-    state = track.get("state")
-    if not isinstance(state, dict):
-        raise source.fault(f"tracks[{key!r}].state", type(state).__name__, "a dictionary")
-    metadata = track.get("metadata") or {}
-    type_name = str(track.get("type"))
-    category = str(metadata.get("type") or type_name)
+    state = source.mapping(track.get("state"), f"tracks[{key!r}].state")
+    metadata = source.mapping(track.get("metadata") or {}, f"tracks[{key!r}].metadata")
+    type_name = source.text(track.get("type"), f"tracks[{key!r}].type") or "None"
+    category = source.text(metadata.get("type"), f"tracks[{key!r}].metadata.type") or type_name
     kind = _kind_of(type_name, category, metadata.get("kind"))
     if kind is None:
         source.dropped["unknown type", category] += 1
@@ -145,11 +113,12 @@ def _states(source: _Import, key: str, track: Mapping[str, Any], num_steps: int)
     return _Track(key, kind, category, size, position, heading, velocity, valid)
 
 
-def _time_step(source: _Import, metadata: Mapping[str, Any]) -> float:
+def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
     """Seconds between steps, from the time stamps or the sample rate."""
     stamps = metadata.get("ts", metadata.get("timestep"))
-    if stamps is not None and len(np.atleast_1d(stamps)) > 1:
-        steps = np.diff(source.array(stamps, "metadata.ts"))
+    times = np.zeros(0) if stamps is None else source.array(stamps, "metadata.ts")
+    if len(times) > 1:
+        steps = np.diff(times)
         dt = float(np.median(steps))
         if not (np.isfinite(steps).all() and dt > 0):
             raise source.fault("metadata.ts", steps[:3], "times in seconds that increase")
@@ -163,26 +132,28 @@ def _time_step(source: _Import, metadata: Mapping[str, Any]) -> float:
     return float(rate)
 
 
-def _resampled(points: F64) -> F64:
+def _resampled(source: ScenarioFields, name: str, points: F64) -> F64:
     """A line with points about a metre apart; empty where it has no length."""
+    if len(points) < 2:
+        return points[:0]
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     points = points[np.concatenate([[True], steps > 1e-6])]
     if len(points) < 2:
         return points[:0]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     count = max(int(np.ceil(along[-1] / _CENTRELINE_SPACING_M)), 1) + 1
+    source.spend(2 * count, f"{name} of {along[-1]:.0f} m")
     at = np.linspace(0.0, along[-1], count)
     return np.stack([np.interp(at, along, points[:, i]) for i in range(2)], axis=1)
 
 
-def _own_layers(source: _Import, origin: F64) -> MapLayers | None:
+def _own_layers(source: ScenarioFields, origin: F64) -> MapLayers | None:
     """Layers that only files written by this package have; ``None`` in others."""
     own = source.part("metadata").get("ccdiff_env")
     if own is None:
         return None
     where = "metadata.ccdiff_env"
-    if not isinstance(own, dict):
-        raise source.fault(where, type(own).__name__, "a dictionary")
+    own = source.mapping(own, where)
     shift = source.array(own.get("origin", (0.0, 0.0)), f"{where}.origin") - origin
 
     def ring(value: object, name: str) -> npt.NDArray[np.float32]:
@@ -192,10 +163,10 @@ def _own_layers(source: _Import, origin: F64) -> MapLayers | None:
     def polygons(layer: str) -> list[Polygon]:
         name = f"{where}.{layer}"
         found: list[Polygon] = []
-        for polygon in own.get(layer) or ():
+        for polygon in source.items(own.get(layer), name):
             if not isinstance(polygon, dict) or "exterior" not in polygon:
                 raise source.fault(name, type(polygon).__name__, "polygons with an exterior")
-            holes = [ring(hole, name) for hole in polygon.get("holes") or ()]
+            holes = [ring(hole, name) for hole in source.items(polygon.get("holes"), name)]
             found.append({"exterior": ring(polygon["exterior"], name), "holes": holes})
         return found
 
@@ -207,7 +178,7 @@ def _own_layers(source: _Import, origin: F64) -> MapLayers | None:
     }
 
 
-def _origin(source: _Import, tracks: Sequence[_Track]) -> F64:
+def _origin(source: ScenarioFields, tracks: Sequence[_Track]) -> F64:
     """Origin of the scene frame: the file's own, else where the ego or the middle of all is."""
     own = source.part("metadata").get("ccdiff_env")
     if isinstance(own, dict) and "origin" in own:
@@ -224,7 +195,7 @@ def _origin(source: _Import, tracks: Sequence[_Track]) -> F64:
 class _Features:
     """Sorts map features into our layers."""
 
-    def __init__(self, source: _Import, origin: F64) -> None:
+    def __init__(self, source: ScenarioFields, origin: F64) -> None:
         self._source = source
         self._origin = origin
         self._unused: Counter[str] = Counter()
@@ -243,9 +214,8 @@ class _Features:
         features = source.part("map_features")
         lanes: dict[str, tuple[Lane, Mapping[str, Any]]] = {}
         for key, feature in features.items():
-            if not isinstance(feature, dict):
-                raise source.fault(f"map_features[{key!r}]", type(feature).__name__, "a dictionary")
-            self._sort(str(key), feature, lanes)
+            name = source.text(key, "a key of map_features")
+            self._sort(name, source.mapping(feature, f"map_features[{name!r}]"), lanes)
         self._link(lanes)
         if self._own is None:
             self._drivable_area()
@@ -256,15 +226,14 @@ class _Features:
             source.notes.append(f"{count} map features of type {name} have no layer here")
 
     def _points(self, key: str, feature: Mapping[str, Any], name: str) -> F64:
-        value = feature.get(name)
-        if value is None or len(value) == 0:
+        value, where = feature.get(name), f"map_features[{key!r}].{name}"
+        if value is None or (isinstance(value, (list, tuple)) and not value):
             return np.zeros((0, 2))
-        points = self._source.array(value, f"map_features[{key!r}].{name}", columns=2)[:, :2]
-        if not np.isfinite(points).all():
+        points = self._source.array(value, where, columns=2)[:, :2] - self._origin
+        if not (np.abs(points) <= _FARTHEST_M).all():
             raise self._source.fault(
-                f"map_features[{key!r}].{name}", "not finite", "finite numbers"
+                where, "not finite or far away", f"points within {_FARTHEST_M:.0f} m of the origin"
             )
-        points = points - self._origin
         return points
 
     def _polygon(self, key: str, feature: Mapping[str, Any]) -> Polygon:
@@ -276,14 +245,17 @@ class _Features:
     def _sort(
         self, key: str, feature: Mapping[str, Any], lanes: dict[str, tuple[Lane, Mapping[str, Any]]]
     ) -> None:
-        kind = str(feature.get("type"))
+        kind = self._source.text(feature.get("type"), f"map_features[{key!r}].type") or "None"
         layers = self.layers
         if kind.startswith("LANE_") and "BIKE" not in kind:
-            line = _resampled(self._points(key, feature, "polyline"))
+            points = self._points(key, feature, "polyline")
+            line = _resampled(self._source, f"map_features[{key!r}].polyline", points)
             if len(line) < 2:
                 self._unused[f"{kind} without length"] += 1
                 return
             limit = feature.get("speed_limit_kmh") if self._speed_limits else None
+            if not (isinstance(limit, (int, float)) and limit < 1e3):
+                limit = None
             lane: Lane = {
                 "id": key,
                 "kind": "connector" if kind == "LANE_SURFACE_UNSTRUCTURE" else "lane",
@@ -291,7 +263,7 @@ class _Features:
                 "polygon": self._polygon(key, feature),
                 "successors": [],
                 "predecessors": [],
-                "speed_limit_mps": float(limit) / 3.6 if isinstance(limit, (int, float)) else None,
+                "speed_limit_mps": None if limit is None else limit / 3.6,
             }
             lanes[key] = (lane, feature)
         elif kind.startswith("ROAD_LINE_"):
@@ -315,15 +287,25 @@ class _Features:
         edges: set[tuple[int, int]] = set()
         for key, (_, feature) in lanes.items():
             here = index[key]
-            exits = (index.get(str(other)) for other in feature.get("exit_lanes") or ())
-            entries = (index.get(str(other)) for other in feature.get("entry_lanes") or ())
-            edges.update((here, other) for other in exits if other is not None)
-            edges.update((other, here) for other in entries if other is not None)
+            exits, entries = (self._linked(index, key, feature, n) for n in _LINKS)
+            edges.update((here, other) for other in exits)
+            edges.update((other, here) for other in entries)
         listed = [lane for lane, _ in lanes.values()]
         for start, end in sorted(edges):
             listed[start]["successors"].append(end)
             listed[end]["predecessors"].append(start)
         self.layers["lanes"] = listed
+
+    def _linked(
+        self, index: Mapping[str, int], key: str, feature: Mapping[str, Any], name: str
+    ) -> list[int]:
+        """Lanes that a lane names; those that are not in the file are left out."""
+        where = f"map_features[{key!r}].{name}"
+        names = [
+            self._source.text(other, where)
+            for other in self._source.items(feature.get(name), where)
+        ]
+        return [index[other] for other in names if other in index]
 
     def _drivable_area(self) -> None:
         """Lane surfaces, where all lanes have one; with gaps they would call agents off-road."""
@@ -335,15 +317,14 @@ class _Features:
             self._source.notes.append("no drivable area: not all lanes have a polygon")
 
 
-def _tracks(source: _Import, num_steps: int, ego: str | None) -> list[_Track]:
+def _tracks(source: ScenarioFields, num_steps: int, ego: str | None) -> list[_Track]:
     tracks = source.part("tracks")
-    if ego is not None and ego not in map(str, tracks):
+    named = {source.text(key, "a key of tracks"): track for key, track in tracks.items()}
+    if ego is not None and ego not in named:
         raise source.fault("metadata.sdc_id", repr(ego), "the id of a track")
     found = []
-    for key, track in tracks.items():
-        if not isinstance(track, dict):
-            raise source.fault(f"tracks[{key!r}]", type(track).__name__, "a dictionary")
-        states = _states(source, str(key), track, num_steps)
+    for key, track in named.items():
+        states = _states(source, key, source.mapping(track, f"tracks[{key!r}]"), num_steps)
         if states is not None:
             found.append(states)
     found.sort(key=lambda track: track.id != ego)
@@ -353,18 +334,19 @@ def _tracks(source: _Import, num_steps: int, ego: str | None) -> list[_Track]:
 
 
 def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneReport]:
-    source = _Import(path, load_scenario_dict(path))
+    source = ScenarioFields(path, load_scenario_dict(path))
     metadata = source.part("metadata")
     num_steps = source.data.get("length")
     if not (isinstance(num_steps, (int, np.integer)) and num_steps > 0):
         raise source.fault("length", num_steps, "a positive number of steps")
     num_steps = int(num_steps)
-    name = str(metadata.get("scenario_id") or source.data.get("id") or path.stem)
+    name = source.name(("metadata.scenario_id", "id"), path.stem)
     if name in taken:
         source.notes.append(f"another scenario is called {name}: the file's name is added")
         name = f"{name} ({path.stem})"
     sdc_id = metadata.get("sdc_id")
-    tracks = _tracks(source, num_steps, None if sdc_id is None else str(sdc_id))
+    ego = None if sdc_id is None else source.text(sdc_id, "metadata.sdc_id")
+    tracks = _tracks(source, num_steps, ego)
     scene: Scene | None = None
     layers: dict[str, int] = {}
     if tracks:
@@ -387,7 +369,7 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
 
 
 def _assembled(
-    source: _Import, name: str, num_steps: int, tracks: Sequence[_Track]
+    source: ScenarioFields, name: str, num_steps: int, tracks: Sequence[_Track]
 ) -> tuple[Scene, dict[str, int]]:
     metadata = source.part("metadata")
     valid = np.stack([track.valid for track in tracks])
@@ -405,9 +387,9 @@ def _assembled(
         velocity=np.stack([track.velocity for track in tracks]).astype(np.float32),
         valid=valid,
         dt=_time_step(source, metadata),
-        token=str(metadata.get("scenario_token") or source.data.get("id") or name),
-        location=str(metadata.get("map") or ""),
-        source=f"scenarionet {metadata.get('dataset', 'unknown')}",
+        token=source.name(("metadata.scenario_token", "id"), name),
+        location=source.name(("metadata.map",), ""),
+        source=f"scenarionet {source.name(('metadata.dataset',), 'unknown')}",
         origin=(float(origin[0]), float(origin[1])),
         map_layers=features.layers,
     )
