@@ -16,6 +16,7 @@ from pathlib import Path
 
 import ccdiff_env
 from ccdiff_env import AdversarySelectionEnv, Recorder, counterfactual
+from ccdiff_env.scenes import file_name
 
 
 def arguments() -> argparse.Namespace:
@@ -62,7 +63,7 @@ def main() -> None:
             if not (args.all or rollout.collisions("ego")):
                 continue
             verdict = counterfactual.rollout_avoidability(rollout)
-            name = f"{scene.name}-{args.chooser}-{seed}"
+            name = file_name(f"{scene.name}-{args.chooser}-{seed}")
             rollout.save(args.out / f"{name}.npz")
             rollout.to_scenarionet(args.out / f"{name}.pkl", name)
             row = {

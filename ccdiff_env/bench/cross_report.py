@@ -14,6 +14,7 @@ from ccdiff_env.bench.planner_report import mean_interval, short_name
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
+from ccdiff_env.scenes import file_name
 
 __all__ = ["avoidable_rows", "write_collisions", "write_cross"]
 
@@ -112,7 +113,8 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
         for i, s in enumerate(s for s in made.scenarios if s.collision):
             scene = s.scene
             if i < replays:
-                path = folder / "replays" / f"set-{made.folder.name}-{scene}.html"
+                page = file_name(f"set-{made.folder.name}-{scene}", ".html")
+                path = folder / "replays" / page
                 scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
             facts = ["yes" if fact else "no" for fact in (s.at_fault, s.avoidable)]
             cost, fde = (np.nan if x is None else x for x in (s.realism_cost, s.fde_m))

@@ -12,6 +12,7 @@ import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.scenes import file_name
 from ccdiff_env.view import address, write_page
 from ccdiff_env.view.index import LEAD_S
 
@@ -103,7 +104,7 @@ def play_again(
     work: Callable[..., Any] = getattr(importlib.import_module(module), name)
     rows, rollouts = work(**arguments, record=list(scenes))
     pages = {
-        scene: write_replay(rollouts[scene], Path(folder) / f"{prefix}-{scene}.html")
+        scene: write_replay(rollouts[scene], Path(folder) / file_name(f"{prefix}-{scene}", ".html"))
         for scene in scenes
     }
     return {"rows": [row for row in rows if row["scene"] in pages], "pages": pages}

@@ -24,7 +24,7 @@ from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes import Scene, file_name
 
 __all__ = [
     "Scenario",
@@ -184,7 +184,7 @@ def generate(
     seed
         Seed of the episodes.
     folder
-        Where the episodes go, ``<scene>.npz``.
+        Where the episodes go, one file per scene.
     num_plans
         Ego plans that are tried to avoid a collision.
 
@@ -207,7 +207,7 @@ def generate(
     found = []
     for name in names:
         rollout = rollouts[name]
-        file = f"{name}.npz"
+        file = file_name(name, ".npz")
         rollout.save(place / file)
         hits = ego_collisions(rollout)
         verdict = rollout_avoidability(rollout, num_samples=num_plans) if hits else None

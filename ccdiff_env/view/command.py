@@ -8,6 +8,7 @@ from pathlib import Path
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.scenes import file_name
 from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         return _folder(args, folder, kinds)
     rollout = _rollout(args)
     suffix = kinds[0] if kinds else "html"
-    out = args.out or Path(f"{rollout.scene.name}.{suffix}")
+    out = args.out or Path(file_name(rollout.scene.name, f".{suffix}"))
     if kinds:
         _picture(args, rollout, out)
     else:

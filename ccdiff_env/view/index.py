@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.scenes import file_name
 from ccdiff_env.view.facts import collisions, subtitle
 from ccdiff_env.view.film import Film
 from ccdiff_env.view.page import address, part, plain_html, write_page
@@ -58,8 +59,11 @@ def write_pages(
     entries, pages = [], []
     for file in rollout_files(folder):
         rollout = Rollout.load(file)
-        name = "-".join(file.relative_to(folder).with_suffix("").parts)
-        page = out / f"{name}.html"
+        parts = file.relative_to(folder).with_suffix("").parts
+        name = "-".join(parts)
+        page = out / file_name(name, ".html")
+        if page in pages:  # a-b and a/b
+            page = out / file_name("/".join(parts), ".html")
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         write_page(rollout, page, compare=log, titles=("rollout", "log"))
         hits = collisions(rollout)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ccdiff_env import render
 from ccdiff_env.embedded import embedded_scenes
-from ccdiff_env.scenes import SceneSet, load_nuscenes
+from ccdiff_env.scenes import SceneSet, file_name, load_nuscenes
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import play_scene
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
                 on_off_road="ignore",
                 terminate_at_goal=False,
             )
-            name = f"{scene.name}-{args.seed + k}"
+            name = file_name(f"{scene.name}-{args.seed + k}")
             rollout.save(args.out / f"{name}.npz")
             film = Film(rollout, size=(640, 640))
             for share in SHOWN:
