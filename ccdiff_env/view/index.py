@@ -63,7 +63,7 @@ def write_pages(
         name = "-".join(parts)
         page = out / file_name(name, ".html")
         if page in pages:  # a-b and a/b
-            page = out / file_name("/".join(parts), ".html")
+            page = out / file_name(f"/{'/'.join(parts)}", ".html")
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         write_page(rollout, page, compare=log, titles=("rollout", "log"))
         hits = collisions(rollout)
