@@ -44,13 +44,13 @@ test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install 
 	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
-lint: $(SO)  ## formatting, clippy, ruff, mypy
+lint: $(SO)  ## rustfmt, clippy, ruff, mypy, the extension against its stub
 	cargo fmt --check
-	cargo clippy --locked --all-targets -- -D warnings
-	cargo clippy --locked --release -p ccdiff-models -p ccdiff-py -- -D warnings
+	cargo clippy --locked --release --workspace --all-targets -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest ccdiff_env._native --ignore-missing-stub
 
 bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world

@@ -2,17 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, final
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.scene_types import MapLayers, TrackArrays
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
+from ccdiff_env.scene_types import F32, F64, U8, Bool, MapLayers, StateArrays, TrackArrays
 
 def causal_ttc(
     x: F32,
@@ -124,7 +119,7 @@ class Scene:
         token: str = "",
         location: str = "",
         source: str = "",
-        origin: tuple[float, float] = (0.0, 0.0),
+        origin: tuple[float, float] = ...,
         map_layers: MapLayers | None = None,
     ) -> Scene:
         """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return."""
@@ -205,9 +200,9 @@ class Scene:
         self,
         step: int = 0,
         *,
-        size: tuple[int, int] = (640, 640),
+        size: tuple[int, int] = ...,
         span_m: float = 100.0,
-        centre: str | tuple[float, float] = "ego",
+        centre: str | tuple[float, float] = ...,
         heading_up: bool = False,
         trails: bool = True,
         route: bool = True,
@@ -327,15 +322,6 @@ class Planner:
 def guidance_preset(name: str) -> str: ...
 def model_preset(name: str) -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
-
-class StateArrays(TypedDict):
-    position: F32
-    heading: F32
-    velocity: F32
-    speed: F32
-    acceleration: F32
-    yaw_rate: F32
-    active: Bool
 
 _Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None, U8 | None, U8 | None]
 

@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+U8 = npt.NDArray[np.uint8]
+Bool = npt.NDArray[np.bool_]
 
 
 class Polygon(TypedDict):
@@ -62,5 +65,24 @@ class TrackArrays(TypedDict):
     """Radians [A, T], unwrapped along each track."""
     velocity: F32
     """Metres per second [A, T, 2]."""
-    valid: npt.NDArray[np.bool_]
+    valid: Bool
     """Whether the agent is present [A, T]."""
+
+
+class StateArrays(TypedDict):
+    """Present states of A agents of a running world, in the scene frame; zero where not active."""
+
+    position: F32
+    """Centre of the box [A, 2], metres."""
+    heading: F32
+    """Heading [A], radians."""
+    velocity: F32
+    """Velocity [A, 2], m/s."""
+    speed: F32
+    """Speed along the heading [A], m/s."""
+    acceleration: F32
+    """Acceleration along the heading [A], m/s²."""
+    yaw_rate: F32
+    """Yaw rate [A], rad/s."""
+    active: Bool
+    """Whether the agent is there [A]."""
