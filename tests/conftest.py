@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -40,3 +41,17 @@ def browser():
         chromium = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(scope="session")
+def axe() -> str:
+    """Source of axe-core, which looks for what people with disabilities cannot use."""
+    npm = shutil.which("npm")
+    roots = [Path(__file__).resolve().parents[1] / "node_modules"]
+    if npm is not None:
+        found = subprocess.run([npm, "root", "-g"], capture_output=True, text=True, check=False)
+        roots.append(Path(found.stdout.strip()))
+    for root in roots:
+        if (root / "axe-core" / "axe.min.js").is_file():
+            return (root / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+    pytest.skip("no axe-core: npm install -g axe-core")

@@ -34,7 +34,7 @@ class Parts(HTMLParser):
             self.rows[-1].append("")
         if tag == "a":
             self.links.append(found["href"])
-        if tag in ("img", "script", "link", "iframe"):
+        if tag in ("img", "link", "iframe") or "src" in found:
             self.sources.append(found.get("src") or found.get("href"))
 
     def handle_data(self, data):

@@ -18,6 +18,7 @@ from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, play_scene, write_page
 from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.film import Film
+from ccdiff_env.view.outcome import happenings, outcome
 
 
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
@@ -101,6 +102,10 @@ def test_pairs_are_those_that_the_core_says_will_meet():
         assert len(a) == np.count_nonzero(np.triu(near, 1))
 
 
+def shown_events(run: Rollout) -> list[dict]:
+    return unpacked(elements(page_html(run))[0])[0]["run"]["events"]
+
+
 def test_two_agents_that_follow_the_log_overlap_but_do_not_collide():
     run = planned_rollout()
     ids = run.agent_ids
@@ -109,8 +114,105 @@ def test_two_agents_that_follow_the_log_overlap_but_do_not_collide():
         RolloutEvent(6, ids[1], ids[4], "collision_side"),
         RolloutEvent(7, ids[1], None, "off_road"),
     )
-    shown = unpacked(elements(page_html(replace(run, events=events)))[0])[0]["run"]["events"]
-    assert [event["collision"] for event in shown] == [False, True, False]
+    shown = shown_events(replace(run, events=events))
+    assert [event["kind"] for event in shown] == ["overlap", "collision", "off_road"]
+    assert [event["lane"] for event in shown] == ["others"] * 3
+
+
+def test_both_sides_of_a_collision_are_one_event_told_by_the_ego():
+    shown = shown_events(planned_rollout())
+    assert len(shown) == 1
+    assert (shown[0]["step"], shown[0]["lane"], shown[0]["kind"]) == (30, "ego", "collision")
+    assert re.fullmatch(r"ego drove into 1 \(\w+\), at fault", shown[0]["text"])
+
+
+def test_an_event_of_a_guided_vehicle_is_not_one_of_the_others():
+    run = planned_rollout()
+    ids = run.agent_ids
+    events = (
+        RolloutEvent(9, ids[4], ids[2], "collision_rear"),
+        RolloutEvent(9, ids[2], ids[4], "collision_front"),
+        RolloutEvent(9, ids[1], ids[5], "collision_rear"),
+    )
+    shown = shown_events(replace(run, events=events))
+    told = [(event["lane"], event["agent"], event["partner"]) for event in shown]
+    assert told == [("others", 1, 5), ("guided", 2, 4)]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "tone", "text"),
+    [
+        ([(20, "goal")], "good", "ego reached its goal at 2.0 s"),
+        ([(13, "off_road")], "bad", "ego left the road at 1.3 s"),
+        ([(80, "time_limit")], "plain", "ego not at its goal in 8.0 s"),
+        ([], "plain", "ego drove 8.0 s, hit nobody"),
+        ([(13, "off_road"), (40, "goal")], "bad", "ego left the road at 1.3 s, reached its goal"),
+        ([(13, "goal"), (40, "off_road")], "good", "ego reached its goal at 1.3 s"),
+    ],
+)
+def test_the_outcome_says_what_became_of_the_ego(kinds, tone, text):
+    events = tuple(RolloutEvent(step, "ego", None, kind) for step, kind in kinds)
+    found = outcome(replace(planned_rollout(), events=events))
+    assert (found.tone, found.text, found.others) == (tone, text, 0)
+
+
+def test_a_collision_of_the_ego_is_told_apart_from_those_of_others():
+    run = planned_rollout()
+    ids = run.agent_ids
+    events = (
+        RolloutEvent(9, ids[1], ids[2], "collision_front"),
+        RolloutEvent(9, ids[2], ids[1], "collision_rear"),
+        RolloutEvent(50, "ego", ids[2], "collision_rear", False),
+    )
+    found = outcome(replace(run, events=events))
+    assert re.fullmatch(r"ego hit from behind by 2 \(\w+\) at 5.0 s, not at fault", found.text)
+    assert (found.tone, found.others, found.opening_s) == ("bad", 1, pytest.approx(3.0))
+    assert found.line.endswith("others: 1 collision")
+    assert outcome(log_rollout(run.scene)).text == "as recorded"
+
+
+def off_road_flags(run: Rollout, *events: tuple[int, int]) -> list[tuple[int, int]]:
+    """Agents and steps of the off-road events that are shown among those given."""
+    listed = tuple(RolloutEvent(step, run.agent_ids[i], None, "off_road") for i, step in events)
+    shown = [h for h in happenings(replace(run, events=listed)) if h.kind == "off_road"]
+    return [(h.agent, h.step) for h in shown]
+
+
+def test_only_vehicles_that_leave_the_road_anew_are_flagged():
+    run = planned_rollout()
+    scene = run.scene
+    tracks = scene.tracks()
+    vehicles = [i for i, kind in enumerate(scene.agent_types) if kind == "vehicle" and i]
+    speed = np.linalg.norm(tracks["velocity"], axis=-1).max(axis=1)
+    moving = next(i for i in vehicles if speed[i] > 2.0 and run.valid[i, 15:].all())
+    assert off_road_flags(run, (moving, 20), (0, 20)) == [(0, 20), (moving, 20)]
+    # parked in the log
+    still = {name: values.copy() for name, values in tracks.items()}
+    still["velocity"][moving] = 0.0
+    parked = replace(run, scene=remade(scene, still))
+    assert off_road_flags(parked, (moving, 20), (0, 20)) == [(0, 20)]
+    # appears at this moment
+    valid = run.valid.copy()
+    valid[moving, :20] = False
+    appearing = replace(run, valid=valid)
+    assert off_road_flags(appearing, (moving, 20), (moving, 30)) == [(moving, 30)]
+    # the log leaves the road here, too: half a kilometre away nothing is drivable
+    away = {name: values.copy() for name, values in tracks.items()}
+    away["position"][moving, 18:25] += 500.0
+    outside = replace(run, scene=remade(scene, away))
+    assert off_road_flags(outside, (moving, 20), (moving, 60)) == [(moving, 60)]
+
+
+def remade(scene: Scene, tracks: dict[str, np.ndarray]) -> Scene:
+    return Scene.from_arrays(
+        scene.name,
+        agent_ids=scene.agent_ids,
+        agent_types=scene.agent_types,
+        sizes=scene.sizes,
+        location=scene.location,
+        map_layers=scene.map_layers(),
+        **tracks,
+    )
 
 
 def test_names_cannot_break_out_of_the_page():
@@ -129,6 +231,22 @@ def test_names_cannot_break_out_of_the_page():
     assert "alert(1)</script>" not in text
     assert text.count("<script") == text.count("</script>") == 3
     assert len(elements(text)) == 1
+
+
+def test_several_runs_keep_their_titles_and_a_title_too_few_is_an_error():
+    run = planned_rollout()
+    found = elements(page_html(run, compare=[run, run]))
+    assert [unpacked(e)[0]["run"]["title"] for e in found] == ["A", "B", "C"]
+    with pytest.raises(ConfigError, match="titles: 2 for 3 runs"):
+        page_html(run, compare=[run, run], titles=("one", "two"))
+
+
+def test_criticalities_are_shown_beside_each_other(tmp_path):
+    out = tmp_path / "page.html"
+    levels = ["--criticality", "0", "1", "--samples", "1"]
+    assert cli.main(["view", "left-turn-00", "--traffic", "ccdiff", *levels, "-o", str(out)]) == 0
+    runs = [unpacked(e)[0]["run"] for e in elements(out.read_text(encoding="utf-8"))]
+    assert [run["title"] for run in runs] == ["CCDiff, criticality 0", "CCDiff, criticality 1"]
 
 
 def test_pages_need_nothing_from_outside():
@@ -211,12 +329,29 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsy
         assert film.info["duration"] == 50
 
 
+def test_films_of_two_runs_stand_side_by_side(tmp_path):
+    from PIL import Image
+
+    planned_rollout().save(tmp_path / "run.npz")
+    out = tmp_path / "two.png"
+    options = ["--png", "30", "--size", "100", "--compare", "log", "-o", str(out)]
+    assert cli.main(["view", str(tmp_path / "run.npz"), *options]) == 0
+    with Image.open(out) as picture:
+        assert picture.size == (206, 100)
+        both = np.asarray(picture)
+    run = planned_rollout()
+    films = [Film(r, size=(100, 100)) for r in (run, log_rollout(run.scene, like=run))]
+    np.testing.assert_array_equal(both[:, :100], films[0].frame(30))
+    np.testing.assert_array_equal(both[:, 106:], films[1].frame(30))
+
+
 def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
     out, kept = tmp_path / "page.html", tmp_path / "run.npz"
     options = ["--traffic", "idm", "--seed", "3", "--compare", "log", "--save", str(kept)]
     assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
     run = Rollout.load(kept)
-    assert (run.meta["seed"], run.meta["traffic"], run.meta["planner"]) == (3, "idm", "idm")
+    # beside the log only the traffic differs: the ego follows the log, too
+    assert (run.meta["seed"], run.meta["traffic"], run.meta["planner"]) == (3, "idm", "replay")
     first, second = (unpacked(e)[0]["run"] for e in elements(out.read_text(encoding="utf-8")))
     assert (first["title"], second["title"]) == ("IDM", "log")
     assert first["startStep"] == second["startStep"] == run.start_step
@@ -254,9 +389,13 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
     assert cli.main(["view", str(tmp_path / "runs"), "-o", str(out)]) == 0
     text = (out / "index.html").read_text(encoding="utf-8")
     links = re.findall(r'href="([^":]+)"', text)
-    assert links == ["a.html#t=1.0", "deep-b.html#t=1.0"]  # two seconds before the collision
+    # two seconds before the collision
+    assert links == ["a.html#t=1.0&amp;play=1", "deep-b.html#t=1.0&amp;play=1"]
     assert all((out / link.partition("#")[0]).is_file() for link in links)
-    assert "2 replays, 2 with a collision" in text
+    assert "2 replays: the ego is hit or leaves the road in 2" in text
+    assert text.count('alt="a: ego drove into 1') == 1
+    assert 'href="index.html"' in (out / "a.html").read_text(encoding="utf-8")
+    assert "<title>deep-b</title>" in (out / "deep-b.html").read_text(encoding="utf-8")
     assert capsys.readouterr().out.strip() == str(out / "index.html")
 
 
@@ -268,9 +407,20 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         (["left-turn-00", "--png", "0", "--follow", "nobody"], "no agent 'nobody'"),
         (["nothing"], "no file 'nothing'"),
         ([".", "--gif"], "a folder gives pages"),
+        (["{empty}"], "no rollouts"),
+        (["{empty}", "--seed", "3"], "--seed does not go with a folder"),
+        (["left-turn-00", "--criticality", "1"], "--criticality plays a scene: give --traffic"),
+        (["left-turn-00", "--driver", "idm"], "--driver plays a scene: give --traffic"),
+        (["left-turn-00", "--span", "40"], "--span goes with --png"),
+        (["left-turn-00", "--traffic", "idm", "--criticality", "1"], "guides CCDiff"),
+        (["left-turn-00", "--traffic", "ccdiff", "--criticality", "5"], "expected 0 to 2"),
+        (["left-turn-00", "--traffic", "idm", "--driver", "external"], "there are ccdiff, const"),
+        (["left-turn-00", "--png", "3", "--open"], "--open shows pages"),
     ],
 )
 def test_the_verb_says_what_is_wrong(options, message, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    options = [option.format(empty=tmp_path / "empty") for option in options]
     assert cli.main(["view", *options, "-o", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
 

@@ -8,6 +8,7 @@ import pytest
 from view_rollouts import planned_rollout
 
 from ccdiff_env.view import address, log_rollout, write_page
+from ccdiff_env.view.index import write_pages
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -20,14 +21,18 @@ def files(tmp_path_factory):
     write_page(rollout, folder / "one.html")
     log = log_rollout(rollout.scene, like=rollout)
     write_page(rollout, folder / "two.html", compare=log, titles=("run", "log"))
+    rollout.save(folder / "a.npz")
+    log.save(folder / "b.npz")
+    write_pages(folder, folder)
     return folder
 
 
 class Page:
     """A page of the browser that notes what must not happen."""
 
-    def __init__(self, browser, file, hash="", **options):
-        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}} | options)
+    def __init__(self, browser, file, hash="#t=0", **options):
+        usual = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce"}
+        self.context = browser.new_context(**usual | options)
         self.page = self.context.new_page()
         self.faults, self.requests = [], []
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
@@ -133,6 +138,36 @@ def test_time_passes_at_the_rate_that_is_chosen(visit):
     assert passed == pytest.approx(0.1)
 
 
+def test_a_page_plays_from_two_seconds_before_the_collision(visit):
+    page = visit("one.html", hash="", reduced_motion="no-preference")
+    assert 1.0 <= page.time() < 3.0
+    assert page.state("playing") is True
+    page.until("replay.time > replay.start + 1.1")
+
+
+def test_a_page_waits_where_less_motion_is_wanted_and_where_a_moment_is_asked_for(visit):
+    assert visit("one.html", hash="").state("playing") is False
+    assert visit("one.html", reduced_motion="no-preference").state("playing") is False
+    asked = visit("one.html", hash="#t=2&play=1", reduced_motion="no-preference")
+    assert asked.state("playing") is True
+
+
+def test_the_address_follows_what_is_shown_and_opens_it_again(visit):
+    page = visit("one.html")
+    page.click("#layer-graph")
+    page.click("#layer-trails")
+    page.select_option("#colour", "speed")
+    page.keyboard.press("f")
+    page.evaluate("replay.seek(3.3)")
+    page.until("location.hash.includes('t=3.3')")
+    again = visit("one.html", hash=page.evaluate("location.hash"))
+    assert again.time() == pytest.approx(3.3)
+    assert again.state("layers.graph") is True
+    assert again.state("layers.trails") is False
+    assert again.state("colourMode") == "speed"
+    assert again.state("camera.scale") == pytest.approx(page.state("camera.scale"), abs=0.05)
+
+
 def test_an_address_opens_a_moment_and_an_agent(visit):
     second = planned_rollout().agent_ids[1]
     page = visit("one.html", hash="#" + address("", time_s=4.2, follow=second).partition("#")[2])
@@ -207,9 +242,12 @@ def test_keys_do_what_the_help_says(visit):
     assert page.state("layers.graph") is True
     page.keyboard.press(".")
     page.frames()
-    assert page.time() == pytest.approx(3.0)
-    page.keyboard.press("Tab")
+    assert page.time() == pytest.approx(1.0)  # two seconds before the collision
+    page.keyboard.press("n")
     assert page.state("follow") == planned_rollout().agent_ids[1]
+    page.keyboard.press("Shift+N")
+    assert page.state("follow") == "ego"
+    page.keyboard.press("n")
     page.keyboard.press("e")
     assert page.state("follow") == "ego"
     page.keyboard.press("h")
@@ -283,7 +321,7 @@ def test_collisions_stand_on_the_time_line_and_in_its_tooltip(visit):
     box = page.locator("#timeline").bounding_box()
     x = box["x"] + 10 + (box["width"] - 20) * 3.0 / 8.0
     page.mouse.move(x, box["y"] + 20)
-    assert "collision front with" in page.get_attribute("#timeline", "title")
+    assert "ego drove into 1" in page.get_attribute("#timeline", "title")
     red = page.evaluate(
         """() => {
           const c = document.getElementById('timeline');
@@ -330,10 +368,134 @@ def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
         assert ttc == pytest.approx(seconds[a, b], abs=0.03)
 
 
+def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
+    page = visit("one.html")
+    assert "ego drove into 1" in page.inner_text("#outcome .verdict")
+    assert "at 3.0 s, at fault" in page.inner_text("#outcome .verdict")
+    events = page.locator(".event")
+    assert events.count() == 1
+    page.evaluate("replay.seek(7)")
+    events.first.click()
+    page.until("replay.playing && replay.time > replay.start + 1 && replay.time < replay.start + 3")
+    page.keyboard.press("End")
+    page.click(".events-head .chip")
+    assert page.state("flags.ego") is False
+    assert page.get_attribute(".events-head .chip", "aria-pressed") == "false"
+
+
+def test_the_soonest_contacts_are_those_of_the_chosen_agent_and_a_click_shows_both(visit):
+    page = visit("one.html")
+    page.evaluate("replay.seek(2)")
+    page.frames()
+    rows = page.locator(".contact")
+    assert 1 <= rows.count() <= 5
+    first = rows.first.inner_text().split()
+    assert first[0] == "ego" or first[2] == "ego"
+    names = page.evaluate("replay.runs[0].agents.map(a => a.label)")
+    pair = [names.index(first[0]), names.index(first[2])]
+    shown = {tuple(sorted((a, b))): ttc for a, b, ttc in page.evaluate("replay.runs[0].pairs(20)")}
+    assert float(first[3]) == pytest.approx(shown[tuple(sorted(pair))], abs=0.06)
+    rows.first.click()
+    box = page.locator(".map").bounding_box()
+    for agent in pair:
+        x, y = page.screen(page.evaluate("i => replay.runs[0].agents[i].id", agent))
+        assert box["x"] < x < box["x"] + box["width"]
+        assert box["y"] < y < box["y"] + box["height"]
+
+
+def test_every_control_is_reached_by_the_keyboard(visit):
+    page = visit("two.html")
+    wanted = set(
+        page.evaluate(
+            """() => [...document.querySelectorAll("#app :is(button, select, summary, canvas)")]
+              .filter((node) => node.checkVisibility() && node.tabIndex === 0)
+              .map((node, i) => (node.dataset.nth = i))"""
+        )
+    )
+    seen = set()
+    for _ in range(len(wanted) + 3):
+        page.keyboard.press("Tab")
+        seen.add(page.evaluate("+(document.activeElement.dataset.nth ?? -1)"))
+    assert wanted - seen == set()
+    # a key presses the button that has the focus, and does nothing else
+    page.focus("#layer-graph")
+    page.keyboard.press("Space")
+    assert page.state("layers.graph") is True
+    assert page.state("playing") is False
+    page.keyboard.press("t")
+    assert page.state("layers.trails") is True
+
+
+def test_the_time_line_is_a_slider_that_says_where_it_is(visit):
+    page = visit("one.html")
+    page.focus("#timeline")
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    page.frames()
+    slider = page.locator("#timeline")
+    assert slider.get_attribute("role") == "slider"
+    assert float(slider.get_attribute("aria-valuenow")) == pytest.approx(3.0)
+    assert float(slider.get_attribute("aria-valuemax")) == pytest.approx(8.0)
+    assert "ego drove into 1" in slider.get_attribute("aria-valuetext")
+    assert "ego drove into 1" in page.inner_text("#said")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["one.html", "two.html", "index.html"])
+def test_axe_finds_nothing_serious(browser, files, axe, name, theme):
+    context = browser.new_context(color_scheme=theme, reduced_motion="reduce", bypass_csp=True)
+    page = context.new_page()
+    page.goto((files / name).as_uri())
+    if name != "index.html":
+        page.wait_for_function("document.body.dataset.ready === 'yes'")
+    page.evaluate(axe)
+    found = page.evaluate("axe.run().then((r) => r.violations)")
+    context.close()
+    serious = [v for v in found if v["impact"] in ("serious", "critical")]
+    assert [
+        (v["id"], v["nodes"][0]["html"], v["nodes"][0]["failureSummary"]) for v in serious
+    ] == []
+
+
+def test_colours_of_agents_stand_out_from_the_road(visit):
+    """A dark outline round every body: 3 to 1 at least, as WCAG 1.4.11 wants of graphics."""
+    page = visit("one.html", color_scheme="light")
+
+    def luminance(rgb):
+        parts = [c / 255 for c in rgb]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    page.evaluate("replay.layers.labels = replay.layers.lanes = false; replay.touch()")
+    page.frames()
+    half = planned_rollout().scene.sizes[0, 1] / 2
+    row = page.evaluate(
+        """(half) => {
+          const pane = replay.panes[0], { x, y, heading } = pane.run.pose(0, 0);
+          const context = pane.canvas.getContext("2d");
+          const { data, width } = context.getImageData(0, 0, pane.canvas.width, pane.canvas.height);
+          const out = [];
+          for (let r = half - 0.5; r < half + 1; r += 0.02) {
+            const [px, py] = replay.camera.toScreen(
+              x - r * Math.sin(heading), y + r * Math.cos(heading), pane.width, pane.height);
+            const at = 4 * (Math.round(py) * width + Math.round(px));
+            out.push([...data.slice(at, at + 3)]);
+          }
+          return out;
+        }""",
+        float(half),
+    )
+    lights = [luminance(rgb) for rgb in row]
+    edge = lights.index(min(lights))
+    assert edge < len(lights) - 30  # of the body, not of the road
+    assert (lights[-1] + 0.05) / (lights[edge] + 0.05) >= 3.0
+
+
 def test_two_runs_keep_step_and_share_the_view(visit):
     page = visit("two.html")
     assert page.locator(".pane").count() == 2
     assert page.locator(".pane-caption b").all_inner_texts() == ["run", "log"]
+    assert page.locator(".pane-caption .badge").all_inner_texts() == ["A", "B"]
     page.keyboard.press("End")
     page.frames()
     steps = page.evaluate("replay.panes.map(p => p.run.stepAt(replay.time))")
@@ -347,6 +509,19 @@ def test_two_runs_keep_step_and_share_the_view(visit):
     assert b["x"] > a["x"] + 300
 
 
+def test_an_index_is_searched_and_sorted(browser, files):
+    page = browser.new_page()
+    page.goto((files / "index.html").as_uri())
+    titles = page.locator(".card:visible h2")
+    assert titles.all_inner_texts() == ["a", "b"]
+    page.fill("#find", "as recorded")
+    assert titles.all_inner_texts() == ["b"]
+    page.fill("#find", "")
+    page.select_option("#order", "bad")
+    assert titles.all_inner_texts() == ["a", "b"]
+    page.close()
+
+
 def test_a_phone_has_room_for_everything(visit):
     page = visit("two.html", viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     width = page.evaluate("document.documentElement.scrollWidth")
@@ -357,9 +532,36 @@ def test_a_phone_has_room_for_everything(visit):
     page.until("replay.time > replay.start + 0.1")
     box = page.locator("#play").bounding_box()
     assert box["y"] + box["height"] <= 844
-    assert min(box["width"], box["height"]) >= 36
+    for control in page.locator("#app button, #app select").all():
+        if control.is_visible():
+            size = control.bounding_box()
+            assert min(size["width"], size["height"]) >= 44, control.inner_text()
+    page.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
+    page.frames()
+    box = page.locator("#play").bounding_box()  # still there while one reads the panels
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= 844
     page.tap("#help-button")
     assert page.is_visible("#help")
+
+
+def test_a_phone_on_its_side_shows_all_options(visit):
+    page = visit("one.html", viewport={"width": 844, "height": 390}, has_touch=True, is_mobile=True)
+    assert page.is_visible("#follow")
+    assert page.locator(".map").bounding_box()["height"] > 150
+
+
+def test_a_damaged_page_says_so_and_shows_no_controls(browser, files, tmp_path):
+    text = (files / "one.html").read_text(encoding="utf-8")
+    at = text.index('class="run"') + 5000
+    (tmp_path / "torn.html").write_text(text[:at] + "AAAA" * 9 + text[at + 36 :], encoding="utf-8")
+    page = browser.new_page()
+    page.goto((tmp_path / "torn.html").as_uri())
+    page.wait_for_selector("[data-ready=failed]")
+    assert "damaged" in page.inner_text("#failure")
+    box = page.locator("#failure").bounding_box()
+    assert box["height"] == page.viewport_size["height"]
+    page.close()
 
 
 def test_two_fingers_zoom(visit):

@@ -14,7 +14,7 @@ from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import file_name
 from ccdiff_env.view import address, write_page
-from ccdiff_env.view.index import LEAD_S
+from ccdiff_env.view.outcome import LEAD_S, outcome
 
 __all__ = ["make_replays", "play_again", "write_replay"]
 
@@ -113,16 +113,18 @@ def play_again(
 def write_replay(rollout: Rollout, path: Path) -> str:
     """Write the page of an episode; returns its address from the folder above.
 
-    It opens before the first collision of the ego (else of anybody, else before the ego's least
-    time to contact) and follows who collides.
+    It opens two seconds before what matters, see :class:`~ccdiff_env.view.outcome.Outcome`, and
+    follows who it is about.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_page(rollout, path)
+    write_page(rollout, path, home=("../report.html", "report"))
+    fate = outcome(rollout)
+    follow, time_s = None, fate.opening_s
     hits = rollout.collisions("ego") or rollout.collisions()
-    follow, step = None, 0
     if hits:
-        follow, step = hits[0].agent_id, hits[0].step
+        follow = hits[0].agent_id
     elif len(rollout.figures.get("ttc", ())):
         step = int(np.argmin(rollout.figures["ttc"])) + 1
-    time_s = max(0.0, step * rollout.dt_s - LEAD_S)
-    return address(f"{path.parent.name}/{path.name}", time_s=time_s, follow=follow)
+        time_s = max(0.0, step * rollout.dt_s - LEAD_S)
+    page = f"{path.parent.name}/{path.name}"
+    return address(page, time_s=time_s, follow=follow, play=True)

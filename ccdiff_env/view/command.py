@@ -3,17 +3,42 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import file_name
+from ccdiff_env.terminal import say_page, shown
 from ccdiff_env.view.facts import DRIVER_TITLES
-from ccdiff_env.view.film import Film, save_film
+from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
+
+MAX_CRITICALITY = 2.0
+#: Options that play a scene, and what they are without being given.
+PLAYED: dict[str, Any] = {
+    "driver": None,
+    "seed": 0,
+    "samples": SAMPLES,
+    "criticality": (0.0,),
+    "save": None,
+}
+#: Options of pictures and films likewise.
+DRAWN: dict[str, Any] = {"follow": None, "span": 90.0, "size": 720, "speed": 1.0, "graph": False}
+
+
+@dataclass(frozen=True)
+class Titled:
+    """A run and its name on the page."""
+
+    rollout: Rollout
+    title: str
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,29 +47,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what", metavar="RUN_OR_SCENE", help="file of a rollout, folder of them, or name of a scene"
     )
     parser.add_argument(
-        "--compare", help='file or scene to show beside it; "log" for the log of its scene'
+        "--compare",
+        nargs="+",
+        default=[],
+        metavar="RUN_OR_SCENE",
+        help='files or scenes to show beside it; "log" for the log of its scene',
     )
     parser.add_argument("-o", "--out", type=Path, help="page to write, or folder of pages")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
     parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
-    parser.add_argument(
-        "--traffic", help="play the scene first, with this traffic: ccdiff, idm, replay, ..."
+    play = parser.add_argument_group("playing a scene first")
+    play.add_argument("--traffic", help="who drives the others: ccdiff, idm, replay, ...")
+    play.add_argument(
+        "--driver",
+        nargs="+",
+        help="who drives the ego (idm; replay where --compare has the log, so that the traffic "
+        "alone differs); several are shown beside each other",
     )
-    parser.add_argument("--driver", default="idm", help="who drives the ego then")
-    parser.add_argument("--seed", type=int, default=0, help="seed of that episode")
-    parser.add_argument("--samples", type=int, default=SAMPLES, help="samples per plan of CCDiff")
-    parser.add_argument(
-        "--criticality", type=float, default=0.0, help="0: realistic CCDiff traffic; 1: guided"
+    play.add_argument("--seed", type=int, help="seed of the episode (0)")
+    play.add_argument("--samples", type=int, help=f"samples per plan of CCDiff ({SAMPLES})")
+    play.add_argument(
+        "--criticality",
+        type=float,
+        nargs="+",
+        help="0: realistic CCDiff traffic (the default); 1: guided; several are shown beside each "
+        "other",
     )
-    parser.add_argument("--save", type=Path, help="keep that episode in this file (.npz)")
-    parser.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step instead")
-    parser.add_argument("--gif", action="store_true", help="write a GIF instead of a page")
-    parser.add_argument("--mp4", action="store_true", help="write an MP4 instead of a page")
-    parser.add_argument("--follow", metavar="ID", help="agent in the middle of pictures")
-    parser.add_argument("--span", type=float, default=90.0, help="metres across a picture")
-    parser.add_argument("--size", type=int, default=720, help="pixels of a picture's sides")
-    parser.add_argument("--speed", type=float, default=1.0, help="pace of a film")
-    parser.add_argument("--graph", action="store_true", help="draw the causal graph in pictures")
+    play.add_argument("--save", type=Path, help="keep that episode in this file (.npz)")
+    draw = parser.add_argument_group("a picture or a film instead of a page")
+    draw.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step")
+    draw.add_argument("--gif", action="store_true", help="write a GIF")
+    draw.add_argument("--mp4", action="store_true", help="write an MP4")
+    draw.add_argument("--follow", metavar="ID", help="agent in the middle (the ego)")
+    draw.add_argument("--span", type=float, help="metres across a picture (90)")
+    draw.add_argument("--size", type=int, help="pixels of a picture's sides (720)")
+    draw.add_argument("--speed", type=float, help="pace of a film (1)")
+    draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,68 +95,111 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.what)
     if folder.is_dir():
         return _folder(args, folder, kinds)
-    rollout = _rollout(args)
+    if args.traffic is None:
+        _settle(args, PLAYED, "plays a scene: give --traffic, too")
+    if not kinds:
+        _settle(args, DRAWN, "goes with --png, --gif and --mp4")
+    elif args.open:
+        raise ConfigError("--open shows pages, not pictures")
+    _settle(args, PLAYED | DRAWN)
+    runs = _runs(args)
     suffix = kinds[0] if kinds else "html"
-    out = args.out or Path(file_name(rollout.scene.name, f".{suffix}"))
+    out = args.out or Path(file_name(runs[0].rollout.scene.name, f".{suffix}"))
     if kinds:
-        _picture(args, rollout, out)
-    else:
-        other = args.compare and find_rollout(
-            args.compare, dataroot=args.dataroot, version=args.version, like=rollout
-        )
-        titles = (_title(args.traffic or args.what), _title(args.compare or ""))
-        write_page(rollout, out, compare=other or None, titles=titles)
-    print(out)
+        _picture(args, runs, out)
+        print(out)
+        return 0
+    first, *others = (run.rollout for run in runs)
+    titles = [run.title for run in runs] if others else None
+    write_page(first, out, compare=others, titles=titles)
+    say_page(out, open_it=args.open)
     return 0
 
 
-def _rollout(args: argparse.Namespace) -> Rollout:
-    if args.traffic is None:
-        if args.save is not None:
-            raise ConfigError("--save keeps an episode that is played: give --traffic too")
-        return find_rollout(args.what, dataroot=args.dataroot, version=args.version)
+def _settle(args: argparse.Namespace, options: Mapping[str, Any], refused: str = "") -> None:
+    """Give options that were not given their defaults; or refuse those that were."""
+    for name, default in options.items():
+        given = getattr(args, name)
+        if refused and given is not None:
+            raise ConfigError(f"--{name} {refused}")
+        if not refused and given is None:
+            setattr(args, name, default)
+
+
+def _runs(args: argparse.Namespace) -> list[Titled]:
+    runs = _played(args) if args.traffic is not None else [_found(args, args.what)]
+    first = runs[0].rollout
+    return runs + [_found(args, word, like=first) for word in args.compare]
+
+
+def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Titled:
+    rollout = find_rollout(word, dataroot=args.dataroot, version=args.version, like=like)
+    return Titled(rollout, Path(word).stem if Path(word).is_file() else word)
+
+
+def _played(args: argparse.Namespace) -> list[Titled]:
     if Path(args.what).is_file():
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
+    drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
+    levels = args.criticality
+    ccdiff = args.traffic == "ccdiff" or "ccdiff" in drivers
+    for level in levels:
+        if not 0.0 <= level <= MAX_CRITICALITY:
+            raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
+    if any(levels) and not ccdiff:
+        raise ConfigError(f"--criticality guides CCDiff, but --traffic is {args.traffic}")
+    if args.save is not None and len(drivers) * len(levels) > 1:
+        raise ConfigError("--save keeps one episode: give one --driver and one --criticality")
     scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
-    rollout = play_scene(
-        scene,
-        traffic=args.traffic,
-        driver=args.driver,
-        seed=args.seed,
-        ccdiff={"num_samples": args.samples, "criticality": args.criticality},
-    )
+    runs = []
+    for driver, level in product(drivers, levels):
+        rollout = play_scene(
+            scene,
+            traffic=args.traffic,
+            driver=driver,
+            seed=args.seed,
+            ccdiff={"num_samples": args.samples, "criticality": level},
+        )
+        title = DRIVER_TITLES.get(args.traffic, args.traffic)
+        if any(levels):
+            title += f", criticality {level:g}"
+        if len(drivers) > 1:
+            title = f"ego {DRIVER_TITLES.get(driver, driver)}, {title}"
+        runs.append(Titled(rollout, title))
     if args.save is not None:
-        rollout.save(args.save)
-    return rollout
-
-
-def _title(word: str) -> str:
-    """Short name of a run: its file's name without the suffix, the traffic's, else the word."""
-    if word in DRIVER_TITLES:
-        return DRIVER_TITLES[word]
-    return Path(word).stem if Path(word).is_file() else word
+        runs[0].rollout.save(args.save)
+    return runs
 
 
 def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
-    if kinds or args.traffic or args.compare not in (None, LOG):
+    refused = "does not go with a folder, which gives pages"
+    if kinds or args.compare not in ([], [LOG]):
         raise ConfigError('a folder gives pages; of the options only --compare "log" goes with it')
+    _settle(args, PLAYED | DRAWN | {"traffic": None}, refused)
     out = args.out or folder / "replays"
-    print(write_pages(folder, out, compare_log=args.compare == LOG)[0])
+    pages = write_pages(folder, out, compare_log=bool(args.compare))
+    say_page(pages[0], open_it=args.open)
     return 0
 
 
-def _picture(args: argparse.Namespace, rollout: Rollout, out: Path) -> None:
-    size = (args.size, args.size)
-    if args.png is not None:
-        film = Film(rollout, size=size, span_m=args.span, follow=args.follow, graph=args.graph)
-        render.save(film.frame(args.png), out)
+def _picture(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
+    options: dict[str, Any] = {
+        "size": (args.size, args.size),
+        "span_m": args.span,
+        "follow": args.follow,
+        "graph": args.graph,
+    }
+    first, *others = (run.rollout for run in runs)
+    if args.png is None:
+        save_film(
+            first,
+            out,
+            compare=others,
+            speed=args.speed,
+            progress=lambda steps: shown(steps, what=out.name),
+            **options,
+        )
         return
-    save_film(
-        rollout,
-        out,
-        speed=args.speed,
-        size=size,
-        span_m=args.span,
-        follow=args.follow,
-        graph=args.graph,
-    )
+    films = [Film(run, **options) for run in (first, *others)]
+    films[0].frame(args.png)  # says what is wrong with the step
+    render.save(film_strip(films, args.png), out)

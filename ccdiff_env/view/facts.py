@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterator
+from typing import Any
 
+from ccdiff_env import _native
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 
 #: Titles of drivers, in the order of the legend; names are those of pictures.
 DRIVER_TITLES = {
     "ego": "ego",
-    "external": "driven from outside",
+    "external": "policy",
     "ccdiff": "CCDiff",
     "adversary": "CCDiff, guided",
     "idm": "IDM",
@@ -67,6 +70,11 @@ def _short(category: str) -> list[str]:
     return [parts[1] if parts[0] == "vehicle" else parts[-1]] if len(parts) > 1 else []
 
 
+def is_log(rollout: Rollout) -> bool:
+    """Whether everybody follows the log."""
+    return all(name == "replay" for name in rollout.driver_names)
+
+
 def is_collision(rollout: Rollout, event: RolloutEvent) -> bool:
     """Whether an event is a collision: boxes of two agents that follow the log overlap because
     annotations are not exact.
@@ -77,9 +85,20 @@ def is_collision(rollout: Rollout, event: RolloutEvent) -> bool:
     return any(rollout.driver_names[agent] != "replay" for agent in both)
 
 
+def ego_title(rollout: Rollout) -> str:
+    """Return in words who drives the ego: the planner that was recorded, else its driver."""
+    planner = str(rollout.meta.get("planner", ""))
+    if planner in ("", "log", "replay"):
+        ego = driver_title(rollout, rollout.agent_ids.index("ego"))
+        return "as recorded" if ego == DRIVER_TITLES["replay"] else ego
+    return DRIVER_TITLES.get(planner, planner)
+
+
 def subtitle(rollout: Rollout) -> str:
-    """Return one line on what is shown: who drives, how long, what happened."""
+    """Return one line on what is shown: where, who drives, how many."""
     kinds = rollout.scene.agent_types
+    if is_log(rollout):
+        return " · ".join(filter(None, [rollout.scene.location, f"{len(kinds)} agents"]))
     background = Counter(
         DRIVER_TITLES[driver]
         for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
@@ -87,30 +106,19 @@ def subtitle(rollout: Rollout) -> str:
     )
     parts = [rollout.scene.location]
     if "ego" in rollout.agent_ids:
-        planner = str(rollout.meta.get("planner", ""))
-        ego = driver_title(rollout, rollout.agent_ids.index("ego"))
-        parts.append(f"ego: {DRIVER_TITLES.get(planner, planner) or ego}")
+        parts.append(f"ego: {ego_title(rollout)}")
     if background:
         parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
     guided = len(guided_agents(rollout))
     parts.append(f"{guided} guided" if guided else "")
     parts.append(f"{len(kinds)} agents")
-    hits = len(collisions(rollout))
-    parts.append(f"{hits} collision{'s' * (hits != 1)}" if hits else "")
     return " · ".join(part for part in parts if part)
 
 
-def collisions(rollout: Rollout) -> set[tuple[int, frozenset[str]]]:
-    """Return collisions as step and the two agents; both sides of one count once."""
-    return {
-        (event.step, frozenset((event.agent_id, str(event.partner_id))))
-        for event in rollout.events
-        if is_collision(rollout, event)
-    }
-
-
 def about(rollout: Rollout) -> list[tuple[str, str]]:
-    """Return names and values of what is known of a run."""
+    """Return names and values of what is known of a run; of its configuration, what differs from
+    the default.
+    """
     scene = rollout.scene
     facts = [
         ("scene", scene.name),
@@ -118,12 +126,27 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
         ("source", scene.source),
         ("agents", str(scene.num_agents)),
         ("steps", f"{rollout.num_steps} of {rollout.dt_s:g} s from log step {rollout.start_step}"),
-        ("plans", str(len(rollout.plans))),
-        ("events", str(len(rollout.events))),
+        ("plans", str(len(rollout.plans) or "")),
+        ("lanes", "" if scene.has_lanes else "none in this map"),
+        ("traffic lights", "not in the data"),
     ]
     for name, value in rollout.meta.items():
-        if isinstance(value, (str, int, float)):
+        if isinstance(value, (str, int, float)) and (name, value) not in facts:
             facts.append((name, str(value)))
-        elif value is not None and name == "config":
-            facts.append((name, json.dumps(value, default=str)[:2000]))
+    config = rollout.meta.get("config")
+    if isinstance(config, dict):
+        facts.extend(_changes(config, json.loads(_native.default_world_config())))
     return [(name, value) for name, value in facts if value]
+
+
+def _changes(
+    config: dict[str, Any], default: dict[str, Any], path: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Names and values of the configuration that differ from the default, by dotted path."""
+    for name, value in config.items():
+        usual = default.get(name)
+        if isinstance(value, dict) and isinstance(usual, dict):
+            yield from _changes(value, usual, f"{path}{name}.")
+        elif value != usual:
+            text = value if isinstance(value, str) else json.dumps(value)
+            yield f"{path}{name}", text if len(text) <= 200 else f"{text[:199]}…"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ from ccdiff_env.view.facts import driver_of, is_collision
 TRAIL_S = 3.0
 MARK_S = 1.0
 """Time for which a collision stays marked."""
+GAP = 6
+"""Pixels between films side by side."""
 
 
 class Film:
@@ -56,6 +58,11 @@ class Film:
         self._centres = _centres(rollout, rollout.agent_ids.index(follow))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
+
+    @property
+    def num_steps(self) -> int:
+        """Steps that can be drawn."""
+        return self._rollout.num_steps
 
     def frames(self, *, every: int = 1) -> Iterator[render.Image]:
         """Yield pictures [H, W, 3] of every n-th step."""
@@ -144,21 +151,45 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     return centres
 
 
+def film_strip(films: Sequence[Film], step: int) -> render.Image:
+    """Draw a step of each film side by side; films that are over show their last."""
+    pictures = [film.frame(min(step, film.num_steps - 1)) for film in films]
+    gap = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
+    parts = [part for picture in pictures for part in (gap, picture)]
+    return np.concatenate(parts[1:], axis=1)
+
+
 def save_film(
     rollout: Rollout,
     path: str | Path,
     *,
+    compare: Sequence[Rollout] = (),
     speed: float = 1.0,
     max_fps: float = 20.0,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
     **options: object,
 ) -> None:
     """Write a film (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
 
-    ``options`` are those of :class:`Film`. At most ``max_fps`` pictures per second are kept.
+    Parameters
+    ----------
+    rollout, compare
+        What to show, side by side where there are several.
+    path
+        File to write.
+    speed
+        Pace.
+    max_fps
+        Pictures per second that are kept at most.
+    progress
+        Goes over the steps, and may show how far it is.
+    options
+        Those of :class:`Film`.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
     fps = speed / rollout.dt_s
     every = max(1, int(np.ceil(fps / max_fps - 1e-9)))
-    film = Film(rollout, **options)  # type: ignore[arg-type]
-    render.save(film.frames(every=every), path, fps=fps / every)
+    films = [Film(run, **options) for run in (rollout, *compare)]  # type: ignore[arg-type]
+    steps = range(0, max(film.num_steps for film in films), every)
+    render.save((film_strip(films, step) for step in progress(steps)), path, fps=fps / every)

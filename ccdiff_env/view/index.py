@@ -8,17 +8,17 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
+from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import file_name
-from ccdiff_env.view.facts import collisions, subtitle
+from ccdiff_env.view.facts import subtitle
 from ccdiff_env.view.film import Film
+from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.sources import log_rollout, rollout_files
 
 THUMBNAIL = (320, 200)
-LEAD_S = 2.0
-"""Replays open so long before the first collision."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Entry:
     """Address of its page, relative to the index, at the moment that matters."""
     title: str
     line: str
-    collisions: int
+    outcome: Outcome
     picture: str
     """Address of the thumbnail: a data address."""
 
@@ -54,10 +54,18 @@ def write_pages(
     -------
     list of Path
         The index, then the pages.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there are no rollouts below the folder.
     """
+    files = rollout_files(folder)
+    if not files:
+        raise DatasetNotFoundError(f"no rollouts (.npz) below {folder}")
     out.mkdir(parents=True, exist_ok=True)
     entries, pages = [], []
-    for file in rollout_files(folder):
+    for file in files:
         rollout = Rollout.load(file)
         parts = file.relative_to(folder).with_suffix("").parts
         name = "-".join(parts)
@@ -65,16 +73,17 @@ def write_pages(
         if page in pages:  # a-b and a/b
             page = out / file_name(f"/{'/'.join(parts)}", ".html")
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
-        write_page(rollout, page, compare=log, titles=("rollout", "log"))
-        hits = collisions(rollout)
-        first = min((step for step, _ in hits), default=None)
+        titles = (name,) if log is None else (name, "log")
+        write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
+        fate = outcome(rollout)
+        moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
         entries.append(
             Entry(
-                href=address(page.name, time_s=_before(rollout, first)),
+                href=address(page.name, time_s=moment, play=True),
                 title=name,
                 line=subtitle(rollout),
-                collisions=len(hits),
-                picture=_data_address(_thumbnail(rollout, first)) if thumbnails else "",
+                outcome=fate,
+                picture=_data_address(_thumbnail(rollout, moment)) if thumbnails else "",
             )
         )
         pages.append(page)
@@ -83,15 +92,13 @@ def write_pages(
     return [index, *pages]
 
 
-def _before(rollout: Rollout, step: int | None) -> float | None:
-    """A moment before a collision, seconds; none where there is none."""
-    return None if step is None else max(0.0, step * rollout.dt_s - LEAD_S)
-
-
-def _thumbnail(rollout: Rollout, step: int | None) -> Image:
-    """The moment of the first collision, else the middle."""
+def _thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
+    """The moment that matters, else the middle."""
     film = Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
-    return film.frame(rollout.num_steps // 2 if step is None else step)
+    last = rollout.num_steps - 1
+    if opening_s is None:
+        return film.frame(last // 2)
+    return film.frame(min(round((opening_s + LEAD_S) / rollout.dt_s), last))
 
 
 def _data_address(image: Image) -> str:
@@ -103,18 +110,35 @@ def _data_address(image: Image) -> str:
 
 
 def index_page(title: str, entries: list[Entry]) -> str:
-    """Return an HTML page that links replays; those with collisions are marked."""
-    cards = "\n".join(_card(entry) for entry in entries) or "<p>No rollouts here.</p>"
-    hits = sum(entry.collisions > 0 for entry in entries)
-    line = f"{len(entries)} replays, {hits} with a collision"
-    body = f'<div class="cards">\n{cards}\n</div>'
+    """Return an HTML page that links replays, with what became of each."""
+    cards = "\n".join(_card(entry) for entry in entries)
+    bad = sum(entry.outcome.tone == "bad" for entry in entries)
+    others = sum(entry.outcome.others > 0 for entry in entries)
+    line = (
+        f"{len(entries)} replays: the ego is hit or leaves the road in {bad}, others collide in "
+        f"{others}"
+    )
+    body = f'{_TOOLS}\n<div class="cards">\n{cards}\n</div>'
     return plain_html(title, line, style=part("index.css"), body=body)
 
 
+_TOOLS = """<div class="tools">
+<input id="find" type="search" placeholder="search" aria-label="search">
+<label>sort <select id="order"><option value="name">by name</option>
+<option value="bad">the ego's mishaps first</option>
+<option value="others">collisions of others first</option></select></label>
+<span id="count" role="status"></span></div>"""
+
+
 def _card(entry: Entry) -> str:
-    picture = f'<img src="{entry.picture}" alt="" loading="lazy">' if entry.picture else ""
-    mark = f'<b class="hit">{entry.collisions} ⚑</b>' if entry.collisions else ""
+    fate = entry.outcome
+    alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
+    picture = f'<img src="{entry.picture}" alt="{alt}" loading="lazy">' if entry.picture else ""
+    name = html.escape(entry.title, quote=True)
+    bad = int(fate.tone == "bad")
     return (
-        f'<a class="card" href="{html.escape(entry.href, quote=True)}">{picture}'
-        f"<h2>{html.escape(entry.title)}{mark}</h2><p>{html.escape(entry.line)}</p></a>"
+        f'<a class="card" href="{html.escape(entry.href, quote=True)}" data-name="{name}" '
+        f'data-bad="{bad}" data-others="{fate.others}">{picture}<h2 title="{name}">{name}</h2>'
+        f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
+        f"<p>{html.escape(entry.line)}</p></a>"
     )

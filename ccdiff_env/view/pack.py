@@ -13,22 +13,24 @@ import json
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.rollout import Rollout, RolloutPlan
 from ccdiff_env.view.contacts import TTC_CAP_S, contacts
 from ccdiff_env.view.facts import (
     about,
     agent_titles,
     driver_of,
     driver_title,
-    is_collision,
+    is_log,
     subtitle,
 )
+from ccdiff_env.view.outcome import happenings, outcome
 
 LENGTH_STEP_M = 0.01
 ANGLE_STEP_RAD = 1e-4
@@ -116,7 +118,6 @@ def _padded(data: bytes) -> bytes:
 def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     """What the header says of a run."""
     scene = rollout.scene
-    index = {name: i for i, name in enumerate(rollout.agent_ids)}
     agents = []
     kinds, categories, sizes = scene.agent_types, scene.agent_categories, scene.sizes
     for i, (label, long) in enumerate(agent_titles(scene)):
@@ -133,17 +134,7 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
                 "drivenBy": driver_title(rollout, i),
             }
         )
-    events = [
-        {
-            "step": event.step,
-            "agent": index[event.agent_id],
-            "partner": -1 if event.partner_id is None else index[event.partner_id],
-            "kind": event.kind,
-            "collision": is_collision(rollout, event),
-        }
-        for event in rollout.events
-        if is_collision(rollout, event) or not _walkers(rollout, event)
-    ]
+    fate = outcome(rollout)
     return {
         "title": title,
         "subtitle": subtitle(rollout).partition(" · ")[2],
@@ -151,22 +142,15 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         "dt": rollout.dt_s,
         "startStep": rollout.start_step,
         "numSteps": rollout.num_steps,
-        "isLog": all(name == "replay" for name in rollout.driver_names),
+        "isLog": is_log(rollout),
         "ttcCap": TTC_CAP_S,
         "graphTtc": GRAPH_TTC_S,
         "graphDistance": GRAPH_DISTANCE_M,
         "agents": agents,
-        "events": events,
+        "events": [asdict(event) for event in happenings(rollout)],
+        "outcome": {"tone": fate.tone, "text": fate.text, "others": fate.others},
+        "opening": round(fate.opening_s, 3),
     }
-
-
-def _walkers(rollout: Rollout, event: RolloutEvent) -> bool:
-    """Whether an event is between two walkers."""
-    both = [event.agent_id, event.partner_id]
-    kinds = rollout.scene.agent_types
-    return all(
-        name is not None and kinds[rollout.agent_ids.index(name)] == "pedestrian" for name in both
-    )
 
 
 def _add_tracks(arrays: _Arrays, rollout: Rollout) -> None:

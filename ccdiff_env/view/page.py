@@ -5,12 +5,13 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
 from ccdiff_env import render
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.facts import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
@@ -34,7 +35,11 @@ def part(name: str) -> str:
 
 
 def page_html(
-    rollout: Rollout, *, compare: Rollout | None = None, titles: tuple[str, str] = ("A", "B")
+    rollout: Rollout,
+    *,
+    compare: Rollout | Sequence[Rollout] | None = None,
+    titles: Sequence[str] | None = None,
+    home: tuple[str, str] | None = None,
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
 
@@ -43,24 +48,35 @@ def page_html(
     rollout
         What to show.
     compare
-        A second run beside it, in step with it: of the same scene, or of another one.
+        Runs beside it, in step with it: of the same scene, or of another one.
     titles
-        Names of the two runs where there are two.
+        Name of each run; by default the scene's where there is one run, else A, B, C, ...
+    home
+        Address and title of a page above this one, to be linked.
+
+    Raises
+    ------
+    ConfigError
+        If there are not as many titles as runs.
     """
-    runs = [rollout] if compare is None else [rollout, compare]
-    names = (rollout.scene.name,) if compare is None else titles
+    others = [compare] if isinstance(compare, Rollout) else list(compare or ())
+    runs = [rollout, *others]
+    names = list(titles) if titles is not None else _letters(runs)
+    if len(names) != len(runs):
+        raise ConfigError(f"titles: {len(names)} for {len(runs)} runs")
     data = "\n".join(
         f'<script class="run" type="text/plain">{pack(run, name)}</script>'
         for run, name in zip(runs, names, strict=True)
     )
-    if compare is None:
-        heading, line = rollout.scene.name, subtitle(rollout)
+    heading = names[0] if titles is not None and len(runs) == 1 else rollout.scene.name
+    if len(runs) == 1:
+        line = subtitle(rollout)
     else:
-        heading = " and ".join(names)
-        line = f"{rollout.scene.name} · {rollout.scene.location}"
+        heading, line = f"{heading}: {', '.join(names)}", rollout.scene.location
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),
+        "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
         "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES}),
         "runs": data,
@@ -69,8 +85,16 @@ def page_html(
     return _filled("page.html", parts)
 
 
+def _letters(runs: Sequence[Rollout]) -> list[str]:
+    if len(runs) == 1:
+        return [runs[0].scene.name]
+    return [chr(ord("A") + i) for i in range(len(runs))]
+
+
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
-    """Return a page without scripts: a heading, a line below it, and HTML.
+    """Return a page of text: a heading, a line below it, and HTML.
+
+    Cards of an index can be searched and sorted, tables of the class ``sorts`` sorted.
 
     Parameters
     ----------
@@ -82,14 +106,17 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
         HTML.
     """
     texts = {"title": html.escape(title), "line": html.escape(line)}
-    return _filled("plain.html", {**texts, "style": style, "body": body})
+    script = part("plain.js")
+    return _filled("plain.html", {**texts, "style": style, "body": body, "script": script})
 
 
 def _filled(template: str, parts: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part(template))
 
 
-def address(path: str, *, time_s: float | None = None, follow: str | None = None) -> str:
+def address(
+    path: str, *, time_s: float | None = None, follow: str | None = None, play: bool = False
+) -> str:
     """Return the address of a page that opens at a moment and follows an agent.
 
     Parameters
@@ -100,8 +127,12 @@ def address(path: str, *, time_s: float | None = None, follow: str | None = None
         Seconds from the start of the run.
     follow
         Id of the agent.
+    play
+        Play from that moment; without, the page waits there.
     """
     wishes = {"t": None if time_s is None else f"{time_s:.1f}", "follow": follow}
+    if play and time_s is not None:
+        wishes["play"] = "1"
     query = urlencode({name: value for name, value in wishes.items() if value is not None})
     return f"{quote(path)}#{query}" if query else quote(path)
 
@@ -126,10 +157,10 @@ def write_page(
     rollout: Rollout,
     path: str | Path,
     *,
-    compare: Rollout | None = None,
-    titles: tuple[str, str] = ("A", "B"),
+    compare: Rollout | Sequence[Rollout] | None = None,
+    titles: Sequence[str] | None = None,
+    home: tuple[str, str] | None = None,
 ) -> int:
     """Write :func:`page_html` to a file; returns its size in bytes."""
-    return Path(path).write_text(
-        page_html(rollout, compare=compare, titles=titles), encoding="utf-8"
-    )
+    text = page_html(rollout, compare=compare, titles=titles, home=home)
+    return Path(path).write_text(text, encoding="utf-8")

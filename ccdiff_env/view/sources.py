@@ -84,11 +84,14 @@ def play_scene(
         If the scene cannot be played: it has no ego, or is too short.
     """
     # imported here: most pages are of recorded episodes
+    from ccdiff_env.config import unknown
     from ccdiff_env.envs import EgoEnv
+    from ccdiff_env.envs.worlds import DRIVERS
     from ccdiff_env.recorder import Recorder
 
-    if driver == "external":
-        raise ConfigError('driver is "external": nobody is outside here; record with Recorder')
+    known = [name for name in DRIVERS if name != "external"]  # nobody is outside here
+    if driver not in known:
+        raise unknown("driver of the ego", driver, known)
     settings = {"num_samples": SAMPLES, **(ccdiff or {})}
     env = EgoEnv(scenes=scene, traffic=traffic, driver=driver, ccdiff=settings, **options)
     env.reset(seed=seed)

@@ -1,13 +1,14 @@
 // Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
 
 const ACTOR_COLOURS = {
-  light: { ink: "#1d242c", outline: "#ffffff", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c",
+  light: { ink: "#1d242c", outline: "#1d242c", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c",
     arrow: "#6a329f", label: "#1d242c", labelHalo: "rgba(255,255,255,.85)", ghost: "#303a46" },
   dark: { ink: "#0d1116", outline: "#0d1116", shadow: "rgba(0,0,0,.45)", collision: "#ff5a5f",
     arrow: "#c79bf2", label: "#e8edf3", labelHalo: "rgba(13,17,22,.85)", ghost: "#dfe6ee" },
 };
 const TRAIL_SECONDS = 3;
 const TRAIL_PIECES = 6;
+const PLAN_PIECES = 4;
 const FLASH_SECONDS = 1.2; // how long a collision stays marked
 const LEAST_PIXELS = 9; // length of a vehicle on the screen, at least
 const KIND_COLOURS = {
@@ -51,7 +52,8 @@ class Actors {
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
     if (options.pair) this.pair(context, poses, options.pair, theme, pixel);
     for (const agent of [options.focus, options.hover]) {
-      if (agent >= 0 && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
+      const plain = agent === options.focus && this.run.agents[agent]?.driver === "ego";
+      if (agent >= 0 && !plain && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
     }
     this.flashes(context, step, poses, theme, pixel);
   }
@@ -107,35 +109,48 @@ class Actors {
   }
 
   /**
-   * Samples of the plan in force, thin; the chosen (first) ones over them, thick. Of
-   * agents that do not follow their plan only the focus has it drawn, dashed.
+   * Samples of the plan in force, thin; the chosen (first) ones over them, thick, fading with time.
+   * Those of the focus have full strength. Of agents that do not follow their plan only the focus
+   * has it drawn, dashed.
    */
   plans(context, step, theme, pixel, focus) {
     const plan = this.run.planAt(step);
     if (!plan) return;
+    const about = plan.agents.includes(focus) && focus !== 0;
     context.lineCap = context.lineJoin = "round";
     for (const chosen of [false, true]) {
-      context.globalAlpha = chosen ? 0.95 : 0.35;
       context.lineWidth = Math.max(chosen ? 0.3 : 0.1, (chosen ? 2 : 1) * pixel);
       plan.agents.forEach((agent, row) => {
         if (!plan.executed[row] && agent !== focus) return;
         context.strokeStyle = plan.guided[row]
           ? this.driverColours[theme].adversary : this.colour(agent, theme);
         context.setLineDash(plan.executed[row] ? [] : [4 * pixel, 4 * pixel]);
-        context.beginPath();
-        for (let sample = 0; sample < plan.numSamples; sample++) {
-          if (chosen !== (sample === 0)) continue;
-          const base = (sample * plan.agents.length + row) * plan.numPoints;
-          for (let i = 0; i < plan.numPoints; i++) {
-            if (i) context.lineTo(plan.x[base + i], plan.y[base + i]);
-            else context.moveTo(plan.x[base], plan.y[base]);
+        const strength = (chosen ? 0.95 : 0.35) * (about && agent !== focus ? 0.4 : 1);
+        this.fading(context, strength, plan.numPoints, (first, last) => {
+          for (let sample = 0; sample < plan.numSamples; sample++) {
+            if (chosen !== (sample === 0)) continue;
+            const base = (sample * plan.agents.length + row) * plan.numPoints;
+            context.moveTo(plan.x[base + first], plan.y[base + first]);
+            for (let i = first + 1; i <= last; i++) context.lineTo(plan.x[base + i], plan.y[base + i]);
           }
-        }
-        context.stroke();
+        });
       });
     }
     context.setLineDash([]);
     context.globalAlpha = 1;
+  }
+
+  /** Stroke a line of n points in pieces, each fainter than the one before. */
+  fading(context, strength, n, trace) {
+    for (let piece = 0; piece < PLAN_PIECES; piece++) {
+      const first = Math.floor((n - 1) * piece / PLAN_PIECES);
+      const last = Math.floor((n - 1) * (piece + 1) / PLAN_PIECES);
+      if (last === first) continue;
+      context.globalAlpha = strength * (1 - 0.8 * piece / PLAN_PIECES);
+      context.beginPath();
+      trace(first, last);
+      context.stroke();
+    }
   }
 
   body(context, agent, pose, { theme, pixel, hit }) {
@@ -184,7 +199,8 @@ class Actors {
 
   recent(step) {
     const flash = FLASH_SECONDS / this.run.dt;
-    return this.run.events.filter((e) => e.collision && e.step <= step && step - e.step < flash);
+    return this.run.events.filter(
+      (e) => e.kind === "collision" && e.step <= step && step - e.step < flash);
   }
 
   flashes(context, step, poses, theme, pixel) {
@@ -203,20 +219,24 @@ class Actors {
     context.globalAlpha = 1;
   }
 
-  /** Arrows from who influences to who is influenced; those of the focus stand out. */
+  /** Arrows that lead to the focus within two hops; the other influences as faint lines. */
   influences(context, step, poses, theme, pixel, focus) {
     const colour = ACTOR_COLOURS[theme].arrow;
-    const edges = this.run.influences(step);
-    const touches = ([from, to]) => from === focus || to === focus;
-    const some = edges.some(touches);
+    const edges = this.run.influences(step), leading = new Set(leadingTo(edges, focus));
     for (const edge of edges) {
       const [from, to, weight] = edge, p = poses[from], q = poses[to];
       if (!p || !q) continue;
-      context.globalAlpha = (some && !touches(edge) ? 0.3 : 0.9) * (0.45 + 0.55 * weight);
-      const gap = Math.min(this.run.agents[to].width / 2 + 0.3, 1.6);
-      arrow(context, p, q, colour, (1 + weight) * pixel, 9 * pixel, gap);
+      const chosen = leading.has(edge), direct = chosen && to === focus;
+      context.globalAlpha = chosen ? (direct ? 0.95 : 0.6) * (0.55 + 0.45 * weight) : 0.18;
+      const thick = (chosen ? 1.2 + 1.3 * weight : 1) * pixel;
+      arrow(context, p, q, colour, thick, chosen ? 8 * pixel : 0, this.reach(from), this.reach(to));
     }
     context.globalAlpha = 1;
+  }
+
+  /** How far an arrow stays away from the centre of an agent, metres. */
+  reach(agent) {
+    return Math.min(this.run.agents[agent].width / 2 + 0.4, 1.8);
   }
 
   pair(context, poses, pair, theme, pixel) {
@@ -339,22 +359,27 @@ function nose(context, length, ink) {
   context.globalAlpha = 1;
 }
 
-/** A bent arrow, so that both directions of a pair can be told apart. */
-function arrow(context, p, q, colour, width, head, gap) {
+/**
+ * A bent arrow, so that both directions of a pair can be told apart; it stays away from both ends.
+ * Without a head it is a line.
+ */
+function arrow(context, p, q, colour, width, head, gapFrom, gapTo) {
   const dx = q.x - p.x, dy = q.y - p.y, length = Math.hypot(dx, dy);
   if (length < 1e-3) return;
   const bend = Math.min(0.12 * length, 4);
   const mx = (p.x + q.x) / 2 - dy / length * bend, my = (p.y + q.y) / 2 + dx / length * bend;
-  const angle = Math.atan2(q.y - my, q.x - mx);
-  const short = Math.min(gap, 0.25 * length);
+  const angle = Math.atan2(q.y - my, q.x - mx), leave = Math.atan2(my - p.y, mx - p.x);
+  const near = Math.min(gapFrom, 0.25 * length), short = Math.min(gapTo, 0.25 * length);
+  const sx = p.x + near * Math.cos(leave), sy = p.y + near * Math.sin(leave);
   const ex = q.x - short * Math.cos(angle), ey = q.y - short * Math.sin(angle);
   context.strokeStyle = context.fillStyle = colour;
   context.lineWidth = width;
   context.lineCap = "round";
   context.beginPath();
-  context.moveTo(p.x, p.y);
+  context.moveTo(sx, sy);
   context.quadraticCurveTo(mx, my, ex - head * 0.7 * Math.cos(angle), ey - head * 0.7 * Math.sin(angle));
   context.stroke();
+  if (!head) return;
   context.beginPath();
   context.moveTo(ex, ey);
   context.lineTo(ex - head * Math.cos(angle - 0.42), ey - head * Math.sin(angle - 0.42));

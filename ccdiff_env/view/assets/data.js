@@ -60,6 +60,9 @@ class Run {
   get start() { return this.startStep * this.dt; }
   get end() { return this.start + (this.numSteps - 1) * this.dt; }
 
+  /** Seconds of the scene at which an event happens. */
+  timeOf(event) { return this.start + event.step * this.dt; }
+
   /** Fractional step at a time of the scene, kept inside the run. */
   stepAt(time) {
     return Math.min(Math.max((time - this.start) / this.dt, 0), this.numSteps - 1);
@@ -134,6 +137,16 @@ class Run {
     return found;
   }
 
+  /** Time to contact of two agents at every step, seconds; the cap where they do not meet. */
+  pairSeries(a, b) {
+    const out = new Float32Array(this.numSteps).fill(this.ttcCap);
+    const { pairStart, pairA, pairB, pairTtc } = this.a;
+    for (let step = 0; step < this.numSteps; step++)
+      for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
+        if (pairA[k] === a && pairB[k] === b) out[step] = pairTtc[k];
+    return out;
+  }
+
   /** Influences at a step as [from, to, weight]: the plan's graph, else pairs that meet soon. */
   influences(step) {
     const plan = this.planAt(step);
@@ -153,6 +166,12 @@ class Run {
   plan(header, index) {
     return { ...header, x: this.a[`plan${index}x`], y: this.a[`plan${index}y`] };
   }
+}
+
+/** Edges of a graph that lead to an agent by at most two steps. */
+function leadingTo(edges, agent) {
+  const direct = new Set(edges.filter(([, to]) => to === agent).map(([from]) => from));
+  return edges.filter(([from, to]) => to === agent || (direct.has(to) && from !== agent));
 }
 
 /** Angle in (-π, π]. */

@@ -3,8 +3,8 @@
 const GROUND_COLOURS = {
   light: {
     ground: "#eef0ec", road: "#d3d7dd", kerb: "#a9b0ba", walkway: "#e3ddd0", carpark: "#c8ced6",
-    stripe: "#f7f8fa", stop: "#d59c8f", centre: "#b3bac4", laneDivider: "#ffffff",
-    roadDivider: "#dfa32a",
+    stripe: "#f7f8fa", stop: "#d59c8f", centre: "#8f98a4", laneDivider: "#6d7682",
+    roadDivider: "#96650a",
   },
   dark: {
     ground: "#11151a", road: "#2f3743", kerb: "#566271", walkway: "#21272e", carpark: "#28303a",

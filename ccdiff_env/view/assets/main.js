@@ -1,11 +1,12 @@
 // Start of the page: reads the runs, wires buttons, keys and panels to the player.
 
 const $ = (id) => document.getElementById(id);
+// Runs have colours that no driver has; letters and dashes tell them apart, too.
 const CHROME = {
-  light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#7b8592", text: "#1d242c",
-    runs: ["#0057b8", "#d9730d"] },
-  dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#8d98a6", text: "#e8edf3",
-    runs: ["#5aa9ff", "#ffab57"] },
+  light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#66707d", text: "#1d242c",
+    runs: ["#1d242c", "#b0006d", "#00707a", "#7a4a12"], flags: FLAG_COLOURS.light },
+  dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#93a0ae", text: "#e8edf3",
+    runs: ["#e8edf3", "#ff7ac8", "#4fd6e0", "#e0a870"], flags: FLAG_COLOURS.dark },
 };
 const PANEL_MS = 80; // panels change no faster than this while playing
 const LAYER_TITLES = {
@@ -19,7 +20,7 @@ const KEYS = [
   ["home, end", "first, last step", null, []],
   ["[ ]", "slower, faster", null, []],
   [", .", "event before, next event", null, []],
-  ["tab", "follow the next agent (shift: the one before)", null, []],
+  ["N", "follow the next agent (shift: the one before)", null, []],
   ["E", "follow the ego", (p) => p.followAgent(p.runs[0].agents[0].id), ["e"]],
   ["F", "show all, follow nobody", (p) => p.fit(), ["f"]],
   ["H", "heading up", (p) => p.toggleHeadingUp(), ["h"]],
@@ -42,15 +43,20 @@ async function main() {
   let timeline = null, figures = null, recorded = null, contacts = null;
   const player = new Player(runs, $("stage"), colours, () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
-  timeline = new Timeline($("timeline"), runs, seek);
+  timeline = new Timeline($("timeline"), runs, seek, (event) => player.flags[event.lane]);
+  new EventsPanel($("events"), runs, player.flags,
+    (run, event) => player.goTo(run, event), () => player.touch());
+  if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   figures = new FiguresPanel($("figures"), runs, seek);
   recorded = new FiguresPanel($("recorded"), runs, seek);
   $("recorded-part").hidden = !recorded.showRecorded();
   contacts = new ContactPanel($("contacts"), runs[0], (pair) => {
     player.pair = pair && pair.map((agent) => runs[0].agents[agent].id);
     player.touch();
-  });
+  }, (pair) => player.showPair(pair.map((agent) => runs[0].agents[agent].id)));
   document.body.classList.toggle("compare", runs.length > 1);
+  $("stage").style.setProperty("--columns", runs.length < 4 ? runs.length : Math.ceil(Math.sqrt(runs.length)));
+  const said = new Herald($("said"), runs);
 
   let shown = 0;
   const update = () => {
@@ -59,12 +65,14 @@ async function main() {
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
+    said.at(player.time, player.flags);
+    if (!player.playing) timeline.speak(player.time);
     figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
     recorded.draw(player.time, chrome);
     const run = runs[0], step = Math.floor(run.stepAt(player.time) + 1e-6);
     const focus = run.indexOf.get(player.focus);
-    contacts.draw(step, focus === undefined ? -1 : focus, player.theme);
+    contacts.draw(step, focus === undefined ? -1 : focus, chrome);
     showFocus(player);
     showControls(player);
     showLegend(player, settings);
@@ -76,22 +84,86 @@ async function main() {
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   const { width, height } = player.panes[0];
   player.camera.scale = Math.max(Math.min(width, height) / 75, 4.5);
-  readAddress(player);
+  const asked = readAddress(player);
   addEventListener("hashchange", () => readAddress(player));
+  setInterval(() => writeAddress(player), 500);
+  player.playing = asked.has("t") ? asked.has("play") : !matchMedia("(prefers-reduced-motion)").matches;
   new ResizeObserver(() => player.touch()).observe($("app"));
   window.replay = player; // for the curious, and for tests
   document.body.dataset.ready = "yes";
 }
 
-/** What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the start). */
+/** Says aloud what happens when the cursor comes to it. */
+class Herald {
+  constructor(node, runs) {
+    this.node = node;
+    this.runs = runs;
+    this.before = null;
+  }
+
+  at(time, flags) {
+    const before = this.before;
+    this.before = time;
+    if (before === null || time <= before || time - before > 1) return;
+    const now = this.runs.flatMap((run) => run.events.filter((event) =>
+      flags[event.lane] && run.timeOf(event) > before && run.timeOf(event) <= time + 1e-6));
+    if (now.length) this.node.textContent = now.map((event) => event.text).join("; ");
+  }
+}
+
+/**
+ * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
+ * start), also hide=trails, zoom (pixels a metre), colour=speed, theme=dark, play=1.
+ */
 function readAddress(player) {
   const wishes = new URLSearchParams(location.hash.slice(1));
   if (wishes.has("t")) player.seek(player.start + (Number(wishes.get("t")) || 0));
   const id = wishes.get("follow");
   if (id !== null && player.runs.some((run) => run.indexOf.has(id))) player.followAgent(id);
-  for (const layer of (wishes.get("show") || "").split(","))
-    if (LAYERS.includes(layer)) player.layers[layer] = true;
+  for (const [word, wanted] of [["show", true], ["hide", false]])
+    for (const layer of (wishes.get(word) || "").split(","))
+      if (LAYERS.includes(layer)) player.layers[layer] = wanted;
+  const [low, high] = SCALE_LIMITS, zoom = Number(wishes.get("zoom"));
+  if (zoom >= low && zoom <= high) player.camera.scale = zoom;
+  if (COLOUR_MODES.includes(wishes.get("colour"))) player.colourBy(wishes.get("colour"));
+  if (wishes.get("theme") in CHROME) setTheme(player, wishes.get("theme"));
   player.touch();
+  return wishes;
+}
+
+/** The address that opens what is shown now. */
+function addressOf(player) {
+  const wishes = new URLSearchParams({ t: (player.time - player.start).toFixed(1) });
+  if (player.follow !== null) wishes.set("follow", player.follow);
+  for (const [word, wanted] of [["show", true], ["hide", false]]) {
+    const changed = LAYERS.filter((layer) => player.layers[layer] === wanted && LAYERS_AT_START[layer] !== wanted);
+    if (changed.length) wishes.set(word, changed.join());
+  }
+  wishes.set("zoom", player.camera.scale.toFixed(1));
+  wishes.set("colour", player.colourMode);
+  return `#${wishes.toString().replaceAll("%2C", ",")}`;
+}
+
+/** The address bar follows while nothing plays. */
+function writeAddress(player) {
+  const hash = addressOf(player);
+  if (player.playing || hash === writeAddress.last) return;
+  if (writeAddress.last !== undefined) {
+    try { history.replaceState(null, "", hash); } catch { return; } // a page inside another one
+  }
+  writeAddress.last = hash;
+}
+
+async function copyLink(player) {
+  const link = location.href.split("#")[0] + addressOf(player);
+  try {
+    await navigator.clipboard.writeText(link);
+    $("said").textContent = "link copied";
+    $("link").classList.add("done");
+    setTimeout(() => $("link").classList.remove("done"), 1200);
+  } catch {
+    prompt("Link to this moment", link);
+  }
 }
 
 /** Colours for dark ground: the dark ones move towards white. */
@@ -118,6 +190,7 @@ function wireControls(player) {
   $("forward").addEventListener("click", () => player.stepBy(1));
   $("event").addEventListener("click", () => player.nextEvent(1));
   $("event").hidden = player.runs.every((run) => !run.events.length);
+  $("events-part").hidden = $("event").hidden;
   for (const rate of RATES) $("rate").append(new Option(`${rate}×`, rate));
   $("rate").addEventListener("change", () => { player.rate = +$("rate").value; });
   $("follow").append(new Option("nobody", ""));
@@ -130,6 +203,7 @@ function wireControls(player) {
   $("fit").addEventListener("click", () => player.fit());
   $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
   $("panels").addEventListener("click", () => togglePanels(player));
+  $("link").addEventListener("click", () => copyLink(player));
   $("help-button").addEventListener("click", () => $("help").showModal());
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
@@ -196,6 +270,7 @@ function showLegend(player, settings) {
   $("legend").dataset.key = key;
   $("legend").replaceChildren(...legendOf(player, settings).map(([colour, title]) => {
     const item = element("span", "legend-item"), dot = element("i");
+    item.setAttribute("role", "listitem");
     dot.style.background = colour;
     item.append(dot, title);
     return item;
@@ -221,7 +296,7 @@ function legendOf(player, settings) {
 
 function showAbout(runs) {
   for (const run of runs) {
-    const list = element("div", "facts");
+    const list = element("div", "facts about");
     showFacts(list, run.title, run.about);
     $("about").append(list);
   }
@@ -279,7 +354,7 @@ function wireKeys(player) {
     "]": () => player.changeRate(1),
     ",": () => player.nextEvent(-1),
     ".": () => player.nextEvent(1),
-    Tab: (e) => player.followNext(e.shiftKey ? -1 : 1),
+    n: (e) => player.followNext(e.shiftKey ? -1 : 1),
     "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
     t: () => player.toggle("trails"), p: () => player.toggle("plans"), g: () => player.toggle("graph"),
     l: () => player.toggle("labels"), k: () => player.toggle("lanes"), o: () => player.toggle("ghost"),
@@ -292,17 +367,22 @@ function wireKeys(player) {
     if (action) for (const key of keys) actions[key] = () => action(player);
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
-    if (event.target instanceof HTMLSelectElement) return;
+    if (!event.target.matches("body, .map, #timeline")) return;
     const action = actions[event.key] || actions[event.key.toLowerCase()];
     if (!action) return;
     event.preventDefault();
     action(event);
+  });
+  // a button that is clicked gives the keys back to the map
+  addEventListener("click", (event) => {
+    if (event.detail > 0 && event.target.closest("footer button, header button")) document.activeElement.blur();
   });
 }
 
 main().catch((error) => {
   document.body.dataset.ready = "failed";
   $("failure").hidden = false;
-  $("failure").textContent = `This replay cannot be shown: ${error.message}`;
+  $("failure").textContent = "This replay cannot be shown: its data are damaged, or the browser is too old "
+    + `(${error.message}). Write the page anew with ccdiff-env view.`;
   throw error;
 });

@@ -1,7 +1,10 @@
-// Everything beside the map: facts of an agent, figures at the cursor, times to contact.
+// Everything beside the map: what happened, facts of an agent, figures at the cursor, contacts.
 
 const KMH = 3.6;
-const TTC_ROWS = 10; // agents in the matrix at most
+const TTC_ROWS = 5; // pairs in the list at most
+const STANDING_MPS = 0.3;
+const RUN_DASHES = [[], [5, 3], [2, 2], [8, 2, 2, 2]];
+const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
 /** New element with text and class. */
 function element(tag, className, text) {
@@ -41,7 +44,7 @@ function planFacts(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];
   const age = `made ${((step - plan.step) * run.dt).toFixed(1)} s ago`;
-  const facts = [["plan", plan.executed[row] ? age : `${age}, predicted only`]];
+  const facts = [["plan", plan.executed[row] ? age : `${age}, not followed`]];
   if (plan.guided[row]) facts.push(["guided, at a cost of", plan.cost[row].toFixed(3)]);
   return facts;
 }
@@ -53,7 +56,11 @@ function showFacts(list, title, facts) {
     const row = element("div", "fact");
     row.append(element("span", "fact-name", name));
     const both = element("span", "fact-value");
-    values.forEach((value, i) => both.append(element("span", values.length > 1 ? `run-${i}` : "", value)));
+    values.forEach((value, i) => {
+      const shown = element("span", "", value);
+      if (values.length > 1) shown.prepend(badge(i));
+      both.append(shown);
+    });
     row.append(both);
     list.append(row);
   }
@@ -104,7 +111,8 @@ class FiguresPanel {
   row(name, unit, series) {
     const row = element("div", "figure");
     const canvas = element("canvas", "figure-curve");
-    const values = series.map((_, i) => element("span", `figure-value run-${i}`));
+    canvas.setAttribute("aria-hidden", "true");
+    const values = series.map((_, i) => element("span", `figure-value run-${i % RUN_DASHES.length}`));
     const title = element("span", "figure-name", name);
     if (unit) title.append(element("small", "", ` ${unit}`));
     row.append(title, canvas, ...values);
@@ -134,7 +142,7 @@ class FiguresPanel {
       const y = (v) => height - 2 - (height - 4) * (v - low) / (high - low);
       context.fillStyle = colours.track;
       context.fillRect(0, y(0) - 0.5, width, 1);
-      series.forEach((s, i) => s && this.curve(context, this.runs[i], s, x, y, colours.runs[i]));
+      series.forEach((s, i) => s && this.curve(context, i, s, x, y, colours.runs));
       context.fillStyle = colours.text;
       context.globalAlpha = 0.5;
       context.fillRect(x(time) - 0.5, 0, 1, height);
@@ -146,9 +154,11 @@ class FiguresPanel {
     }
   }
 
-  curve(context, run, series, x, y, colour) {
+  curve(context, index, series, x, y, colours) {
+    const run = this.runs[index], which = index % RUN_DASHES.length;
     const lag = run.numSteps - series.length; // figures of steps start one state later
-    context.strokeStyle = colour;
+    context.strokeStyle = colours[which];
+    context.setLineDash(RUN_DASHES[which]);
     context.lineWidth = 1.5;
     context.lineJoin = "round";
     context.beginPath();
@@ -161,6 +171,7 @@ class FiguresPanel {
       open = true;
     });
     context.stroke();
+    context.setLineDash([]);
   }
 }
 
@@ -175,73 +186,138 @@ function brief(value) {
   return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 2);
 }
 
-/** Matrix of times to contact between the agents that matter most at the cursor. */
+/** Letter of a run, in its colour. */
+function badge(index) {
+  const mark = element("i", `badge run-${index % RUN_DASHES.length}`, String.fromCharCode(65 + index));
+  mark.setAttribute("aria-hidden", "true");
+  return mark;
+}
+
+/** What became of a run, as nodes: the ego's fate, and collisions of the others. */
+function verdict({ tone, text, others }) {
+  const nodes = [element("strong", `verdict ${tone}`, text)];
+  if (others) nodes.push(element("span", "quiet", `others: ${others} collision${others > 1 ? "s" : ""}`));
+  return nodes;
+}
+
+/** What happened, by whose it is; a click goes there. */
+class EventsPanel {
+  /** goTo(run, event) is called with what is clicked; changed() when flags come or go. */
+  constructor(container, runs, flags, goTo, changed) {
+    for (const [lane, title] of Object.entries(LANE_TITLES)) {
+      const found = runs.flatMap((run, index) => run.events
+        .filter((event) => event.lane === lane).map((event) => ({ run, index, event })));
+      if (!found.length) continue;
+      found.sort((p, q) => p.run.timeOf(p.event) - q.run.timeOf(q.event));
+      const head = element("div", "events-head");
+      const shown = element("button", "chip", "flags");
+      shown.title = `Flags of these on the time line: ${title}`;
+      shown.setAttribute("aria-label", `flags on the time line: ${title}`);
+      shown.setAttribute("aria-pressed", flags[lane]);
+      shown.addEventListener("click", () => {
+        flags[lane] = !flags[lane];
+        shown.setAttribute("aria-pressed", flags[lane]);
+        changed();
+      });
+      head.append(element("h3", "", `${title} · ${found.length}`), shown);
+      const list = element("ul", "events");
+      list.append(...found.map((entry) => this.entry(entry, runs.length > 1, goTo)));
+      container.append(head, list);
+    }
+    if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
+  }
+
+  entry({ run, index, event }, several, goTo) {
+    const item = element("li"), button = element("button", `event ${event.kind}`);
+    button.append(element("span", "event-time", `${(event.step * run.dt).toFixed(1)} s`));
+    if (several) button.append(badge(index));
+    button.append(element("span", "", event.text));
+    button.addEventListener("click", () => goTo(run, event));
+    item.append(button);
+    return item;
+  }
+}
+
+/** The pairs that meet soonest at the cursor, those of the chosen agent first. */
 class ContactPanel {
-  /** hover([a, b] or null) is called with indices of run 0. */
-  constructor(container, run, hover) {
+  /** hover([a, b] or null) and choose([a, b]) are called with indices of run 0. */
+  constructor(container, run, hover, choose) {
     this.container = container;
     this.run = run;
     this.hover = hover;
+    this.choose = choose;
+    this.rows = [];
     container.addEventListener("pointerleave", () => hover(null));
   }
 
-  /** Agents in the most urgent pairs: first those of the focus, then those of the plan in force. */
-  choose(step, focus) {
+  /** The pairs that matter: of what moves, obstacles only where they are close. */
+  pairs(step, focus) {
     const { run } = this, plan = run.planAt(step);
-    const solid = (agent) => run.agents[agent].kind !== "static";
     const rank = ([a, b]) => {
       if (a === focus || b === focus) return 0;
       return plan && plan.agents.includes(a) && plan.agents.includes(b) ? 1 : 2;
     };
-    const pairs = run.pairs(step)
-      .filter(([a, b, ttc]) => ttc < 2 || solid(a) && solid(b))
-      .sort((p, q) => rank(p) - rank(q) || p[2] - q[2]);
-    const order = new Set(focus >= 0 && pairs.length ? [focus] : []);
-    for (const [a, b] of pairs) {
-      const more = !order.has(a) + !order.has(b);
-      if (order.size + more <= TTC_ROWS) order.add(a).add(b);
-    }
-    return [...order].filter((agent) => run.valid(agent, step));
+    const moves = (agent) => {
+      const pose = run.pose(agent, step);
+      return pose && Math.hypot(pose.vx, pose.vy) > STANDING_MPS;
+    };
+    const solid = (agent) => run.agents[agent].kind !== "static";
+    return run.pairs(step)
+      .filter(([a, b, ttc]) => (moves(a) || moves(b)) && (ttc < 2 || solid(a) && solid(b)))
+      .sort((p, q) => rank(p) - rank(q) || p[2] - q[2])
+      .slice(0, TTC_ROWS);
   }
 
-  draw(step, focus, theme) {
-    const key = `${step} ${focus} ${theme}`;
-    if (key === this.key) return;
-    this.key = key;
-    const order = this.choose(step, focus);
-    const seconds = new Map();
-    for (const [a, b, ttc] of this.run.pairs(step)) seconds.set(`${a} ${b}`, ttc).set(`${b} ${a}`, ttc);
-    const table = element("table", "contacts");
-    const head = element("tr");
-    head.append(element("th"));
-    for (const agent of order) head.append(this.name(agent));
-    table.append(head);
-    for (const a of order) {
-      const row = element("tr");
-      row.append(this.name(a));
-      for (const b of order) row.append(this.cell(a, b, seconds.get(`${a} ${b}`)));
-      table.append(row);
+  draw(step, focus, chrome) {
+    const pairs = this.pairs(step, focus), key = pairs.map(([a, b]) => `${a} ${b}`).join();
+    if (key !== this.key || !pairs.length) {
+      this.key = key;
+      this.rows = pairs.map(([a, b]) => this.row(a, b));
+      const none = element("p", "quiet", "No two agents are on course to meet within 10 s.");
+      this.container.replaceChildren(...(pairs.length ? this.rows.map((row) => row.button) : [none]));
     }
-    const none = element("p", "quiet", "No two agents are on course to meet.");
-    this.container.replaceChildren(order.length > 1 ? table : none);
+    this.rows.forEach((row, i) => {
+      row.value.textContent = `${pairs[i][2].toFixed(1)} s`;
+      row.button.classList.toggle("hot", pairs[i][2] < 2);
+      this.curve(row, step, chrome);
+    });
   }
 
-  name(agent) {
-    const cell = element("th", "", this.run.agents[agent].label);
-    cell.addEventListener("pointerenter", () => this.hover(null));
-    return cell;
+  row(a, b) {
+    const { agents } = this.run;
+    const button = element("button", "contact"), canvas = element("canvas", "figure-curve");
+    const value = element("span", "figure-value");
+    canvas.setAttribute("aria-hidden", "true");
+    button.title = `${agents[a].title} and ${agents[b].title}: show both`;
+    button.append(element("span", "figure-name", `${agents[a].label} – ${agents[b].label}`), canvas, value);
+    button.addEventListener("pointerenter", () => this.hover([a, b]));
+    button.addEventListener("focus", () => this.hover([a, b]));
+    button.addEventListener("blur", () => this.hover(null));
+    button.addEventListener("click", () => this.choose([a, b]));
+    return { button, canvas, value, series: this.run.pairSeries(a, b) };
   }
 
-  cell(a, b, ttc) {
-    const cell = element("td", a === b ? "self" : "");
-    if (a === b) return cell;
-    if (ttc !== undefined) {
-      cell.textContent = ttc.toFixed(1);
-      const heat = 1 - Math.min(ttc / this.run.ttcCap, 1);
-      cell.style.background = `rgba(214, 31, 44, ${(0.06 + 0.8 * heat * heat).toFixed(2)})`;
-      if (heat > 0.7) cell.classList.add("hot");
-    }
-    cell.addEventListener("pointerenter", () => this.hover([a, b]));
-    return cell;
+  /** Time to contact over the run, low where it is short. */
+  curve({ canvas, series }, step, chrome) {
+    const ratio = window.devicePixelRatio || 1, { clientWidth: width, clientHeight: height } = canvas;
+    if (!width) return;
+    resizeCanvas(canvas, width, height, ratio);
+    const context = canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    const x = (i) => width * i / Math.max(series.length - 1, 1);
+    context.strokeStyle = chrome.runs[0];
+    context.lineWidth = 1.5;
+    context.beginPath();
+    series.forEach((value, i) => {
+      const y = height - 2 - (height - 4) * value / this.run.ttcCap;
+      if (i) context.lineTo(x(i), y);
+      else context.moveTo(x(i), y);
+    });
+    context.stroke();
+    context.fillStyle = chrome.text;
+    context.globalAlpha = 0.5;
+    context.fillRect(x(step) - 0.5, 0, 1, height);
+    context.globalAlpha = 1;
   }
 }

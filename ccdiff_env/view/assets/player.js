@@ -2,19 +2,26 @@
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
 const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
+const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
 const COLOUR_MODES = ["driver", "kind", "speed"];
+const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
 /** One run on one canvas. */
 class Pane {
-  constructor(root, run, driverColours) {
+  constructor(root, run, index, driverColours) {
     this.run = run;
     this.ground = new Ground(run);
     this.actors = new Actors(run, driverColours);
     this.root = element("div", "pane");
     this.canvas = element("canvas", "map");
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", `map of ${run.title}: ${run.outcome.text}`);
     this.caption = element("div", "pane-caption");
-    this.caption.append(element("b", "", run.title), element("span", "", run.subtitle));
+    this.caption.append(badge(index), element("b", "", run.title), element("span", "", run.subtitle));
+    this.caption.append(...verdict(run.outcome));
     this.root.append(this.canvas, this.caption);
+    if (!run.layers.lanes.length) this.root.append(element("p", "pane-note", "This map has no lanes."));
     root.append(this.root);
   }
 
@@ -84,17 +91,18 @@ class Player {
   constructor(runs, stage, driverColours, changed) {
     this.runs = runs;
     this.camera = new Camera();
-    this.panes = runs.map((run) => new Pane(stage, run, driverColours));
+    this.panes = runs.map((run, index) => new Pane(stage, run, index, driverColours));
     this.start = Math.min(...runs.map((run) => run.start));
     this.end = Math.max(...runs.map((run) => run.end));
     this.step = Math.min(...runs.map((run) => run.dt));
-    this.time = this.start;
+    this.time = this.start + runs[0].opening;
     this.rate = 1;
     this.playing = false;
     this.theme = "light";
     this.headingUp = false;
     this.colourMode = runs.every((run) => run.isLog) ? "kind" : "driver";
-    this.layers = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
+    this.layers = { ...LAYERS_AT_START };
+    this.flags = { ego: true, guided: true, others: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
     this.follow = this.focus;
     this.hover = null;
@@ -121,7 +129,7 @@ class Player {
     if (this.dirty) {
       this.dirty = false;
       this.track();
-      this.panes.forEach((pane, i) => pane.draw(this, this.panes[1 - i]));
+      this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
       this.changed(this);
     }
     requestAnimationFrame((next) => this.frame(next));
@@ -224,9 +232,32 @@ class Player {
     this.touch();
   }
 
-  /** Go to the next event (or the one before), two seconds early. */
+  /** Show two agents of the first run close by. */
+  showPair([one, other]) {
+    const poses = [one, other].map((id) => this.panes[0].index(id))
+      .map((agent) => this.runs[0].pose(agent, this.runs[0].stepAt(this.time)));
+    if (!poses[0] || !poses[1]) return;
+    const [xs, ys] = [poses.map((p) => p.x), poses.map((p) => p.y)];
+    const box = [Math.min(...xs) - 12, Math.min(...ys) - 12, Math.max(...xs) + 12, Math.max(...ys) + 12];
+    this.follow = null;
+    this.headingUp = false;
+    this.focus = one;
+    this.camera.fit(box, this.panes[0].width, this.panes[0].height);
+    this.touch();
+  }
+
+  /** Go to a moment before an event of a run, follow whom it is about, and play. */
+  goTo(run, event) {
+    this.seek(Math.max(run.timeOf(event) - LEAD_SECONDS, this.start));
+    this.followAgent(run.agents[event.agent].id);
+    this.playing = true;
+  }
+
+  /** Go to the next event that has a flag (or the one before), two seconds early. */
   nextEvent(by) {
-    const times = this.runs.flatMap((run) => run.events.map((e) => run.start + e.step * run.dt));
+    const times = this.runs.flatMap((run) => run.events
+      .filter((event) => this.flags[event.lane])
+      .map((event) => Math.max(run.timeOf(event) - LEAD_SECONDS, this.start)));
     const sorted = [...new Set(times)].sort((a, b) => a - b);
     const next = by > 0 ? sorted.find((t) => t > this.time + 1e-6)
       : sorted.reverse().find((t) => t < this.time - 1e-6);

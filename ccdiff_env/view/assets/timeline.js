@@ -1,12 +1,17 @@
 // The time line: where we are, and flags where something happens.
 
-const FLAG_COLOURS = { collision: "#d61f2c", other: "#e08a00", plan: "#00996f" };
+const FLAG_COLOURS = {
+  light: { collision: "#d61f2c", off_road: "#8a5a00", goal: "#00785a", other: "#5c6672", plan: "#00785a" },
+  dark: { collision: "#ff5a5f", off_road: "#f0b34a", goal: "#3ecfa8", other: "#93a0ae", plan: "#3ecfa8" },
+};
+const FLAG_HEIGHTS = { ego: 16, guided: 11, others: 7 };
 
 class Timeline {
-  /** seek(time) is called while the user drags. */
-  constructor(canvas, runs, seek) {
+  /** seek(time) is called while the user drags; shows(event) says which flags are drawn. */
+  constructor(canvas, runs, seek, shows) {
     this.canvas = canvas;
     this.runs = runs;
+    this.shows = shows;
     this.start = Math.min(...runs.map((run) => run.start));
     this.end = Math.max(...runs.map((run) => run.end));
     this.seek = seek;
@@ -44,9 +49,15 @@ class Timeline {
     const lines = [`${(time - this.start).toFixed(1)} s`];
     for (const run of this.runs)
       for (const event of run.events)
-        if (Math.abs(run.start + event.step * run.dt - time) <= near)
-          lines.push(describeEvent(run, event));
+        if (this.shows(event) && Math.abs(run.timeOf(event) - time) <= near) lines.push(event.text);
     return lines.join("\n");
+  }
+
+  /** Say where we are to those who do not see it. */
+  speak(time) {
+    this.canvas.setAttribute("aria-valuemax", this.span.toFixed(1));
+    this.canvas.setAttribute("aria-valuenow", (time - this.start).toFixed(1));
+    this.canvas.setAttribute("aria-valuetext", this.describe(time).replaceAll("\n", ", "));
   }
 
   draw(time, colours) {
@@ -66,7 +77,7 @@ class Timeline {
     line(context, x(this.start), middle, x(this.end), middle);
     context.strokeStyle = colours.accent;
     line(context, x(this.start), middle, x(time), middle);
-    this.runs.forEach((run, index) => this.flags(context, run, index, x, middle));
+    this.runs.forEach((run) => this.flags(context, run, x, middle, colours.flags));
     context.fillStyle = colours.accent;
     context.strokeStyle = colours.panel;
     context.lineWidth = 2;
@@ -89,17 +100,17 @@ class Timeline {
     }
   }
 
-  /** Ticks of plans below, flags of events above the track; the second run's hang lower. */
-  flags(context, run, index, x, middle) {
-    for (const plan of run.plans) {
-      context.fillStyle = FLAG_COLOURS.plan;
-      context.globalAlpha = 0.7;
+  /** Ticks of plans below the track, flags of events above it: the ego's stand highest. */
+  flags(context, run, x, middle, colours) {
+    context.fillStyle = colours.plan;
+    context.globalAlpha = 0.7;
+    for (const plan of run.plans)
       context.fillRect(x(run.start + plan.step * run.dt) - 1, middle + 5, 2, 4);
-    }
     context.globalAlpha = 1;
     for (const event of run.events) {
-      const at = x(run.start + event.step * run.dt), high = index ? 8 : 13;
-      context.fillStyle = event.collision ? FLAG_COLOURS.collision : FLAG_COLOURS.other;
+      if (!this.shows(event)) continue;
+      const at = x(run.timeOf(event)), high = FLAG_HEIGHTS[event.lane];
+      context.fillStyle = colours[event.kind] || colours.other;
       context.fillRect(at - 0.75, middle - high, 1.5, high);
       context.beginPath();
       context.moveTo(at - 0.75, middle - high);
@@ -108,13 +119,6 @@ class Timeline {
       context.fill();
     }
   }
-}
-
-function describeEvent(run, event) {
-  const agent = run.agents[event.agent];
-  const partner = event.partner >= 0 ? run.agents[event.partner] : null;
-  const kind = event.kind.replaceAll("_", " ");
-  return partner ? `${agent.label}: ${kind} with ${partner.label}` : `${agent.label}: ${kind}`;
 }
 
 function line(context, x0, y0, x1, y1) {

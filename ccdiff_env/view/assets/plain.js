@@ -1,0 +1,48 @@
+// Lists and tables of pages without replays: cards that are searched and sorted, tables that a click sorts.
+
+const find = document.getElementById("find"), order = document.getElementById("order");
+if (find) {
+  const cards = [...document.querySelectorAll(".card")];
+  const show = () => {
+    const words = find.value.toLowerCase().split(/\s+/);
+    for (const card of cards) {
+      const text = card.textContent.toLowerCase();
+      card.hidden = !words.every((word) => text.includes(word));
+    }
+    document.getElementById("count").textContent = `${cards.filter((card) => !card.hidden).length} shown`;
+  };
+  const sort = () => {
+    const key = order.value;
+    cards.sort((p, q) => key === "name" ? p.dataset.name.localeCompare(q.dataset.name, undefined, { numeric: true })
+      : q.dataset[key] - p.dataset[key] || p.dataset.name.localeCompare(q.dataset.name, undefined, { numeric: true }));
+    cards[0]?.parentNode.append(...cards);
+  };
+  find.addEventListener("input", show);
+  order.addEventListener("change", sort);
+}
+
+for (const table of document.querySelectorAll("table.sorts")) {
+  const valueOf = (row, column) => {
+    const text = row.cells[column].textContent.trim(), number = parseFloat(text);
+    return Number.isNaN(number) || /^[a-z]/i.test(text) ? text : number;
+  };
+  table.querySelectorAll("thead th").forEach((head, column) => {
+    if (!head.textContent) return;
+    const button = document.createElement("button");
+    button.textContent = head.textContent;
+    head.replaceChildren(button);
+    button.addEventListener("click", () => {
+      const down = head.getAttribute("aria-sort") !== "descending" && column > 0
+        || head.getAttribute("aria-sort") === "ascending";
+      for (const other of table.querySelectorAll("th")) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      const body = table.tBodies[0];
+      const rows = [...body.rows].sort((p, q) => {
+        const [a, b] = [valueOf(p, column), valueOf(q, column)];
+        const by = typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), undefined, { numeric: true });
+        return down ? -by : by;
+      });
+      body.append(...rows);
+    });
+  });
+}

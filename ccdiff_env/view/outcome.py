@@ -1,0 +1,229 @@
+"""What became of an episode: the ego's fate in one sentence, and the events that deserve a flag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.metrics import Motion
+from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.view.facts import agent_titles, guided_agents, is_collision, is_log
+
+Lane = Literal["ego", "guided", "others"]
+Tone = Literal["bad", "good", "plain"]
+
+PARKED_MPS = 0.5
+"""A vehicle whose log never exceeds this speed is parked."""
+LEAD_S = 2.0
+"""Replays open so long before what they open for."""
+NEAR_S = 1.0
+"""A vehicle that leaves the road where its log does so within this time is not worth a flag."""
+ENDS = ("goal", "time_limit")
+
+
+@dataclass(frozen=True)
+class Happening:
+    """One thing that happened: both sides of a collision are one.
+
+    Parameters
+    ----------
+    step
+        Recorded step.
+    agent, partner
+        Indices of who it happened to and of the other one; -1 where there is none.
+    lane
+        Whose it is: the ego's, that of a vehicle that plans guide, or that of the others.
+    kind
+        ``"collision"``, ``"overlap"`` (both follow the log, whose boxes are not exact),
+        ``"off_road"``, ``"goal"`` or ``"time_limit"``.
+    text
+        A few words.
+    """
+
+    step: int
+    agent: int
+    partner: int
+    lane: Lane
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an episode.
+
+    Parameters
+    ----------
+    tone
+        Whether it is bad or good for the ego, or neither.
+    text
+        What became of the ego, and when.
+    others
+        Collisions in which the ego has no part.
+    opening_s
+        A moment before what matters most, seconds from the start.
+    """
+
+    tone: Tone
+    text: str
+    others: int
+    opening_s: float
+
+    @property
+    def line(self) -> str:
+        """The text, and the number of collisions among the others."""
+        s = "s" * (self.others != 1)
+        return f"{self.text} · others: {self.others} collision{s}" if self.others else self.text
+
+
+def happenings(rollout: Rollout) -> list[Happening]:
+    """Return what happened, by step.
+
+    Left out: pairs of walkers; the road left by vehicles that are parked in the log, that appear
+    at this moment, or whose log leaves it here, too.
+    """
+    return sorted(_happenings(rollout), key=lambda h: (h.step, h.lane != "ego", h.agent))
+
+
+def outcome(rollout: Rollout) -> Outcome:
+    """Say what became of the ego, and count the collisions of the others."""
+    found = happenings(rollout)
+    others = sum(h.kind == "collision" and h.lane != "ego" for h in found)
+    tone, text, moment = _fate(rollout, [h for h in found if h.lane == "ego"])
+    if moment is None:
+        moment = next((h for h in found if h.kind == "collision"), None)
+    step = 0 if moment is None or moment.kind in ENDS else moment.step
+    return Outcome(tone, text, others, max(0.0, step * rollout.dt_s - LEAD_S))
+
+
+def _fate(rollout: Rollout, own: list[Happening]) -> tuple[Tone, str, Happening | None]:
+    """Tone, words, and the happening of the ego that decides."""
+    if "ego" not in rollout.agent_ids:
+        return "plain", "no ego", None
+    if is_log(rollout):
+        return "plain", "as recorded", None
+    ends = {h.kind: h for h in own}
+    goal, seconds = ends.get("goal"), (rollout.num_steps - 1) * rollout.dt_s
+    driven = [h for h in own if goal is None or h.step <= goal.step]
+    bad = next((h for h in driven if h.kind in ("collision", "off_road")), None)
+    if bad is not None:
+        what, comma, fault = bad.text.partition(", ")
+        text = f"{what} at {bad.step * rollout.dt_s:.1f} s{comma}{fault}"
+        return "bad", text if goal is None else f"{text}, reached its goal", bad
+    if goal is not None:
+        return "good", f"ego reached its goal at {goal.step * rollout.dt_s:.1f} s", goal
+    if "time_limit" in ends:
+        return "plain", f"ego not at its goal in {seconds:.1f} s", ends["time_limit"]
+    return "plain", f"ego drove {seconds:.1f} s, hit nobody", None
+
+
+def _happenings(rollout: Rollout) -> Iterator[Happening]:
+    number = {name: i for i, name in enumerate(rollout.agent_ids)}
+    guided = guided_agents(rollout)
+    kinds = rollout.scene.agent_types
+    names = _names(rollout)
+    sides: dict[tuple[int, frozenset[int]], list[RolloutEvent]] = {}
+    dull = _leaves_road_in_log(rollout)
+    for event in rollout.events:
+        agent = number[event.agent_id]
+        if event.partner_id is not None:
+            pair = frozenset((agent, number[event.partner_id]))
+            if not all(kinds[i] == "pedestrian" for i in pair) or is_collision(rollout, event):
+                sides.setdefault((event.step, pair), []).append(event)
+        elif event.kind != "off_road" or not dull(agent, event.step):
+            yield Happening(
+                event.step, agent, -1, _lane(guided, event.agent_id), event.kind,
+                f"{names[agent]} {_WORDS.get(event.kind, event.kind.replace('_', ' '))}",
+            )  # fmt: skip
+    for (step, _), events in sides.items():
+        first = min(events, key=_importance)
+        agent, partner = number[first.agent_id], number[str(first.partner_id)]
+        crash = is_collision(rollout, first)
+        text = _collision(first, names[agent], names[partner]) if crash else (
+            f"boxes of {names[agent]} and {names[partner]} overlap in the log"
+        )  # fmt: skip
+        lane = _lane(guided, first.agent_id, str(first.partner_id)) if crash else "others"
+        yield Happening(step, agent, partner, lane, "collision" if crash else "overlap", text)
+
+
+_WORDS = {
+    "off_road": "left the road",
+    "goal": "reached its goal",
+    "time_limit": "ran out of time",
+}
+
+
+def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
+    """The ego's side of a collision comes first, then that of who drives into the other."""
+    return event.agent_id != "ego", event.kind != "collision_front", event.agent_id
+
+
+def _collision(event: RolloutEvent, one: str, other: str) -> str:
+    words = {
+        "collision_front": f"{one} drove into {other}",
+        "collision_rear": f"{one} hit from behind by {other}",
+        "collision_side": f"{one} hit in the side by {other}",
+        "static": f"{one} hit {other}",
+    }
+    text = words.get(event.kind, f"{one} and {other} touch")
+    if event.agent_id != "ego":
+        return text
+    return f"{text}, {'at fault' if event.at_fault else 'not at fault'}"
+
+
+def _lane(guided: set[str], *names: str) -> Lane:
+    if "ego" in names:
+        return "ego"
+    return "guided" if guided.intersection(names) else "others"
+
+
+def _names(rollout: Rollout) -> list[str]:
+    """``ego``, ``4 (bus)``."""
+    titles = (long.partition(" · ") for _, long in agent_titles(rollout.scene))
+    return [f"{label} ({what})" if what else label for label, _, what in titles]
+
+
+def _leaves_road_in_log(rollout: Rollout) -> Any:
+    """A test of (agent, step): whether that the agent leaves the road here says nothing new."""
+    steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    tracks = rollout.scene.tracks()
+    valid = tracks["valid"]
+    speed = np.where(valid, np.linalg.norm(tracks["velocity"], axis=-1), 0.0)
+    parked: npt.NDArray[np.bool_] = speed.max(axis=1, initial=0.0) <= PARKED_MPS
+    near = round(NEAR_S / rollout.dt_s)
+    outside: npt.NDArray[np.bool_] | None = None
+
+    def dull(agent: int, step: int) -> bool:
+        nonlocal outside
+        if rollout.agent_ids[agent] == "ego":
+            return False
+        appears = step == 0 or not rollout.valid[agent, step - 1]
+        if appears or parked[agent]:
+            return True
+        if outside is None:
+            outside = _outside(rollout, steps)
+        around = outside[agent, max(step - near, 0) : step + near + 1]
+        return bool(around.any())
+
+    return dull
+
+
+def _outside(rollout: Rollout, steps: slice) -> npt.NDArray[np.bool_]:
+    """Whether a corner of an agent is off the road in the log [A, T]."""
+    tracks = rollout.scene.tracks()
+    log = Motion(
+        np.ascontiguousarray(tracks["position"][:, steps]),
+        np.ascontiguousarray(tracks["heading"][:, steps]),
+        rollout.scene.sizes[:, :2],
+        np.ascontiguousarray(tracks["valid"][:, steps]),
+        dt_s=rollout.dt_s,
+    )
+    layers: dict[str, Any] = dict(rollout.scene.map_layers())
+    areas = layers.get("drivable_area", [])
+    if not areas:
+        return np.zeros(rollout.valid.shape, bool)
+    return np.asarray(log.off_road([(a["exterior"], a["holes"]) for a in areas]).box, dtype=bool)
