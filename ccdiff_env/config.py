@@ -234,6 +234,10 @@ class WorldConfig:
     start_spread_steps: int = 0
     #: Steps of an episode at most, >= 1.
     horizon_steps: int = 100
+    #: Steps for which an action is held, >= 1: a call of ``step`` advances by so many, or up to the
+    #: end of the episode. Rewards are summed up; a learner's discount per call is that of a step to
+    #: this power.
+    decision_steps: int = 1
     #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), ids, or
     #: ids by the name of the scene.
     controlled: Controlled = "ego"

@@ -327,7 +327,8 @@ def _try(
     env: EgoEnv, start: bytes, plans: list[EgoPlan], steps: int, stay_on_road: bool
 ) -> npt.NDArray[np.bool_]:
     """Whether each plan stays free of collisions; all run at once, from the same moment."""
-    worlds = Worlds(env.worlds.scenes, env.config, num_worlds=len(plans), num_threads=1)
+    config = env.config.with_options(decision_steps=1)
+    worlds = Worlds(env.worlds.scenes, config, num_worlds=len(plans), num_threads=1)
     for i in range(len(plans)):
         worlds.native.restore(i, start)
     steering = Steering(worlds)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import ResetNeededError
+from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.rollout import DRIVER_NAMES, Rollout, RolloutEvent, RolloutPlan
 
 if TYPE_CHECKING:
@@ -40,6 +40,11 @@ class Recorder:
         Entries of :attr:`Rollout.meta` beside seed, configuration, traffic and source, such as
         ``planner="idm"``.
 
+    Raises
+    ------
+    ConfigError
+        If the worlds hold actions for several steps.
+
     Notes
     -----
     In autoreset mode SAME_STEP the last state of an episode is never seen from outside, so that it
@@ -64,6 +69,9 @@ class Recorder:
         unwrapped: Any = getattr(env, "unwrapped", env)
         self._worlds: Worlds = getattr(unwrapped, "worlds", unwrapped)
         self._worlds.check_world(world_idx)
+        held = self._worlds.config.decision_steps
+        if held != 1:
+            raise ConfigError(f"recorder: decision_steps is {held}, expected 1: it records steps")
         self._world_idx = world_idx
         self._meta = meta
         self._episode: tuple[int, int, int] | None = None

@@ -81,7 +81,14 @@ def actions_of(native, steps):
 @pytest.mark.parametrize("seed", [0, -3, 2**64, [5, 1, 2**63 - 1, -9, 0]], ids=str)
 @pytest.mark.parametrize(
     "options",
-    [{}, {"observation": "dict"}, {"discrete": True}, {"info": "end"}, {"info": "none"}],
+    [
+        {},
+        {"observation": "dict"},
+        {"discrete": True},
+        {"info": "end"},
+        {"info": "none"},
+        {"decision_steps": 3},
+    ],
     ids=str,
 )
 @pytest.mark.parametrize("mode", MODES)

@@ -116,7 +116,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             if name in options:
                 raise ConfigError(f"{name} is not an option of games: use agents")
         if max_cycles is not None:
-            options = {"horizon_steps": max_cycles, **options}
+            held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
+            options = {"horizon_steps": max_cycles * held, **options}
         chosen = scene_set(scenes)
         settled = world_config(chosen, config, options, observation)
         cast = Cast.of(
@@ -152,7 +153,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self._cast = cast
         self._roles = Roles(self.worlds, adversary_shaping)
         self._by_token = names == "token"
-        self.max_cycles = settled.horizon_steps
+        self.max_cycles = -(-settled.horizon_steps // settled.decision_steps)
         self.render_mode = render_mode
         self.possible_agents: list[str] = list(cast.names(names))
         self.agents: list[str] = []

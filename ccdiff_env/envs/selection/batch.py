@@ -68,7 +68,7 @@ class SelectionBatch:
         trails: bool,
         options: dict[str, Any],
     ) -> None:
-        for name in ("controlled", "num_slots", "autoreset", "driver"):
+        for name in ("controlled", "num_slots", "autoreset", "driver", "decision_steps"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of adversary selection")
         self.actions = SelectionActions(action_mode, max_agents, budget, criticality)
@@ -80,7 +80,7 @@ class SelectionBatch:
             options["ccdiff"] = {"criticality": 1.0, **options.get("ccdiff", {})}
         settled = world_config(chosen, config, options)
         # NEXT_STEP: an ended world must not keep the others from going on with their decision
-        settled = settled.with_options(driver=driver, autoreset="next_step")
+        settled = settled.with_options(driver=driver, autoreset="next_step", decision_steps=1)
         self.worlds = Worlds(
             chosen, settled, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )

@@ -99,6 +99,23 @@ impl<'a> StepBuffers<'a> {
         Ok(())
     }
 
+    /// The same buffers for a call that takes them by value.
+    pub(crate) fn reborrow(&mut self) -> StepBuffers<'_> {
+        StepBuffers {
+            obs: self.obs,
+            reward: self.reward,
+            terminated: self.terminated,
+            truncated: self.truncated,
+            alive: self.alive,
+            columns: self.columns,
+            done: self.done,
+            was_reset: self.was_reset,
+            final_obs: self.final_obs,
+            bev: self.bev,
+            final_bev: self.final_bev,
+        }
+    }
+
     /// The buffers of the first `worlds` worlds, and those of the rest.
     pub(crate) fn split_at(self, worlds: usize, extent: Extent) -> (Self, Self) {
         let Extent { row, raster, .. } = extent;

@@ -59,5 +59,39 @@ columns! {
 /// Number of figures M.
 pub const NUM_COLUMNS: usize = COLUMNS.len();
 
+/// Columns of the reward components, which come first.
+pub(crate) const NUM_COMPONENTS: usize = 7;
+/// What stays in the figures of a decision once it has happened: the collision, with its facts.
+const CONTACT: [Col; 4] = [Col::Collision, Col::CollisionKind, Col::CollisionPartner, Col::AtFault];
+
+/// Reward and figures of a slot over the steps of a decision so far.
+pub(crate) struct Earlier {
+    reward: f32,
+    columns: [f32; NUM_COLUMNS],
+}
+
+impl Earlier {
+    /// What a slot's row holds.
+    pub(crate) fn of(reward: f32, row: &[f32]) -> Self {
+        let mut columns = [0.0; NUM_COLUMNS];
+        columns.copy_from_slice(row);
+        Self { reward, columns }
+    }
+
+    /// Joins them to the figures of the next step and returns the sum of the rewards: components add up, a collision
+    /// and the reached goal stay, the other figures are those of the step.
+    pub(crate) fn join(&self, reward: f32, row: &mut [f32]) -> f32 {
+        for (value, earlier) in row.iter_mut().zip(&self.columns).take(NUM_COMPONENTS) {
+            *value += earlier;
+        }
+        if row[Col::Collision as usize] == 0.0 {
+            CONTACT.iter().for_each(|c| row[*c as usize] = self.columns[*c as usize]);
+        }
+        let goal = Col::GoalReached as usize;
+        row[goal] = row[goal].max(self.columns[goal]);
+        self.reward + reward
+    }
+}
+
 /// Longest time to contact that is looked for, seconds.
 pub const TTC_HORIZON_S: f32 = 10.0;

@@ -224,6 +224,8 @@ pub struct WorldConfig {
     pub start_spread_steps: usize,
     /// Steps of an episode at most.
     pub horizon_steps: usize,
+    /// Steps for which an action is held: a call of `step` advances by so many, or up to the episode's end.
+    pub decision_steps: usize,
     /// Agents with a slot.
     pub controlled: Controlled,
     /// Slots per world, C.
@@ -269,6 +271,7 @@ impl Default for WorldConfig {
             history_steps: 30,
             start_spread_steps: 0,
             horizon_steps: 100,
+            decision_steps: 1,
             controlled: Controlled::Ego,
             num_slots: 1,
             driver: Driver::External,
@@ -318,6 +321,7 @@ impl WorldConfig {
         let positive = |x: Real| x.is_finite() && x > 0.0;
         check(positive(self.dt_s) && self.dt_s <= 1.0, "dt_s", self.dt_s, "seconds in (0, 1]")?;
         check(self.horizon_steps >= 1, "horizon_steps", self.horizon_steps, "at least 1")?;
+        check(self.decision_steps >= 1, "decision_steps", self.decision_steps, "at least 1")?;
         check((1..=512).contains(&self.num_slots), "num_slots", self.num_slots, "1 to 512")?;
         check(
             self.controlled != Controlled::Ego || self.num_slots == 1,
@@ -407,6 +411,7 @@ mod tests {
             (r#"{"dt_s": 0}"#, "dt_s"),
             (r#"{"traffic": "external"}"#, "traffic"),
             (r#"{"num_slots": 3}"#, "num_slots"),
+            (r#"{"decision_steps": 0}"#, "decision_steps"),
             (r#"{"colour": 3}"#, "json"),
             (r#"{"reward": {"goal": 1e9}}"#, "reward.goal"),
         ] {

@@ -140,8 +140,10 @@ impl VecWorld {
         &self.scenes.list[scene_idx].0.name
     }
 
+    /// What a snapshot is checked against: the configuration, less what the state of a world does not depend on.
     pub(crate) fn config_fingerprint(&self) -> String {
-        serde_json::to_string(&self.config).unwrap_or_default()
+        let config = WorldConfig { decision_steps: 1, ..self.config.clone() };
+        serde_json::to_string(&config).unwrap_or_default()
     }
 
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {
@@ -286,7 +288,8 @@ impl VecWorld {
                 return Err(SimError::Length { what, got, expected });
             }
         }
-        self.worlds[world_idx].observe(&self.config, extent, obs, bev);
+        let now = self.worlds[world_idx].episode.elapsed_steps;
+        self.worlds[world_idx].observe(&self.config, extent, now, obs, bev);
         Ok(())
     }
 

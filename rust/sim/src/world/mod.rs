@@ -2,8 +2,8 @@
 //!
 //! A tick runs these phases: background policies plan for all worlds at once; then, world by world and in parallel
 //! over worlds, actions are decoded and background motions decided, agents move, enter and leave, contacts and road
-//! departures are found, rewards and endings follow, ended worlds are reset as the autoreset mode says, and
-//! observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
+//! departures are found, rewards and endings follow, ended worlds are reset as the autoreset mode says, and, after the
+//! last tick for which the actions are held, observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
 //! worlds of the batch.
 
 mod actions;
@@ -44,6 +44,7 @@ use crate::policy::{BackgroundPolicy, WorldView};
 use crate::scene::Scene;
 use episode::{Episode, Phase};
 use policies::Policies;
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 use tick::{Shared, World};
 
@@ -218,20 +219,36 @@ impl VecWorld {
             world.begin(scene, scene_idx, &shared);
             out.clear_step();
             *out.was_reset = true;
-            world.finish(&shared, &mut out);
+            world.finish(&shared, 0, &mut out);
         };
         run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, shared.extent, &job);
         Ok(())
     }
 
-    /// One step of all worlds. `actions` [E, C, width] are normalised numbers or grid indices; those of agents that
-    /// are not driven from outside are ignored.
+    /// One decision of all worlds: every action is held for `decision_steps` steps, or up to the end of its world's
+    /// episode. `actions` [E, C, width] are normalised numbers or grid indices; those of agents that are not driven
+    /// from outside are ignored. Rewards and their components are sums over the steps held; observations and the
+    /// other figures are those of the last one, and accidents stay in the figures from the step on that they
+    /// happened in.
     ///
     /// # Errors
-    /// [`SimError::Length`], [`SimError::Action`], [`SimError::ResetNeeded`] and [`SimError::Policy`] before anything
-    /// changes.
-    pub fn step(&mut self, actions: &[Real], out: StepBuffers<'_>) -> Result<()> {
-        self.prepare_step(actions, &out)?;
+    /// [`SimError::Length`], [`SimError::Action`] and [`SimError::ResetNeeded`] before anything changes;
+    /// [`SimError::Policy`] before the step that it stops.
+    pub fn step(&mut self, actions: &[Real], mut out: StepBuffers<'_>) -> Result<()> {
+        self.check_step(actions, &out)?;
+        let steps = self.config.decision_steps;
+        // where a policy plans for all worlds they go on step by step together
+        let stride = if self.policies.plans() { 1 } else { steps };
+        for first in (0..steps).step_by(stride) {
+            self.plan(first, &out)?;
+            self.step_held(actions, first..first + stride, out.reborrow());
+        }
+        self.forget_plans();
+        Ok(())
+    }
+
+    /// Some of the steps of a decision, in all worlds whose episode has not ended in it.
+    fn step_held(&mut self, actions: &[Real], held: Range<usize>, out: StepBuffers<'_>) {
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -241,16 +258,14 @@ impl VecWorld {
         let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
         let job = |_: usize, world: &mut World, actions: &[Real], mut out: buffers::WorldOut<'_>| {
             let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
-            world.step(actions, &shared, next, &mut out, &mut |_| {});
+            world.step(actions, held.clone(), &shared, next, &mut out, &mut |_| {});
         };
         let width = self.decoder.width() * shared.extent.slots;
         run(self.pool.as_ref(), &mut self.worlds, actions, width, out, shared.extent, &job);
-        self.forget_plans();
-        Ok(())
     }
 
     /// [`VecWorld::step`] on the calling thread that calls `lap` after each phase of each world: for measuring what
-    /// each phase costs.
+    /// each phase costs. Policies plan before the first of the steps alone.
     ///
     /// # Errors
     /// As [`VecWorld::step`].
@@ -260,7 +275,8 @@ impl VecWorld {
         mut out: StepBuffers<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) -> Result<()> {
-        self.prepare_step(actions, &out)?;
+        self.check_step(actions, &out)?;
+        self.plan(0, &out)?;
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -273,13 +289,13 @@ impl VecWorld {
             let next = |episode: &mut Episode| self.scenes.next(episode, order, num_worlds);
             let actions = &actions[i * width..(i + 1) * width];
             let mut out = out.world(i, shared.extent);
-            world.step(actions, &shared, next, &mut out, lap);
+            world.step(actions, 0..self.config.decision_steps, &shared, next, &mut out, lap);
         }
         self.forget_plans();
         Ok(())
     }
 
-    fn prepare_step(&mut self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
+    fn check_step(&self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
         let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
         out.check(num_worlds, self.extent(), self.config.autoreset)?;
         let width = self.decoder.width() * slots;
@@ -301,8 +317,14 @@ impl VecWorld {
                 _ => world.check_actions(&actions[i * width..(i + 1) * width], &self.decoder)?,
             }
         }
+        Ok(())
+    }
+
+    /// Plans for a step of a decision: for the worlds that run and have not begun anew in it.
+    fn plan(&mut self, step: usize, out: &StepBuffers<'_>) -> Result<()> {
         if self.policies.plans() {
-            let running = self.worlds.iter().filter(|w| w.episode.phase == Phase::Running);
+            let goes_on = |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
+            let running = self.worlds.iter().filter(goes_on);
             let views: Vec<WorldView<'_>> = running.map(|w| w.view(&self.config)).collect();
             self.policies.plan(&views)?;
         }

@@ -1,7 +1,7 @@
 //! What is summed up over an episode, from the figures of its steps.
 
 use crate::geom::Real;
-use crate::world::columns::{Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::columns::{Col, Column, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
 use serde::{Deserialize, Serialize};
 
 const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> Column {
@@ -38,8 +38,6 @@ pub const NUM_METRICS: usize = METRICS.len();
 /// Metrics of one agent's episode.
 pub type Metrics = [f64; NUM_METRICS];
 
-/// Columns of the reward components, which come first.
-const NUM_COMPONENTS: usize = 7;
 /// Figures of which is kept whether they ever were 1.
 const EVER: [Col; 5] = [Col::Collision, Col::AtFault, Col::OffRoad, Col::WrongWay, Col::GoalReached];
 /// Figures of which the last value counts.

@@ -10,13 +10,14 @@ use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, WorldOut};
-use crate::world::columns::{Col, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, Driver, WorldConfig};
 use crate::world::episode::{Episode, Phase, Slot};
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::reward;
 use crate::world::tally::Metrics;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Lanes farther than this say nothing about an agent, metres.
@@ -125,10 +126,12 @@ impl World {
         Ok(())
     }
 
-    /// Advances a running world by one step, up to and with its rewards; returns whether its episode ended.
+    /// Advances a running world by the next step of a decision, up to and with its rewards; returns whether its
+    /// episode ended.
     pub(crate) fn advance(
         &mut self,
         actions: &[Real],
+        is_first: bool,
         shared: &Shared<'_>,
         out: &mut WorldOut<'_>,
         lap: &mut impl FnMut(TickPhase),
@@ -139,7 +142,7 @@ impl World {
         lap(TickPhase::Move);
         self.find_events(shared.config, false);
         lap(TickPhase::Events);
-        let done = self.reward(shared.config, out);
+        let done = self.reward(shared.config, is_first, out);
         lap(TickPhase::Reward);
         done
     }
@@ -267,16 +270,16 @@ impl World {
         e.initial_contacts = standing;
     }
 
-    fn reward(&mut self, config: &WorldConfig, out: &mut WorldOut<'_>) -> bool {
+    /// Rewards and figures of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
+    fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut WorldOut<'_>) -> bool {
         let e = &mut self.episode;
         let at_end = e.elapsed_steps >= config.horizon_steps
             || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
         self.least_times.prepare(&e.states, &self.scene.bodies);
         for c in 0..e.slots.len() {
-            let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
-            columns.fill(0.0);
-            (out.reward[c], out.terminated[c], out.truncated[c]) = (0.0, false, false);
             let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
+            let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
+            let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
             let contact = self.contacts[c];
             let facts = StepFacts {
                 contact: contact.filter(|_| !e.slots[c].touching),
@@ -287,7 +290,7 @@ impl World {
             slot.touching = contact.is_some();
             let before_m = slot.best_s_m;
             slot.best_s_m = before_m.max(e.route_s_m[a].min(slot.goal_s_m));
-            out.reward[c] = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
+            let reward = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
             let ends = |event: bool, consequence: Consequence| {
                 event && matches!(consequence, Consequence::Terminate | Consequence::Remove)
             };
@@ -304,7 +307,8 @@ impl World {
                 halted(collided, config.on_collision) || halted(slot.off_road, config.on_off_road);
             let ended = out.terminated[c] || out.truncated[c];
             columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot));
-            slot.tally.add(out.reward[c], columns);
+            slot.tally.add(reward, columns);
+            out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {
                 slot.alive = false;
                 slot.ended_at = Some(e.elapsed_steps);
@@ -326,13 +330,24 @@ impl World {
     }
 
     /// Writes the observations of all slots: of agents that go on, and of those whose episode ended in this very
-    /// step. Rows and rasters of the others are zero.
-    pub(crate) fn observe(&mut self, config: &WorldConfig, extent: Extent, obs: &mut [Real], bev: &mut [u8]) {
+    /// step. Those of agents whose episode ended after `since` elapsed steps are there already. Rows and rasters of
+    /// the others are zero.
+    pub(crate) fn observe(
+        &mut self,
+        config: &WorldConfig,
+        extent: Extent,
+        since: usize,
+        obs: &mut [Real],
+        bev: &mut [u8],
+    ) {
         let e = &self.episode;
         self.observer.prepare(&e.states, &self.scene.bodies);
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];
             let raster = &mut bev[c * extent.raster..(c + 1) * extent.raster];
+            if slot.ended_at.is_some_and(|at| since < at && at < e.elapsed_steps) {
+                continue;
+            }
             let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
             let Some(a) = slot.agent_idx.filter(|_| shown) else {
                 out.fill(0.0);
@@ -369,42 +384,63 @@ impl World {
         }
     }
 
-    /// A full step: advance, or the reset that NEXT_STEP owes, then observations.
+    /// Steps `held` of a decision: advance to the last of them or the episode's end, or the reset that NEXT_STEP owes;
+    /// then observations. Nothing where the episode has ended in an earlier step of the decision.
     pub(crate) fn step(
         &mut self,
         actions: &[Real],
+        held: Range<usize>,
         shared: &Shared<'_>,
         next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
         out: &mut WorldOut<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) {
-        (*out.done, *out.was_reset) = (false, false);
+        if held.start == 0 {
+            out.clear_step();
+            *out.was_reset = false;
+        } else if *out.done || *out.was_reset {
+            return;
+        }
         // the batch has refused ended worlds before, in every mode but NEXT_STEP
         let owed = self.episode.phase == Phase::Ended;
-        if owed {
-            out.clear_step();
-        } else {
-            *out.done = self.advance(actions, shared, out, lap);
+        let since = self.episode.elapsed_steps.saturating_sub(held.start);
+        let goes_on = held.end < shared.config.decision_steps;
+        for step in held.filter(|_| !owed) {
+            *out.done = self.advance(actions, step == 0, shared, out, lap);
+            if *out.done {
+                break;
+            }
+            // others play on: what an agent sees at its end is written now
+            let now = self.episode.elapsed_steps;
+            if step + 1 < shared.config.decision_steps
+                && self.episode.slots.iter().any(|s| s.ended_at == Some(now))
+            {
+                self.observe(shared.config, shared.extent, since, out.obs, out.bev);
+            }
         }
         let ends_now = *out.done && shared.config.autoreset == Autoreset::SameStep;
         if ends_now {
-            self.observe(shared.config, shared.extent, out.final_obs, out.final_bev);
+            out.final_obs.copy_from_slice(out.obs);
+            out.final_bev.copy_from_slice(out.bev);
+            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev);
         }
         if owed || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
             self.begin(scene, scene_idx, shared);
             *out.was_reset = true;
         }
-        self.finish(shared, out);
-        lap(TickPhase::Observe);
+        if *out.done || *out.was_reset || !goes_on {
+            self.finish(shared, since, out);
+            lap(TickPhase::Observe);
+        }
     }
 
     /// Writes who is alive, and the observations.
-    pub(crate) fn finish(&mut self, shared: &Shared<'_>, out: &mut WorldOut<'_>) {
+    pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut WorldOut<'_>) {
         for (alive, slot) in out.alive.iter_mut().zip(&self.episode.slots) {
             *alive = slot.alive;
         }
-        self.observe(shared.config, shared.extent, out.obs, out.bev);
+        self.observe(shared.config, shared.extent, since, out.obs, out.bev);
     }
 }
 
