@@ -21,6 +21,7 @@ from ccdiff_env.traffic import CcdiffConfig, ListedRanking, read_ranking
 __all__ = [
     "ActionConfig",
     "ActionGrid",
+    "AssistedLimits",
     "BevConfig",
     "BicycleLimits",
     "CcdiffConfig",
@@ -83,12 +84,33 @@ class DeltaPoseLimits:
     dheading_rad: tuple[float, float] = (-0.5, 0.5)
 
 
-Dynamics: TypeAlias = UnicycleLimits | BicycleLimits | DeltaPoseLimits
+@dataclass(frozen=True, kw_only=True)
+class AssistedLimits:
+    """Limits of assisted driving: actions change what IDM would do on the route.
+
+    The vehicle is a unicycle with IDM's acceleration plus a change, steered to a distance from its
+    route; the action zero is IDM on the route.
+    """
+
+    #: Change of IDM's acceleration at -1 and +1, m/s².
+    delta_mps2: tuple[float, float] = (-6.0, 2.0)
+    #: Distance from the route at -1 and +1, m, left positive.
+    offset_m: tuple[float, float] = (-1.5, 1.5)
+    #: Lowest and highest acceleration, m/s².
+    acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
+    #: The acceleration changes no faster than this, except where IDM brakes, m/s³, > 0.
+    max_jerk_mps3: float = 8.0
+    #: Lowest and highest speed, m/s.
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+
+
+Dynamics: TypeAlias = UnicycleLimits | BicycleLimits | DeltaPoseLimits | AssistedLimits
 
 DYNAMICS: dict[str, type[Dynamics]] = {
     "unicycle": UnicycleLimits,
     "bicycle": BicycleLimits,
     "delta_pose": DeltaPoseLimits,
+    "assisted": AssistedLimits,
 }
 
 

@@ -12,7 +12,13 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import ActionConfig, BicycleLimits, DeltaPoseLimits, WorldConfig
+from ccdiff_env.config import (
+    ActionConfig,
+    AssistedLimits,
+    BicycleLimits,
+    DeltaPoseLimits,
+    WorldConfig,
+)
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.worlds import Worlds
@@ -192,7 +198,7 @@ class Steering:
 
     def __init__(self, worlds: Worlds) -> None:
         action: ActionConfig = worlds.config.action
-        if action.discrete or isinstance(action.dynamics, DeltaPoseLimits):
+        if action.discrete or isinstance(action.dynamics, (AssistedLimits, DeltaPoseLimits)):
             raise ConfigError(
                 "actions: plans of the ego need continuous actions of the unicycle or bicycle"
             )

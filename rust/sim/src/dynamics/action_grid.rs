@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Grid of actions: every value of the first axis with every value of the second.
 ///
 /// The action of an index is `first[index / num_second]`, `second[index % num_second]`. The first axis is column 0
-/// (acceleration, or dx). The second is the turning column: 1 for unicycle and bicycle, 2 (dψ) for delta pose, whose
-/// dy is 0.
+/// (acceleration, its change, or dx). The second is the turning column: 2 (dψ) for delta pose, whose dy is 0, else 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionGrid {
@@ -37,6 +36,9 @@ impl ActionGrid {
                 [0.0, 0.1, 0.3, 0.5, 0.8, 1.2, 1.8],
                 [-0.09, -0.045, -0.02, -0.007, 0.0, 0.007, 0.02, 0.045, 0.09],
             ),
+            Dynamics::Assisted(_) => {
+                ([-6.0, -3.0, -1.0, 0.0, 0.5, 1.0, 2.0], [-1.5, -1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0, 1.5])
+            }
         };
         Self { first: first.to_vec(), second: second.to_vec() }
     }
@@ -59,7 +61,7 @@ impl ActionGrid {
             (*self.first.get(index.checked_div(num_second)?)?, self.second[index % num_second]);
         Some(match dynamics {
             Dynamics::DeltaPose(_) => [first, 0.0, second],
-            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) => [first, second, 0.0],
+            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) | Dynamics::Assisted(_) => [first, second, 0.0],
         })
     }
 
@@ -67,7 +69,7 @@ impl ActionGrid {
     pub fn nearest(&self, dynamics: &Dynamics, action: Action) -> usize {
         let turning = match dynamics {
             Dynamics::DeltaPose(_) => action[2],
-            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) => action[1],
+            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) | Dynamics::Assisted(_) => action[1],
         };
         let nearest = |values: &[Real], wanted: Real| {
             let by_distance = |a: &(usize, &Real), b: &(usize, &Real)| {

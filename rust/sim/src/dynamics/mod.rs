@@ -10,15 +10,20 @@
 //!   v' = clip(v + a dt), v̄ = ½ (v + v'), ω = v̄ tan δ / L, |ω| ≤ a_lat / |v̄|, ψ' = ψ + ω dt,
 //!   p' = p + dt R(ψ + ½ ω dt) (v̄, ω l_r). The second component is the slip at the centre: tan β = tan δ l_r / L.
 //! - **Delta pose**, action (dx, dy, dψ) in the agent's own frame: p' = p + R(ψ) (dx, dy), ψ' = ψ + dψ.
+//! - **Assisted**, action (Δa, d): the unicycle with IDM's acceleration plus Δa within a bounded jerk, steered to the
+//!   distance d from the route. Worlds make (a, ω) of it, since IDM sees the others; what is here takes (a, ω).
 //!
 //! Nothing here knows agents' kinds, maps or other agents.
 
 mod action_grid;
+mod assisted;
 mod bicycle;
 mod delta_pose;
 mod unicycle;
 
 pub use action_grid::ActionGrid;
+pub use assisted::AssistedLimits;
+pub(crate) use assisted::BesideRoute;
 pub use bicycle::BicycleLimits;
 pub use delta_pose::DeltaPoseLimits;
 pub use unicycle::UnicycleLimits;
@@ -53,6 +58,8 @@ pub enum Dynamics {
     Bicycle(BicycleLimits),
     /// Action (dx m, dy m, dψ rad) in the agent's own frame.
     DeltaPose(DeltaPoseLimits),
+    /// Action (change of IDM's acceleration m/s², distance from the route m).
+    Assisted(AssistedLimits),
 }
 
 impl Default for Dynamics {
@@ -74,13 +81,14 @@ impl Dynamics {
             Self::Unicycle(_) => "unicycle",
             Self::Bicycle(_) => "bicycle",
             Self::DeltaPose(_) => "delta_pose",
+            Self::Assisted(_) => "assisted",
         }
     }
 
     /// Number of columns of an action: 2, or 3 for delta pose.
     pub fn num_columns(&self) -> usize {
         match self {
-            Self::Unicycle(_) | Self::Bicycle(_) => 2,
+            Self::Unicycle(_) | Self::Bicycle(_) | Self::Assisted(_) => 2,
             Self::DeltaPose(_) => 3,
         }
     }
@@ -91,6 +99,7 @@ impl Dynamics {
             Self::Unicycle(_) => &["acceleration_mps2", "yaw_rate_radps"],
             Self::Bicycle(_) => &["acceleration_mps2", "steering_rad"],
             Self::DeltaPose(_) => &["dx_m", "dy_m", "dheading_rad"],
+            Self::Assisted(_) => &["delta_mps2", "offset_m"],
         }
     }
 
@@ -102,6 +111,7 @@ impl Dynamics {
             Self::Unicycle(limits) => limits.action_bounds(),
             Self::Bicycle(limits) => limits.action_bounds(),
             Self::DeltaPose(limits) => limits.action_bounds(),
+            Self::Assisted(limits) => limits.action_bounds(),
         }
     }
 
@@ -155,6 +165,7 @@ impl Dynamics {
             Self::Unicycle(limits) => limits.advance(state, cos, sin, action, dt_s),
             Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, body),
             Self::DeltaPose(limits) => limits.advance(state, cos, sin, action, dt_s),
+            Self::Assisted(limits) => limits.unicycle().advance(state, cos, sin, action, dt_s),
         }
     }
 
@@ -165,7 +176,9 @@ impl Dynamics {
     pub fn inverse(&self, prev: &KinState, next: &KinState, dt_s: Real, body: &Body) -> Action {
         let turn_rad = math::wrap_angle(next.heading_rad - prev.heading_rad);
         match self {
-            Self::Unicycle(_) => [(next.speed_mps - prev.speed_mps) / dt_s, turn_rad / dt_s, 0.0],
+            Self::Unicycle(_) | Self::Assisted(_) => {
+                [(next.speed_mps - prev.speed_mps) / dt_s, turn_rad / dt_s, 0.0]
+            }
             Self::Bicycle(limits) => limits.inverse(prev, next, turn_rad, dt_s, body),
             Self::DeltaPose(_) => {
                 let (sin, cos) = math::sin_cos(prev.heading_rad);
@@ -181,6 +194,7 @@ impl Dynamics {
             Self::Unicycle(limits) => limits.first_fault(),
             Self::Bicycle(limits) => limits.first_fault(),
             Self::DeltaPose(limits) => limits.first_fault(),
+            Self::Assisted(limits) => limits.first_fault(),
         }
     }
 }

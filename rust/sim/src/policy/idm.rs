@@ -31,6 +31,26 @@ fn acceleration(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Rea
     acc.clamp(-idm.max_braking_mps2, a)
 }
 
+/// Acceleration of an agent on its route, m/s².
+fn wish(world: &WorldView<'_>, agent_idx: usize) -> Real {
+    let (config, route) = (world.config, &world.scene.routes[agent_idx]);
+    let speed = world.states.speed_mps[agent_idx].max(0.0);
+    let s = world.route_s_m[agent_idx];
+    let desired = route
+        .logged_speed_mps
+        .max(MIN_DESIRED_MPS)
+        .min(config.speed_limit_mps)
+        .min(route.curve_speed_mps(s + speed * 0.5));
+    let (bodies, anticipation_s) = (&world.scene.bodies, config.idm.anticipation_s);
+    let ahead = leader(world.states, bodies, &route.path, s, agent_idx, anticipation_s);
+    acceleration(&config.idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
+}
+
+/// Acceleration with which the model would drive an agent along its route, m/s²; `None` for parked vehicles.
+pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Option<Real> {
+    (!world.scene.routes[agent_idx].is_parked()).then(|| wish(world, agent_idx))
+}
+
 impl BackgroundPolicy for Idm {
     fn name(&self) -> &'static str {
         "idm"
@@ -42,18 +62,10 @@ impl BackgroundPolicy for Idm {
         if route.is_parked() {
             return Motion::Place(pose, Vector2::zeros());
         }
-        let (config, dt) = (world.config, world.config.dt_s);
+        let dt = world.config.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
-        let desired = route
-            .logged_speed_mps
-            .max(MIN_DESIRED_MPS)
-            .min(config.speed_limit_mps)
-            .min(route.curve_speed_mps(s + speed * 0.5));
-        let (bodies, anticipation_s) = (&world.scene.bodies, config.idm.anticipation_s);
-        let ahead = leader(world.states, bodies, &route.path, s, agent_idx, anticipation_s);
-        let ahead = ahead.map(|l| (l.gap_m, l.speed_mps));
-        let next_speed = (speed + acceleration(&config.idm, speed, desired, ahead) * dt).max(0.0);
+        let next_speed = (speed + wish(world, agent_idx) * dt).max(0.0);
         let next_s = s + 0.5 * (speed + next_speed) * dt;
         if next_s >= route.path.length_m() - 0.5 {
             return Motion::Leave;

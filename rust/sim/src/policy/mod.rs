@@ -11,7 +11,7 @@ mod replay;
 
 pub use constant_velocity::ConstantVelocity;
 pub use explanation::{Command, Explanation};
-pub use idm::Idm;
+pub use idm::{Idm, idm_acceleration};
 pub use replay::Replay;
 
 use crate::error::Result;

@@ -30,6 +30,7 @@ impl ActionDecoder {
                 [-c.max_displacement_m, -c.max_displacement_m, -c.max_turn_rad],
                 [c.max_displacement_m, c.max_displacement_m, c.max_turn_rad],
             ),
+            Dynamics::Assisted(_) => c.dynamics.action_bounds(),
         };
         let (least, greatest) = c.dynamics.action_bounds();
         for i in 0..3 {

@@ -1,7 +1,7 @@
 //! What can be asked of a running batch of worlds.
 
 use super::{ActionDecoder, Driver, Extent, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
-use crate::dynamics::Action;
+use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
@@ -240,9 +240,13 @@ impl VecWorld {
     /// [`VecWorld::step`] takes; zeros where there is no log.
     ///
     /// # Errors
-    /// As [`VecWorld::status`].
+    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics, whose steps are not inverted.
     pub fn expert_actions(&self, world_idx: usize) -> Result<Vec<Action>> {
         let world = self.begun(world_idx)?;
+        if let Dynamics::Assisted(_) = self.decoder.dynamics() {
+            let expected = "a model of motion by itself".into();
+            return Err(SimError::Config { field: "action.dynamics", got: "assisted".into(), expected });
+        }
         let (e, scene) = (&world.episode, &world.scene);
         let log = &scene.scene;
         let action = |agent: Option<usize>| {

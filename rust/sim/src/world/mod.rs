@@ -7,6 +7,7 @@
 //! worlds of the batch.
 
 mod actions;
+mod assist;
 mod buffers;
 mod columns;
 mod config;
@@ -323,7 +324,8 @@ impl VecWorld {
     /// Plans for a step of a decision: for the worlds that run and have not begun anew in it.
     fn plan(&mut self, step: usize, out: &StepBuffers<'_>) -> Result<()> {
         if self.policies.plans() {
-            let goes_on = |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
+            let goes_on =
+                |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
             let running = self.worlds.iter().filter(goes_on);
             let views: Vec<WorldView<'_>> = running.map(|w| w.view(&self.config)).collect();
             self.policies.plan(&views)?;

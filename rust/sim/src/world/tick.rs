@@ -1,6 +1,6 @@
 //! One world's tick, phase by phase. The order of the phases is fixed here and nowhere else.
 
-use crate::dynamics::Action;
+use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, ContactKind, LeastTimes, lane_facts, off_road};
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
@@ -9,6 +9,7 @@ use crate::policy::{Motion, WorldView};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::actions::ActionDecoder;
+use crate::world::assist;
 use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, Driver, WorldConfig};
@@ -161,7 +162,15 @@ impl World {
         }
         let mut motions = std::mem::take(&mut self.motions);
         motions.clear();
+        let mut own = std::mem::take(&mut self.actions);
         let view = self.view(shared.config);
+        if let Dynamics::Assisted(limits) = shared.decoder.dynamics() {
+            for (slot, action) in self.episode.slots.iter().zip(&mut own) {
+                if let Some(a) = slot.agent_idx.filter(|a| view.drivers[*a] == Driver::External) {
+                    *action = assist::unicycle_action(limits, &view, a, *action);
+                }
+            }
+        }
         for a in 0..view.states.len() {
             let driver = view.drivers[a];
             // obstacles do not move; the log decides about everybody else who is not driven from outside
@@ -170,7 +179,7 @@ impl World {
                 motions.push((a as u32, shared.policies.get(driver).act(&view, a)));
             }
         }
-        self.motions = motions;
+        (self.motions, self.actions) = (motions, own);
     }
 
     fn move_agents(&mut self, shared: &Shared<'_>) {

@@ -1,0 +1,115 @@
+"""Assisted driving: what zero does, what the two columns do, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import EgoEnv
+from ccdiff_env.counterfactual import avoidability
+from ccdiff_env.errors import ConfigError
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return ccdiff_env.embedded_scenes("val")
+
+
+def driven(env, action, steps=60):
+    """Figures of the steps of an episode [T], by name."""
+    rows = []
+    for _ in range(steps):
+        _, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
+        rows.append(info)
+        if terminated or truncated:
+            break
+    return {name: np.array([row[name] for row in rows]) for name in env.worlds.column_names}
+
+
+@pytest.mark.parametrize("traffic", ["replay", "idm"])
+def test_zero_is_idm_on_the_route(traffic, scenes):
+    options = {"scenes": scenes, "traffic": traffic, "on_collision": "ignore"}
+    assisted = EgoEnv(dynamics="assisted", **options)
+    idm = EgoEnv(driver="idm", **options)
+    apart = []
+    for i in range(len(scenes)):
+        assisted.reset(seed=i, options={"scene": i})
+        idm.reset(seed=i, options={"scene": i})
+        ours, theirs = driven(assisted, [0, 0]), driven(idm, [0, 0])
+        steps = min(len(ours["speed"]), len(theirs["speed"]))
+        # the release of the brake is softer than IDM's
+        apart += np.abs(ours["speed"][:steps] - theirs["speed"][:steps]).tolist()
+        assert np.abs(ours["route_distance"]).max() < 1.0
+    assert np.median(apart) < 0.1
+    assert np.quantile(apart, 0.9) < 1.5
+
+
+def test_the_second_column_is_a_distance_from_the_route(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted", on_collision="ignore", on_off_road="ignore")
+    reached = 0
+    for i in range(len(scenes)):
+        for side in (-1.0, 1.0):
+            env.reset(seed=i, options={"scene": i})
+            figures = driven(env, [0, side])
+            if len(figures["speed"]) < 50 or figures["speed"].min() < 3.0:
+                continue
+            reached += 1
+            assert abs(figures["route_distance"][-1] - 1.5 * side) < 0.3
+            assert np.abs(figures["route_distance"]).max() < 1.9
+    assert reached > 2
+
+
+def test_the_first_column_changes_idms_acceleration_within_the_jerk(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted", on_collision="ignore")
+    braked = 0
+    for i in range(len(scenes)):
+        env.reset(seed=i, options={"scene": i})
+        figures = driven(env, [-0.5, 0], 12)
+        moving = figures["speed"] > 0.0
+        braked += figures["acceleration"][moving].min(initial=0.0) < -1.4
+        env.reset(seed=i, options={"scene": i})
+        faster = driven(env, [1, 0], 40)
+        assert faster["acceleration"].max() <= 2.4 + 1e-3
+        rolling = faster["speed"] > 0.1  # a stop ends the braking at once
+        assert faster["jerk"][rolling].max(initial=0.0) <= 8.0 + 0.1
+    assert braked > len(scenes) // 2
+
+
+def test_the_acceleration_moves_by_the_jerk_in_a_step():
+    """The formula by hand: from 0 m/s² with IDM at 0, one step of 0.1 s moves by 0.8 m/s²."""
+    scene = ccdiff_env.embedded_scenes("val")[0]
+    limits = {"assisted": {"max_jerk_mps3": 2.0}}
+    for action, sign in (([-1, 0], -1.0), ([1, 0], 1.0)):
+        env = EgoEnv(scenes=scene, dynamics=limits)
+        env.reset(seed=0)
+        before = driven(env, [0, 0], 3)["acceleration"][-1]
+        after = driven(env, action, 1)["acceleration"][0]
+        assert sign * (after - before) == pytest.approx(0.2, abs=0.12)
+
+
+def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted")
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"action\.dynamics"):
+        env.expert_action()
+    with pytest.raises(ConfigError, match="unicycle or bicycle"):
+        avoidability(env)
+
+
+@pytest.mark.parametrize(
+    ("limits", "field"),
+    [({"delta_mps2": (1.0, 2.0)}, "delta_mps2"), ({"max_jerk_mps3": 0.0}, "max_jerk_mps3")],
+)
+def test_limits_are_checked(limits, field, scenes):
+    with pytest.raises(ConfigError, match=field):
+        EgoEnv(scenes=scenes, dynamics={"assisted": limits})
+
+
+def test_grids_and_certificates_work(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted", discrete=True, traffic="idm")
+    env.reset(seed=5)
+    for _ in range(20):
+        if any(env.step(31)[2:4]):
+            break
+    assert ccdiff_env.replay(env.certificate(), scenes).env.scene == env.scene
