@@ -3,11 +3,28 @@
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
 use crate::palette::{self, Driver, Rgb};
-use crate::picture::AgentBox;
+use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 
 /// Smallest side or radius an agent is drawn with, pixels.
 const MIN_HALF_PX: f32 = 1.5;
+
+/// One agent of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgentBox {
+    /// Centre and heading in the scene frame.
+    pub pose: Pose2,
+    /// Length along the heading, metres, > 0.
+    pub length_m: Real,
+    /// Width, metres, > 0.
+    pub width_m: Real,
+    /// Kind: sets the shape.
+    pub kind: AgentKind,
+    /// Who moves it: sets the colour.
+    pub driver: Driver,
+    /// Whether it is in a collision: outlined in red.
+    pub collided: bool,
+}
 
 /// Draws all agents: obstacles lowest, then by driver, the ego on top.
 pub(crate) fn draw(canvas: &mut Canvas, boxes: &[AgentBox]) {

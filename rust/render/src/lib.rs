@@ -23,12 +23,14 @@ pub mod palette;
 mod picture;
 mod text;
 
+pub use agents::AgentBox;
 pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
 pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
+pub use lines::{Arrow, Line};
 pub use log::{
     Centre, LogShot, driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose, render_log,
 };
 pub use palette::{Driver, Rgb};
-pub use picture::{AgentBox, Arrow, Line, Picture, render};
+pub use picture::{Picture, render};

@@ -2,19 +2,38 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::palette;
-use crate::picture::{Arrow, Line};
-use ccdiff_sim::geom::Point2;
+use crate::palette::{self, Driver};
+use ccdiff_sim::geom::{Point2, Real};
 
 /// Steps of fading along a trail.
 const FADES: usize = 10;
+
+/// A line that belongs to an agent: where it was, or where it may go.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line<'a> {
+    /// Points in the scene frame, metres, in order of time.
+    pub points: &'a [Point2],
+    /// Who moves the agent: sets the colour.
+    pub driver: Driver,
+}
+
+/// An edge of the causal graph: `from` influences `to`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrow {
+    /// Centre of the agent that acts.
+    pub from: Point2,
+    /// Centre of the agent that is acted on.
+    pub to: Point2,
+    /// Strength; held to 0..1 when drawn.
+    pub weight: Real,
+}
 
 /// A broad translucent band in the ego's colour.
 pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
     let mut outline = Outline::new();
     outline.polyline(canvas.view, points);
     let width = canvas.px(1.3, 2.5);
-    canvas.stroke(outline, palette::Driver::Ego.colour(), 0.2, width, true);
+    canvas.stroke(outline, Driver::Ego.colour(), 0.2, width, true);
 }
 
 /// A line that fades towards its old end.

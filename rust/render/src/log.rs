@@ -1,11 +1,13 @@
 //! Pictures of a scene's log: what stands where at a step, trails and the ego's route.
 
+use crate::agents::AgentBox;
 use crate::camera::Camera;
 use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
+use crate::lines::Line;
 use crate::palette::Driver;
-use crate::picture::{AgentBox, Line, Picture, render};
+use crate::picture::{Picture, render};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 

@@ -1,51 +1,15 @@
 //! What a picture shows, and the order in which it is painted.
 
+use crate::agents::AgentBox;
 use crate::camera::Camera;
 use crate::canvas::Canvas;
 use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
-use crate::palette::{self, Driver};
+use crate::lines::{Arrow, Line};
+use crate::palette;
 use crate::{agents, lines, text};
-use ccdiff_sim::geom::{Point2, Pose2, Real};
-use ccdiff_sim::scene::AgentKind;
-
-/// One agent of a picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AgentBox {
-    /// Centre and heading in the scene frame.
-    pub pose: Pose2,
-    /// Length along the heading, metres, > 0.
-    pub length_m: Real,
-    /// Width, metres, > 0.
-    pub width_m: Real,
-    /// Kind: sets the shape.
-    pub kind: AgentKind,
-    /// Who moves it: sets the colour.
-    pub driver: Driver,
-    /// Whether it is in a collision: outlined in red.
-    pub collided: bool,
-}
-
-/// A line that belongs to an agent: where it was, or where it may go.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Line<'a> {
-    /// Points in the scene frame, metres, in order of time.
-    pub points: &'a [Point2],
-    /// Who moves the agent: sets the colour.
-    pub driver: Driver,
-}
-
-/// An edge of the causal graph: `from` influences `to`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Arrow {
-    /// Centre of the agent that acts.
-    pub from: Point2,
-    /// Centre of the agent that is acted on.
-    pub to: Point2,
-    /// Strength; held to 0..1 when drawn.
-    pub weight: Real,
-}
+use ccdiff_sim::geom::Point2;
 
 /// Everything a picture shows. All coordinates are of the scene frame, metres. Empty lists show nothing.
 #[derive(Debug, Clone, Copy, Default)]

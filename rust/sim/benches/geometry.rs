@@ -7,10 +7,8 @@
 
 use ccdiff_sim::dynamics::{BicycleLimits, Dynamics};
 use ccdiff_sim::events::{Collisions, lane_facts, off_road};
-use ccdiff_sim::geom::{
-    LaneIndex, OrientedBox, Point2, Polygon, Polyline, Pose2, Real, Region, Vector2, math,
-};
-use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, Map};
+use ccdiff_sim::geom::{OrientedBox, Point2, Polygon, Polyline, Pose2, Real, Region, Vector2, math};
+use ccdiff_sim::scene::{AgentKind, Lane, LaneIndex, LaneKind, Map};
 use ccdiff_sim::state::{AgentStates, Body};
 use std::hint::black_box;
 use std::time::Instant;

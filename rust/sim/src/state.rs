@@ -20,6 +20,18 @@ impl Body {
         let (half_length_m, half_width_m) = (0.5 * length_m, 0.5 * width_m);
         Self { half_length_m, half_width_m, radius_m: math::hypot(half_length_m, half_width_m) }
     }
+
+    /// Box of the body at a pose.
+    #[inline]
+    pub fn at(&self, pose: &Pose2) -> OrientedBox {
+        OrientedBox {
+            centre: pose.position,
+            cos: pose.cos,
+            sin: pose.sin,
+            half_length_m: self.half_length_m,
+            half_width_m: self.half_width_m,
+        }
+    }
 }
 
 /// States of A agents at one step. All arrays have length A. Entries of agents that are not `active` are stale.

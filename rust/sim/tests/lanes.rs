@@ -1,8 +1,8 @@
 //! The lane index against a scan of every segment of every lane.
 
 use ccdiff_sim::events::lane_facts;
-use ccdiff_sim::geom::{LaneHit, LaneIndex, Point2, Polygon, Polyline, Pose2, Vector2};
-use ccdiff_sim::scene::{Lane, LaneKind, Map};
+use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Vector2};
+use ccdiff_sim::scene::{Lane, LaneHit, LaneIndex, LaneKind, Map};
 use ccdiff_sim::state::AgentStates;
 use proptest::prelude::*;
 use std::f32::consts::{FRAC_PI_2, PI};

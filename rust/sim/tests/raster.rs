@@ -2,7 +2,7 @@
 
 mod common;
 
-use ccdiff_sim::geom::{OrientedBox, Point2, Pose2};
+use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::observe::{BevConfig, Layout, ObservationConfig};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::{Autoreset, Driver, WorldConfig};
@@ -44,7 +44,7 @@ fn channels_show_what_is_at_the_centres_of_their_pixels() {
             body.half_width_m += margin_m;
             let probe = ccdiff_sim::state::Body::new(1e-3, 1e-3);
             let there = Pose2::new(at.x, at.y, 0.0);
-            OrientedBox::new(&states.pose(a), &body).overlaps(&OrientedBox::new(&there, &probe))
+            body.at(&states.pose(a)).overlaps(&probe.at(&there))
         };
         let mut road_pixels = 0;
         for row in 0..60 {

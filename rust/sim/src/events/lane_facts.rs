@@ -1,6 +1,7 @@
 //! Where an agent is in its lane, and whether it drives against traffic.
 
-use crate::geom::{LaneHit, LaneIndex, Real};
+use crate::geom::Real;
+use crate::scene::{LaneHit, LaneIndex};
 use crate::state::AgentStates;
 
 /// An agent that faces against the nearest lane is not on the wrong way while a lane in its own direction has its

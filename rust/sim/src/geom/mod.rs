@@ -5,7 +5,6 @@
 //! platform's C library.
 
 mod bitmap;
-mod lane_index;
 pub mod math;
 mod obb;
 mod polygon;
@@ -15,11 +14,11 @@ mod region;
 
 pub use bitmap::Bitmap;
 pub(crate) use bitmap::visit_band;
-pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use obb::OrientedBox;
 pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};
 pub use polyline::{Polyline, Projection};
 pub use pose::Pose2;
+pub(crate) use region::Grid;
 pub use region::Region;
 
 /// Precision of the running simulation. Loaders work in f64 and recentre before they round.

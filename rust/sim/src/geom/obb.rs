@@ -3,8 +3,7 @@
 //! All tests are separating-axis tests on the four face normals, which is exact for two rectangles (Gottschalk,
 //! Lin and Manocha, "OBBTree", SIGGRAPH 1996, in the plane). Touching counts as overlapping.
 
-use super::{Point2, Pose2, Real, Vector2};
-use crate::state::Body;
+use super::{Point2, Real, Vector2};
 
 /// How far outside a box an edge may lie and still count as running along it, metres (rounding of f32 poses).
 const EDGE_TOLERANCE_M: Real = 1e-3;
@@ -35,18 +34,6 @@ struct Relative {
 }
 
 impl OrientedBox {
-    /// Box of a body at a pose.
-    #[inline]
-    pub fn new(pose: &Pose2, body: &Body) -> Self {
-        Self {
-            centre: pose.position,
-            cos: pose.cos,
-            sin: pose.sin,
-            half_length_m: body.half_length_m,
-            half_width_m: body.half_width_m,
-        }
-    }
-
     /// Unit vector along the heading.
     #[inline]
     pub fn forward(&self) -> Vector2 {

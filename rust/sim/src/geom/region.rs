@@ -49,16 +49,16 @@ struct Part {
 
 /// Uniform grid over a rectangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Grid {
-    pub(super) min: Point2,
-    pub(super) cell_m: Real,
+pub(crate) struct Grid {
+    pub(crate) min: Point2,
+    pub(crate) cell_m: Real,
     cells_per_m: Real,
-    pub(super) num_columns: usize,
-    pub(super) num_rows: usize,
+    pub(crate) num_columns: usize,
+    pub(crate) num_rows: usize,
 }
 
 impl Grid {
-    pub(super) fn new(min: Point2, max: Point2, wanted_cell_m: f64, max_cells: f64) -> Self {
+    pub(crate) fn new(min: Point2, max: Point2, wanted_cell_m: f64, max_cells: f64) -> Self {
         let (width, height) = (f64::from(max.x - min.x), f64::from(max.y - min.y));
         let cell_m =
             wanted_cell_m.max((width * height / max_cells).sqrt()).max((width + height) / max_cells) as Real;
@@ -69,7 +69,7 @@ impl Grid {
 
     /// Cell of a point; `None` off the grid and for NaN.
     #[inline]
-    pub(super) fn cell(&self, point: Point2) -> Option<usize> {
+    pub(crate) fn cell(&self, point: Point2) -> Option<usize> {
         let x = (point.x - self.min.x) * self.cells_per_m;
         let y = (point.y - self.min.y) * self.cells_per_m;
         if !(x >= 0.0 && y >= 0.0) {

@@ -22,7 +22,7 @@ pub fn min_ttc_s(motion: &Motion<'_>) -> Vec<Real> {
     for t in 0..motion.num_steps() {
         let moving: Vec<_> = (0..num_agents)
             .filter(|&a| motion.is_valid(a, t))
-            .map(|a| (a, OrientedBox::new(&motion.pose(a, t), &motion.bodies()[a]), motion.velocity(a, t)))
+            .map(|a| (a, motion.bodies()[a].at(&motion.pose(a, t)), motion.velocity(a, t)))
             .collect();
         for (k, (a, box_a, velocity_a)) in moving.iter().enumerate() {
             for (b, box_b, velocity_b) in &moving[..k] {
@@ -49,7 +49,7 @@ pub fn post_encroachment_time_s(motion: &Motion<'_>) -> Vec<Option<Real>> {
     let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
         .map(|a| {
             let present = (0..num_steps).filter(|&t| motion.is_valid(a, t));
-            present.map(|t| (t, OrientedBox::new(&motion.pose(a, t), &motion.bodies()[a]))).collect()
+            present.map(|t| (t, motion.bodies()[a].at(&motion.pose(a, t)))).collect()
         })
         .collect();
     let mut least: Vec<Option<usize>> = vec![None; num_agents];

@@ -3,7 +3,7 @@
 use super::frame::{Eight, Frame, Lanes, Unturned, clip, put_rows};
 use super::layout::{AGENT, Layout, TTC_SCALE_S};
 use super::nearest_agents::NearestAgents;
-use super::observer::View;
+use super::view::View;
 use crate::events::time_to_contact;
 use crate::geom::Real;
 use crate::state::{AgentStates, Body};

@@ -3,7 +3,7 @@
 //! What does not move (drivable area, lines) is drawn once per scene into a bitmap with two pixels to one of the
 //! raster, and cut out of it turned; the rest is drawn for each raster.
 
-use super::observer::View;
+use super::view::View;
 use crate::error::{Result, SimError};
 use crate::geom::{Bitmap, Point2, Pose2, Real, visit_band};
 use crate::scene::{AgentKind, Map};

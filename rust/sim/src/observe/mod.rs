@@ -13,8 +13,10 @@ mod map_pieces;
 mod map_rows;
 mod nearest_agents;
 mod observer;
+mod view;
 
 pub use bev::{BEV_CHANNELS, BevChannel, BevConfig};
 pub use layout::{Column, Entry, EntryKind, Layout, ObservationConfig};
 pub use map_pieces::{MapPieces, Piece, PieceKind};
-pub use observer::{EgoFacts, Observer, View};
+pub use observer::Observer;
+pub use view::{EgoFacts, View};

@@ -3,9 +3,11 @@
 //! What flows in: a loader's arrays (nuScenes, ScenarioNet, a recorded rollout). What flows out: the log that
 //! worlds start from, replay and compare with. Nothing here knows a data set.
 
+mod lane_index;
 mod map;
 pub mod synthetic;
 
+pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use map::{Lane, LaneKind, Map};
 
 use crate::error::{Result, SimError};

@@ -1,8 +1,8 @@
 //! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
 
-use crate::geom::{Bitmap, LaneIndex, Region};
+use crate::geom::{Bitmap, Region};
 use crate::observe::{BevConfig, MapPieces};
-use crate::scene::{AgentKind, Scene};
+use crate::scene::{AgentKind, LaneIndex, Scene};
 use crate::state::Body;
 use crate::world::route::Route;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! The path an agent is meant to drive: its log, then the lanes ahead, else straight on.
 
-use crate::geom::{LaneIndex, Point2, Polyline, Pose2, Real};
-use crate::scene::{Map, Scene};
+use crate::geom::{Point2, Polyline, Pose2, Real};
+use crate::scene::{LaneIndex, Map, Scene};
 
 /// Distance between samples of a route, metres.
 const SPACING_M: Real = 1.0;

@@ -3,7 +3,7 @@
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, ContactKind, LeastTimes, lane_facts, off_road};
-use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
+use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::observe::{EgoFacts, Observer, View};
 use crate::policy::{Motion, WorldView};
 use crate::scene::AgentKind;
@@ -478,7 +478,7 @@ fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
     let at = log.at(a, e.step_idx);
     let p = log.tracks.position[at];
     let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-    let own = OrientedBox::new(&pose, &scene.bodies[a]);
+    let own = scene.bodies[a].at(&pose);
     let still = scene.kinds[a] == AgentKind::Static;
     (0..e.states.len()).all(|j| {
         !e.states.active[j]

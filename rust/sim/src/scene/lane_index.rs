@@ -3,9 +3,8 @@
 //! Each cell lists every segment that can be the nearest one, in any direction or among those that agree with some
 //! heading, for some point of the cell. A query looks at its cell's list and nothing else.
 
-use super::region::Grid;
-use super::{Point2, Real, math};
-use crate::scene::Map;
+use super::Map;
+use crate::geom::{Grid, Point2, Real, math};
 
 /// Side of a cell, metres.
 const CELL_M: f64 = 4.0;

@@ -1,0 +1,52 @@
+//! What a row is written from: the states of a world and facts about the observing agent.
+
+use super::map_pieces::MapPieces;
+use crate::geom::{Polyline, Real};
+use crate::scene::AgentKind;
+use crate::state::{AgentStates, Body};
+
+/// What the world knows about the observing agent beside its state.
+#[derive(Debug, Clone, Copy)]
+pub struct EgoFacts {
+    /// First two columns of the last normalised action.
+    pub last_action: [Real; 2],
+    /// Speed limit, m/s.
+    pub speed_limit_mps: Real,
+    /// Distance to the nearest lane centre, metres, where a lane is near.
+    pub lane_distance_m: Option<Real>,
+    /// Signed distance from the route, left positive, metres.
+    pub lateral_m: Real,
+    /// Heading against the route, radians.
+    pub heading_error_rad: Real,
+    /// A corner is off the road.
+    pub off_road: bool,
+    /// Touches another agent.
+    pub collided: bool,
+    /// Distance along the route to the goal, metres.
+    pub route_remaining_m: Real,
+    /// Share of the episode that is left.
+    pub time_remaining: Real,
+}
+
+/// Everything an observation is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// States of all agents.
+    pub states: &'a AgentStates,
+    /// Their bodies.
+    pub bodies: &'a [Body],
+    /// Their kinds.
+    pub kinds: &'a [AgentKind],
+    /// The map.
+    pub pieces: &'a MapPieces,
+    /// Route of the observing agent.
+    pub route: &'a Polyline,
+    /// Its position along the route, metres.
+    pub route_s_m: Real,
+    /// The observing agent.
+    pub agent_idx: usize,
+    /// How far ahead in time crossing agents are looked for on the route, seconds, see [`leader`].
+    pub anticipation_s: Real,
+    /// Facts about it.
+    pub facts: EgoFacts,
+}
