@@ -28,7 +28,7 @@ $(SO): $(STAMP) $(RUST)
 	touch $(SO)
 
 demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)
-	$(BIN)/python -m ccdiff_env.demo $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)
+	$(BIN)/python examples/demo.py $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)
 
 test: test-rust test-py  ## every test
 

@@ -20,23 +20,22 @@ from shapely.geometry import box as shapely_box
 from shapely.prepared import prep
 
 import ccdiff_env
-from ccdiff_env.embedded import embedded_splits
-from ccdiff_env.embedded.checks import (
+from ccdiff_env.embedded import VERSION, embedded_splits, shipped, unpack
+from ccdiff_env.errors import UnknownNameError
+from tools.embedded_city.checks import (
     DrivableArea,
     Track,
     boxes_overlap,
     constant_velocity_end,
     corners,
 )
-from ccdiff_env.embedded.city import signed_area
-from ccdiff_env.embedded.curves import Pose, connection, filleted
-from ccdiff_env.embedded.dataset import generate, shipped, unpack
-from ccdiff_env.embedded.layout import LOCATION, build_city
-from ccdiff_env.embedded.scenarios import KINDS
-from ccdiff_env.embedded.stage import EGO_KIND
-from ccdiff_env.embedded.tables import VERSION
-from ccdiff_env.embedded.traffic import Kind
-from ccdiff_env.errors import UnknownNameError
+from tools.embedded_city.city import signed_area
+from tools.embedded_city.curves import Pose, connection, filleted
+from tools.embedded_city.dataset import generate
+from tools.embedded_city.layout import LOCATION, build_city
+from tools.embedded_city.scenarios import KINDS
+from tools.embedded_city.stage import EGO_KIND
+from tools.embedded_city.traffic import Kind
 
 
 @pytest.fixture(scope="module")

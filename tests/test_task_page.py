@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ccdiff_env.task_tables import TABLES, filled
+from tools.task_tables import TABLES, filled
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
 
 
 def test_tables_are_those_of_the_schemas():
     text = PAGE.read_text(encoding="utf-8")
-    assert filled(text) == text, "python -m ccdiff_env.task_tables docs/tasks.md"
+    assert filled(text) == text, "python -m tools.task_tables docs/tasks.md"
     assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
 
 

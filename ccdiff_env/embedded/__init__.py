@@ -1,20 +1,26 @@
 """Embedded scenes: a small procedural city and its traffic, shipped as a data set in the nuScenes
-schema.
+schema. ``python -m ccdiff_env.embedded --out DIR`` writes it as files.
+
+``tools/embedded_city`` of the repository generates it.
 """
 
 from __future__ import annotations
 
 import json
+import zipfile
 from functools import cache
+from importlib.resources import as_file, files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ccdiff_env.embedded.dataset import shipped, unpack
-from ccdiff_env.embedded.tables import VERSION
-from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.errors import DatasetError, UnknownNameError
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 
-__all__ = ["embedded_scenes", "embedded_splits"]
+__all__ = ["SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
+
+VERSION = "v1.0-embedded"
+#: The zipped data set, in the package.
+SHIPPED = "data/embedded.zip"
 
 
 @cache
@@ -51,3 +57,26 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
         unpack(Path(folder))
         return load_nuscenes(folder, VERSION, scenes=names, cache=False)
+
+
+def shipped() -> dict[str, bytes]:
+    """Return the members of the shipped data set by path.
+
+    Raises
+    ------
+    DatasetError
+        If the package lacks the file or it is damaged.
+    """
+    try:
+        with as_file(files("ccdiff_env") / SHIPPED) as path, zipfile.ZipFile(path) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile) as error:
+        raise DatasetError(f"the package's {SHIPPED} cannot be read: {error}") from error
+
+
+def unpack(folder: Path) -> None:
+    """Write the shipped data set below a folder."""
+    for name, data in shipped().items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)

@@ -1,7 +1,7 @@
 """The kinds of scene of the embedded set: who is on the stage, and what makes it one of its kind.
 
 Each function puts the ego first and then the others that the kind is about;
-:func:`ccdiff_env.embedded.scenes` adds bystanders. Numbers are drawn anew for each scene.
+:func:`tools.embedded_city.scenes` adds bystanders. Numbers are drawn anew for each scene.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ccdiff_env.embedded.paths import lanes_path
-from ccdiff_env.embedded.stage import EGO_KIND, FOREVER_S, Stage
-from ccdiff_env.embedded.traffic import Braking
+from tools.embedded_city.paths import lanes_path
+from tools.embedded_city.stage import EGO_KIND, FOREVER_S, Stage
+from tools.embedded_city.traffic import Braking
 
 Lanes = tuple[str, ...]
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
-from ccdiff_env.embedded.bystanders import add_bystanders
-from ccdiff_env.embedded.checks import (
+from tools.embedded_city.bystanders import add_bystanders
+from tools.embedded_city.checks import (
     KEY_FRAME_S,
     DrivableArea,
     Track,
@@ -18,11 +18,11 @@ from ccdiff_env.embedded.checks import (
     first_off_road,
     first_overlap,
 )
-from ccdiff_env.embedded.city import City
-from ccdiff_env.embedded.curves import Pose
-from ccdiff_env.embedded.scenarios import KINDS, ScenarioKind
-from ccdiff_env.embedded.stage import Draw, Stage
-from ccdiff_env.embedded.traffic import DT_S, Actor, Simulation
+from tools.embedded_city.city import City
+from tools.embedded_city.curves import Pose
+from tools.embedded_city.scenarios import KINDS, ScenarioKind
+from tools.embedded_city.stage import Draw, Stage
+from tools.embedded_city.traffic import DT_S, Actor, Simulation
 
 SEED = "ccdiff-town-1"
 DURATION_S = 18.0

@@ -10,14 +10,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ccdiff_env.embedded.checks import KEY_FRAME_S, Track
-from ccdiff_env.embedded.curves import Pose, wrap
-from ccdiff_env.embedded.layout import LOCATION
-from ccdiff_env.embedded.scenes import LoggedScene
+from tools.embedded_city.checks import KEY_FRAME_S, Track
+from tools.embedded_city.curves import Pose, wrap
+from tools.embedded_city.layout import LOCATION
+from tools.embedded_city.scenes import LoggedScene
 
 Record = dict[str, Any]
 
-VERSION = "v1.0-embedded"
 TABLES = (
     "category",
     "attribute",

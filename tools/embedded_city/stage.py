@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TypeVar
 
-from ccdiff_env.embedded.city import City, Crossing
-from ccdiff_env.embedded.curves import Pose
-from ccdiff_env.embedded.paths import Path, lanes_path, walk_path
-from ccdiff_env.embedded.traffic import Actor, Kind
+from tools.embedded_city.city import City, Crossing
+from tools.embedded_city.curves import Pose
+from tools.embedded_city.paths import Path, lanes_path, walk_path
+from tools.embedded_city.traffic import Actor, Kind
 
 T = TypeVar("T")
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.embedded.city import City
-from ccdiff_env.embedded.curves import Pose, Xy, wrap
-from ccdiff_env.embedded.traffic import Kind
+from tools.embedded_city.city import City
+from tools.embedded_city.curves import Pose, Xy, wrap
+from tools.embedded_city.traffic import Kind
 
 KEY_FRAME_S = 0.5
 PLAY_S = 0.1

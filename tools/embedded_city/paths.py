@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.embedded.city import City
-from ccdiff_env.embedded.curves import Curve, Pose, Xy, wrap
+from tools.embedded_city.city import City
+from tools.embedded_city.curves import Curve, Pose, Xy, wrap
 
 Floats = npt.NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ccdiff_env.embedded.city import City, Junction, Road
-from ccdiff_env.embedded.curves import Xy, filleted
+from tools.embedded_city.city import City, Junction, Road
+from tools.embedded_city.curves import Xy, filleted
 
 LOCATION = "ccdiff-town"
 CANVAS_M = (1000.0, 740.0)

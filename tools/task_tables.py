@@ -1,6 +1,6 @@
 """Tables of docs/tasks.md, made from the schemas.
 
-``python -m ccdiff_env.task_tables docs/tasks.md`` makes them anew.
+``python -m tools.task_tables docs/tasks.md`` makes them anew.
 """
 
 from __future__ import annotations

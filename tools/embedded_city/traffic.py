@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ccdiff_env.embedded.curves import Pose
-from ccdiff_env.embedded.paths import Floats, Path
+from tools.embedded_city.curves import Pose
+from tools.embedded_city.paths import Floats, Path
 
 DT_S = 0.1
 WARM_UP_S = 2.0

@@ -7,11 +7,11 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from ccdiff_env.embedded.city import PARKING_M, SHOULDER_M, WALKWAY_M, Road
-from ccdiff_env.embedded.curves import Pose
-from ccdiff_env.embedded.paths import lanes_path, walk_path
-from ccdiff_env.embedded.stage import BUS, Stage
-from ccdiff_env.embedded.traffic import Actor, Kind
+from tools.embedded_city.city import PARKING_M, SHOULDER_M, WALKWAY_M, Road
+from tools.embedded_city.curves import Pose
+from tools.embedded_city.paths import lanes_path, walk_path
+from tools.embedded_city.stage import BUS, Stage
+from tools.embedded_city.traffic import Actor, Kind
 
 NEAR_M = 75.0
 BICYCLE = Kind("vehicle.bicycle", 1.75, 0.6, 1.6)

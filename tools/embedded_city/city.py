@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from ccdiff_env.embedded.curves import (
+from tools.embedded_city.curves import (
     Curve,
     Pose,
     Xy,

@@ -1,4 +1,4 @@
-"""The embedded data set: generated, packed into the shipped file, and unpacked again.
+"""The embedded data set: generated, and packed into the file that the package ships.
 
 Layout of a data set folder: ``v1.0-embedded/*.json`` (tables), ``maps/expansion/ccdiff-town.json``,
 ``maps/ccdiff-town.png`` and ``splits.json`` (scene names of ``train`` and ``val``).
@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import json
 import zipfile
-from importlib.resources import as_file, files
 from pathlib import Path
 
-from ccdiff_env.embedded.layout import LOCATION, build_city
-from ccdiff_env.embedded.maps import MapWriter, mask_png
-from ccdiff_env.embedded.scenes import build_scenes
-from ccdiff_env.embedded.tables import VERSION, write_tables
-from ccdiff_env.errors import DatasetError
+from ccdiff_env.embedded import VERSION
+from tools.embedded_city.layout import LOCATION, build_city
+from tools.embedded_city.maps import MapWriter, mask_png
+from tools.embedded_city.scenes import build_scenes
+from tools.embedded_city.tables import write_tables
 
-SHIPPED = "data/embedded.zip"
 ZIP_TIME = (2020, 1, 1, 0, 0, 0)
 
 
@@ -50,26 +48,3 @@ def pack(members: dict[str, bytes], path: Path) -> None:
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             archive.writestr(info, members[name], compresslevel=9)
-
-
-def shipped() -> dict[str, bytes]:
-    """Return the members of the shipped data set by path.
-
-    Raises
-    ------
-    DatasetError
-        If the package lacks the file or it is damaged.
-    """
-    try:
-        with as_file(files("ccdiff_env") / SHIPPED) as path, zipfile.ZipFile(path) as archive:
-            return {name: archive.read(name) for name in archive.namelist()}
-    except (OSError, zipfile.BadZipFile) as error:
-        raise DatasetError(f"the package's {SHIPPED} cannot be read: {error}") from error
-
-
-def unpack(folder: Path) -> None:
-    """Write the shipped data set below a folder."""
-    for name, data in shipped().items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.embedded.city import LANE_WIDTH_M, PARKING_M, WALKWAY_M, City, Lane, Road
-from ccdiff_env.embedded.curves import Curve, Piece, Xy
+from tools.embedded_city.city import LANE_WIDTH_M, PARKING_M, WALKWAY_M, City, Lane, Road
+from tools.embedded_city.curves import Curve, Piece, Xy
 
 Record = dict[str, Any]
 

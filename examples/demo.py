@@ -1,0 +1,296 @@
+"""The project's main job in one command: train an ego, compare it, draw it.
+
+``python examples/demo.py`` trains a stable-baselines3 PPO ego on training scenes, first in IDM
+traffic, then in CCDiff traffic of all criticalities; drives it on held-out scenes beside constant
+velocity, IDM and log replay, in IDM traffic and in realistic and safety-critical CCDiff traffic;
+and leaves a table, a learning curve and an animation. Without a data set it uses the embedded
+scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ccdiff_env
+from ccdiff_env.bench.learning import OBSERVATION
+from ccdiff_env.config import RewardConfig, WorldConfig
+
+#: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
+FIGURES = (
+    ("success", "is_success"),
+    ("collision", "collision"),
+    ("at fault", "at_fault"),
+    ("off road", "off_road"),
+    ("route", "route_completion"),
+)
+#: Traffic of the evaluation, by the name in the table.
+TRAFFIC: dict[str, dict[str, Any]] = {
+    "IDM": {"traffic": "idm"},
+    "CCDiff": {"traffic": "ccdiff"},
+    "critical CCDiff": {"traffic": "ccdiff", "criticality": 1.0},
+}
+#: Traffic of the two parts of training: criticality is drawn anew for every episode.
+LESSONS: tuple[dict[str, Any], ...] = (
+    {"traffic": "idm"},
+    {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
+)
+#: Learning rate of each part: what was learned in the first is not to be lost in the second.
+LEARNING_RATES = (3e-4, 1e-4)
+NUM_ENVS = 32
+#: The ego sees less than by default, so that it learns faster and does not know scenes by heart.
+CONFIG = WorldConfig().with_options(observation=OBSERVATION)
+
+#: Worlds of training: small rewards, and starts all over the log.
+TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2), start_spread_steps=50)
+
+Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
+
+
+def scenes_of(args: argparse.Namespace) -> tuple[Any, Any, str]:
+    """Training scenes, held-out scenes, and their name."""
+    if args.dataroot is None:
+        train, test = ccdiff_env.embedded_scenes("train"), ccdiff_env.embedded_scenes("val")
+        return train, test, "embedded scenes"
+    splits = ("mini_train", "mini_val") if "mini" in args.version else ("train", "val")
+    train, test = (
+        ccdiff_env.load_nuscenes(args.dataroot, args.version, split=split) for split in splits
+    )
+    return train, test, f"nuScenes {args.version}"
+
+
+def evaluate(
+    scenes: Any, traffic: dict[str, Any], *, act: Act | None = None, driver: str = "external"
+) -> list[dict[str, Any]]:
+    """Drive every scene once and return the figures of each episode.
+
+    Parameters
+    ----------
+    scenes : SceneSet
+        N scenes.
+    traffic : dict
+        Options of the environment.
+    act : callable, optional
+        Actions [N, 2] from observations [N, D]; for ``driver="external"``.
+    driver : str
+        Who drives the ego.
+    """
+    env = ccdiff_env.make_vec(len(scenes), scenes=scenes, config=CONFIG, driver=driver, **traffic)
+    obs, _ = env.reset(seed=0, options={"scene": list(range(len(scenes)))})
+    results: list[dict[str, Any]] = [{} for _ in scenes]
+    open_worlds = np.ones(len(scenes), dtype=bool)
+    collided = np.zeros(len(scenes), dtype=bool)
+    actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
+    while open_worlds.any():
+        if act is not None:
+            actions = act(obs)
+        obs, _, terminated, truncated, infos = env.step(actions)
+        collided |= infos["collision"].astype(bool) & open_worlds
+        for i in np.flatnonzero((terminated | truncated) & open_worlds):
+            results[i] = {key: float(infos[key][i]) for _, key in FIGURES}
+            results[i] |= {"scene": scenes[i].name, "collision": float(collided[i])}
+            results[i]["steps"] = int(infos["metrics"]["length"][i])
+        open_worlds &= ~(terminated | truncated)
+    env.close()
+    return results
+
+
+def constant(rate: float) -> Callable[[float], float]:
+    """Schedule of a learning rate that stays."""
+    return lambda _: rate
+
+
+def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
+    """Train PPO for some steps in each lesson and write its learning curve; returns the model."""
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
+
+    from ccdiff_env.envs.sb3 import SB3VecEnv
+    from ccdiff_env.envs.sb3_rows import rows_policy
+
+    class Curve(BaseCallback):
+        """Collects finished episodes."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.rows: list[tuple[int, float, float]] = []
+
+        def _on_step(self) -> bool:
+            for info in self.locals["infos"]:
+                if "episode" in info:
+                    row = (self.num_timesteps, info["episode"]["r"], float(info["is_success"]))
+                    self.rows.append(row)
+            return True
+
+    torch.set_num_threads(1)
+    envs = [
+        SB3VecEnv(
+            ccdiff_env.make_vec(
+                NUM_ENVS,
+                scenes=scenes,
+                config=TRAINING,
+                autoreset_mode="same_step",
+                **lesson,
+            )
+        )
+        for lesson in LESSONS
+    ]
+    model = PPO(
+        "MlpPolicy",
+        envs[0],
+        n_steps=128,
+        batch_size=512,
+        n_epochs=6,
+        learning_rate=LEARNING_RATES[0],
+        gamma=0.98,
+        gae_lambda=0.95,
+        ent_coef=0.0,
+        policy_kwargs={
+            **rows_policy(envs[0].env.worlds.layout),
+            "net_arch": [128, 128],
+            "log_std_init": -1.0,
+        },
+        seed=seed,
+        device="cpu",
+    )
+    model.set_logger(configure(str(out / "log"), ["csv"]))
+    curve = Curve()
+    for count, env, rate in zip(steps, envs, LEARNING_RATES, strict=True):
+        if count > 0:
+            env.seed(seed)
+            model.set_env(env)
+            model.lr_schedule = constant(rate)
+            model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
+    model.save(out / "ego_ppo.zip")
+    draw_curve(curve.rows, out / "learning_curve.png", change=steps[0])
+    for env in envs:
+        env.close()
+    return model
+
+
+def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int) -> None:
+    """Return and success rate of training episodes against steps, in windows of 200 episodes.
+
+    A line marks the step at which CCDiff takes over the traffic.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    window = max(1, min(200, len(rows) // 10))
+    data = np.array(rows, dtype=float).reshape(-1, 3)
+    kernel = np.ones(window) / window
+    smooth = [np.convolve(data[:, k], kernel, mode="valid") for k in (1, 2)]
+    steps = data[window - 1 :, 0]
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), constrained_layout=True)
+    for axis, values, label in zip(axes, smooth, ("return", "success rate"), strict=True):
+        axis.plot(steps, values, color="#1f77b4")
+        if data[-1:, 0].sum() > change:
+            axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
+            place = {"xy": (change, 0.02), "xycoords": ("data", "axes fraction")}
+            axis.annotate("IDM  ", **place, ha="right", color="#555555")
+            axis.annotate("  CCDiff", **place, ha="left", color="#555555")
+        axis.set_xlabel("environment steps")
+        axis.set_ylabel(f"{label}, mean of {window} episodes")
+        axis.grid(alpha=0.3)
+    axes[1].set_ylim(0, 1)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def draw_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act, path: Path) -> None:
+    """Animate one episode of a scene, as far as the ego is in it."""
+    from ccdiff_env.render import save
+
+    env = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG, render_mode="rgb_array", **traffic)
+    obs, _ = env.reset(seed=0, options={"scene": [index]})
+    frames = list(env.render() or ())
+    done = False
+    while not done:
+        obs, _, terminated, truncated, infos = env.step(act(obs))
+        done = bool(terminated[0] or truncated[0])
+        if not infos["goal_reached"][0]:
+            frames += env.render() or ()
+    env.close()
+    save(frames, path, fps=10)
+
+
+def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
+    """Markdown table: one row per traffic and ego, mean over scenes in percent."""
+    head = "| traffic | ego | " + " | ".join(f"{name} %" for name, _ in FIGURES) + " |"
+    lines = [head, "|---|---|" + "---:|" * len(FIGURES)]
+    for (traffic, ego), rows in results.items():
+        cells = [f"{100 * np.mean([r[key] for r in rows]):.0f}" for _, key in FIGURES]
+        lines.append(f"| {traffic} | {ego} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the demo."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dataroot", help="a nuScenes copy; embedded scenes without it")
+    parser.add_argument("--version", default="v1.0-mini", help="version of the nuScenes copy")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        nargs=2,
+        default=(200_000, 20_000),
+        metavar=("IDM", "CCDIFF"),
+        help="environment steps of training in either traffic",
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("runs/demo"))
+    parser.add_argument("--smoke", action="store_true", help="next to no training, two scenes")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+
+    start = time.time()
+    train_scenes, test_scenes, name = scenes_of(args)
+    print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
+    if args.smoke:
+        test_scenes, args.steps = test_scenes[:2], (1, 1)
+    first, second = args.steps
+    print(f"training PPO for {first:,} steps in IDM traffic, then {second:,} in CCDiff traffic")
+    model = train(train_scenes, (first, second), args.seed, args.out)
+
+    def ppo(obs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return np.asarray(model.predict(obs, deterministic=True)[0])
+
+    results = {}
+    for name_of, traffic in TRAFFIC.items():
+        results[name_of, "PPO"] = evaluate(test_scenes, traffic, act=ppo)
+        for driver in ("constant_velocity", "idm", "replay"):
+            key = (name_of, driver.replace("_", " "))
+            results[key] = evaluate(test_scenes, traffic, driver=driver)
+    text = table(results)
+    (args.out / "table.md").write_text(text + "\n")
+    with (args.out / "episodes.csv").open("w", newline="") as file:
+        columns = ["traffic", "ego", "scene", "steps", *(key for _, key in FIGURES)]
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        for (name_of, ego), rows in results.items():
+            writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
+    drawn = "critical CCDiff"
+    longest = int(np.argmax([row["steps"] for row in results[drawn, "PPO"]]))
+    draw_episode(test_scenes, longest, TRAFFIC[drawn], ppo, args.out / "episode.gif")
+    summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
+    summary["seconds"] = time.time() - start
+    (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print(f"\n{len(test_scenes)} held-out scenes:\n\n{text}\n")
+    files = "table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip"
+    print(f"results in {args.out}/: {files}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the repository makes and the wheel does not ship: data and tables of pages."""
