@@ -33,13 +33,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _add_train(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = verbs.add_parser(
-        "train", help="train a CCDiff network on nuScenes (resumes a run in --out)"
+        "train", help="train a planning network on nuScenes (resumes a run in --out)"
     )
     parser.add_argument("--dataroot", required=True, type=Path, help="folder of nuScenes")
     parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
     parser.add_argument(
         "--split", nargs="+", default=["train", "train_val"], help="splits to train on"
     )
+    parser.add_argument("--model", default="ccdiff", help="ccdiff or one of its rivals")
     parser.add_argument("--preset", default="fast", choices=["fast", "paper"])
     parser.add_argument("--out", required=True, type=Path, help="folder of the run")
     length = parser.add_mutually_exclusive_group(required=True)
@@ -83,6 +84,7 @@ def _train(args: argparse.Namespace) -> int:
         [scene for scene in scenes if scene.name not in names],
         out=args.out,
         held_out=held_out,
+        model=args.model,
         preset=args.preset,
         steps=args.steps,
         minutes=args.minutes,

@@ -1,4 +1,4 @@
-"""The CCDiff network: training it, loading it, planning with it."""
+"""Planning networks, CCDiff and its rivals: training, loading, planning."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class ScenePlan:
 
 
 class Planner:
-    """A CCDiff network loaded from a weight file.
+    """A planning network loaded from a weight file.
 
     Parameters
     ----------
@@ -286,6 +286,7 @@ def train(
     *,
     out: str | os.PathLike[str],
     held_out: Sequence[Scene] = (),
+    model: str = "ccdiff",
     preset: str = "fast",
     steps: int | None = None,
     minutes: float | None = None,
@@ -298,7 +299,7 @@ def train(
     validation_samples: int = 96,
     progress: bool = True,
 ) -> Path:
-    """Train a CCDiff network and write its weights.
+    """Train a planning network and write its weights.
 
     A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
     is constant and falls to zero over the last fifth of the steps or minutes.
@@ -312,8 +313,11 @@ def train(
         (for resuming), ``loss.csv``, ``validation.csv``, ``tensorboard/``.
     held_out
         Scenes for the validation curve.
+    model
+        Which network: ``"ccdiff"`` or one of its rivals, ``"simnet"``, ``"trafficsim"``,
+        ``"trafficsim_port"``, ``"strive"``, ``"bits"``, ``"ctg"``, ``"ctgpp"`` (docs/method.md).
     preset
-        ``"fast"`` or ``"paper"``.
+        ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
     steps, minutes
         When to stop; exactly one of them. Minutes count this call alone.
     device
@@ -352,17 +356,21 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     state = folder / STATE
     resumed = state.exists()
-    model, training = (
-        _native.training_settings(os.fspath(state)) if resumed else _native.model_preset(preset)
+    config, training = (
+        _native.training_settings(os.fspath(state))
+        if resumed
+        else _native.model_preset(preset, model)
     )
+    if resumed and json.loads(config)["kind"] != model:
+        raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
     if not resumed:
         training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
-        model = json.dumps(_merged("part of the network", json.loads(model), network or {}))
+        config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
         run = _native.Trainer(
             list(scenes),
             list(held_out),
-            model,
+            config,
             training,
             device=device,
             stride=1,

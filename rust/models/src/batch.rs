@@ -12,6 +12,8 @@ pub struct Batch {
     pub scene_sizes: Vec<usize>,
     /// Histories [R, H, 8].
     pub history: Tensor,
+    /// Poses now, scene frame: x, y, heading [R, 3].
+    pub poses: Tensor,
     /// Speeds now [R].
     pub speed_mps: Tensor,
     /// Rows of the agents in each slot [R, K], int64; slot 0 is the row itself.
@@ -64,6 +66,7 @@ impl Batch {
         let tokens = config.history_token_steps().len();
         let edge = tokens * EDGE_FEATURES;
         let mut history = Vec::with_capacity(rows * config.history_steps * HISTORY_FEATURES);
+        let mut poses = Vec::with_capacity(rows * 3);
         let mut speed = Vec::with_capacity(rows);
         let mut neighbours = vec![0i64; rows * slots];
         let mut joined = vec![0u8; rows * slots];
@@ -71,6 +74,7 @@ impl Batch {
         let mut image = Vec::new();
         for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
             history.extend_from_slice(&scene.history);
+            poses.extend(scene.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]));
             speed.extend_from_slice(&scene.speed_mps);
             image.extend_from_slice(&scene.image);
             let own = scene.num_slots;
@@ -100,6 +104,7 @@ impl Batch {
                 Tensor::from_slice(&history),
                 &[r, config.history_steps as i64, HISTORY_FEATURES as i64],
             ),
+            poses: put(Tensor::from_slice(&poses), &[r, 3]),
             speed_mps: put(Tensor::from_slice(&speed), &[r]),
             neighbours: put(Tensor::from_slice(&neighbours), &[r, k]),
             joined: put(Tensor::from_slice(&joined).to_kind(Kind::Bool), &[r, k]),
@@ -131,6 +136,7 @@ impl Batch {
         Self {
             scene_sizes: self.scene_sizes.clone(),
             history: self.history.shallow_clone(),
+            poses: self.poses.shallow_clone(),
             speed_mps: self.speed_mps.shallow_clone(),
             neighbours: self.neighbours.shallow_clone(),
             joined: self.joined.logical_and(&keep.unsqueeze(1)),

@@ -145,6 +145,7 @@ mod tests {
         let batch = Batch {
             scene_sizes: vec![2],
             history: Tensor::from_slice(&history).view([2, -1, HISTORY_FEATURES as i64]),
+            poses: Tensor::zeros([2, 3], (Kind::Float, Device::Cpu)),
             speed_mps: Tensor::from_slice(&[10f32, speed_mps]),
             neighbours: Tensor::from_slice(&[0i64, 1, 1, 1]).view([2, 2]),
             joined: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),

@@ -10,15 +10,81 @@ pub enum ModelKind {
     /// Scene diffusion over the decision causal graph.
     #[default]
     Ccdiff,
+    /// One plan per agent by regression.
+    Simnet,
+    /// Latents of all agents decoded jointly, after the paper.
+    Trafficsim,
+    /// Latents of each agent under a fixed prior, as ported by others.
+    TrafficsimPort,
+    /// Latents of each agent under a learned prior, optimised.
+    Strive,
+    /// Goals on a grid, a policy that drives to them, a choice among them.
+    Bits,
+    /// Diffusion of each agent's actions.
+    Ctg,
+    /// Scene diffusion over a graph of distances.
+    Ctgpp,
 }
 
 impl ModelKind {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Ccdiff,
+        Self::Simnet,
+        Self::Trafficsim,
+        Self::TrafficsimPort,
+        Self::Strive,
+        Self::Bits,
+        Self::Ctg,
+        Self::Ctgpp,
+    ];
+
     /// The name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ccdiff => "ccdiff",
+            Self::Simnet => "simnet",
+            Self::Trafficsim => "trafficsim",
+            Self::TrafficsimPort => "trafficsim_port",
+            Self::Strive => "strive",
+            Self::Bits => "bits",
+            Self::Ctg => "ctg",
+            Self::Ctgpp => "ctgpp",
         }
     }
+
+    /// The kind of a name.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for any other name.
+    pub fn named(name: &str) -> Result<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| ModelError::Config {
+            field: "model",
+            got: format!("{name:?}"),
+            expected: "ccdiff, simnet, trafficsim, trafficsim_port, strive, bits, ctg or ctgpp",
+        })
+    }
+
+    /// Whether plans are denoised step by step.
+    pub fn denoises(self) -> bool {
+        matches!(self, Self::Ccdiff | Self::Ctg | Self::Ctgpp)
+    }
+
+    /// Whether it reads agents by the trunk that all but the scene diffusions share.
+    fn has_trunk(self) -> bool {
+        !matches!(self, Self::Ccdiff | Self::Ctgpp)
+    }
+}
+
+/// Which neighbours an agent is joined with, and in which order they take its slots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NeighbourOrder {
+    /// Those of the decision causal graph, by time to contact or headway.
+    #[default]
+    Urgency,
+    /// All within the distance of the graph, nearest first.
+    Distance,
 }
 
 /// How an agent's history becomes tokens.
@@ -146,7 +212,10 @@ pub struct ModelConfig {
     pub headway_threshold_s: f32,
     /// Neighbours join the graph up to this distance, metres.
     pub distance_threshold_m: f32,
-    /// Most neighbours of an agent (those of least time to contact).
+    /// Which neighbours are joined, and their order.
+    #[serde(default)]
+    pub neighbour_order: NeighbourOrder,
+    /// Most neighbours of an agent, the first in their order.
     pub max_neighbours: usize,
     /// Training samples hold the agents within this distance of the centre agent, metres.
     pub agents_within_m: f32,
@@ -194,6 +263,7 @@ impl ModelConfig {
             ttc_threshold_s: 3.0,
             headway_threshold_s: 0.0,
             distance_threshold_m: 50.0,
+            neighbour_order: NeighbourOrder::Urgency,
             max_neighbours: 20,
             agents_within_m: 50.0,
             max_agents: 21,
@@ -250,6 +320,18 @@ impl ModelConfig {
         }
     }
 
+    /// A kind of network in a preset's sizes. All but CCDiff see neighbours by distance.
+    ///
+    /// # Errors
+    /// As [`Self::preset`].
+    pub fn of(kind: ModelKind, preset: &str) -> Result<Self> {
+        let config = Self::preset(preset)?;
+        match kind {
+            ModelKind::Ccdiff => Ok(config),
+            _ => Self { kind, neighbour_order: NeighbourOrder::Distance, ..config }.validated(),
+        }
+    }
+
     /// Checks that the sizes fit together.
     ///
     /// # Errors
@@ -282,6 +364,13 @@ impl ModelConfig {
         }
         if !(self.headway_threshold_s >= 0.0 && self.headway_threshold_s.is_finite()) {
             return fail("headway_threshold_s", self.headway_threshold_s.to_string(), "at least 0");
+        }
+        if self.kind.has_trunk() && self.history != HistoryTokens::Summary {
+            return fail(
+                "history",
+                format!("{:?}", self.history),
+                "a summary, as in \"fast\", for this model",
+            );
         }
         if self.diffusion_steps < 2 {
             return fail("diffusion_steps", self.diffusion_steps.to_string(), "at least 2");

@@ -3,7 +3,7 @@
 //! Everything is agent-centric (reference.md#frames): for agent i the origin is its position at the current step and +x its
 //! heading. Numbers are physical here; the network normalises them.
 
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::raster::{self, MapBitmap};
 use crate::unicycle;
@@ -181,9 +181,19 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
     let history = histories(window, &agents, &poses);
     let ttc_now = ttc_at(window, &agents, now)?;
-    let urgency_s = urgency(window, &agents, now, &ttc_now, config);
-    let graph = graph_at(window, &agents, now, &urgency_s, config)?;
-    let (num_slots, neighbours, joined) = slots(&graph, &urgency_s, config.max_neighbours);
+    let mut distance_m = vec![0.0; ttc_now.len()];
+    Columns::new(window, &agents, now).frame()?.distance_m(&mut distance_m)?;
+    let (graph, order) = match config.neighbour_order {
+        NeighbourOrder::Urgency => {
+            let urgency_s = urgency(window, &agents, now, &ttc_now, config);
+            (joined_graph(&urgency_s, &distance_m, agents.len(), config)?, urgency_s)
+        }
+        NeighbourOrder::Distance => {
+            let at_once = vec![0.0; distance_m.len()];
+            (joined_graph(&at_once, &distance_m, agents.len(), config)?, distance_m)
+        }
+    };
+    let (num_slots, neighbours, joined) = slots(&graph, &order, config.max_neighbours);
     let token_steps = config.history_token_steps();
     let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
     for (token, step) in token_steps.iter().enumerate() {
@@ -284,19 +294,11 @@ fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
     Ok(out)
 }
 
-fn graph_at(
-    window: &Window,
-    agents: &[usize],
-    step: usize,
-    urgency_s: &[f32],
-    config: &ModelConfig,
-) -> Result<CausalGraph> {
-    let columns = Columns::new(window, agents, step);
-    let mut distance_m = vec![0.0; urgency_s.len()];
-    columns.frame()?.distance_m(&mut distance_m)?;
+/// The graph of M agents by times and distances [M, M].
+fn joined_graph(times_s: &[f32], distance_m: &[f32], m: usize, config: &ModelConfig) -> Result<CausalGraph> {
     let thresholds =
         GraphThresholds { ttc_s: config.ttc_threshold_s, distance_m: config.distance_threshold_m };
-    Ok(CausalGraph::from_measures(agents.len(), urgency_s, &distance_m, thresholds)?)
+    Ok(CausalGraph::from_measures(m, times_s, distance_m, thresholds)?)
 }
 
 /// Times by which pairs are joined and sorted, [M, M]: the time to contact, or less for an agent ahead in one's corridor.
@@ -336,14 +338,14 @@ fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> f32 {
     (offset.x - half_length).max(0.0) / speed.max(HEADWAY_SPEED_MPS)
 }
 
-/// Slot table of a graph: itself, then the joined agents by urgency.
-fn slots(graph: &CausalGraph, urgency_s: &[f32], max_neighbours: usize) -> (usize, Vec<usize>, Vec<bool>) {
+/// Slot table of a graph: itself, then the joined agents in rising `order` [M, M].
+fn slots(graph: &CausalGraph, order: &[f32], max_neighbours: usize) -> (usize, Vec<usize>, Vec<bool>) {
     let m = graph.num_agents();
     let lists: Vec<Vec<usize>> = (0..m)
         .map(|i| {
             let mut list: Vec<usize> = (0..m).filter(|j| *j != i && graph.contains(i, *j)).collect();
             list.sort_by(|a, b| {
-                let of = |j: &usize| urgency_s[i * m + *j];
+                let of = |j: &usize| order[i * m + *j];
                 of(a).partial_cmp(&of(b)).unwrap_or(Ordering::Equal).then(a.cmp(b))
             });
             list.truncate(max_neighbours);
@@ -428,6 +430,7 @@ pub fn futures(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::ModelKind;
 
     /// Cars of 4 m by 2 m at rest or in steady motion: (x, y, heading, speed).
     fn window(cars: &[[f32; 4]], config: &ModelConfig) -> Window {
@@ -465,6 +468,24 @@ mod tests {
         assert_eq!(joined(&[equal[0], [-30.0, 0.0, 0.0, 10.0]], &with), (false, true, true));
         assert_eq!(joined(&[[0.0; 4], [9.0, 0.0, 0.0, 0.0]], &with), (true, false, true));
         assert_eq!(joined(&[[0.0; 4], [11.0, 0.0, 0.0, 0.0]], &with), (false, false, false));
+    }
+
+    #[test]
+    fn by_distance_the_eight_nearest_take_the_slots_and_nobody_beyond_fifty_metres() {
+        // baselines.md 7.2: eleven in a row, in any order
+        let config = ModelConfig { map: None, ..ModelConfig::of(ModelKind::Ctgpp, "fast").unwrap() };
+        for places in [
+            [0.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0, 10.0, 5.0, 50.1],
+            [0.0, 50.1, 10.0, 5.0, 35.0, 30.0, 45.0, 20.0, 40.0, 25.0, 15.0],
+        ] {
+            let cars: Vec<[f32; 4]> = places.iter().map(|x| [*x, 0.0, 0.0, 7.0]).collect();
+            let found = build(&window(&cars, &config), None, &config).unwrap();
+            let slots: Vec<f32> = found.neighbours[..found.num_slots].iter().map(|j| places[*j]).collect();
+            assert_eq!(slots, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0]);
+            assert!(found.joined[1..found.num_slots].iter().all(|j| *j));
+            let far = places.iter().position(|x| *x == 50.1).unwrap();
+            assert!(!found.graph.contains(0, far) && !found.graph.contains(far, 0));
+        }
     }
 
     #[test]

@@ -2,12 +2,13 @@
 //!
 //! ```text
 //! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► PlanModel
-//!                                                    dataset, train ◄── losses       │ (ccdiff, …)
+//!                                                    dataset, train ◄── losses       │ (ccdiff, baselines)
 //!                                                    sampler, planner ◄──────────────┘ clean action knots
 //! ```
 //! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour
 //! slots. Tensor code runs inside [`grad::guarded`], so libtorch's exceptions come back as [`ModelError`].
 
+pub mod baselines;
 pub mod batch;
 pub mod ccdiff;
 pub mod checkpoint;
@@ -34,9 +35,10 @@ pub mod schedule;
 mod smooth;
 pub mod traffic;
 pub mod train;
+mod trunk;
 pub mod unicycle;
 
-pub use config::ModelConfig;
+pub use config::{ModelConfig, ModelKind};
 pub use error::{ModelError, Result};
 
 use torch_sys as _;

@@ -21,7 +21,12 @@ pub(crate) fn logged_actions(targets: &Targets) -> Tensor {
 /// Mean squared error over the six normalised components of the steps that count [R, T] (reference.md#training).
 ///
 /// Differs from the released code: the mean is over logged steps, not over padding as well.
-fn trajectory_loss(space: &PlanSpace, states: &Tensor, targets: &Targets, counts: &Tensor) -> Tensor {
+pub(crate) fn trajectory_loss(
+    space: &PlanSpace,
+    states: &Tensor,
+    targets: &Targets,
+    counts: &Tensor,
+) -> Tensor {
     let config = space.config();
     let difference = space.standardised_states(states) - space.standardised_states(&targets.states);
     let weights =

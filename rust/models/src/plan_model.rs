@@ -1,5 +1,6 @@
 //! What every planning network is to the rest of the crate: a loss to train it, proposals to plan with.
 
+use crate::baselines::{Bits, Cvae, HalfUnet, Simnet};
 use crate::batch::{Batch, Targets};
 use crate::ccdiff::Network;
 use crate::config::{ModelConfig, ModelKind};
@@ -72,7 +73,13 @@ pub(crate) fn pushes(config: &TrainConfig, step: u64) -> Noise {
 /// # Errors
 /// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
 pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
-    match config.kind {
-        ModelKind::Ccdiff => Ok(Box::new(Diffusion::new(Network::new(p, config))?)),
-    }
+    Ok(match config.kind {
+        ModelKind::Ccdiff | ModelKind::Ctgpp => Box::new(Diffusion::new(Network::new(p, config))?),
+        ModelKind::Ctg => Box::new(Diffusion::new(HalfUnet::new(p, config))?),
+        ModelKind::Simnet => Box::new(Simnet::new(p, config)),
+        ModelKind::Bits => Box::new(Bits::new(p, config)?),
+        ModelKind::Trafficsim | ModelKind::TrafficsimPort | ModelKind::Strive => {
+            Box::new(Cvae::new(p, config))
+        }
+    })
 }

@@ -2,11 +2,11 @@
 
 use crate::batch::{Batch, row_offsets};
 use crate::checkpoint;
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
-use crate::guidance::{GuidanceConfig, GuidanceReport, Guide, Situation, WorldGuide};
+use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guide, Situation, WorldGuide};
 use crate::optimiser::variables;
 use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
@@ -61,6 +61,36 @@ impl PlanOptions {
             return Err(ModelError::Config { field: "solver.steps", got: "1".into(), expected });
         }
         Ok(Self { sampling, guidance, ..self })
+    }
+}
+
+impl PlanOptions {
+    /// The options as a kind of network takes them: what means nothing to it is refused, or not reported.
+    ///
+    /// Networks that do not denoise are guided at once, with as many gradient steps as the guided denoising steps of the
+    /// default sampler take together.
+    fn of_kind(mut self, kind: ModelKind) -> Result<Self> {
+        if self.sampling.guidance_weight > 1.0 && kind != ModelKind::Ccdiff {
+            let (got, expected) =
+                (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
+            return Err(ModelError::Config { field: "guidance_weight", got, expected });
+        }
+        if kind.denoises() {
+            return Ok(self);
+        }
+        let default = SampleOptions::default().solver;
+        if self.sampling.solver != default {
+            let (got, expected) =
+                (format!("{:?}", self.sampling.solver), "the default: this model does not denoise");
+            return Err(ModelError::Config { field: "solver", got, expected });
+        }
+        self.gradient_statistics = false;
+        if let (Some(guidance), Solver::Ddim { steps }) = (&mut self.guidance, default) {
+            guidance.gradient_steps *= steps - 1;
+            guidance.clip = Clip::Sigma;
+            guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
+        }
+        Ok(self)
     }
 }
 
@@ -170,7 +200,7 @@ impl Planner {
     /// # Errors
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
-        let options = options.clone().validated()?;
+        let options = options.clone().validated()?.of_kind(self.config().kind)?;
         let config = self.network.space().config();
         let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
@@ -187,10 +217,15 @@ impl Planner {
             let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
             guarded(false, "planning", || self.draw(&built, &seeds, &options, guide.as_mut()))?
         };
-        let reports = match &guide {
+        let mut reports = match &guide {
             Some(guide) => guide.report(&drawn.knots)?,
             None => vec![None; worlds.len()],
         };
+        if !config.kind.denoises() {
+            for report in reports.iter_mut().flatten() {
+                (report.realism_cost, report.shift_sigmas) = (Vec::new(), Vec::new());
+            }
+        }
         let rows: usize = sizes.iter().sum();
         let steps = config.horizon_steps;
         let part = |all: &[f32], offset: usize, size: usize, width: usize| -> Vec<f32> {

@@ -4,7 +4,7 @@
 
 use crate::batch::Targets;
 use crate::checkpoint;
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, ModelKind};
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
@@ -45,15 +45,17 @@ pub struct TrainConfig {
 }
 
 impl TrainConfig {
-    /// Settings of a preset (reference.md#training-settings); `fast` takes larger steps and batches, as it has minutes, not days.
-    pub fn preset(name: &str) -> Self {
+    /// Settings of a preset for a kind of network (reference.md#training-settings); `fast` takes larger steps and batches,
+    /// as it has minutes, not days. G is dropped in the training of CCDiff alone; contact has a loss of its own in that of
+    /// TrafficSim and STRIVE.
+    pub fn preset(name: &str, kind: ModelKind) -> Self {
         let paper = Self {
             batch_scenes: 4,
             learning_rate: 1e-4,
             warmup_steps: 0,
             ema_decay: 0.995,
             ema_start: 4000,
-            drop_graph: 0.1,
+            drop_graph: if kind == ModelKind::Ccdiff { 0.1 } else { 0.0 },
             perturb: false,
             collision_weight: 0.0,
             clip_norm: 100.0,
@@ -70,7 +72,10 @@ impl TrainConfig {
             ema_start: 200,
             clip_norm: 1.0,
             perturb: true,
-            collision_weight: 0.2,
+            collision_weight: match kind {
+                ModelKind::Trafficsim | ModelKind::Strive => 0.0,
+                _ => 0.2,
+            },
             ..paper
         }
     }

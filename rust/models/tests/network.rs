@@ -6,7 +6,7 @@ mod common;
 
 use ccdiff_models::batch::Batch;
 use ccdiff_models::ccdiff::Network;
-use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig};
+use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
@@ -134,7 +134,12 @@ fn every(stride: usize) -> SampleConfig {
 }
 
 fn quick(batch_scenes: usize) -> TrainConfig {
-    TrainConfig { batch_scenes, warmup_steps: 0, perturb: false, ..TrainConfig::preset("fast") }
+    TrainConfig {
+        batch_scenes,
+        warmup_steps: 0,
+        perturb: false,
+        ..TrainConfig::preset("fast", ModelKind::Ccdiff)
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::errors::{policy_failed, py};
 use crate::scene::PyScene;
-use ccdiff_models::config::ModelConfig;
+use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuide};
@@ -64,11 +64,13 @@ fn options(steps: Option<usize>, num_samples: usize, guidance_weight: f64) -> Sa
     SampleOptions { solver, num_samples, guidance_weight }
 }
 
-/// Model and training settings of a preset, as JSON.
+/// Model and training settings of a preset for a kind of network, as JSON.
 #[pyfunction]
-fn model_preset(name: &str) -> PyResult<(String, String)> {
-    let model = ModelConfig::preset(name).map_err(from_model)?;
-    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name))?))
+#[pyo3(signature = (name, model="ccdiff"))]
+fn model_preset(name: &str, model: &str) -> PyResult<(String, String)> {
+    let kind = ModelKind::named(model).map_err(from_model)?;
+    let model = ModelConfig::of(kind, name).map_err(from_model)?;
+    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name, kind))?))
 }
 
 /// Settings of a guidance preset, as JSON.
@@ -340,7 +342,7 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     Ok(dict)
 }
 
-/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
+/// `losses` [J, N, M], of a network that denoises `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
 /// `conflict_share` [M], `objective_cosine` [J, J].
 fn guidance_dict(
     py: Python<'_>,
@@ -352,8 +354,10 @@ fn guidance_dict(
     let objectives = report.losses.len() / (num_samples * num_agents).max(1);
     let losses = report.losses.into_pyarray(py).reshape([objectives, num_samples, num_agents])?;
     dict.set_item("losses", losses)?;
-    dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
-    dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
+    if !report.realism_cost.is_empty() || num_agents == 0 {
+        dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
+        dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
+    }
     if let Some(found) = report.conflict {
         let cosines = found.objective_cosine.into_pyarray(py).reshape([objectives, objectives])?;
         dict.set_item("alignment", found.alignment.into_pyarray(py))?;

@@ -198,22 +198,15 @@ impl Context {
     /// The same context for N samples: rows are repeated sample by sample, [N · R].
     #[must_use]
     pub fn repeated(&self, samples: i64) -> Self {
-        let rows = self.speed_mps.size()[0];
         let repeat = |t: &Tensor| {
             let mut times = vec![1; t.dim()];
             times[0] = samples;
             t.repeat(times)
         };
-        let offsets = Tensor::arange(samples, (Kind::Int64, self.speed_mps.device())) * rows;
         Self {
             history: repeat(&self.history),
             edges: repeat(&self.edges),
-            slots: Slots {
-                rows: (self.slots.rows.unsqueeze(0) + offsets.unsqueeze(1)).flatten(0, 1),
-                others_or_self: repeat(&self.slots.others_or_self),
-                with_self: repeat(&self.slots.with_self),
-                num_slots: self.slots.num_slots,
-            },
+            slots: self.slots.repeated(samples),
             map: self.map.iter().map(|m| m.as_ref().map(|(k, v)| (repeat(k), repeat(v)))).collect(),
             seen: self.seen.as_ref().map(repeat),
             speed_mps: repeat(&self.speed_mps),

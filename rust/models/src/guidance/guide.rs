@@ -4,7 +4,7 @@ use super::config::{Clip, GuidanceConfig};
 use super::descent::Descent;
 use super::knots::KnotMap;
 use super::objective::Evaluation;
-use super::report::{GradientSums, GuidanceReport, choose_samples, total_variation};
+use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
 use super::situation::Situation;
 use crate::config::ModelConfig;
@@ -29,6 +29,8 @@ pub struct Guide<'a> {
     shift_sq: Vec<f64>,
     /// Gradient statistics so far, sample by sample, if asked for.
     sums: Option<Vec<GradientSums>>,
+    /// Predicted knots of all rows [R, knots, 2], against which each agent's sample is chosen for itself.
+    predicted: Option<Vec<f32>>,
 }
 
 /// A denoising step as guidance sees it.
@@ -121,6 +123,7 @@ impl<'a> Guide<'a> {
             num_samples,
             shift_sq: vec![0.0; num_samples * rows],
             sums,
+            predicted: None,
         })
     }
 
@@ -190,6 +193,73 @@ impl<'a> Guide<'a> {
         Ok(())
     }
 
+    /// Has each agent's sample chosen for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
+    /// of all agents of a world is one future.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for knots of another length.
+    pub fn choose_against(&mut self, predicted: Vec<f32>) -> Result<()> {
+        let expected = self.sizes.iter().sum::<usize>() * self.knots.width();
+        if predicted.len() != expected {
+            let (got, expected) = (predicted.len().to_string(), expected.to_string());
+            return Err(ModelError::Shape { what: "predicted knots", got, expected });
+        }
+        self.predicted = Some(predicted);
+        Ok(())
+    }
+
+    /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
+    pub fn strengths(&self) -> Vec<f32> {
+        let of = |s: &Situation<'_>, agent: usize| if s.guided[agent] { s.strength } else { 0.0 };
+        self.per_row(&|world, agent| self.worlds[world].as_ref().map_or(0.0, |s| of(s, agent)))
+    }
+
+    /// One over the number of agents in each row's world, [N · R].
+    pub fn shares(&self) -> Vec<f32> {
+        self.per_row(&|world, _| 1.0 / self.sizes[world] as f32)
+    }
+
+    fn per_row(&self, of: &dyn Fn(usize, usize) -> f32) -> Vec<f32> {
+        let rows =
+            self.sizes.iter().enumerate().flat_map(|(world, size)| (0..*size).map(move |a| (world, a)));
+        let rows: Vec<f32> = rows.map(|(world, agent)| of(world, agent)).collect();
+        rows.repeat(self.num_samples)
+    }
+
+    /// Gradient of the total of all weighted objectives with respect to knots [N · R, knots, 2]; zero in rows that are not
+    /// guided and in knots that are not executed.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] for knots of another length.
+    pub fn gradient(&self, knots: &[f32]) -> Result<Vec<f32>> {
+        let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
+        if knots.len() != self.num_samples * rows * width {
+            let (got, expected) = (knots.len().to_string(), (self.num_samples * rows * width).to_string());
+            return Err(ModelError::Shape { what: "knots", got, expected });
+        }
+        let offsets = crate::batch::row_offsets(&self.sizes);
+        let jobs: Vec<(usize, usize)> = (0..self.num_samples)
+            .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
+            .collect();
+        let of_job = |&(sample, world): &(usize, usize)| -> Result<Vec<f32>> {
+            let first = (sample * rows + offsets[world]) * width;
+            let part = &knots[first..first + self.sizes[world] * width];
+            let mut total = vec![0.0; part.len()];
+            let Some(situation) = self.worlds[world].as_ref().filter(|s| s.guided.contains(&true)) else {
+                return Ok(total);
+            };
+            for gradient in self.gradients(world, part)? {
+                total.iter_mut().zip(gradient).for_each(|(t, g)| *t += g);
+            }
+            for (agent, row) in total.chunks_exact_mut(width).enumerate() {
+                let free = f32::from(u8::from(situation.guided[agent]));
+                row.iter_mut().zip(&self.mask).for_each(|(g, keep)| *g *= keep * free);
+            }
+            Ok(total)
+        };
+        Ok(jobs.par_iter().map(of_job).collect::<Result<Vec<_>>>()?.concat())
+    }
+
     /// Gradient of each weighted objective, w · mean over agents of the loss, with respect to all knots of one sample of a
     /// world: [J][M, knots, 2]. No mask is applied. Empty for a world without guidance.
     ///
@@ -223,25 +293,41 @@ impl<'a> Guide<'a> {
             let (m, n) = (self.sizes[world], self.num_samples);
             let mut losses = vec![0.0; self.config.objectives.len() * n * m];
             let mut scratch = Scratch::new(situation, &self.knots);
+            let predicted = self.predicted.as_ref().map(|p| &p[offsets[world] * width..][..m * width]);
             for sample in 0..n {
                 let first = sample * rows + offsets[world];
                 let part = &knots[first * width..(first + m) * width];
-                (0..m).for_each(|a| scratch.roll(situation, &self.knots, a, part));
-                for (j, objective) in self.config.objectives.iter().enumerate() {
-                    let at = (j * n + sample) * m;
-                    objective.evaluate(
-                        situation,
-                        &scratch.plan,
-                        &mut Evaluation {
-                            losses: &mut losses[at..at + m],
-                            gradient: &mut scratch.of_states,
-                            wanted: &vec![true; m],
-                            scale: 0.0,
-                        },
-                    );
+                (0..m).for_each(|a| scratch.roll(situation, &self.knots, a, predicted.unwrap_or(part)));
+                let mut evaluate = |scratch: &mut Scratch, agents: std::ops::Range<usize>| {
+                    let wanted: Vec<bool> = (0..m).map(|a| agents.contains(&a)).collect();
+                    for (j, objective) in self.config.objectives.iter().enumerate() {
+                        scratch.losses.fill(0.0);
+                        objective.evaluate(
+                            situation,
+                            &scratch.plan,
+                            &mut Evaluation {
+                                losses: &mut scratch.losses,
+                                gradient: &mut scratch.of_states,
+                                wanted: &wanted,
+                                scale: 0.0,
+                            },
+                        );
+                        let at = (j * n + sample) * m;
+                        losses[at..][agents.clone()].copy_from_slice(&scratch.losses[agents.clone()]);
+                    }
+                };
+                let Some(predicted) = predicted else {
+                    evaluate(&mut scratch, 0..m);
+                    continue;
+                };
+                for agent in 0..m {
+                    scratch.roll(situation, &self.knots, agent, part);
+                    evaluate(&mut scratch, agent..agent + 1);
+                    scratch.roll(situation, &self.knots, agent, predicted);
                 }
             }
-            let chosen = choose_samples(self.config, &losses, n, m);
+            let choose = if predicted.is_some() { choose_per_agent } else { choose_samples };
+            let chosen = choose(self.config, &losses, n, m);
             let shift = |a: usize| self.shift_sq[chosen[a] * rows + offsets[world] + a].sqrt();
             let sums = self
                 .sums

@@ -11,9 +11,10 @@ pub struct GuidanceReport {
     pub chosen: Vec<usize>,
     /// C(τ) of each agent's chosen sample in [0, 1], [M]: total-variation distance between the guided and the unguided
     /// denoising process. Each denoising step draws from a Gaussian whose mean guidance moves by δ at equal variance σ²;
-    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)).
+    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)). Empty for a network that does not denoise.
     pub realism_cost: Vec<f32>,
     /// √(Σ ‖δ‖²/σ²) of each agent's chosen sample, [M]: the same in standard deviations, which does not saturate.
+    /// Empty likewise.
     pub shift_sigmas: Vec<f32>,
     /// Gradient statistics, if asked for.
     pub conflict: Option<GradientStatistics>,
@@ -125,24 +126,48 @@ pub fn choose_samples(
     num_samples: usize,
     num_agents: usize,
 ) -> Vec<usize> {
+    if !config.objectives.iter().any(Objective::is_joint) {
+        return choose_per_agent(config, losses, num_samples, num_agents);
+    }
+    let sum = |sample: usize| -> f64 {
+        (0..num_agents).map(|agent| weighted(config, losses, num_samples, num_agents, sample, agent)).sum()
+    };
+    vec![least(num_samples, sum); num_agents]
+}
+
+/// The sample of least weighted losses [J, N, M] of each agent.
+pub(super) fn choose_per_agent(
+    config: &GuidanceConfig,
+    losses: &[f32],
+    num_samples: usize,
+    num_agents: usize,
+) -> Vec<usize> {
+    let of = |agent| least(num_samples, |s| weighted(config, losses, num_samples, num_agents, s, agent));
+    (0..num_agents).map(of).collect()
+}
+
+/// Weighted sum of the losses [J, N, M] of a sample of an agent.
+fn weighted(
+    config: &GuidanceConfig,
+    losses: &[f32],
+    num_samples: usize,
+    num_agents: usize,
+    sample: usize,
+    agent: usize,
+) -> f64 {
     let weight = |o: &Objective| match config.filter_weights {
         FilterWeights::Signed => f64::from(o.weight()),
         FilterWeights::Unweighted => 1.0,
     };
-    let sum = |sample: usize, agent: usize| -> f64 {
-        let of = |(j, o): (usize, &Objective)| {
-            weight(o) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
-        };
-        config.objectives.iter().enumerate().map(of).sum()
+    let of = |(j, o): (usize, &Objective)| {
+        weight(o) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
     };
-    let least = |score: &dyn Fn(usize) -> f64| {
-        (0..num_samples).min_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0)
-    };
-    if config.objectives.iter().any(Objective::is_joint) {
-        vec![least(&|s| (0..num_agents).map(|a| sum(s, a)).sum()); num_agents]
-    } else {
-        (0..num_agents).map(|a| least(&|s| sum(s, a))).collect()
-    }
+    config.objectives.iter().enumerate().map(of).sum()
+}
+
+/// The first of the samples with the least score.
+fn least(num_samples: usize, score: impl Fn(usize) -> f64) -> usize {
+    (0..num_samples).min_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0)
 }
 
 /// C(τ) of a shift of the mean in standard deviations.

@@ -23,7 +23,7 @@ use super::situation::Situation;
 /// Where an objective writes to.
 #[derive(Debug)]
 pub struct Evaluation<'e> {
-    /// Loss of each agent, [M]; right for the wanted agents only.
+    /// Takes the loss of each agent, [M], added; right for the wanted agents only.
     pub losses: &'e mut [f32],
     /// Takes `scale` times the gradient of the sum of all agents' losses, added; right for the wanted agents only.
     pub gradient: &'e mut StateGradient,

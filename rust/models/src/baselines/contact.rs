@@ -1,0 +1,208 @@
+//! Contact between the plans of one scene, and departures from the road, in tensors (baselines.md 3.4, 4.4).
+
+use crate::batch::Batch;
+use crate::config::ModelConfig;
+use crate::raster::ZERO;
+use tch::{Kind, Tensor};
+
+/// Circles along a body.
+const CIRCLES: i64 = 5;
+/// Squared distance below which two circles are on the same spot, m²: the penalty is 1, without a gradient.
+const SAME_SPOT_M2: f64 = 1e-12;
+/// Every `STRIDE`-th step of a plan is looked at.
+pub(super) const STRIDE: i64 = 2;
+
+/// Bodies over time: rows of x, y, heading [R, T] in one frame, lengths and widths [R].
+pub(super) struct Bodies<'a> {
+    pub(super) x: &'a Tensor,
+    pub(super) y: &'a Tensor,
+    pub(super) heading: &'a Tensor,
+    pub(super) length: &'a Tensor,
+    pub(super) width: &'a Tensor,
+}
+
+impl Bodies<'_> {
+    /// Penalties in [0, 1] of pairs of rows, [P, T]: 1 − d/R for the least distance d of two circles and the sum R of
+    /// their radii, 0 where none touch.
+    pub(super) fn penalties(&self, first: &Tensor, second: &Tensor) -> Tensor {
+        let radius = self.width * 0.5;
+        let reach = (self.length * 0.5 - &radius).clamp_min(0.0).unsqueeze(1);
+        let offsets = reach * Tensor::linspace(-1.0, 1.0, CIRCLES, (Kind::Float, radius.device()));
+        let centre = |at: &Tensor, along: Tensor| at.unsqueeze(2) + along.unsqueeze(2) * offsets.unsqueeze(1);
+        let (x, y) = (centre(self.x, self.heading.cos()), centre(self.y, self.heading.sin()));
+        let between =
+            |c: &Tensor| c.index_select(0, first).unsqueeze(3) - c.index_select(0, second).unsqueeze(2);
+        let squared = between(&x).square() + between(&y).square();
+        let distance = squared.amin([2i64, 3].as_slice(), false).clamp_min(SAME_SPOT_M2).sqrt();
+        let radii = (radius.index_select(0, first) + radius.index_select(0, second)).unsqueeze(1);
+        (1f64 - distance / radii).clamp_min(0.0)
+    }
+}
+
+/// Unordered pairs of rows of the same scene.
+pub(super) struct Pairs {
+    first: Tensor,
+    second: Tensor,
+    /// 1 / N² of each pair's scene of N rows.
+    share: Tensor,
+    num_scenes: usize,
+}
+
+impl Pairs {
+    /// Of a batch; `None` where no scene has two rows.
+    pub(super) fn new(batch: &Batch) -> Option<Self> {
+        let (mut first, mut second, mut share, mut offset) = (Vec::new(), Vec::new(), Vec::new(), 0i64);
+        for size in &batch.scene_sizes {
+            let n = *size as i64;
+            for i in 0..n {
+                for j in i + 1..n {
+                    first.push(offset + i);
+                    second.push(offset + j);
+                    share.push(1.0 / (n * n) as f32);
+                }
+            }
+            offset += n;
+        }
+        let device = batch.speed_mps.device();
+        let put = |v: &[i64]| Tensor::from_slice(v).to_device(device);
+        (!first.is_empty()).then(|| Self {
+            first: put(&first),
+            second: put(&second),
+            share: Tensor::from_slice(&share).to_device(device),
+            num_scenes: batch.scene_sizes.len(),
+        })
+    }
+
+    /// Penalties [P, steps] of plans [R, T, 6] in the rows' own frames.
+    fn of_plans(&self, batch: &Batch, states: &Tensor) -> Tensor {
+        let states = states.slice(1, STRIDE - 1, None, STRIDE);
+        let pose = |c: i64| batch.poses.select(1, c).unsqueeze(1);
+        let (ahead, left) = (states.select(2, 0), states.select(2, 1));
+        let (cos, sin) = (pose(2).cos(), pose(2).sin());
+        let body = batch.history.select(1, batch.history.size()[1] - 1);
+        let bodies = Bodies {
+            x: &(pose(0) + &cos * &ahead - &sin * &left),
+            y: &(pose(1) + &sin * &ahead + &cos * &left),
+            heading: &(pose(2) + states.select(2, 3)),
+            length: &body.select(1, 5),
+            width: &body.select(1, 6),
+        };
+        bodies.penalties(&self.first, &self.second)
+    }
+
+    /// Share of pairs in contact, each counted once at most: (1/N²) Σ_{i≠j} min(1, Σ_t penalty), mean over scenes.
+    ///
+    /// Differs from the paper, as we recall its formula: the least of 1 and the sum, not the larger one.
+    pub(super) fn once(&self, batch: &Batch, states: &Tensor) -> Tensor {
+        let sums = self.of_plans(batch, states).sum_dim_intlist([1i64].as_slice(), false, Kind::Float);
+        (sums.clamp_max(1.0) * &self.share).sum(Kind::Float) * (2.0 / self.num_scenes as f64)
+    }
+
+    /// Mean penalty over pairs and looked-at steps.
+    pub(super) fn mean(&self, batch: &Batch, states: &Tensor) -> Tensor {
+        self.of_plans(batch, states).mean(Kind::Float)
+    }
+}
+
+/// Share of the bodies' eight boundary points off the drivable area as the rows' rasters show it, mean over the looked-at
+/// steps and the rows that move; zero without a map.
+pub(super) fn off_road(batch: &Batch, states: &Tensor, config: &ModelConfig, moving_mps: f64) -> Tensor {
+    let moving = batch.speed_mps.abs().gt(moving_mps).to_kind(Kind::Float);
+    let Some((image, map)) = batch.image.as_ref().zip(config.map.as_ref()) else {
+        return moving.sum(Kind::Float) * 0.0;
+    };
+    // the first layer of a raster without histories
+    let drivable = image.narrow(1, 0, 1).to_kind(Kind::Float);
+    let drivable = (drivable - f64::from(ZERO)) * (1.0 / 127.0);
+    let states = states.slice(1, STRIDE - 1, None, STRIDE);
+    let body = batch.history.select(1, batch.history.size()[1] - 1);
+    let half = |c: i64| (body.select(1, c) * 0.5).view([-1, 1, 1]);
+    let points = |signs: [f32; 8]| Tensor::from_slice(&signs).to_device(image.device());
+    let along = half(5) * points([-1.0, 0.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0]);
+    let aside = half(6) * points([-1.0, -1.0, -1.0, 0.0, 1.0, 1.0, 1.0, 0.0]);
+    let at = |c: i64| states.select(2, c).unsqueeze(2);
+    let (cos, sin) = (at(3).cos(), at(3).sin());
+    let x = at(0) + &cos * &along - &sin * &aside;
+    let y = at(1) + &sin * &along + &cos * &aside;
+    // grid_sampler takes −1..1 from edge to edge
+    let (side, px) = (map.size_px as f64, f64::from(map.metres_per_px));
+    let column = (x * (1.0 / px) + map.agent_column_px as f64) * (2.0 / side) - 1.0;
+    let row = y * (2.0 / (px * side));
+    let grid = Tensor::stack(&[column, row], 3);
+    let value = drivable.grid_sampler(&grid, 0, 1, false).squeeze_dim(1);
+    let off = (1f64 - value).mean_dim([1i64, 2].as_slice(), false, Kind::Float);
+    (off * &moving).sum(Kind::Float) / moving.sum(Kind::Float).clamp_min(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f32::consts::FRAC_PI_2;
+
+    /// Penalty of a second car at a pose against one at the origin, both 4.5 m by 2 m, and its gradient.
+    fn penalty(second: [f32; 3], length: f32, width: f32) -> (f64, [f64; 3]) {
+        let pose = Tensor::from_slice(&[[0f32; 3], second].concat()).view([2, 3, 1]).set_requires_grad(true);
+        let bodies = Bodies {
+            x: &pose.select(1, 0),
+            y: &pose.select(1, 1),
+            heading: &pose.select(1, 2),
+            length: &Tensor::from_slice(&[4.5f32, length]),
+            width: &Tensor::from_slice(&[2.0f32, width]),
+        };
+        let found =
+            bodies.penalties(&Tensor::from_slice(&[0i64]), &Tensor::from_slice(&[1i64])).sum(Kind::Float);
+        found.backward();
+        let gradient = pose.grad();
+        (found.double_value(&[]), [0, 1, 2].map(|c| gradient.double_value(&[1, c, 0])))
+    }
+
+    #[test]
+    fn penalties_of_pairs_have_the_tabulated_values_and_gradients() {
+        // baselines.md 3.7
+        for (pose, want) in [
+            ([4.0, 0.0, 0.0], 0.25),
+            ([4.5, 0.0, 0.0], 0.0),
+            ([4.8, 0.0, 0.0], 0.0),
+            ([0.0, 1.5, 0.0], 0.25),
+            ([1.8, 1.2, FRAC_PI_2], 0.723_866),
+            ([2.5, 2.5, FRAC_PI_2], 0.116_117),
+            ([3.2, 1.0, 0.6], 0.517_848),
+        ] {
+            let (got, _) = penalty(pose, 4.5, 2.0);
+            assert!((got - want).abs() < 1e-5, "{pose:?}: {got}");
+        }
+        let (same, gradient) = penalty([0.0; 3], 4.5, 2.0);
+        assert!((same - 1.0).abs() < 1e-6 && gradient == [0.0; 3]);
+        assert!((penalty([0.0, 2.2, 0.0], 10.0, 2.5).0 - 0.022_222).abs() < 1e-5, "a truck beside");
+        for (pose, want) in [
+            ([4.0, 0.0, 0.0], [-0.5, 0.0, 0.0]),
+            ([3.2, 1.0, 0.6], [-0.4762, -0.1525, -0.1787]),
+            ([1.8, 1.2, FRAC_PI_2], [-0.4979, 0.0453, -0.6224]),
+        ] {
+            let (_, got) = penalty(pose, 4.5, 2.0);
+            assert!(got.iter().zip(want).all(|(g, w)| (g - w).abs() < 1e-3), "{pose:?}: {got:?}");
+        }
+    }
+
+    #[test]
+    fn the_joint_losses_of_three_cars_have_the_tabulated_values() {
+        let x = [[0f32, 1.0, 2.0], [6.0, 5.5, 5.0], [0.0, 1.0, 2.0]];
+        let y = [[0f32; 3], [0.0; 3], [3.0, 2.2, 1.6]];
+        let rows = |v: [[f32; 3]; 3]| Tensor::from_slice(&v.concat()).view([3, 3]);
+        let bodies = Bodies {
+            x: &rows(x),
+            y: &rows(y),
+            heading: &Tensor::zeros([3, 3], (Kind::Float, tch::Device::Cpu)),
+            length: &Tensor::full([3], 4.5, (Kind::Float, tch::Device::Cpu)),
+            width: &Tensor::full([3], 2.0, (Kind::Float, tch::Device::Cpu)),
+        };
+        let pairs = bodies.penalties(&Tensor::from_slice(&[0i64, 0, 1]), &Tensor::from_slice(&[1i64, 2, 2]));
+        for (pair, want) in [0.75, 0.2, 0.161_847].into_iter().enumerate() {
+            assert!((pairs.double_value(&[pair as i64, 2]) - want).abs() < 1e-5);
+        }
+        let sums = pairs.sum_dim_intlist([1i64].as_slice(), false, Kind::Float);
+        let once = (sums.clamp_max(1.0).sum(Kind::Float) * (2.0 / 9.0)).double_value(&[]);
+        let trained = (pairs.sum(Kind::Float) * (2.0 / 6.0)).double_value(&[]);
+        assert!((once - 0.247_077).abs() < 1e-5 && (trained - 0.370_616).abs() < 1e-5, "{once} {trained}");
+    }
+}

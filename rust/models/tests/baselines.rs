@@ -1,0 +1,253 @@
+//! The baselines: sizes, learning, files, whose numbers plans depend on, guidance (baselines.md 12).
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod common;
+
+use ccdiff_models::ModelError;
+use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::features::Window;
+use ccdiff_models::guidance::{
+    AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuide,
+};
+use ccdiff_models::plan_model::build;
+use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
+use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_sim::scene::Scene;
+use std::path::PathBuf;
+use std::sync::Arc;
+use tch::{Device, Tensor, nn};
+
+const STEPS: usize = 52;
+
+fn rivals() -> impl Iterator<Item = ModelKind> {
+    ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::Ccdiff)
+}
+
+fn temporary(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ccdiff-baselines-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder.join(name)
+}
+
+fn trainer(kind: ModelKind) -> Trainer {
+    let config = ModelConfig::of(kind, "fast").unwrap();
+    let sampling = SampleConfig { stride: 20, smooth: false };
+    let data = Dataset::new(vec![common::closing_pair()], &config, sampling).unwrap();
+    tch::manual_seed(11);
+    let preset = TrainConfig::preset("fast", kind);
+    let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ema_start: 2, ..preset };
+    Trainer::new(config, training, data, Device::Cpu).unwrap()
+}
+
+/// A planner of weights trained for some steps.
+fn planner(kind: ModelKind, steps: usize) -> Planner {
+    let mut run = trainer(kind);
+    run.run(steps).unwrap();
+    let path = temporary(&format!("{}-{steps}.safetensors", kind.name()));
+    run.export(&path, &serde_json::json!({})).unwrap();
+    Planner::load(&path, Device::Cpu).unwrap()
+}
+
+/// Plans of worlds at steps of a scene, by seed; `guided` vehicles of each are guided.
+fn plans(
+    planner: &mut Planner,
+    worlds: &[(&Arc<Scene>, usize, u64)],
+    options: &PlanOptions,
+    guided: Option<&[bool]>,
+) -> Result<Vec<Plan>, ModelError> {
+    let inputs: Vec<_> = worlds
+        .iter()
+        .map(|(scene, step, _)| {
+            (Window::from_scene(scene, *step, &vehicles(scene), 31), planner.bitmap(scene))
+        })
+        .collect();
+    let views: Vec<WorldView<'_>> = inputs
+        .iter()
+        .zip(worlds)
+        .map(|((window, bitmap), (_, _, seed))| WorldView {
+            window,
+            bitmap: bitmap.as_ref(),
+            seed: *seed,
+            guide: guided.map(WorldGuide::new),
+        })
+        .collect();
+    planner.plan(&views, options)
+}
+
+fn samples(num_samples: usize) -> PlanOptions {
+    SampleOptions { num_samples, ..SampleOptions::default() }.into()
+}
+
+fn close(a: &[f32], b: &[f32], within: f32) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= within)
+}
+
+#[test]
+fn every_network_has_the_tabulated_number_of_parameters() {
+    for (kind, want) in [
+        (ModelKind::Ccdiff, 384_530),
+        (ModelKind::Simnet, 219_690),
+        (ModelKind::TrafficsimPort, 267_634),
+        (ModelKind::Trafficsim, 348_202),
+        (ModelKind::Strive, 295_018),
+        (ModelKind::Bits, 274_740),
+        (ModelKind::Ctg, 365_154),
+        (ModelKind::Ctgpp, 384_530),
+    ] {
+        let store = nn::VarStore::new(Device::Cpu);
+        build(&store.root(), &ModelConfig::of(kind, "fast").unwrap()).unwrap();
+        let got: usize = store.trainable_variables().iter().map(Tensor::numel).sum();
+        assert_eq!(got, want, "{kind:?}");
+    }
+}
+
+#[test]
+fn every_network_learns_one_batch() {
+    for kind in rivals() {
+        let mut run = trainer(kind);
+        let losses = run.run(70).unwrap();
+        let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
+        let (first, last) = (mean(&losses[..2]), mean(&losses[60..]));
+        // a denoiser starts from a plan that shows the answer where the noise is small
+        let share = if kind.denoises() { 0.6 } else { 0.35 };
+        assert!(last < share * first, "{kind:?}: {first} {last}");
+    }
+}
+
+#[test]
+fn a_resumed_run_continues_bit_for_bit_and_its_weights_plan() {
+    for kind in rivals() {
+        let (mut whole, mut again) = (trainer(kind), trainer(kind));
+        whole.run(2).unwrap();
+        let state = temporary(&format!("{}-state.safetensors", kind.name()));
+        whole.save(&state).unwrap();
+        again.resume(&state).unwrap();
+        assert_eq!(whole.run(2).unwrap(), again.run(2).unwrap(), "{kind:?}");
+        let files = ["whole", "again"].map(|n| temporary(&format!("{}-{n}.safetensors", kind.name())));
+        whole.export(&files[0], &serde_json::json!({})).unwrap();
+        again.export(&files[1], &serde_json::json!({})).unwrap();
+        assert_eq!(std::fs::read(&files[0]).unwrap(), std::fs::read(&files[1]).unwrap(), "{kind:?}");
+        let mut planner = Planner::load(&files[0], Device::Cpu).unwrap();
+        assert_eq!(planner.header()["kind"], kind.name());
+        let plan =
+            plans(&mut planner, &[(&common::closing_pair(), 40, 1)], &samples(2), None).unwrap().remove(0);
+        assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * STEPS * 2, 2 * 3 * STEPS * 6));
+    }
+}
+
+#[test]
+fn a_worlds_plans_depend_on_its_own_seed_and_samples_differ_where_they_are_drawn() {
+    let scene = common::closing_pair();
+    for kind in rivals() {
+        let mut planner = planner(kind, 4);
+        let (a, b) = ((&scene, 40, 7), (&scene, 60, 3));
+        let both = plans(&mut planner, &[a, b], &samples(5), None).unwrap();
+        let turned = plans(&mut planner, &[b, a], &samples(5), None).unwrap();
+        let alone = plans(&mut planner, &[a], &samples(5), None).unwrap();
+        for other in [&turned[1], &alone[0]] {
+            assert!(close(&both[0].actions, &other.actions, 2e-3), "{kind:?}");
+        }
+        assert!(close(&both[1].actions, &turned[0].actions, 2e-3), "{kind:?}");
+        let one = 3 * STEPS * 2;
+        let differ = !close(&both[0].actions[..one], &both[0].actions[one..2 * one], 1e-4);
+        assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
+        let other_seed = plans(&mut planner, &[(&scene, 40, 8)], &samples(5), None).unwrap();
+        let differ = !close(&both[0].actions, &other_seed[0].actions, 1e-4);
+        assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
+    }
+}
+
+/// Seeks contact with a negative weight, avoids it with a positive one.
+fn sought(weight: f32) -> GuidanceConfig {
+    GuidanceConfig {
+        objectives: vec![
+            Objective::AgentCollision(AgentCollision { weight, ..AgentCollision::default() }),
+            Objective::Approach(Approach { weight: weight / 5.0, ..Approach::default() }),
+            Objective::MapCollision(MapCollision::default()),
+        ],
+        discount: 1.0,
+        ..GuidanceConfig::rl()
+    }
+}
+
+#[test]
+fn guidance_closes_in_or_keeps_away_as_the_sign_says_and_moves_nobody_else() {
+    let scene = common::following_pair();
+    let worlds: Vec<_> = (0..3).map(|seed| (&scene, 40, seed)).collect();
+    let guided = [true, false, false];
+    // a denoiser trained on one future alone finds back to it whatever guidance did
+    for kind in rivals().filter(|kind| !kind.denoises()) {
+        let mut planner = planner(kind, 40);
+        let mut closeness = |weight: f32, steps: usize| -> (f32, Vec<Plan>) {
+            let guidance = Some(GuidanceConfig { gradient_steps: steps, ..sought(weight) });
+            let options = PlanOptions { guidance, ..samples(1) };
+            let found = plans(&mut planner, &worlds, &options, Some(&guided)).unwrap();
+            (found.iter().map(|p| p.guidance.as_ref().unwrap().losses[3]).sum(), found)
+        };
+        let ((near, plan), (free, unmoved), (far, _)) =
+            (closeness(-50.0, 2), closeness(-50.0, 0), closeness(50.0, 2));
+        assert!(near > free && free >= far, "{kind:?}: {near} {free} {far}");
+        for (plan, free) in plan.iter().zip(&unmoved) {
+            // the third vehicle is out of everybody's reach
+            assert_eq!(plan.actions[2 * STEPS * 2..], free.actions[2 * STEPS * 2..], "{kind:?}");
+            let report = plan.guidance.as_ref().unwrap();
+            assert!(report.realism_cost.is_empty(), "{kind:?}");
+        }
+    }
+}
+
+#[test]
+fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
+    let scene = common::scene(&[[0.0, 0.0, 0.0, 0.0, 0.0]], 110);
+    for kind in rivals() {
+        let options = PlanOptions { guidance: Some(sought(-50.0)), ..samples(2) };
+        let mut planner = planner(kind, 1);
+        // step 0: hardly any history; the window's bitmap is left out: no road anywhere
+        let window = Window::from_scene(&scene, 0, &[0], 31);
+        let guide = Some(WorldGuide::new(&[true]));
+        let view = WorldView { window: &window, bitmap: None, seed: 0, guide };
+        let plan = planner.plan(&[view], &options).unwrap().remove(0);
+        assert!(plan.states.iter().all(|v| v.is_finite()), "{kind:?}");
+    }
+}
+
+#[test]
+fn a_future_without_a_log_trains_to_finite_losses() {
+    // the second car's log ends early, so some rows have no whole future
+    let mut scene = (*common::closing_pair()).clone();
+    for step in 30..scene.num_steps {
+        let at = scene.at(1, step);
+        scene.tracks.valid[at] = false;
+    }
+    let scene = Arc::new(scene);
+    for kind in rivals() {
+        let config = ModelConfig::of(kind, "fast").unwrap();
+        let sampling = SampleConfig { stride: 12, smooth: false };
+        let data = Dataset::new(vec![Arc::clone(&scene)], &config, sampling).unwrap();
+        let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind) };
+        let mut run = Trainer::new(config, training, data, Device::Cpu).unwrap();
+        assert!(run.run(3).unwrap().iter().all(|l| l.is_finite()), "{kind:?}");
+    }
+}
+
+#[test]
+fn what_means_nothing_to_a_network_is_refused_by_name() {
+    let scene = common::closing_pair();
+    let refused = |kind: ModelKind, sampling: SampleOptions| {
+        let mut planner = planner(kind, 1);
+        plans(&mut planner, &[(&scene, 40, 0)], &sampling.into(), None).unwrap_err().to_string()
+    };
+    let default = SampleOptions::default();
+    let weighted = SampleOptions { guidance_weight: 1.5, ..default };
+    let many = SampleOptions { solver: Solver::Ddpm, ..default };
+    assert!(refused(ModelKind::Ctg, weighted).contains("guidance_weight"));
+    assert!(refused(ModelKind::Simnet, many).contains("solver"));
+    assert!(ModelConfig::of(ModelKind::Ctg, "paper").unwrap_err().to_string().contains("history"));
+    assert!(ModelKind::named("gtc").unwrap_err().to_string().contains("ctgpp"));
+    let blind = ModelConfig { map: None, ..ModelConfig::of(ModelKind::Bits, "fast").unwrap() };
+    let store = nn::VarStore::new(Device::Cpu);
+    assert!(build(&store.root(), &blind).unwrap_err().to_string().contains("map"));
+}
