@@ -472,7 +472,7 @@ mod tests {
 
     #[test]
     fn by_distance_the_eight_nearest_take_the_slots_and_nobody_beyond_fifty_metres() {
-        // baselines.md 7.2: eleven in a row, in any order
+        // rivals.md#ctg: eleven in a row, in any order
         let config = ModelConfig { map: None, ..ModelConfig::of(ModelKind::Ctgpp, "fast").unwrap() };
         for places in [
             [0.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0, 10.0, 5.0, 50.1],

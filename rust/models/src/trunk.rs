@@ -1,4 +1,4 @@
-//! What every baseline sees of an agent: its history, the map around it, its neighbours (baselines.md 1.4).
+//! What every baseline sees of an agent: its history, the map around it, its neighbours (rivals.md#trunk).
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;

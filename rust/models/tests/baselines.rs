@@ -1,4 +1,4 @@
-//! The baselines: sizes, learning, files, whose numbers plans depend on, guidance (baselines.md 12).
+//! The baselines: sizes, learning, files, whose numbers plans depend on, guidance.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 

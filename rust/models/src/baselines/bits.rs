@@ -1,5 +1,5 @@
 //! BITS: spatial goals, a policy that drives to a goal, a predictor of the others, choice among the plans
-//! (baselines.md 5).
+//! (rivals.md#bits).
 //!
 //! ```text
 //! map tokens, state ─► cells of a grid ahead ─► N goals ─► policy ─► N plans ─► choice against predicted others
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn cells_are_the_tabulated_ones_and_give_points_back() {
-        // baselines.md 5.7
+        // tabulated in float64
         assert_eq!(cell_of(0.0, 0.0).0, 517);
         let (cell, [column, row]) = cell_of(12.34, -3.21);
         assert!(cell == 459 && (column - 0.17).abs() < 1e-5 && (row - 0.395).abs() < 1e-5);

@@ -1,4 +1,4 @@
-//! Contact between the plans of one scene, and departures from the road, in tensors (baselines.md 3.4, 4.4).
+//! Contact between the plans of one scene, and departures from the road, in tensors (rivals.md#trafficsim).
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn penalties_of_pairs_have_the_tabulated_values_and_gradients() {
-        // baselines.md 3.7
+        // tabulated in float64
         for (pose, want) in [
             ([4.0, 0.0, 0.0], 0.25),
             ([4.5, 0.0, 0.0], 0.0),

@@ -1,4 +1,4 @@
-//! CTG: diffusion of one agent's actions by the half of a U-Net (baselines.md 6).
+//! CTG: diffusion of one agent's actions by the half of a U-Net (rivals.md#ctg).
 //!
 //! ```text
 //! noisy knots ─► states [6, 52] ─► block ─► 26 ─► block ─► 13 ─► blocks ─► clean knots [2, 13]

@@ -1,4 +1,4 @@
-//! TrafficSim and STRIVE: plans decoded from latents, a conditional variational autoencoder (baselines.md 3, 4).
+//! TrafficSim and STRIVE: plans decoded from latents, a conditional variational autoencoder (rivals.md#trafficsim, rivals.md#strive).
 //!
 //! ```text
 //! token c, logged future ─► posterior q(z) ─┐                  ┌─► [neighbours' latents] ─► decoder ─► knots

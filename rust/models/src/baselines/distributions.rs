@@ -61,7 +61,7 @@ mod tests {
 
     #[test]
     fn divergences_have_the_tabulated_values() {
-        // baselines.md 3.7
+        // tabulated in float64
         let q = gaussian(&[0.5, -1.0, 0.25, 2.0], &[-0.5, 0.3, -2.0, 0.1]);
         let standard = Gaussian::standard(1, 4, Device::Cpu);
         assert!((q.kl(&standard).double_value(&[0]) - 3.304_698).abs() < 1e-5);

@@ -1,4 +1,4 @@
-//! Guidance of networks that plan from latents: descent in the latents (baselines.md 1.6).
+//! Guidance of networks that plan from latents: descent in the latents (rivals.md#guidance).
 //!
 //! Objectives know plans as numbers, so their gradient g with respect to the knots is taken as a constant of each step:
 //! the gradient of g · x(z) with respect to z is then exact.
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn the_gradient_is_that_of_the_objective_through_the_decoder_and_of_the_prior() {
-        // baselines.md 3.7: x = W z, gradient W^T g + z / M
+        // tabulated in float64: x = W z, gradient W^T g + z / M
         let w = Tensor::from_slice(&[1f32, 2.0, 0.5, -1.0, 0.0, 0.25]).view([3, 2]);
         let z = Tensor::from_slice(&[0.3f32, -0.2]).view([1, 2]);
         let share = Tensor::from_slice(&[0.25f32]).view([1, 1]);

@@ -1,4 +1,4 @@
-//! The paper's rivals of CCDiff behind [`crate::plan_model::PlanModel`], one file each (baselines.md).
+//! The paper's rivals of CCDiff behind [`crate::plan_model::PlanModel`], one file each (rivals.md).
 //!
 //! All see the same inputs through one trunk and plan in the same action knots, so that they differ in what they are
 //! about: how they draw plans and what guidance moves.

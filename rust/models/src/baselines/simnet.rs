@@ -1,4 +1,4 @@
-//! SimNet: behaviour cloning, one plan by regression (baselines.md 2).
+//! SimNet: behaviour cloning, one plan by regression (rivals.md#simnet).
 //!
 //! Differs from the paper: the port has no hidden layer in its decoder and reads a raster of the agents; this one has
 //! one, and reads states and edges.
