@@ -124,7 +124,7 @@ def test_samples_of_a_scene_differ_and_unknown_methods_are_refused():
 def test_the_command_compares_methods(tmp_path, capsys):
     command = ["bench", "realism", "--out", str(tmp_path), "--quiet", "--limit", "2"]
     assert cli.main([*command, "--methods", "replay,idm", "--samples", "2"]) == 0
-    assert "| Log replay |" in capsys.readouterr().out
+    assert "Log replay  " in capsys.readouterr().out
     with (tmp_path / "likelihoods.csv").open(encoding="utf-8") as file:
         rows = {row["method"]: row for row in csv.DictReader(file)}
     assert float(rows["replay"]["kinematic"]) > float(rows["idm"]["kinematic"])

@@ -10,7 +10,8 @@ import pytest
 from ccdiff_env import cli
 from ccdiff_env.bench.examples import choose_examples, examples_table
 from ccdiff_env.bench.page import markdown_html, write_report_page
-from ccdiff_env.bench.planner_report import worst_scenes
+from ccdiff_env.bench.planner_report import verdict, worst_scenes
+from ccdiff_env.bench.plots import colours_of
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 
@@ -71,7 +72,7 @@ def test_pages_need_nothing_else(tmp_path):
 
 def replays(folder):
     links = Parts((folder / "report.html").read_text(encoding="utf-8")).links
-    return [link for link in links if link.startswith("replays/")]
+    return list(dict.fromkeys(link for link in links if link.startswith("replays/")))
 
 
 @pytest.fixture(scope="module")
@@ -115,11 +116,78 @@ def test_a_report_and_its_replays_open_from_the_disc(planners, browser):
     page.on("console", lambda m: m.type in ("error", "warning") and faults.append(m.text))
     page.goto((planners[0] / "report.html").as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") == 390
-    assert page.locator("img").evaluate("i => i.naturalWidth") > 100
+    assert page.locator(".card img").first.evaluate("i => i.naturalWidth") == 320
+    # the first screen says who is best, and where it breaks
+    for part in ("h2 + p", "table.good"):
+        box = page.locator(part).first.bounding_box()
+        assert box["y"] + box["height"] < 800
     page.locator('a[href^="replays/"]').first.click()
     page.wait_for_selector("body[data-ready=yes]")
     assert not faults
     page.close()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing_serious_in_a_report(planners, browser, axe, theme):
+    context = browser.new_context(color_scheme=theme, bypass_csp=True)
+    page = context.new_page()
+    page.goto((planners[0] / "report.html").as_uri())
+    page.evaluate(axe)
+    found = page.evaluate("axe.run().then((r) => r.violations)")
+    context.close()
+    serious = [v for v in found if v["impact"] in ("serious", "critical")]
+    assert [(v["id"], v["nodes"][0]["failureSummary"]) for v in serious] == []
+
+
+def test_a_click_on_a_head_sorts_by_number(browser, tmp_path):
+    text = "| planner | score |\n|---|---|\n| a | 0.50 [0, 1] |\n| b | 10.0 |\n| c | **9.0** |\n"
+    write_report_page(tmp_path / "r.html", title="t", line="", plots=[], parts={"T": text})
+    page = browser.new_page()
+    page.goto((tmp_path / "r.html").as_uri())
+    names = page.locator("tbody th")
+    page.click("thead th:nth-child(2) button")
+    assert names.all_inner_texts() == ["b", "c", "a"]
+    assert page.get_attribute("thead th:nth-child(2)", "aria-sort") == "descending"
+    page.click("thead th:nth-child(2) button")
+    assert names.all_inner_texts() == ["a", "c", "b"]
+    page.close()
+
+
+def test_cells_of_a_matrix_are_tinted_by_their_number_and_the_best_is_emphasised():
+    text = markdown_html("| score | x |\n|---|---:|\n| a | **0.90** [0.8, 1.0] |\n| b | |\n")
+    assert 'style="--v:0.90"' in text
+    assert "<b>0.90</b><small>[0.8, 1.0]</small>" in text
+    assert text.count("style=") == 1
+
+
+def rows_of(**scores):
+    return {
+        (p, t): [{"scene": f"{i}", "score": v} for i, v in enumerate(values)]
+        for (p, t), values in ((tuple(k.split("__")), v) for k, v in scores.items())
+    }
+
+
+def test_the_verdict_names_the_best_and_what_breaks():
+    found = rows_of(
+        idm__replay=[0.9, 0.9], idm__idm=[0.8, 0.8],
+        pdm__replay=[0.5, 0.5], pdm__idm=[0.0, 0.2],
+    )  # fmt: skip
+    text = verdict(found, ["idm", "pdm"], ["replay", "idm"])
+    assert text.startswith("idm is best over all (0.85), first in all traffic. ")
+    assert "pdm breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
+    assert text.endswith("2 scenes.")
+    near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
+    assert "the intervals overlap with those of pdm everywhere" in verdict(
+        near, ["idm", "pdm"], ["replay"]
+    )
+
+
+def test_colours_of_methods_are_the_same_whatever_else_is_drawn():
+    some = colours_of(["idm", "ccdiff_unguided", "other"])
+    more = colours_of(["replay", "ccdiff_unguided", "pdm", "idm"])
+    assert some["idm"] == more["idm"]
+    assert some["ccdiff_unguided"] == more["ccdiff_unguided"]
+    assert len(set(some.values())) == 3
 
 
 def test_the_worst_come_first_once_each_and_close_calls_break_ties():

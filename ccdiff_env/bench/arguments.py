@@ -6,7 +6,8 @@ import argparse
 import hashlib
 import json
 import time
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,10 +17,13 @@ from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import source_of, source_title
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import shipped_weights
+from ccdiff_env.terminal import align, say_page
 
 __all__ = ["Run", "add_replays", "add_run_arguments", "add_scene_arguments", "source_from"]
 
 K = TypeVar("K", bound=Hashable)
+#: Replays that a report shows with pictures.
+PICTURES = 8
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +42,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--backend", choices=["local", "ray"], default="local")
     parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--open", action="store_true", help="open the report in the browser")
 
 
 def source_from(args: argparse.Namespace) -> dict[str, Any]:
@@ -88,6 +93,8 @@ class Run:
             "workers": args.workers,
             "progress": not args.quiet,
         }
+        self._pictures: list[tuple[str, str, Path]] = []
+        self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
         given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
         self._settle({**given, "weights": self.weights})
@@ -120,10 +127,18 @@ class Run:
             )
         return found
 
-    def replays(self, wanted: Mapping[K, tuple[Job, str]]) -> dict[K, str]:
-        """Write replay pages of scenes of jobs; return their addresses from the run folder."""
+    def replays(
+        self, wanted: Mapping[K, tuple[Job, str]], title: Callable[[K], str]
+    ) -> dict[K, str]:
+        """Write replay pages of scenes of jobs; return their addresses from the run folder.
+
+        The report shows the first ones with their titles.
+        """
         pages, changed = make_replays(wanted, self.folder, **self._options)
         self._num_changed += len(changed)
+        for key, address in list(pages.items())[:PICTURES]:
+            picture = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
+            self._pictures.append((title(key), address, picture))
         return pages
 
     def write(self, file: str, text: str) -> None:
@@ -142,19 +157,30 @@ class Run:
         parts
             Headings, and Markdown files in the run folder.
         """
-        line = f"{source_title(self.source)} · seed {self._seed} · weights {self.weights[:12]}"
+        line = " · ".join(
+            [
+                source_title(self.source),
+                f"seed {self._seed}",
+                f"weights {self.weights[:12]}",
+                f"ccdiff-env {metadata.version('ccdiff-env')}",
+                time.strftime("%Y-%m-%d"),
+            ]
+        )
         texts = {
             head: (self.folder / file).read_text(encoding="utf-8") for head, file in parts.items()
         }
         page = self.folder / "report.html"
         pictures = [self.folder / name for name in plots]
-        write_report_page(page, title=title, line=line, plots=pictures, parts=texts)
-        print((self.folder / "table.md").read_text(encoding="utf-8"))
+        write_report_page(
+            page, title=title, line=line, plots=pictures, parts=texts, pictures=self._pictures
+        )
+        print(align((self.folder / "table.md").read_text(encoding="utf-8")))
         if self._num_changed:
             print(
                 f"{self._num_changed} replays differ from what was measured "
                 "(by another machine or release)"
             )
         seconds = time.perf_counter() - self._start
-        print(f"{self._num_jobs} jobs in {seconds:.0f} s; report: {page}")
+        print(f"{self._num_jobs} jobs in {seconds:.0f} s; report:")
+        say_page(page, open_it=self._open)
         return 0

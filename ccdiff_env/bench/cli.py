@@ -15,6 +15,7 @@ from ccdiff_env.bench.arguments import (
 )
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.terminal import align
 
 __all__ = ["add_bench"]
 
@@ -69,7 +70,7 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.examples import choose_examples, examples_table
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
-    from ccdiff_env.bench.traffic import traffic_jobs
+    from ccdiff_env.bench.traffic import METHODS, traffic_jobs
     from ccdiff_env.traffic import read_ranking
 
     methods, listed = args.methods.split(","), None
@@ -99,7 +100,8 @@ def _traffic(args: argparse.Namespace) -> int:
     }
     chosen = choose_examples(by_condition, args.replays)
     pages = run.replays(
-        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
+        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen},
+        lambda key: f"{METHODS[key[0].method].label}, K = {key[0].k}: {key[1]}",
     )
     run.write("examples.md", examples_table(chosen, pages))
     return run.report(
@@ -129,8 +131,8 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _planners(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.planner_report import worst_scenes, write_report
-    from ccdiff_env.bench.planners import planner_jobs
+    from ccdiff_env.bench.planner_report import short_name, worst_scenes, write_report
+    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 
     planners = args.planners.split(",")
     run = Run(args, "planners", planners=planners)
@@ -146,7 +148,8 @@ def _planners(args: argparse.Namespace) -> int:
             (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
             for planner in planners
             for name, row in worst_scenes(rows, planner, args.replays)
-        }
+        },
+        lambda key: f"{short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
     )
     write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages)
     return run.report(
@@ -175,7 +178,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _scenarios(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.cross import cross_jobs, generation_jobs, set_folders, write_sets
     from ccdiff_env.bench.cross_report import avoidable_rows, write_collisions, write_cross
-    from ccdiff_env.bench.planner_report import worst_scenes, worst_table
+    from ccdiff_env.bench.planner_report import short_name, worst_scenes, worst_table
 
     generators, planners = args.generators.split(","), args.planners.split(",")
     run = Run(
@@ -206,7 +209,8 @@ def _scenarios(args: argparse.Namespace) -> int:
             (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
             for planner in planners
             for name, row in worst_scenes(avoidable, planner, args.replays)
-        }
+        },
+        lambda key: f"{short_name(key[0])}, made against {short_name(key[1])}: {key[2]}",
     )
     run.write("worst.md", worst_table(avoidable, max(args.replays, 10), pages, "made against"))
     return run.report(
@@ -269,7 +273,7 @@ def _learning(args: argparse.Namespace) -> int:
     ]
     text = learning_table(run.rows(tests, "planner", "traffic"))
     run.write("table.md", text)
-    print(text)
+    print(align(text))
     return 0
 
 
@@ -306,7 +310,7 @@ def _selection(args: argparse.Namespace) -> int:
     tests = selection.trial_jobs(run.source, policies, ego=args.ego, seed=args.seed)
     text = selection.selection_table(run.rows(tests, "chooser", "strength"))
     run.write("table.md", text)
-    print(text)
+    print(align(text))
     return 0
 
 
@@ -333,7 +337,7 @@ def _speed(args: argparse.Namespace) -> int:
         device=args.device,
     )
     write_speed(timings, args.out)
-    print((args.out / "table.md").read_text(encoding="utf-8"))
+    print(align((args.out / "table.md").read_text(encoding="utf-8")))
     return 0
 
 

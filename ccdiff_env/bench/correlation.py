@@ -25,6 +25,9 @@ FEATURES = {
     "distance_cliques": "scenes: cliques, distances",
 }
 
+#: Samples below which no p value is printed.
+LEAST = 10
+
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -78,10 +81,16 @@ def write_correlations(by_condition: Mapping[Condition, Rows], folder: Path) -> 
             lines.append(
                 f"| {label} | {c.k} | {c.replan_steps / 10:g} | " + " | ".join(cells) + " |"
             )
-    lines += ["", "Pearson's r of the feature with new collisions, and its p value."]
+    lines += [
+        "",
+        "Pearson's r of the feature with new collisions, and its p value, which says nothing of "
+        f"fewer than {LEAST} samples and is left out there. No cell: one of the two never varies.",
+    ]
     (folder / "correlation.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _cell(found: Correlation) -> str:
-    _, r, p = found
-    return f"{r:.2f} (p = {p:.1g})" if np.isfinite(r) else ""
+    count, r, p = found
+    if not np.isfinite(r):
+        return ""
+    return f"{r:.2f} (p = {p:.1g})" if count >= LEAST else f"{r:.2f} (n = {count})"

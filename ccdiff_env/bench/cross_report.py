@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ccdiff_env.bench.cross import Realism
 from ccdiff_env.bench.planner_report import mean_interval, short_name
+from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
@@ -64,7 +65,8 @@ def write_cross(
         }
         for name, kept in subsets.items()
     }
-    lines = _sets_table(sets, realism)
+    lines = [_verdict(parts["avoidable"], list(sets), planners), ""]
+    lines += _sets_table(sets, realism)
     for name, part in parts.items():
         for figure, title in _FIGURES.items():
             scope = "all scenarios" if name == "all" else "avoidable scenarios only"
@@ -76,6 +78,35 @@ def write_cross(
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     _write_csv(sets, realism, parts, folder)
     _plot(parts, list(sets), planners, folder / "cross.png")
+
+
+def _verdict(part: Cells, generators: Sequence[str], planners: Sequence[str]) -> str:
+    """Say who collides least where collisions can be avoided, and whose traffic is hardest."""
+    share = {
+        (g, p): float(np.mean([row["collision"] for row in part[g, p]]))
+        for g in generators
+        for p in planners
+        if part.get((g, p))
+    }
+    if not share:
+        return "No collision in these sets could have been avoided."
+
+    by_planner = {p: _mean(v for key, v in share.items() if key[1] == p) for p in planners}
+    by_set = {g: _mean(v for key, v in share.items() if key[0] == g) for g in generators}
+    best = min(planners, key=lambda p: by_planner[p])
+    worst = max(planners, key=lambda p: by_planner[p])
+    hard = max(generators, key=lambda g: by_set[g])
+    text = f"{short_name(best)} collides least ({by_planner[best]:.2f} of the avoidable scenarios)"
+    if best != worst:
+        text += f", {short_name(worst)} most ({by_planner[worst]:.2f})"
+    if len(generators) > 1:
+        text += f". The set made against {short_name(hard)} is the hardest ({by_set[hard]:.2f})"
+    return text + "."
+
+
+def _mean(values: Iterable[float]) -> float:
+    listed = list(values)
+    return float(np.mean(listed)) if listed else np.nan
 
 
 def avoidable_rows(
@@ -226,14 +257,9 @@ def _write_csv(
 def _plot(
     parts: Mapping[str, Cells], generators: Sequence[str], planners: Sequence[str], path: Path
 ) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     size = (4.2 + 1.5 * len(planners), 3.6 + 1.0 * len(generators))
-    figure, axes = plt.subplots(2, 2, figsize=size, layout="constrained")
-    for line, (subset, cells) in zip(axes, parts.items(), strict=True):
+    figure, axes = new_plot(*size, nrows=2, ncols=2)
+    for line, (subset, cells) in zip(np.asarray(axes), parts.items(), strict=True):
         rows = list(dict.fromkeys(generator for generator, _ in cells))
         for axis, name in zip(line, ("collision", "score"), strict=True):
             values = np.array(
@@ -249,12 +275,11 @@ def _plot(
             axis.imshow(values, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
             for (i, j), value in np.ndenumerate(values):
                 if np.isfinite(value):
-                    colour = "white" if value > 0.6 else "black"
+                    colour = "#ffffff" if value > 0.6 else "#000001"
                     axis.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour)
             axis.set_xticks(range(len(planners)), [short_name(p) for p in planners], fontsize=8)
             labels = ["(reacting)" if g is None else short_name(g) for g in rows]
             axis.set_yticks(range(len(rows)), labels, fontsize=8)
             axis.set_title(f"{name}, {subset} scenarios", fontsize=10)
             axis.set_ylabel("made against", fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_plot(figure, path)

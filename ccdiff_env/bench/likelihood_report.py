@@ -11,6 +11,7 @@ import numpy as np
 
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS
 from ccdiff_env.bench.planner_report import mean_interval
+from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.bench.traffic import METHODS
 
 __all__ = ["write_likelihoods"]
@@ -48,9 +49,33 @@ def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: 
         cells += [_cell(by_name[n], 2) for n in ("ade_m", "min_ade_m")]
         groups.append(f"| {label} | " + " | ".join(cells) + " |")
         parts.append(f"| {label} | " + " | ".join(f"{by_name[n][0]:.3f}" for n in FEATURES) + " |")
-    text = [*groups, "", *parts, "", "Means over scenes; brackets: 95 % bootstrap intervals."]
+    text = [
+        _verdict(figures),
+        "",
+        *groups,
+        "",
+        *parts,
+        "",
+        "Means over scenes; brackets: 95 % bootstrap intervals.",
+    ]
     (folder / "table.md").write_text("\n".join(text) + "\n", encoding="utf-8")
     _plot(figures, folder / "likelihoods.png")
+
+
+def _verdict(figures: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> str:
+    """Say which method gives the log most likelihood, the log itself left out."""
+    label = {m: METHODS[m].label if m in METHODS else m for m in figures}
+    total = {
+        m: float(np.nanmean([by_name[g][0] for g in GROUPS]))
+        for m, by_name in figures.items()
+        if m != "replay"
+    }
+    if not total:
+        return "Only the log was measured."
+    best = max(total, key=lambda m: total[m])
+    leads = {g: max((figures[m][g][0], m) for m in total) for g in GROUPS}
+    parts = ", ".join(f"{g}: {label[m]} ({value:.3f})" for g, (value, m) in leads.items())
+    return f"{label[best]} is most likely over all ({total[best]:.3f}). First by group: {parts}."
 
 
 def _interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
@@ -66,12 +91,8 @@ def _cell(figure: tuple[float, float, float], digits: int) -> str:
 
 
 def _plot(figures: Mapping[str, Mapping[str, tuple[float, float, float]]], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    figure, axes = new_plot(7, 4.2)
+    colours = colours_of(figures)
     width = 0.8 / len(figures)
     places = np.arange(len(GROUPS))
     for i, (method, by_name) in enumerate(figures.items()):
@@ -80,14 +101,14 @@ def _plot(figures: Mapping[str, Mapping[str, tuple[float, float, float]]], path:
             places + (i - 0.5 * (len(figures) - 1)) * width,
             value,
             width,
+            color=colours[method],
             yerr=[value - low, high - value],
             label=METHODS[method].label if method in METHODS else method,
-            error_kw={"linewidth": 1},
+            error_kw={"linewidth": 1, "ecolor": "#000000"},
         )
     axes.set_xticks(places, list(GROUPS))
     axes.set_ylabel("likelihood of the log")
     axes.set_ylim(0, 1)
     axes.grid(axis="y", alpha=0.3)
-    axes.legend(fontsize=8, loc="upper left")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    axes.legend(fontsize=8, loc="upper left", framealpha=0)
+    save_plot(figure, path)

@@ -14,8 +14,34 @@ from ccdiff_env.view.page import plain_html
 __all__ = ["markdown_html", "write_report_page"]
 
 
+#: What abbreviations in the reports stand for.
+TERMS = {
+    "CS": "controllability score: how far collisions are reached, 0 to 1 within a table",
+    "RS": "realism score: how near to the log traffic stays, 0 to 1 within a table",
+    "SCR": "scene collision rate: share of scenes with a contact",
+    "ORR": "off-road rate: share of vehicle steps with the centre off the road",
+    "FDE": "final displacement error from the log, metres",
+    "ADE": "average displacement error from the log, metres",
+    "CFD": "comfort distance from the log, x 100",
+    "SOR": "share of scenes in which a controlled vehicle exceeds the speed limit",
+    "C(tau)": "realism cost: total variation between guided and unguided actions, 0 to 1",
+    "K": "number of controlled vehicles",
+    "ttc": "share of scenes without a time to contact below 0.95 s",
+    "IDM": "intelligent driver model",
+    "idm": "intelligent driver model",
+    "pdm": "rule-based planner that tries proposals in simulation, as PDM-Closed does",
+    "CCDiff": "the diffusion model that drives the traffic",
+}
+
+
 def write_report_page(
-    path: Path, *, title: str, line: str, plots: Sequence[Path], parts: Mapping[str, str]
+    path: Path,
+    *,
+    title: str,
+    line: str,
+    plots: Sequence[Path],
+    parts: Mapping[str, str],
+    pictures: Sequence[tuple[str, str, Path]] = (),
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
@@ -26,36 +52,81 @@ def write_report_page(
     title, line
         Heading, and what stands below it.
     plots
-        Pictures (PNG) to show; those that do not exist are left out.
+        Pictures (PNG) to show, or the SVG beside them; those that do not exist are left out.
     parts
-        Sections: heading and Markdown, see :func:`markdown_html`; empty ones are left out.
+        Sections: heading and Markdown, see :func:`markdown_html`; empty ones are left out. The
+        first one comes before the plots; it should say what was found.
+    pictures
+        Replays to show: title, address, and file of a picture (PNG).
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{_anchor(h)}">{html.escape(h)}</a>' for h in shown)
-    pictures = "\n".join(_picture(plot) for plot in plots if plot.exists())
-    sections = (
+    sections = [
         f'<h2 id="{_anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
         for head, text in shown.items()
+    ]
+    first, rest = _split_lead(sections[0] if sections else "")
+    drawn = "\n".join(_plot(plot) for plot in plots if plot.exists())
+    cards = "\n".join(_card(*entry) for entry in pictures)
+    body = "\n".join(
+        [
+            f"<nav>{contents}</nav>",
+            first,
+            _terms(" ".join(shown.values())),
+            f'<div class="plots">{drawn}</div>' if drawn else "",
+            f'<h2>To look at</h2>\n<div class="cards">{cards}</div>' if cards else "",
+            rest,
+            *sections[1:],
+        ]
     )
-    body = "\n".join([f"<nav>{contents}</nav>", f'<div class="plots">{pictures}</div>', *sections])
     style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
     page = plain_html(title, line, style=style.read_text(encoding="utf-8"), body=body)
     path.write_text(page, encoding="utf-8")
+
+
+def _split_lead(section: str) -> tuple[str, str]:
+    """What comes before the first subheading of a section, and the rest."""
+    at = section.find("<h3>")
+    return (section, "") if at < 0 else (section[:at], section[at:])
 
 
 def _anchor(head: str) -> str:
     return re.sub(r"\W+", "-", head.lower())
 
 
-def _picture(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img src="data:image/png;base64,{data}" alt="{html.escape(path.stem)}">'
+def _plot(path: Path) -> str:
+    drawn = path.with_suffix(".svg")
+    if drawn.exists():
+        text = drawn.read_text(encoding="utf-8")
+        text = text[text.index("<svg") :]
+        return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(path.stem)}" ', 1)
+    return f'<img src="{_data(path)}" alt="{html.escape(path.stem)}">'
+
+
+def _card(title: str, address: str, picture: Path) -> str:
+    image = f'<img src="{_data(picture)}" alt="">' if picture.exists() else ""
+    href = html.escape(address, quote=True)
+    return f'<a class="card" href="{href}">{image}<span>{html.escape(title)}</span></a>'
+
+
+def _data(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def _terms(text: str) -> str:
+    """What the abbreviations that occur stand for."""
+    known = [term for term in TERMS if re.search(rf"(?<![\w]){re.escape(term)}(?![\w])", text)]
+    entries = "".join(
+        f"<dt>{html.escape(term)}</dt><dd>{html.escape(TERMS[term])}</dd>" for term in known
+    )
+    return f"<details><summary>Abbreviations</summary><dl>{entries}</dl></details>" if known else ""
 
 
 def markdown_html(text: str) -> str:
-    """Return the HTML of what the reports write: headings, tables, paragraphs, links.
+    """Return the HTML of what the reports write: headings, tables, paragraphs, links, emphasis.
 
-    Headings become ``h3``. Nothing else of Markdown is known; all other text is escaped.
+    Headings become ``h3``. Nothing else of Markdown is known; all other text is escaped. Tables can
+    be sorted; numbers from 0 to 1 of those whose first head is one of :data:`HEAT` are coloured.
     """
     found: list[str] = []
     for block in re.split(r"\n\s*\n", text.strip()):
@@ -72,16 +143,36 @@ def markdown_html(text: str) -> str:
     return "\n".join(found)
 
 
+#: Heads of tables that are coloured, and the colour.
+HEAT = {"score": "good", "CS": "warm", "RS": "good"}
+
+
 def _table(lines: Sequence[str]) -> str:
-    rows = [[_inline(cell.strip()) for cell in line.strip()[1:-1].split("|")] for line in lines]
-    head = "".join(f"<th>{cell}</th>" for cell in rows[0])
+    rows = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in lines]
+    heat = HEAT.get(rows[0][0])
+    head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in rows[0])
     body = "\n".join(
-        "<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows[2:]
+        "<tr>" + "".join(_cell(cell, i, heat) for i, cell in enumerate(row)) + "</tr>"
+        for row in rows[2:]
     )
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>"
-    return f'<div class="wide">{table}</div>'
+    kind = f"sorts {heat}" if heat else "sorts"
+    table = f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>'
+    name = html.escape(rows[0][0] or "table", quote=True)
+    return f'<div class="wide" role="region" aria-label="table: {name}" tabindex="0">{table}</div>'
+
+
+def _cell(text: str, column: int, heat: str | None) -> str:
+    if column == 0:
+        return f'<th scope="row">{_inline(text)}</th>'
+    number = re.match(r"\**(\d\.\d+|1|0)\b", text)
+    tint = f' style="--v:{number[1]}"' if heat and number else ""
+    inner = _inline(text)
+    if heat:
+        inner = re.sub(r" (\[[^\]]*\])", r"<small>\1</small>", inner)
+    return f"<td{tint}>{inner}</td>"
 
 
 def _inline(text: str) -> str:
     escaped = html.escape(text)
-    return re.sub(r"\[([^\]]*)\]\(([^)\s]*)\)", r'<a href="\2">\1</a>', escaped)
+    linked = re.sub(r"\[([^\]]*)\]\(([^)\s]*)\)", r'<a href="\2">\1</a>', escaped)
+    return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", linked)

@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.planners import TRAFFIC
+from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 
-__all__ = ["mean_interval", "short_name", "worst_scenes", "worst_table", "write_report"]
+__all__ = [
+    "mean_interval",
+    "short_name",
+    "verdict",
+    "worst_scenes",
+    "worst_table",
+    "write_report",
+]
 
 Row = Mapping[str, Any]
 #: Rows of one planner in one traffic: planner, traffic -> one dictionary per scene.
@@ -76,7 +84,7 @@ def write_report(
             for row in rows:
                 parts = [row[part] for part in (*_PARTS, "min_ttc_s")]
                 writer.writerow([planner, name, row["scene"], *parts])
-    lines = []
+    lines = [verdict(found, planners, traffic), "", *_summary(found, planners, traffic), ""]
     for name in traffic:
         lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
         lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
@@ -89,7 +97,9 @@ def write_report(
                 cells.append(f"{mean:.2f}{between}")
             lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
         lines.append("")
-    lines.append("Means over scenes; brackets: 95 % bootstrap intervals.")
+    lines.append(
+        "Means over scenes; brackets: 95 % bootstrap intervals; emphasised: best of its traffic."
+    )
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
     _plot(found, planners, traffic, folder / "weakness.png")
@@ -150,25 +160,72 @@ def worst_table(
 
 
 def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     level = {n: float(TRAFFIC[n].ccdiff.get("criticality", 0.0)) for n in traffic}
     names = sorted((n for n in traffic if TRAFFIC[n].driver == "ccdiff"), key=lambda n: level[n])
-    if not names:
+    if len(names) < 2:
         return
-    figure, axes = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    figure, axes = new_plot(7, 4.2)
     x = [level[n] for n in names]
-    for planner in planners:
+    for planner, colour in colours_of(planners).items():
         means = np.array([mean_interval(found[planner, n], "score") for n in names])
-        (line,) = axes.plot(x, means[:, 0], "o-", label=short_name(planner))
-        axes.fill_between(x, means[:, 1], means[:, 2], alpha=0.12, color=line.get_color())
+        axes.plot(x, means[:, 0], "o-", label=short_name(planner), color=colour)
+        axes.fill_between(x, means[:, 1], means[:, 2], alpha=0.12, color=colour, linewidth=0)
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
     axes.set_ylim(0, 1)
     axes.grid(alpha=0.3)
-    axes.legend()
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    axes.legend(framealpha=0)
+    save_plot(figure, path)
+
+
+def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> str:
+    """Say in two sentences who is best, and where planners break."""
+    mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
+    label = {name: TRAFFIC[name].label for name in traffic}
+    sentences = []
+    over_all = {p: float(np.mean([mean[p, t][0] for t in traffic])) for p in planners}
+    best, *rest = sorted(planners, key=lambda p: -over_all[p])
+    if rest:
+        first = [t for t in traffic if all(mean[best, t][0] >= mean[p, t][0] for p in rest)]
+        where = (
+            "in all traffic" if len(first) == len(traffic) else f"in {len(first)} of {len(traffic)}"
+        )
+        text = f"{short_name(best)} is best over all ({over_all[best]:.2f}), first {where}"
+        near = [
+            short_name(p) for p in rest if all(mean[p, t][2] >= mean[best, t][1] for t in traffic)
+        ]
+        if near:
+            text += f"; the intervals overlap with those of {' and '.join(near)} everywhere"
+        sentences.append(text)
+    drops = []
+    for planner in planners:
+        top = max(traffic, key=lambda t: mean[planner, t][0])
+        low = min(traffic, key=lambda t: mean[planner, t][0])
+        drops.append((mean[planner, top][0] - mean[planner, low][0], planner, top, low))
+    drop, planner, top, low = max(drops)
+    if drop >= 0.005:
+        sentences.append(
+            f"{short_name(planner)} breaks most: from {mean[planner, top][0]:.2f} ({label[top]}) "
+            f"to {mean[planner, low][0]:.2f} ({label[low]})"
+        )
+    count = len(next(iter(found.values())))
+    return ". ".join([*sentences, f"{count} scenes"]) + "."
+
+
+def _summary(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> list[str]:
+    """Matrix of planners and traffic, the best of each traffic emphasised."""
+    mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
+    lines = ["| score | " + " | ".join(TRAFFIC[t].label for t in traffic) + " | mean |"]
+    lines.append("|---|" + "---:|" * (len(traffic) + 1))
+    top = {t: max(round(mean[p, t][0], 2) for p in planners) for t in traffic}
+    order = sorted(planners, key=lambda p: -float(np.mean([mean[p, t][0] for t in traffic])))
+    for planner in order:
+        cells = []
+        for name in traffic:
+            value, low, high = mean[planner, name]
+            text = f"{value:.2f} [{low:.2f}, {high:.2f}]"
+            best = len(planners) > 1 and round(value, 2) == top[name]
+            cells.append(f"**{text}**" if best else text)
+        cells.append(f"{np.mean([mean[planner, t][0] for t in traffic]):.2f}")
+        lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
+    return lines

@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import importlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.render import save
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import file_name
 from ccdiff_env.view import address, write_page
+from ccdiff_env.view.index import thumbnail
 from ccdiff_env.view.outcome import LEAD_S, outcome
 
 __all__ = ["make_replays", "play_again", "write_replay"]
@@ -111,7 +115,8 @@ def play_again(
 
 
 def write_replay(rollout: Rollout, path: Path) -> str:
-    """Write the page of an episode; returns its address from the folder above.
+    """Write the page of an episode, and a picture beside it; returns its address from the folder
+    above.
 
     It opens two seconds before what matters, see :class:`~ccdiff_env.view.outcome.Outcome`, and
     follows who it is about.
@@ -119,6 +124,8 @@ def write_replay(rollout: Rollout, path: Path) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_page(rollout, path, home=("../report.html", "report"))
     fate = outcome(rollout)
+    with suppress(MissingFeatureError):  # reports do without pictures where Pillow is missing
+        save(thumbnail(rollout, fate.opening_s), path.with_suffix(".png"))
     follow, time_s = None, fate.opening_s
     hits = rollout.collisions("ego") or rollout.collisions()
     if hits:

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,7 @@ FIGURES: dict[str, str] = {
     "graph_sparsity": "share of pairs that G does not join",
 }
 RESAMPLES = 1000
+T = TypeVar("T")
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -79,7 +80,7 @@ def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]
     found: dict[Condition, list[Mapping[str, Any]]] = {}
     for name in sorted(raw):
         found.setdefault(condition_of(name), []).extend(raw[name])
-    return found
+    return in_order(found)
 
 
 def condition_of(job: str) -> Condition:
@@ -145,7 +146,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(len(rows), size=len(rows))) for _ in range(RESAMPLES)]
     bounds = {
-        name: np.percentile([d[name] for d in drawn], [2.5, 97.5])
+        name: np.nanpercentile([d[name] for d in drawn], [2.5, 97.5])
         if np.isfinite(value[name])
         else (np.nan, np.nan)
         for name in FIGURES
@@ -188,6 +189,38 @@ def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
     (folder / "table.tex").write_text(_latex(table, relative), encoding="utf-8")
 
 
+def _by_number(k: str) -> tuple[bool, int]:
+    """Order of K: by number, all vehicles last."""
+    return (True, 0) if k == "Full" else (False, int(k))
+
+
+def in_order(table: Mapping[Condition, T]) -> dict[Condition, T]:
+    """Return conditions by method as they come, then by K, then by time between plans."""
+    methods = list(dict.fromkeys(c.method for c in table))
+    keys = sorted(table, key=lambda c: (methods.index(c.method), _by_number(c.k), c.replan_steps))
+    return {c: table[c] for c in keys}
+
+
+def verdict(table: Mapping[Condition, Figures]) -> str:
+    """Say which method controls most and which is most realistic, over its conditions."""
+    pairs = _with_scores(table, False)
+    if not pairs:
+        return "Only the log was measured."
+    of: dict[str, list[tuple[float, float]]] = {}
+    for c, pair in pairs.items():
+        of.setdefault(METHODS[c.method].label if c.method in METHODS else c.method, []).append(pair)
+    mean = {method: np.mean(found, axis=0) for method, found in of.items()}
+    most = max(float(m[0]) for m in mean.values())
+    control = [method for method, m in mean.items() if m[0] >= most - 0.005]
+    real = max(mean, key=lambda m: float(mean[m][1]))
+    at = ", ".join(f"RS {mean[method][1]:.2f}" for method in control)
+    s = "" if len(control) > 1 else "s"
+    return (
+        f"{' and '.join(control)} make{s} most collisions (CS {most:.2f}, mean over K; {at}); "
+        f"{real} is the most realistic (RS {mean[real][1]:.2f}, CS {mean[real][0]:.2f})."
+    )
+
+
 def _axes(
     table: Mapping[Condition, Figures],
 ) -> list[tuple[str, list[str], dict[str, dict[str, Condition]]]]:
@@ -197,13 +230,13 @@ def _axes(
     found = []
     for n in steps[:1]:
         part = [c for c in played if c.replan_steps == n]
-        heads = sorted({c.k for c in part}, key=lambda k: (k == "Full", k.zfill(3)))
+        heads = sorted({c.k for c in part}, key=_by_number)
         rows: dict[str, dict[str, Condition]] = {}
         for c in part:
             rows.setdefault(c.method, {})[c.k] = c
         if rows:
             found.append((f"K controlled vehicles, a plan every {n / 10:g} s", heads, rows))
-    for k in sorted({c.k for c in played if c.replan_steps != steps[0]}):
+    for k in sorted({c.k for c in played if c.replan_steps != steps[0]}, key=_by_number):
         part = [c for c in played if c.k == k]
         heads = [f"{n / 10:g} s" for n in steps]
         rows = {}
@@ -270,7 +303,7 @@ def _floor(table: Mapping[Condition, Figures]) -> str:
 def _markdown(
     table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
 ) -> str:
-    lines = [_floor(table), ""]
+    lines = [verdict(table), "", *_matrices(table, relative), _floor(table), ""]
     for caption, heads, rows in _axes(table):
         lines += [f"### {caption[0].upper()}{caption[1:]}", ""]
         lines += ["| method | | " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(heads)]
@@ -288,6 +321,32 @@ def _markdown(
         lines.append("")
     lines.append("Brackets: 95 % bootstrap intervals over scenes. CS, RS: bounds over this table.")
     return "\n".join(lines) + "\n"
+
+
+def _matrices(
+    table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
+) -> list[str]:
+    """Methods by K: control and realism at a glance, the best of each K emphasised."""
+    lines = []
+    for _, heads, rows in _axes(table)[:1]:
+        columns: dict[str, dict[Condition, float]] = {
+            "CS": {c: pair[0] for c, pair in relative.items()},
+            "RS": {c: pair[1] for c, pair in relative.items()},
+        }
+        for title, of in columns.items():
+            lines += [f"| {title} | " + " | ".join(f"K = {h}" for h in heads) + " |"]
+            lines += ["|---|" + "---:|" * len(heads)]
+            best = {h: max(round(of[by[h]], 2) for by in rows.values() if h in by) for h in heads}
+            for method, by_head in rows.items():
+                label = METHODS[method].label if method in METHODS else method
+                cells = []
+                for h in heads:
+                    text = f"{of[by_head[h]]:.2f}" if h in by_head else ""
+                    first = text and len(rows) > 1 and round(of[by_head[h]], 2) == best[h]
+                    cells.append(f"**{text}**" if first else text)
+                lines.append(f"| {label} | " + " | ".join(cells) + " |")
+            lines.append("")
+    return lines
 
 
 def _latex(

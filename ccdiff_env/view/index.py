@@ -83,7 +83,7 @@ def write_pages(
                 title=name,
                 line=subtitle(rollout),
                 outcome=fate,
-                picture=_data_address(_thumbnail(rollout, moment)) if thumbnails else "",
+                picture=_data_address(thumbnail(rollout, moment)) if thumbnails else "",
             )
         )
         pages.append(page)
@@ -92,7 +92,7 @@ def write_pages(
     return [index, *pages]
 
 
-def _thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
+def thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
     """The moment that matters, else the middle."""
     film = Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
     last = rollout.num_steps - 1
