@@ -190,6 +190,19 @@ def test_control_sets_grow_by_one_vehicle_at_a_time():
         assert len(set(sets[3])) == len(sets[3])
 
 
+def test_control_sets_hold_moving_vehicles_only():
+    for scene in ccdiff_env.embedded_scenes("val"):
+        tracks = scene.tracks()
+        speed = np.hypot(*tracks["velocity"][:, 31].T)
+        listed = list(scene.agent_ids)
+        everyone = control_set(scene, "first", None)
+        moving = {i for i in everyone if speed[i] > 0.5}
+        for ranking in ("cliques", "distance", "first", "random", "given"):
+            names = [listed[i] for i in everyone] if ranking == "given" else ()
+            assert set(control_set(scene, ranking, 100, listed=names)) == moving
+            assert set(control_set(scene, ranking, None, listed=names)) == set(everyone)
+
+
 def test_jobs_name_their_condition_and_the_floor_is_always_there():
     jobs = traffic_jobs(VAL, ["idm", "ccdiff"], num_controlled=(1, None), replan_steps=(5, 10))
     raw = {job.name: [{"scene": "a"}] for job in jobs}

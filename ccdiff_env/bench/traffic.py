@@ -7,7 +7,7 @@ The K vehicles of the control set are driven by the method, all others replay th
 
 Differs from the paper: control sets are found at the start of the episode from the logged history,
 by the same ranking for every method, and filled up by nearness, not at random
-(reference.md#other-rankings).
+(reference.md#other-rankings). They hold moving vehicles only.
 """
 
 from __future__ import annotations
@@ -241,24 +241,30 @@ def control_set(
     *,
     listed: Sequence[str] = (),
 ) -> list[int]:
-    """Return the first K vehicles of a ranking at the start of the episode; all for ``None``.
+    """Return the first K moving vehicles of a ranking at the start of the episode.
 
     With ``given`` they are those that are ``listed`` by their ids. A short list is filled up by
-    time to contact, then distance.
+    time to contact, then distance. Vehicles that stand at the start never move in CCDiff traffic:
+    all rankings pass them over. ``None`` is all vehicles, the standing ones last.
     """
     agents = _vehicles(scene)
+    velocity = scene.tracks()["velocity"][agents, START_STEP]
+    moving = np.linalg.norm(velocity, axis=-1) > STANDING_MPS
     order = {scene.agent_ids[agent]: i for i, agent in enumerate(agents)}
     history = relations(scene, agents, START_STEP)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
-        top_k=len(agents) if top_k is None else min(top_k, len(agents)),
+        top_k=len(agents),
         valid=np.ones(len(agents), bool),
         ttc=history.ttc,
         distance=history.distance,
         agents=[order[name] for name in listed],
         seed=seed,
     )
-    return [int(agents[i]) for i in ranked.agents]
+    movers = [int(agents[i]) for i in ranked.agents if moving[i]]
+    if top_k is not None:
+        return movers[:top_k]
+    return movers + [int(agents[i]) for i in ranked.agents if not moving[i]]
 
 
 def episodes(
