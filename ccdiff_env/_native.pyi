@@ -1,6 +1,6 @@
 """The compiled extension; arrays are C-contiguous."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -336,7 +336,7 @@ class VecWorld:
         num_worlds: int,
         num_threads: int,
         trail_steps: int = 0,
-        weights: Path | None = None,
+        weights: Mapping[str, Path] | None = None,
     ) -> VecWorld: ...
     def reset(
         self,
@@ -354,15 +354,25 @@ class VecWorld:
         """Advance all worlds by one step; actions [E, C, W]."""
 
     def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
-        """Put a background driver into vehicles of a world."""
+        """Put a driver into vehicles of a world, until its episode ends."""
 
     def command(
         self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
     ) -> None:
-        """Hand wishes for a world's next plans to the policy that plans."""
+        """Hand wishes for a world's next plans to the policies that plan."""
 
-    def explain(self, world_idx: int) -> dict[str, Any] | None:
-        """Return the plan that a world follows, ``None`` before the first one."""
+    def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None:
+        """Return the plan of a policy (the first that plans, by default) that a world follows,
+        ``None`` before the first one.
+        """
+
+    @property
+    def policies(self) -> list[tuple[str, str]]:
+        """Names of the policies of this batch, each with its kind."""
+
+    @property
+    def planners(self) -> list[str]:
+        """Names of the policies that plan."""
 
     def observe(self, world_idx: int, obs: F32, bev: U8 | None = None) -> None:
         """Write the present observations [C, D] and rasters [C, P, S, S] of a world."""

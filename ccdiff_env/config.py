@@ -346,6 +346,10 @@ class WorldConfig:
             raise ConfigError(f"config: not JSON ({error})") from None
         if not isinstance(fields, dict):
             raise ConfigError(f"config: {type(fields).__name__}, expected an object")
+        policies = fields.pop("policies", {})
+        if isinstance(policies, dict) and isinstance(policies.get("ccdiff"), dict):
+            fields |= policies["ccdiff"]
+        fields.pop("drivers", None)
         return _replaced(cls(), fields, "")
 
 
@@ -516,6 +520,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, WorldConfig) and not isinstance(value.controlled, str):
         form = "per_scene" if isinstance(value.controlled, Mapping) else "ids"
         fields["controlled"] = {form: fields["controlled"]}
+    if isinstance(value, WorldConfig):
+        fields |= {"drivers": {}, "policies": {"ccdiff": {"ccdiff": fields.pop("ccdiff")}}}
     if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):
         fields["ranking"] = {"list": fields["ranking"]}
     names = (name for name, kind in DYNAMICS.items() if isinstance(value, kind))

@@ -316,7 +316,7 @@ def test_environments_explain_their_traffic(scenes):
     assert plan.objectives == ()
     calm = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
     calm.reset(seed=0)
-    with pytest.raises(UnknownNameError, match="ccdiff"):
+    with pytest.raises(UnknownNameError, match="driver that plans"):
         calm.explain()
 
 

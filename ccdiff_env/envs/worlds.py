@@ -174,7 +174,7 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            weights_path(config.ccdiff.weights),
+            {"ccdiff": weights_path(config.ccdiff.weights)},
         )
         if criticality is not None and "ccdiff" not in (config.traffic, config.driver):
             raise ConfigError(f"criticality: traffic is {config.traffic!r}, expected 'ccdiff'")

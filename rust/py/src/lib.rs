@@ -1,6 +1,7 @@
 //! The Python module `ccdiff_env._native`: a translation, no arithmetic.
 
 mod causal;
+mod drivers;
 mod enter;
 mod errors;
 mod metrics;

@@ -1,5 +1,6 @@
 //! `VecWorld`: many worlds stepped as one batch, writing into the caller's arrays.
 
+use crate::drivers;
 use crate::enter::{Home, enter};
 use crate::errors::{from_sim, py};
 use crate::render::CentreArg;
@@ -7,10 +8,9 @@ use crate::scene::PyScene;
 use crate::world_picture::{self, Shot, Trails};
 use crate::world_plans;
 use crate::world_state;
-use ccdiff_models::traffic::CcdiffConfig;
 use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
-    COLUMNS, Driver, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
+    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
 };
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
@@ -18,6 +18,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -36,9 +37,7 @@ fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 /// The default configuration as JSON.
 #[pyfunction]
 fn default_world_config() -> PyResult<String> {
-    let ccdiff =
-        serde_json::to_value(CcdiffConfig::default()).map_err(|e| py::ConfigError::new_err(e.to_string()))?;
-    to_json(&WorldConfig { ccdiff, ..WorldConfig::default() })
+    to_json(&WorldConfig { policies: drivers::default_policies()?, ..WorldConfig::default() })
 }
 
 /// The schema of the figures of a step as JSON: name, unit and meaning of each column.
@@ -189,7 +188,8 @@ impl<'py> Outputs<'py> {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `weights` drive traffic "ccdiff".
+    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `weights` are the weight files of
+    /// policies by name.
     #[new]
     #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, weights=None))]
     fn new(
@@ -199,13 +199,13 @@ impl PyVecWorld {
         num_worlds: usize,
         num_threads: usize,
         trail_steps: usize,
-        weights: Option<PathBuf>,
+        weights: Option<BTreeMap<String, PathBuf>>,
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
         let world = enter(py, || {
-            let planned = world_plans::policy(&config, &scenes, weights)?;
-            VecWorld::new(scenes, config, num_worlds, num_threads, planned).map_err(from_sim)
+            let policies = drivers::policies(&config, &scenes, &weights.unwrap_or_default())?;
+            VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         Ok(Self { world, trails, home: Home::here(), actions: Vec::new() })
@@ -361,12 +361,9 @@ impl PyVecWorld {
         PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
     }
 
-    /// Puts a background driver into vehicles of a world.
+    /// Puts a driver into vehicles of a world.
     fn assign(&mut self, world_idx: usize, agents: Vec<usize>, driver: &str) -> PyResult<()> {
         self.home.check()?;
-        let known = Driver::ALL.into_iter().find(|d| d.name() == driver);
-        let driver =
-            known.ok_or_else(|| py::UnknownNameError::new_err(format!("unknown driver {driver:?}")))?;
         self.world.assign(world_idx, &agents, driver).map_err(from_sim)
     }
 
@@ -382,16 +379,35 @@ impl PyVecWorld {
         self.world.command(world_idx, Command { guided, criticality }).map_err(from_sim)
     }
 
-    /// The plan that a world follows as a dictionary of new arrays; `None` before the first one of its episode.
-    fn explain<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let plan = self.world.explain(world_idx).map_err(from_sim)?;
+    /// The plan of a policy (the first that plans, by default) that a world follows as a dictionary of new arrays;
+    /// `None` before the first one of its episode.
+    #[pyo3(signature = (world_idx, driver=None))]
+    fn explain<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        driver: Option<&str>,
+    ) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let plan = self.world.explain(world_idx, driver).map_err(from_sim)?;
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
     /// Name of the driver of each agent.
-    fn drivers(&self, world_idx: usize) -> PyResult<Vec<&'static str>> {
+    fn drivers(&self, world_idx: usize) -> PyResult<Vec<&str>> {
         let status = self.world.status(world_idx).map_err(from_sim)?;
-        Ok(status.drivers.iter().map(|d| d.name()).collect())
+        Ok(status.drivers.iter().map(|d| self.world.driver_name(*d).0).collect())
+    }
+
+    /// Names of the policies of this batch, each with its kind.
+    #[getter]
+    fn policies(&self) -> Vec<(&str, &str)> {
+        self.world.policies().collect()
+    }
+
+    /// Names of the policies that plan.
+    #[getter]
+    fn planners(&self) -> Vec<&str> {
+        self.world.planner_names().collect()
     }
 
     /// Agent of each slot.

@@ -6,7 +6,7 @@ use ccdiff_render::{AgentBox, Camera, Driver as Colour, Line, Picture, render};
 use ccdiff_sim::Result;
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::EGO_ID;
-use ccdiff_sim::world::{Driver, VecWorld, WorldStatus};
+use ccdiff_sim::world::{VecWorld, WorldStatus};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use std::collections::VecDeque;
@@ -101,14 +101,14 @@ fn middle(p: Point2, q: Point2) -> Point2 {
     p + 0.5 * (q - p)
 }
 
-fn colour(driver: Driver, is_ego: bool) -> Colour {
-    match driver {
+fn colour(kind: &str, is_ego: bool) -> Colour {
+    match kind {
         _ if is_ego => Colour::Ego,
-        Driver::External => Colour::External,
-        Driver::Ccdiff => Colour::Ccdiff,
-        Driver::Idm => Colour::Idm,
-        Driver::Replay => Colour::Replay,
-        Driver::ConstantVelocity => Colour::ConstantVelocity,
+        "external" => Colour::External,
+        "idm" => Colour::Idm,
+        "replay" => Colour::Replay,
+        "constant_velocity" => Colour::ConstantVelocity,
+        _ => Colour::Ccdiff,
     }
 }
 
@@ -139,12 +139,13 @@ pub(crate) fn draw<'py>(
         })?),
         None => focus.map_or_else(|| Pose2::new(0.0, 0.0, 0.0), |a| states.pose(a)),
     };
-    let plan = world.explain(world_idx).ok().flatten();
-    let is_guided =
-        |a: usize| plan.is_some_and(|p| p.agents.iter().zip(&p.guided).any(|(b, on)| *b == a && *on));
-    let colour_of = |a: usize| match status.drivers[a] {
-        Driver::Ccdiff if is_guided(a) => Colour::Adversary,
-        driver => colour(driver, scene.agents[a].id == EGO_ID),
+    let is_guided = |a: usize, name: &str| {
+        let plan = world.explain(world_idx, Some(name)).ok().flatten();
+        plan.is_some_and(|p| p.agents.iter().zip(&p.guided).any(|(b, on)| *b == a && *on))
+    };
+    let colour_of = |a: usize| {
+        let (name, kind) = world.driver_name(status.drivers[a]);
+        if is_guided(a, name) { Colour::Adversary } else { colour(kind, scene.agents[a].id == EGO_ID) }
     };
     let touching: Vec<(usize, usize)> = world
         .contacts(world_idx)

@@ -1,40 +1,12 @@
-//! CCDiff traffic of a batch of worlds, and its plans as arrays.
+//! Plans of a world as arrays.
 
-use crate::errors::py;
-use crate::models::from_model;
-use ccdiff_models::traffic::{Ccdiff, CcdiffConfig};
-use ccdiff_sim::policy::{BackgroundPolicy, Explanation};
-use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::{Driver, WorldConfig};
+use ccdiff_sim::policy::PlanRecord;
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::path::PathBuf;
-use std::sync::Arc;
 
-/// The policy that plans, where a driver of the configuration asks for it.
-pub(crate) fn policy(
-    config: &WorldConfig,
-    scenes: &[Arc<Scene>],
-    weights: Option<PathBuf>,
-) -> PyResult<Option<Box<dyn BackgroundPolicy>>> {
-    if config.traffic != Driver::Ccdiff && config.driver != Driver::Ccdiff {
-        return Ok(None);
-    }
-    let options = if config.ccdiff.is_null() {
-        CcdiffConfig::default()
-    } else {
-        serde_json::from_value(config.ccdiff.clone())
-            .map_err(|e| py::ConfigError::new_err(format!("config: ccdiff: {e}")))?
-    };
-    let weights = weights.unwrap_or_else(|| PathBuf::from(&options.weights));
-    let policy = Ccdiff::new(options, &weights).map_err(from_model)?;
-    policy.check(config.dt_s, config.history_steps, scenes).map_err(from_model)?;
-    Ok(Some(Box::new(policy)))
-}
-
-/// A plan as a dictionary of new arrays: shapes as in [`Explanation`].
-pub(crate) fn dict<'py>(py: Python<'py>, plan: &Explanation) -> PyResult<Bound<'py, PyDict>> {
+/// A plan as a dictionary of new arrays: shapes as in [`PlanRecord`].
+pub(crate) fn dict<'py>(py: Python<'py>, plan: &PlanRecord) -> PyResult<Bound<'py, PyDict>> {
     let (n, m, t) = (plan.num_samples, plan.agents.len(), plan.num_steps);
     let j = plan.objectives.len();
     let indices = |v: &[usize]| PyArray1::from_iter(py, v.iter().map(|i| *i as i64));

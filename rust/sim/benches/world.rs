@@ -16,7 +16,7 @@ use ccdiff_sim::observe::ObservationConfig;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{
-    Autoreset, Consequence, Controlled, Driver, NUM_COLUMNS, ResetRequest, StepBuffers, TickPhase, VecWorld,
+    Autoreset, Consequence, Controlled, NUM_COLUMNS, ResetRequest, StepBuffers, TickPhase, VecWorld,
     WorldConfig,
 };
 use std::hint::black_box;
@@ -71,7 +71,7 @@ struct Bench {
 impl Bench {
     fn new(scene: &Arc<Scene>, config: WorldConfig, envs: usize, threads: usize) -> Result<Self> {
         let slots = envs * config.num_slots;
-        let world = VecWorld::new(vec![Arc::clone(scene)], config, envs, threads, None)?;
+        let world = VecWorld::new(vec![Arc::clone(scene)], config, envs, threads, Vec::new())?;
         let row = world.layout().size;
         let flags = [slots, slots, slots, envs, envs].map(|n| vec![false; n]);
         let mut bench = Self {
@@ -135,8 +135,8 @@ impl Bench {
     }
 }
 
-fn default_config(traffic: Driver) -> WorldConfig {
-    WorldConfig { traffic, autoreset: Autoreset::SameStep, ..WorldConfig::default() }
+fn default_config(traffic: &str) -> WorldConfig {
+    WorldConfig { traffic: traffic.into(), autoreset: Autoreset::SameStep, ..WorldConfig::default() }
 }
 
 fn comparison_row() -> ObservationConfig {
@@ -164,7 +164,7 @@ fn equal_work(num_agents: usize) -> WorldConfig {
         terminate_at_goal: false,
         horizon_steps: 91,
         observation: comparison_row(),
-        ..default_config(Driver::Replay)
+        ..default_config("replay")
     }
 }
 
@@ -209,7 +209,7 @@ type Row = (String, usize, usize, WorldConfig, usize, usize);
 
 fn rows() -> Vec<Row> {
     let mut rows = Vec::new();
-    for (name, traffic) in [("default, replay", Driver::Replay), ("default, IDM", Driver::Idm)] {
+    for (name, traffic) in [("default, replay", "replay"), ("default, IDM", "idm")] {
         for (envs, threads) in [(1, 1), (64, 1), (1024, 1), (1024, 2)] {
             rows.push((name.to_owned(), 32, 3, default_config(traffic), envs, threads));
         }

@@ -4,7 +4,7 @@
 
 mod common;
 
-use ccdiff_sim::world::{Autoreset, Controlled, Driver, WorldConfig};
+use ccdiff_sim::world::{Autoreset, Controlled, WorldConfig};
 use common::{Batch, actions, city};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -72,20 +72,20 @@ fn allocations(config: WorldConfig) -> usize {
 
 #[test]
 fn a_step_allocates_nothing_in_replay_traffic() {
-    let config = WorldConfig { traffic: Driver::Replay, horizon_steps: 60, ..WorldConfig::default() };
+    let config = WorldConfig { traffic: "replay".into(), horizon_steps: 60, ..WorldConfig::default() };
     assert_eq!(allocations(config), 0);
 }
 
 #[test]
 fn a_step_allocates_nothing_in_idm_traffic() {
-    let config = WorldConfig { traffic: Driver::Idm, horizon_steps: 60, ..WorldConfig::default() };
+    let config = WorldConfig { traffic: "idm".into(), horizon_steps: 60, ..WorldConfig::default() };
     assert_eq!(allocations(config), 0);
 }
 
 #[test]
 fn a_step_allocates_nothing_with_many_controlled_agents() {
     let config = WorldConfig {
-        traffic: Driver::Idm,
+        traffic: "idm".into(),
         controlled: Controlled::Vehicles,
         num_slots: 20,
         horizon_steps: 60,

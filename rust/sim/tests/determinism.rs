@@ -2,17 +2,22 @@
 
 mod common;
 
-use ccdiff_sim::world::{Autoreset, Controlled, Driver, WorldConfig};
+use ccdiff_sim::world::{Autoreset, Controlled, WorldConfig};
 use common::{Batch, actions, city};
 
-fn config(traffic: Driver) -> WorldConfig {
-    WorldConfig { traffic, horizon_steps: 40, autoreset: Autoreset::SameStep, ..WorldConfig::default() }
+fn config(traffic: &str) -> WorldConfig {
+    WorldConfig {
+        traffic: traffic.into(),
+        horizon_steps: 40,
+        autoreset: Autoreset::SameStep,
+        ..WorldConfig::default()
+    }
 }
 
 #[test]
 fn the_number_of_threads_changes_no_bit() {
     let run = |threads: usize| {
-        let mut batch = Batch::new(vec![city(12), city(30)], config(Driver::Idm), 24, threads);
+        let mut batch = Batch::new(vec![city(12), city(30)], config("idm"), 24, threads);
         batch.reset_all(5);
         let mut bits = batch.bits();
         for t in 0..90 {
@@ -28,12 +33,12 @@ fn the_number_of_threads_changes_no_bit() {
 #[test]
 fn a_world_alone_plays_as_in_a_batch() {
     let scenes = || vec![city(12), city(30), city(8)];
-    let mut all = Batch::new(scenes(), config(Driver::Idm), 9, 1);
+    let mut all = Batch::new(scenes(), config("idm"), 9, 1);
     all.reset_all(100);
     let row = all.world.layout().size;
     let mut alone: Vec<Batch> = (0..9)
         .map(|i| {
-            let mut b = Batch::new(scenes(), config(Driver::Idm), 1, 1);
+            let mut b = Batch::new(scenes(), config("idm"), 1, 1);
             b.reset(&[Some(100 + i)], &[None]).unwrap();
             b
         })
@@ -52,7 +57,7 @@ fn a_world_alone_plays_as_in_a_batch() {
 
 #[test]
 fn a_restored_world_goes_on_bit_for_bit() {
-    let mut batch = Batch::new(vec![city(20), city(9)], config(Driver::Idm), 2, 1);
+    let mut batch = Batch::new(vec![city(20), city(9)], config("idm"), 2, 1);
     batch.reset_all(3);
     for t in 0..15 {
         batch.step(&actions(t, 4)).unwrap();
@@ -75,7 +80,7 @@ fn a_restored_world_goes_on_bit_for_bit() {
 
 #[test]
 fn a_fork_follows_its_original_and_damaged_bytes_change_nothing() {
-    let mut batch = Batch::new(vec![city(20)], config(Driver::Replay), 2, 1);
+    let mut batch = Batch::new(vec![city(20)], config("replay"), 2, 1);
     batch.reset_all(3);
     for t in 0..7 {
         batch.step(&actions(t, 4)).unwrap();
@@ -88,21 +93,21 @@ fn a_fork_follows_its_original_and_damaged_bytes_change_nothing() {
         assert!(batch.world.restore(1, &bytes[..cut]).is_err(), "{cut} bytes");
         assert_eq!(batch.world.digest(1).unwrap(), before);
     }
-    let mut other = Batch::new(vec![city(20)], config(Driver::Idm), 1, 1);
+    let mut other = Batch::new(vec![city(20)], config("idm"), 1, 1);
     assert!(other.world.restore(0, &bytes).is_err(), "another configuration");
 }
 
 #[test]
 fn joint_and_single_contact_detection_agree() {
     // with one slot contacts are looked for agent by agent, with many among all at once
-    let single = WorldConfig { autoreset: Autoreset::Disabled, ..config(Driver::Replay) };
+    let single = WorldConfig { autoreset: Autoreset::Disabled, ..config("replay") };
     let joint = WorldConfig {
         controlled: Controlled::Vehicles,
         num_slots: 12,
-        driver: Driver::Replay,
+        driver: "replay".into(),
         ..single.clone()
     };
-    let single = WorldConfig { driver: Driver::Replay, ..single };
+    let single = WorldConfig { driver: "replay".into(), ..single };
     let mut one = Batch::new(vec![city(24)], single, 1, 1);
     let mut many = Batch::new(vec![city(24)], joint, 1, 1);
     one.reset_all(0);

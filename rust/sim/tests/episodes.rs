@@ -5,7 +5,7 @@ mod common;
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{
-    Autoreset, COLUMNS, Col, Consequence, Controlled, Driver, NUM_COLUMNS, SceneOrder, WorldConfig,
+    Autoreset, COLUMNS, Col, Consequence, Controlled, NUM_COLUMNS, SceneOrder, WorldConfig,
 };
 use common::{Batch, actions, city};
 use std::sync::Arc;
@@ -16,7 +16,7 @@ fn base() -> WorldConfig {
 
 #[test]
 fn the_replayed_ego_stays_on_its_log_and_reaches_its_goal() {
-    let mut batch = Batch::new(vec![city(1)], WorldConfig { driver: Driver::Replay, ..base() }, 1, 1);
+    let mut batch = Batch::new(vec![city(1)], WorldConfig { driver: "replay".into(), ..base() }, 1, 1);
     batch.reset_all(0);
     let mut total = 0.0;
     while !batch.done[0] {
@@ -169,7 +169,7 @@ fn slots_can_be_chosen_for_each_scene_by_its_name() {
     let both = batch(vec![scene("a"), scene("b")]);
     assert_eq!(both.world.slot_agents(0).unwrap(), [Some(2), Some(0)]);
     assert_eq!(both.world.slot_agents(1).unwrap(), [Some(3), None]);
-    let unknown = ccdiff_sim::world::VecWorld::new(vec![scene("c")], config.clone(), 1, 1, None);
+    let unknown = ccdiff_sim::world::VecWorld::new(vec![scene("c")], config.clone(), 1, 1, Vec::new());
     assert!(matches!(unknown, Err(SimError::Scene { .. })));
 }
 
@@ -200,8 +200,8 @@ fn idm_traffic_never_runs_into_its_leader() {
     let mut scene = GridCity { num_agents: 40, num_roads: 1, gap_m: 14.0, ..GridCity::default() }.scene();
     scene.name = "queue".into();
     let config = WorldConfig {
-        traffic: Driver::Idm,
-        driver: Driver::Idm,
+        traffic: "idm".into(),
+        driver: "idm".into(),
         controlled: Controlled::Vehicles,
         num_slots: 4,
         on_collision: Consequence::Ignore,
@@ -299,7 +299,7 @@ fn reward_is_the_sum_of_its_components() {
 
 #[test]
 fn starts_are_spread_over_the_log_by_the_seed_and_stand_where_the_log_stands() {
-    let config = WorldConfig { start_spread_steps: 40, driver: Driver::Replay, ..base() };
+    let config = WorldConfig { start_spread_steps: 40, driver: "replay".into(), ..base() };
     let mut batch = Batch::new(vec![city(3)], config.clone(), 1, 1);
     let mut starts = Vec::new();
     for seed in 0..60 {

@@ -9,13 +9,13 @@ use ccdiff_sim::observe::{EntryKind, Layout, MapPieces, ObservationConfig};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{Map, Scene};
 use ccdiff_sim::state::Body;
-use ccdiff_sim::world::{Autoreset, Driver, Route, WorldConfig};
+use ccdiff_sim::world::{Autoreset, Route, WorldConfig};
 use common::{Batch, actions, city};
 use proptest::prelude::*;
 use std::sync::Arc;
 
 fn config() -> WorldConfig {
-    WorldConfig { autoreset: Autoreset::SameStep, traffic: Driver::Idm, ..WorldConfig::default() }
+    WorldConfig { autoreset: Autoreset::SameStep, traffic: "idm".into(), ..WorldConfig::default() }
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod common;
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::observe::{BevConfig, Layout, ObservationConfig};
 use ccdiff_sim::scene::AgentKind;
-use ccdiff_sim::world::{Autoreset, Driver, WorldConfig};
+use ccdiff_sim::world::{Autoreset, WorldConfig};
 use common::{Batch, actions, city};
 
 const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share: 0.3 };
@@ -13,7 +13,7 @@ const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share
 fn config() -> WorldConfig {
     WorldConfig {
         autoreset: Autoreset::SameStep,
-        traffic: Driver::Idm,
+        traffic: "idm".into(),
         observation: ObservationConfig { bev: Some(BEV), ..ObservationConfig::default() },
         ..WorldConfig::default()
     }

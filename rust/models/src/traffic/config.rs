@@ -71,7 +71,7 @@ pub enum Frozen {
     Standing,
 }
 
-/// Configuration of [`super::Ccdiff`].
+/// Configuration of CCDiff traffic.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CcdiffConfig {

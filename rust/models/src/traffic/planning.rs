@@ -2,19 +2,20 @@
 
 use super::config::{Others, Partners, Ranking};
 use super::roster::{self, Hints, Roster};
-use super::{Ccdiff, WorldPlan};
+use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, WorldGuide};
 use crate::planner::{Plan, PlanOptions, WorldView as PlannerView};
 use crate::raster::MapBitmap;
 use crate::sampler::{SampleOptions, Solver};
 use ccdiff_sim::geom::{Real, Vector2};
-use ccdiff_sim::policy::{Explanation, WorldView};
-use std::sync::{Arc, PoisonError};
+use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
+use std::sync::Arc;
 
 /// A world that is planned for.
 struct Due<'a> {
-    world: &'a WorldView<'a>,
+    request: &'a PlanRequest<'a>,
+    memory: Memory,
     roster: Roster,
     bitmap: Option<Arc<MapBitmap>>,
     /// Agents of the scene that may be guided, by falling importance.
@@ -35,31 +36,38 @@ impl Due<'_> {
     }
 }
 
-impl Ccdiff {
-    /// Plans for worlds and makes the plans the ones that they follow.
-    pub(super) fn plan_due(&mut self, worlds: &[&WorldView<'_>]) -> Result<()> {
-        let mut due = worlds.iter().map(|w| self.prepare(w)).collect::<Result<Vec<_>>>()?;
+impl PlannedTraffic {
+    /// Plans for worlds, each with the request that it answers.
+    pub(super) fn plan_due<'a>(
+        &mut self,
+        requests: &[&'a PlanRequest<'a>],
+    ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
+        let mut due = requests.iter().map(|r| self.prepare(r)).collect::<Result<Vec<_>>>()?;
         self.rank(&mut due)?;
         let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(Due::is_guided);
+        let mut made = Vec::with_capacity(requests.len());
         for (worlds, options) in [(with, self.guided.clone()), (without, self.unguided.clone())] {
             if !worlds.is_empty() {
                 let plans = self.draw(&worlds, &options, true)?;
-                for (world, plan) in worlds.iter().zip(plans) {
-                    self.adopt(world, plan, &options);
-                }
+                made.extend(
+                    worlds.into_iter().zip(plans).map(|(w, p)| (w.request, self.adopt(w, p, &options))),
+                );
             }
         }
-        Ok(())
+        Ok(made)
     }
 
-    fn prepare<'a>(&mut self, world: &'a WorldView<'a>) -> Result<Due<'a>> {
-        let rule = self.config.frozen;
-        let slot = self.slot(world.world_idx);
-        if slot.explanation.is_none() {
-            slot.frozen = roster::frozen(world, rule);
-            slot.left_log = vec![false; world.states.len()];
-        }
-        let roster = Roster::new(world, &self.worlds[world.world_idx].frozen, self.model.history_steps)?;
+    fn prepare<'a>(&mut self, request: &'a PlanRequest<'a>) -> Result<Due<'a>> {
+        let world = &request.world;
+        let memory = match request.plan {
+            Some(plan) => Memory::of(plan, world.states.len())?,
+            None => Memory {
+                frozen: roster::frozen(world, self.config.frozen),
+                left_log: vec![false; world.states.len()],
+                first_ranking: Vec::new(),
+            },
+        };
+        let roster = Roster::new(request, &memory.frozen, self.model.history_steps)?;
         let bitmap = self.bitmap(&world.scene.scene);
         let partners = match self.config.partners {
             Partners::All => vec![true; roster.agents.len()],
@@ -67,7 +75,8 @@ impl Ccdiff {
         };
         let (guided, criticality) = (vec![false; roster.agents.len()], 0.0);
         Ok(Due {
-            world,
+            request,
+            memory,
             roster,
             bitmap,
             ranking: Vec::new(),
@@ -82,15 +91,15 @@ impl Ccdiff {
     fn rank(&mut self, due: &mut [Due<'_>]) -> Result<()> {
         let mut hints = self.hints(due)?.into_iter();
         for d in due {
-            let slot = &self.worlds[d.world.world_idx];
             let hints = hints.next().unwrap_or_default();
-            d.ranking = if self.config.rerank || slot.explanation.is_none() {
-                d.roster.ranking(d.world, &self.config, &hints)?
+            d.ranking = if self.config.rerank || d.request.plan.is_none() {
+                d.roster.ranking(&d.request.world, &self.config, &hints)?
             } else {
-                slot.first_ranking.clone()
+                d.memory.first_ranking.clone()
             };
-            d.chosen = roster::singled_out(&d.ranking, &slot.command, self.config.num_guided);
-            d.criticality = slot.command.criticality.unwrap_or(self.config.criticality);
+            let command = d.request.command;
+            d.chosen = roster::singled_out(&d.ranking, command, self.config.num_guided);
+            d.criticality = command.criticality.unwrap_or(self.config.criticality);
             let masked = self.config.mask_guidance;
             let is_guided = |a: &usize| d.chosen.contains(a) || (!masked && d.roster.is_ours(*a));
             d.guided = d.roster.agents.iter().map(is_guided).collect();
@@ -130,22 +139,22 @@ impl Ccdiff {
             .map(|(d, nobody)| PlannerView {
                 window: &d.roster.window,
                 bitmap: d.bitmap.as_deref(),
-                seed: d.world.noise_seed,
+                seed: d.request.world.noise_seed,
                 guide: options.guidance.is_some().then(|| WorldGuide {
                     strength: d.criticality,
-                    road: d.world.scene.road.as_ref(),
+                    road: d.request.world.scene.road.as_ref(),
                     partners: d.is_guided().then_some(&d.partners),
-                    speed_limit_mps: Some(d.world.config.speed_limit_mps),
+                    speed_limit_mps: Some(d.request.world.config.speed_limit_mps),
                     ..WorldGuide::new(if moves && d.is_guided() { &d.guided } else { nobody })
                 }),
             })
             .collect();
-        self.planner.get_mut().unwrap_or_else(PoisonError::into_inner).plan(&views, options)
+        self.planner.get_mut().plan(&views, options)
     }
 
-    /// Makes a plan the one that a world follows.
-    fn adopt(&mut self, due: &Due<'_>, plan: Plan, options: &PlanOptions) {
-        let (others, slot) = (self.config.others, &mut self.worlds[due.world.world_idx]);
+    /// The plan that a world follows from now on.
+    fn adopt(&self, mut due: Due<'_>, plan: Plan, options: &PlanOptions) -> PlanState {
+        let (others, mut memory) = (self.config.others, std::mem::take(&mut due.memory));
         let (n, m) = (plan.num_samples, plan.agents.len());
         let steps = plan.states.len() / (n * m * 6).max(1);
         let agents: Vec<usize> = plan.agents.iter().map(|row| due.roster.agents[*row]).collect();
@@ -154,25 +163,25 @@ impl Ccdiff {
                 && match others {
                     Others::Ccdiff => true,
                     Others::Idm => due.chosen.contains(a),
-                    Others::Replay => due.chosen.contains(a) || slot.left_log[*a],
+                    Others::Replay => due.chosen.contains(a) || memory.left_log[*a],
                 }
         };
         let executed: Vec<bool> = agents.iter().map(follows).collect();
         for (agent, follows) in agents.iter().zip(&executed) {
-            slot.left_log[*agent] |= *follows;
+            memory.left_log[*agent] |= *follows;
         }
         let chosen = plan.chosen();
-        slot.speed_mps = speeds(&plan, &chosen, steps);
-        if slot.explanation.is_none() {
-            slot.first_ranking.clone_from(&due.ranking);
+        let speed_mps = speeds(&plan, &chosen, steps);
+        if due.request.plan.is_none() {
+            memory.first_ranking.clone_from(&due.ranking);
         }
         let guided = |row: &usize| due.is_guided() && due.guided[*row];
         let report = plan.guidance.as_ref();
         let objectives = options.guidance.as_ref().filter(|_| report.is_some());
         let gradients = report.and_then(|r| r.conflict.as_ref());
         let kept = |of: fn(&GradientStatistics) -> &Vec<Real>| gradients.map(of).cloned().unwrap_or_default();
-        slot.explanation = Some(Explanation {
-            made_at: due.world.elapsed_steps,
+        let record = PlanRecord {
+            made_at: due.request.world.elapsed_steps,
             executed,
             guided: plan.agents.iter().map(guided).collect(),
             graph: plan.features.graph.as_slice().to_vec(),
@@ -192,23 +201,8 @@ impl Ccdiff {
             realism_cosine: kept(|g| &g.cosine),
             conflict_share: kept(|g| &g.conflict_share),
             agents,
-        });
-    }
-}
-
-impl WorldPlan {
-    /// Whether all arrays have the lengths that following the plan relies on.
-    pub(super) fn is_whole(&self) -> bool {
-        let Some(p) = &self.explanation else { return true };
-        let (m, num_agents) = (p.agents.len(), self.frozen.len());
-        self.left_log.len() == num_agents
-            && p.agents.iter().chain(&self.first_ranking).all(|a| *a < num_agents)
-            && p.executed.len() == m
-            && p.chosen.len() == m
-            && p.chosen.iter().all(|s| *s < p.num_samples.max(1))
-            && p.samples.len() == p.num_samples * m * p.num_steps * 3
-            && self.speed_mps.len() == m * p.num_steps
-            && p.samples.iter().chain(&self.speed_mps).all(|x| x.is_finite())
+        };
+        PlanState { record, speed_mps, memory: memory.to_bytes() }
     }
 }
 

@@ -7,9 +7,8 @@ use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::Real;
-use ccdiff_sim::policy::{Command, WorldView};
+use ccdiff_sim::policy::{Command, Driver, PlanRequest, WorldView};
 use ccdiff_sim::scene::{AgentKind, EGO_ID};
-use ccdiff_sim::world::Driver;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
 const STANDING_REACH_M: Real = 20.0;
@@ -68,8 +67,8 @@ impl Roster {
     ///
     /// # Errors
     /// [`ccdiff_sim::SimError::Policy`] where the world keeps no history.
-    pub(super) fn new(world: &WorldView<'_>, frozen: &[bool], num_steps: usize) -> Result<Self> {
-        let states = world.states;
+    pub(super) fn new(request: &PlanRequest<'_>, frozen: &[bool], num_steps: usize) -> Result<Self> {
+        let (world, states) = (&request.world, request.world.states);
         let is_there = |a: &usize| states.active[*a] && world.scene.kinds[*a] == AgentKind::Vehicle;
         let there: Vec<usize> = (0..states.len()).filter(is_there).collect();
         let near_moving = |a: usize| {
@@ -78,10 +77,10 @@ impl Roster {
             moving.any(|b| (states.position(*b) - p).norm() < STANDING_REACH_M)
         };
         let agents: Vec<usize> = there.iter().copied().filter(|a| !frozen[*a] || near_moving(*a)).collect();
-        let ours = agents.iter().map(|a| world.drivers[*a] == Driver::Ccdiff && !frozen[*a]).collect();
+        let ours = agents.iter().map(|a| request.drives(*a) && !frozen[*a]).collect();
         let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
             let message = "the world keeps too short a history".into();
-            ccdiff_sim::SimError::Policy { policy: "ccdiff".into(), message }
+            ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
         })?;
         let mut window = Window { num_steps, ..Window::default() };
         for &agent in &agents {

@@ -3,7 +3,7 @@
 //! All models share the state (x, y, ψ, v): centre of the box in the scene frame, heading, speed along the heading.
 //! One step of length `dt`:
 //!
-//! - **Unicycle** (method of CCDiff, CTG and others), action (a, ω):
+//! - **Unicycle** (method of the released models of traffic), action (a, ω):
 //!   a ← clip(a), |ω| ≤ max(ω_min, min(κ_max |v|, a_lat / max(|v|, 0.1))),
 //!   v' = clip(v + a dt), ψ' = ψ + ω dt, p' = p + ½ (v + v') (cos ψ, sin ψ) dt.
 //! - **Bicycle** (kinematic, Kong et al., IV 2015), action (a, δ):

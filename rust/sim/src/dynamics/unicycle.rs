@@ -5,7 +5,7 @@ use crate::geom::Real;
 use serde::{Deserialize, Serialize};
 use std::f32::consts::TAU;
 
-/// Limits of the unicycle; the defaults are those of the released CCDiff, CTG and tbsim models.
+/// Limits of the unicycle; the defaults are those of the released models of traffic (reference.md, dynamics).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnicycleLimits {

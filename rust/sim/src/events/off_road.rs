@@ -8,7 +8,7 @@ use crate::state::{AgentStates, Body};
 pub struct OffRoad {
     /// A corner of the box is outside.
     pub corner: bool,
-    /// The centre is outside (the variant of the CCDiff paper's off-road rate).
+    /// The centre is outside (the variant of the paper's off-road rate).
     pub centroid: bool,
 }
 

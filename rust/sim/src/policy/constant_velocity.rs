@@ -1,18 +1,18 @@
 //! Constant velocity.
 
-use super::{BackgroundPolicy, Motion, WorldView};
+use super::{Motion, PlanState, TrafficPolicy, WorldView};
 use crate::geom::{Point2, Pose2, Vector2};
 
 /// Keeps heading and speed.
 #[derive(Debug, Default)]
 pub struct ConstantVelocity;
 
-impl BackgroundPolicy for ConstantVelocity {
-    fn name(&self) -> &'static str {
+impl TrafficPolicy for ConstantVelocity {
+    fn name(&self) -> &str {
         "constant_velocity"
     }
 
-    fn act(&self, world: &WorldView<'_>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
         let pose = world.states.pose(agent_idx);
         let speed = world.states.speed_mps[agent_idx];
         let velocity = Vector2::new(pose.cos * speed, pose.sin * speed);

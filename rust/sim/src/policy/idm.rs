@@ -5,16 +5,20 @@
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
-use super::{BackgroundPolicy, Motion, WorldView};
+use super::{Motion, PlanState, TrafficPolicy, WorldView};
 use crate::events::leader;
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::world::IdmConfig;
 
 /// Desired speed of a vehicle whose log is slower than this, m/s.
 const MIN_DESIRED_MPS: Real = 4.0;
+
 /// Follows the agent's route and keeps its distance.
 #[derive(Debug, Default)]
-pub struct Idm;
+pub struct Idm {
+    /// Its parameters.
+    pub config: IdmConfig,
+}
 
 /// Acceleration of the model, m/s², between −`max_braking` and `acceleration`.
 fn acceleration(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Real, Real)>) -> Real {
@@ -31,32 +35,35 @@ fn acceleration(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Rea
     acc.clamp(-idm.max_braking_mps2, a)
 }
 
-/// Acceleration of an agent on its route, m/s².
-fn wish(world: &WorldView<'_>, agent_idx: usize) -> Real {
-    let (config, route) = (world.config, &world.scene.routes[agent_idx]);
-    let speed = world.states.speed_mps[agent_idx].max(0.0);
-    let s = world.route_s_m[agent_idx];
-    let desired = route
-        .logged_speed_mps
-        .max(MIN_DESIRED_MPS)
-        .min(config.speed_limit_mps)
-        .min(route.curve_speed_mps(s + speed * 0.5));
-    let (bodies, anticipation_s) = (&world.scene.bodies, config.idm.anticipation_s);
-    let ahead = leader(world.states, bodies, &route.path, s, agent_idx, anticipation_s);
-    acceleration(&config.idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
+impl Idm {
+    /// Acceleration of an agent on its route, m/s².
+    fn wish(&self, world: &WorldView<'_>, agent_idx: usize) -> Real {
+        let (idm, route) = (&self.config, &world.scene.routes[agent_idx]);
+        let speed = world.states.speed_mps[agent_idx].max(0.0);
+        let s = world.route_s_m[agent_idx];
+        let desired = route
+            .logged_speed_mps
+            .max(MIN_DESIRED_MPS)
+            .min(world.config.speed_limit_mps)
+            .min(route.curve_speed_mps(s + speed * 0.5));
+        let ahead = leader(world.states, &world.scene.bodies, &route.path, s, agent_idx, idm.anticipation_s);
+        acceleration(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
+    }
 }
 
-/// Acceleration with which the model would drive an agent along its route, m/s²; `None` for parked vehicles.
+/// Acceleration with which the model, as the world has it, would drive an agent along its route, m/s²; `None` for parked
+/// vehicles.
 pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Option<Real> {
-    (!world.scene.routes[agent_idx].is_parked()).then(|| wish(world, agent_idx))
+    let idm = Idm { config: world.config.idm };
+    (!world.scene.routes[agent_idx].is_parked()).then(|| idm.wish(world, agent_idx))
 }
 
-impl BackgroundPolicy for Idm {
-    fn name(&self) -> &'static str {
+impl TrafficPolicy for Idm {
+    fn name(&self) -> &str {
         "idm"
     }
 
-    fn act(&self, world: &WorldView<'_>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
         let route = &world.scene.routes[agent_idx];
         let pose = world.states.pose(agent_idx);
         if route.is_parked() {
@@ -65,7 +72,7 @@ impl BackgroundPolicy for Idm {
         let dt = world.config.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
-        let next_speed = (speed + wish(world, agent_idx) * dt).max(0.0);
+        let next_speed = (speed + self.wish(world, agent_idx) * dt).max(0.0);
         let next_s = s + 0.5 * (speed + next_speed) * dt;
         if next_s >= route.path.length_m() - 0.5 {
             return Motion::Leave;

@@ -1,29 +1,36 @@
 //! Who drives the agents that nobody drives from outside.
 //!
-//! A policy first plans for all worlds at once ([`BackgroundPolicy::plan`], the one place where a network runs),
-//! then moves single agents from that plan ([`BackgroundPolicy::act`], inside each world's own tick). What has no
-//! plan — log replay, constant velocity, IDM — implements `act` alone.
+//! A batch of worlds is handed a table of policies under names of their own ([`crate::world::VecWorld::new`]); each agent
+//! holds the place of its policy in that table ([`Driver`]). A policy first plans for all worlds at once
+//! ([`TrafficPolicy::plan`], the one place where a network runs), then moves single agents from that plan
+//! ([`TrafficPolicy::act`], inside each world's own tick). What a policy remembers of a world is in the world's
+//! [`PlanState`], so that snapshots and resets need no code in a policy. Policies without a plan (log replay, constant
+//! velocity, IDM) implement `act` alone.
 
 mod constant_velocity;
-mod explanation;
+mod driver;
 mod idm;
+mod plan;
 mod replay;
 
 pub use constant_velocity::ConstantVelocity;
-pub use explanation::{Command, Explanation};
+pub use driver::Driver;
 pub use idm::{Idm, idm_acceleration};
+pub use plan::{Command, PlanRecord, PlanRequest, PlanState};
 pub use replay::Replay;
 
 use crate::error::Result;
 use crate::geom::{Pose2, Vector2};
 use crate::state::AgentStates;
-use crate::world::{Driver, History, PreparedScene, WorldConfig};
+use crate::world::{History, PreparedScene, WorldConfig};
 
 /// What a policy may see of a world before a step.
 #[derive(Clone, Copy)]
 pub struct WorldView<'a> {
     /// Index of the world among the E of its batch.
     pub world_idx: usize,
+    /// Index of the scene in the batch's list.
+    pub scene_idx: usize,
     /// The scene.
     pub scene: &'a PreparedScene,
     /// States before the step.
@@ -32,7 +39,7 @@ pub struct WorldView<'a> {
     pub route_s_m: &'a [f32],
     /// Who drives each agent.
     pub drivers: &'a [Driver],
-    /// Past states, where the policy asked for them.
+    /// Past states, where a policy of the batch asked for them: as many as the one that looks back farthest wants.
     pub history: Option<&'a History>,
     /// Step of the log that the states stand at.
     pub step_idx: usize,
@@ -54,58 +61,29 @@ pub enum Motion {
 }
 
 /// A driver of background agents, batched over worlds.
-pub trait BackgroundPolicy: Send + Sync {
-    /// Name, as in configurations and reports.
-    fn name(&self) -> &'static str;
+pub trait TrafficPolicy: Send + Sync {
+    /// Kind of policy, as in reports; its name in a batch is that of the table.
+    fn name(&self) -> &str;
 
-    /// Whether [`WorldView::history`] is to be kept.
-    fn needs_history(&self) -> bool {
-        false
+    /// States of each agent that it looks back at, the present one included; 0: it makes no plans.
+    fn history_states(&self) -> usize {
+        0
     }
 
-    /// Plans for all worlds about to be stepped. Called once a tick, before any `act`.
+    /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep the plan
+    /// that there is.
     ///
     /// # Errors
     /// Whatever stops the policy; the tick is then not executed.
-    fn plan(&mut self, _worlds: &[WorldView<'_>]) -> Result<()> {
-        Ok(())
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
+        Ok(vec![None; requests.len()])
     }
 
-    /// Whether `plan` has anything to do; batches without a planner skip the phase.
-    fn plans(&self) -> bool {
-        false
-    }
-
-    /// Motion of one agent over the step.
-    fn act(&self, world: &WorldView<'_>, agent_idx: usize) -> Motion;
-
-    /// Takes wishes for a world's next plans.
-    ///
-    /// # Errors
-    /// [`crate::SimError::Unknown`] for agents or wishes that the policy does not know.
-    fn command(&mut self, _world_idx: usize, _command: Command) -> Result<()> {
-        let expected = "a policy that takes commands".into();
-        Err(crate::SimError::Unknown { what: "command of policy", got: self.name().into(), expected })
-    }
-
-    /// The plan that a world follows, with what it was made from; `None` before the first one.
-    fn explain(&self, _world_idx: usize) -> Option<&Explanation> {
-        None
-    }
-
-    /// Forgets the plan of a world that begins a new episode.
-    fn reset_world(&mut self, _world_idx: usize) {}
-
-    /// Plan of a world as bytes, for snapshots.
-    fn save_world(&self, _world_idx: usize) -> Vec<u8> {
-        Vec::new()
-    }
-
-    /// Takes a plan back.
-    ///
-    /// # Errors
-    /// [`crate::SimError::Snapshot`] when the bytes are not a plan of this policy.
-    fn load_world(&mut self, _world_idx: usize, _bytes: &[u8]) -> Result<()> {
-        Ok(())
+    /// Motion of one agent over the step: by default that of its plan, and of its log where it has none.
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Motion {
+        match plan.and_then(|p| p.follow(world, agent_idx)) {
+            Some((pose, velocity)) => Motion::Place(pose, velocity),
+            None => Replay.act(world, None, agent_idx),
+        }
     }
 }

@@ -1,18 +1,18 @@
 //! Log replay.
 
-use super::{BackgroundPolicy, Motion, WorldView};
+use super::{Motion, PlanState, TrafficPolicy, WorldView};
 use crate::geom::Pose2;
 
 /// Puts every agent where the log has it; leaves where the log has it no more.
 #[derive(Debug, Default)]
 pub struct Replay;
 
-impl BackgroundPolicy for Replay {
-    fn name(&self) -> &'static str {
+impl TrafficPolicy for Replay {
+    fn name(&self) -> &str {
         "replay"
     }
 
-    fn act(&self, world: &WorldView<'_>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
         let scene = &world.scene.scene;
         let step_idx = world.step_idx + 1;
         if !scene.is_valid(agent_idx, step_idx) {

@@ -5,36 +5,9 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::ObservationConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::world::traffic::{EXTERNAL, IdmConfig, Traffic};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Who drives an agent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[repr(u8)]
-pub enum Driver {
-    /// Actions handed to `step`.
-    External = 0,
-    /// The log.
-    Replay = 1,
-    /// Straight on at the speed of the start.
-    ConstantVelocity = 2,
-    /// Intelligent driver model along the agent's route.
-    Idm = 3,
-    /// CCDiff, or whatever policy is handed to the batch: it plans for all worlds at once.
-    Ccdiff = 4,
-}
-
-impl Driver {
-    /// All drivers, in the order of their numbers.
-    pub const ALL: [Self; 5] =
-        [Self::External, Self::Replay, Self::ConstantVelocity, Self::Idm, Self::Ccdiff];
-
-    /// The name used in Python and in files.
-    pub fn name(self) -> &'static str {
-        ["external", "replay", "constant_velocity", "idm", "ccdiff"][self as usize]
-    }
-}
 
 /// Which agents have a slot: they are observed, rewarded and, by default, driven from outside.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,40 +107,6 @@ impl Default for RewardConfig {
     }
 }
 
-/// Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IdmConfig {
-    /// Time headway T, seconds.
-    pub headway_s: Real,
-    /// Gap at standstill s₀, metres.
-    pub min_gap_m: Real,
-    /// Greatest acceleration a, m/s².
-    pub acceleration_mps2: Real,
-    /// Comfortable deceleration b, m/s².
-    pub deceleration_mps2: Real,
-    /// Hardest braking, m/s².
-    pub max_braking_mps2: Real,
-    /// Acceleration exponent δ.
-    pub exponent: Real,
-    /// Others are also looked for where they will be, at constant velocity, after this time, seconds.
-    pub anticipation_s: Real,
-}
-
-impl Default for IdmConfig {
-    fn default() -> Self {
-        Self {
-            headway_s: 1.2,
-            min_gap_m: 2.0,
-            acceleration_mps2: 1.5,
-            deceleration_mps2: 2.5,
-            max_braking_mps2: 8.0,
-            exponent: 4.0,
-            anticipation_s: 1.0,
-        }
-    }
-}
-
 /// Actions. Continuous ones are normalised: each column lies in [-1, 1], zero means zero, and +1 and −1 mean the
 /// figures below, or less where the dynamics' own limits are narrower.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -230,10 +169,12 @@ pub struct WorldConfig {
     pub controlled: Controlled,
     /// Slots per world, C.
     pub num_slots: usize,
-    /// Who drives the agents that have a slot.
-    pub driver: Driver,
+    /// Who drives the agents that have a slot: actions from outside ([`EXTERNAL`]), or a policy by name.
+    pub driver: String,
     /// Who drives the other vehicles; pedestrians, cyclists, motorcycles and static obstacles follow the log.
-    pub traffic: Driver,
+    pub traffic: Traffic,
+    /// Who drives single vehicles, by their ids, whatever `driver` and `traffic` say.
+    pub drivers: BTreeMap<String, String>,
     /// Agents that the log brings later enter (once their place is free).
     pub late_arrivals: bool,
     /// Background agents leave when the log has them no more; otherwise they drive on to the end of their route.
@@ -256,8 +197,8 @@ pub struct WorldConfig {
     pub reward: RewardConfig,
     /// Intelligent driver model.
     pub idm: IdmConfig,
-    /// Options of the policy behind [`Driver::Ccdiff`], unread here; part of what snapshots are checked against.
-    pub ccdiff: serde_json::Value,
+    /// Options of further policies by name, unread here; part of what snapshots are checked against.
+    pub policies: BTreeMap<String, serde_json::Value>,
     /// Autoreset mode.
     pub autoreset: Autoreset,
     /// Choice of scenes.
@@ -274,8 +215,9 @@ impl Default for WorldConfig {
             decision_steps: 1,
             controlled: Controlled::Ego,
             num_slots: 1,
-            driver: Driver::External,
-            traffic: Driver::Replay,
+            driver: EXTERNAL.into(),
+            traffic: "replay".into(),
+            drivers: BTreeMap::new(),
             late_arrivals: true,
             vanish_with_log: false,
             truncate_at_log_end: true,
@@ -287,7 +229,7 @@ impl Default for WorldConfig {
             observation: ObservationConfig::default(),
             reward: RewardConfig::default(),
             idm: IdmConfig::default(),
-            ccdiff: serde_json::Value::Null,
+            policies: BTreeMap::new(),
             autoreset: Autoreset::NextStep,
             scene_order: SceneOrder::Random,
         }
@@ -338,7 +280,13 @@ impl WorldConfig {
             let expected = "at least as many slots as any scene has ids";
             check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
         }
-        check(self.traffic != Driver::External, "traffic", "external", "a background policy")?;
+        let external = self.traffic.names().any(|name| name == EXTERNAL);
+        check(!external, "traffic", EXTERNAL, "a background policy")?;
+        if let Traffic::Mix(shares) = &self.traffic {
+            let sum: Real = shares.values().sum();
+            let good = shares.values().all(|s| *s >= 0.0) && (sum - 1.0).abs() < 1e-3;
+            check(good, "traffic", format!("{shares:?}"), "shares of at least 0 that sum to 1")?;
+        }
         check(positive(self.speed_limit_mps), "speed_limit_mps", self.speed_limit_mps, "a positive speed")?;
         let r = &self.reward;
         for (field, value) in [
@@ -377,19 +325,16 @@ impl WorldConfig {
                 "2 to 10000 finite actions",
             )?;
         }
-        let idm = &self.idm;
-        for (field, value) in [
-            ("idm.headway_s", idm.headway_s),
-            ("idm.acceleration_mps2", idm.acceleration_mps2),
-            ("idm.deceleration_mps2", idm.deceleration_mps2),
-            ("idm.max_braking_mps2", idm.max_braking_mps2),
-            ("idm.exponent", idm.exponent),
-        ] {
-            check(positive(value), field, value, "a positive number")?;
+        match self.idm.first_fault() {
+            Some((field, value, expected)) => check(false, field, value, expected),
+            None => Ok(()),
         }
-        check(idm.min_gap_m.is_finite() && idm.min_gap_m >= 0.0, "idm.min_gap_m", idm.min_gap_m, ">= 0")?;
-        let ahead = idm.anticipation_s;
-        check(ahead.is_finite() && ahead >= 0.0, "idm.anticipation_s", ahead, ">= 0")
+    }
+
+    /// Whether somebody drives under a name from the start of an episode.
+    pub fn names(&self, policy: &str) -> bool {
+        let mut names = self.traffic.names().chain(self.drivers.values().map(String::as_str));
+        self.driver == policy || names.any(|name| name == policy)
     }
 }
 

@@ -1,10 +1,12 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
 use crate::geom::{Pose2, Real, Vector2};
+use crate::policy::{Command, Driver, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
-use crate::world::config::{Controlled, Driver, WorldConfig};
+use crate::world::config::{Controlled, WorldConfig};
 use crate::world::history::History;
+use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::rng::Rng;
 use crate::world::tally::Tally;
@@ -79,6 +81,10 @@ pub(crate) struct Episode {
     pub(crate) initial_contacts: Vec<(u32, u32)>,
     pub(crate) slots: Vec<Slot>,
     pub(crate) history: Option<History>,
+    /// The plan of each policy of the batch's table.
+    pub(crate) plans: Vec<Option<PlanState>>,
+    /// Wishes for these plans.
+    pub(crate) command: Command,
 }
 
 impl Episode {
@@ -99,6 +105,8 @@ impl Episode {
             initial_contacts: Vec::new(),
             slots: Vec::new(),
             history: None,
+            plans: Vec::new(),
+            command: Command::default(),
         }
     }
 
@@ -108,7 +116,7 @@ impl Episode {
         scene: &PreparedScene,
         scene_idx: usize,
         config: &WorldConfig,
-        history_len: Option<usize>,
+        policies: &Policies,
     ) {
         let log = &scene.scene;
         let num_agents = log.num_agents();
@@ -123,18 +131,31 @@ impl Episode {
         self.entered.clear();
         self.entered.resize(num_agents, false);
         self.drivers.clear();
-        self.drivers.extend(scene.kinds.iter().map(|kind| match kind {
-            AgentKind::Vehicle => config.traffic,
-            _ => Driver::Replay,
+        let (seed, number) = (self.seed, self.number);
+        self.drivers.extend(scene.kinds.iter().enumerate().map(|(a, kind)| match kind {
+            AgentKind::Vehicle => policies.of_vehicle(seed, number, a),
+            _ => Driver::REPLAY,
         }));
         for a in 0..num_agents {
             if log.is_valid(a, self.step_idx) {
                 self.enter(scene, a);
             }
         }
-        self.fill_slots(scene, config);
+        self.fill_slots(scene, config, policies.of_slots());
+        for (id, driver) in policies.by_id() {
+            let agent = log.agent_index(id).filter(|a| scene.kinds[*a] == AgentKind::Vehicle);
+            // actions reach agents with a slot only
+            let takes = |a: &usize| *driver != Driver::External || self.has_slot(*a);
+            if let Some(a) = agent.filter(takes) {
+                self.drivers[a] = *driver;
+            }
+        }
         self.initial_contacts.clear();
-        self.history = history_len.map(|len| History::from_log(log, self.step_idx, len));
+        let len = policies.history_states;
+        self.history = (len > 0).then(|| History::from_log(log, self.step_idx, len));
+        self.plans.clear();
+        self.plans.resize(policies.len(), None);
+        self.command = Command::default();
     }
 
     /// Step of the log at which the episode starts: drawn, or the first where nobody is to be controlled there.
@@ -161,7 +182,7 @@ impl Episode {
         self.route_s_m[agent_idx] = scene.routes[agent_idx].path.project(p).s_m;
     }
 
-    fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig) {
+    fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig, driver: Driver) {
         let log = &scene.scene;
         let mut first_unseen = 0;
         let (start_step, end_step) = (self.step_idx, self.step_idx + config.horizon_steps);
@@ -184,7 +205,7 @@ impl Episode {
             let agent_idx = agent.filter(|a| self.states.active[*a]);
             let (mut start_s_m, mut goal_s_m) = (0.0, 0.0);
             if let Some(a) = agent_idx {
-                self.drivers[a] = config.driver;
+                self.drivers[a] = driver;
                 start_s_m = self.route_s_m[a];
                 let last = (start_step..log.num_steps.min(end_step + 1))
                     .rev()
@@ -237,13 +258,18 @@ impl Episode {
         self.next_scene_idx = next_scene_idx;
     }
 
+    /// Whether an agent has a slot.
+    pub(crate) fn has_slot(&self, agent_idx: usize) -> bool {
+        self.slots.iter().any(|s| s.agent_idx == Some(agent_idx))
+    }
+
     /// Whether an episode has ever begun.
     pub(crate) fn begun(&self) -> bool {
         self.phase != Phase::NeverReset
     }
 
-    /// Whether all arrays have the lengths that a scene and a number of slots ask for.
-    pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize) -> bool {
+    /// Whether all arrays have the lengths that a scene, a number of slots and a table of policies ask for.
+    pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize, policies: &Policies) -> bool {
         let n = scene.scene.num_agents();
         let s = &self.states;
         let reals = [
@@ -263,11 +289,16 @@ impl Episode {
         reals.iter().all(|v| v.len() == n && v.iter().all(|x| x.is_finite()))
             && s.active.len() == n
             && self.drivers.len() == n
+            && self.drivers.iter().all(|d| policies.has(*d))
             && self.entered.len() == n
             && self.slots.len() == num_slots
             && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range))
             && self.initial_contacts.iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
+            && self.history.as_ref().map_or(0, History::len) == policies.history_states
             && self.history.as_ref().is_none_or(|h| h.fits(n))
+            && self.plans.len() == policies.len()
+            && self.plans.iter().flatten().all(|p| p.fits(n))
+            && self.command.guided.iter().flatten().all(|a| in_range(*a))
     }
 
     /// A number that depends on the seed, the episode and the step alone.

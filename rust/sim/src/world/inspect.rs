@@ -1,12 +1,12 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Driver, Extent, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Extent, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
-use crate::policy::{Command, Explanation};
+use crate::policy::{Command, Driver, PlanRecord};
 use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::tick::World;
@@ -34,32 +34,33 @@ pub struct WorldStatus<'a> {
 }
 
 impl VecWorld {
-    /// Puts a background driver into vehicles of a world, until its episode ends. Vehicles that have left their log
-    /// do not go back to it by [`Driver::Replay`] without a jump: assign at the start of an episode.
+    /// Puts a driver into vehicles of a world, until its episode ends. Vehicles that have left their log do not go back
+    /// to it by log replay without a jump: assign at the start of an episode.
     ///
     /// # Errors
-    /// [`SimError::Unknown`] for a world or agent that does not exist or is no vehicle; [`SimError::Config`] for the
-    /// external driver, or [`Driver::Ccdiff`] in a batch without a policy that plans.
-    pub fn assign(&mut self, world_idx: usize, agents: &[usize], driver: Driver) -> Result<()> {
-        let kinds = &self.begun(world_idx)?.scene.kinds;
+    /// [`SimError::Unknown`] for a world or agent that does not exist or is no vehicle; [`SimError::Config`] for a
+    /// driver that this batch has not, and for actions from outside where the vehicle has no slot.
+    pub fn assign(&mut self, world_idx: usize, agents: &[usize], driver: &str) -> Result<()> {
+        let world = self.begun(world_idx)?;
+        let driver = self.policies.driver("driver", driver)?;
+        let kinds = &world.scene.kinds;
         if let Some(agent) = agents.iter().find(|a| kinds.get(**a) != Some(&AgentKind::Vehicle)) {
             let expected = "the index of a vehicle".into();
             return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
         }
-        let ready = driver != Driver::Ccdiff || self.policies.has_planned();
-        if driver == Driver::External || !ready {
-            let expected = "a background driver of this batch".into();
-            return Err(SimError::Config { field: "driver", got: driver.name().into(), expected });
+        if driver == Driver::External && !agents.iter().all(|a| world.episode.has_slot(*a)) {
+            let expected = "a policy: actions from outside reach agents with a slot only".into();
+            return Err(SimError::Config { field: "driver", got: "external".into(), expected });
         }
         let drivers = &mut self.worlds[world_idx].episode.drivers;
         agents.iter().for_each(|a| drivers[*a] = driver);
         Ok(())
     }
 
-    /// Hands wishes for a world's next plans to the policy that plans.
+    /// Hands wishes for a world's next plans to the policies that plan.
     ///
     /// # Errors
-    /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch whose policy takes no commands;
+    /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch without a policy that plans;
     /// [`SimError::Config`] for a negative criticality.
     pub fn command(&mut self, world_idx: usize, command: Command) -> Result<()> {
         let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
@@ -71,16 +72,54 @@ impl VecWorld {
             let expected = "a finite number of at least 0".into();
             return Err(SimError::Config { field: "criticality", got: strength.to_string(), expected });
         }
-        self.policies.command(world_idx, command)
+        self.planner(None)?;
+        self.worlds[world_idx].episode.command = command;
+        Ok(())
     }
 
-    /// The plan that a world follows; `None` before the first one of its episode.
+    /// The plan of a policy that a world follows, of the first policy that plans if none is named; `None` before the
+    /// first plan of an episode.
     ///
     /// # Errors
-    /// [`SimError::Unknown`] for a world that does not exist, or a batch whose policy does not plan.
-    pub fn explain(&self, world_idx: usize) -> Result<Option<&Explanation>> {
-        self.world(world_idx)?;
-        self.policies.explain(world_idx)
+    /// [`SimError::Unknown`] for a world that does not exist, and where no such policy plans.
+    pub fn explain(&self, world_idx: usize, policy: Option<&str>) -> Result<Option<&PlanRecord>> {
+        let plans = &self.world(world_idx)?.episode.plans;
+        let planner = self.planner(policy)?;
+        Ok(plans.get(usize::from(planner)).and_then(|p| p.as_ref()).map(|p| &p.record))
+    }
+
+    /// Place in the table of the policy of a name that plans, or of the first one.
+    fn planner(&self, policy: Option<&str>) -> Result<u16> {
+        let planners = self.policies.planners();
+        let is_it = |i: &&u16| policy.is_none_or(|name| self.policies.name_of(Driver::Policy(**i)) == name);
+        planners.iter().find(is_it).copied().ok_or_else(|| {
+            let names: Vec<&str> = self.planner_names().collect();
+            let got = policy.map_or_else(|| "that plans".into(), |name| format!("{name:?}"));
+            let expected = match names[..] {
+                [] => "a batch with a driver that plans".into(),
+                _ => format!("one that plans: {}", names.join(", ")),
+            };
+            SimError::Unknown { what: "policy", got, expected }
+        })
+    }
+
+    /// Names of the policies that plan.
+    pub fn planner_names(&self) -> impl Iterator<Item = &str> {
+        self.policies.planners().iter().map(|i| self.policies.name_of(Driver::Policy(*i)))
+    }
+
+    /// Names of the policies, in the order of the table, each with its kind.
+    pub fn policies(&self) -> impl Iterator<Item = (&str, &str)> {
+        (0..self.policies.len() as u16).map(|i| self.driver_name(Driver::Policy(i)))
+    }
+
+    /// Name of a driver, and the kind of policy that it is.
+    pub fn driver_name(&self, driver: Driver) -> (&str, &str) {
+        let name = self.policies.name_of(driver);
+        match driver {
+            Driver::External => (name, name),
+            Driver::Policy(i) => (name, self.policies.get(i).name()),
+        }
     }
 
     /// Configuration.
@@ -143,7 +182,8 @@ impl VecWorld {
     /// What a snapshot is checked against: the configuration, less what the state of a world does not depend on.
     pub(crate) fn config_fingerprint(&self) -> String {
         let config = WorldConfig { decision_steps: 1, ..self.config.clone() };
-        serde_json::to_string(&config).unwrap_or_default()
+        let names: Vec<&str> = self.policies.names().collect();
+        serde_json::to_string(&(config, names)).unwrap_or_default()
     }
 
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {

@@ -1,6 +1,6 @@
 //! Many worlds stepped as one batch.
 //!
-//! A tick runs these phases: background policies plan for all worlds at once; then, world by world and in parallel
+//! A tick runs these phases: policies plan for all worlds at once; then, world by world and in parallel
 //! over worlds, actions are decoded and background motions decided, agents move, enter and leave, contacts and road
 //! departures are found, rewards and endings follow, ended worlds are reset as the autoreset mode says, and, after the
 //! last tick for which the actions are held, observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
@@ -22,14 +22,12 @@ mod route;
 mod snapshot;
 mod tally;
 mod tick;
+mod traffic;
 
 pub use actions::ActionDecoder;
 pub use buffers::{Extent, StepBuffers};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
-pub use config::{
-    ActionConfig, Autoreset, Consequence, Controlled, Driver, IdmConfig, RewardConfig, SceneOrder,
-    WorldConfig,
-};
+pub use config::{ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, SceneOrder, WorldConfig};
 pub use history::{History, PastState};
 pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;
@@ -37,11 +35,12 @@ pub use rng::Rng;
 pub use route::Route;
 pub use tally::{METRICS, Metrics, NUM_METRICS};
 pub use tick::TickPhase;
+pub use traffic::{EXTERNAL, IdmConfig, Traffic};
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::{BevConfig, Layout, Observer};
-use crate::policy::{BackgroundPolicy, WorldView};
+use crate::policy::{Driver, PlanRequest, TrafficPolicy};
 use crate::scene::Scene;
 use episode::{Episode, Phase};
 use policies::Policies;
@@ -110,18 +109,19 @@ pub struct VecWorld {
 }
 
 impl VecWorld {
-    /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `planned` drives the agents whose
-    /// driver is [`Driver::Ccdiff`]. `num_threads` 1 never leaves the calling thread.
+    /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `policies` are drivers beside `replay`,
+    /// `constant_velocity` and `idm`, by names of their own. `num_threads` 1 never leaves the calling thread.
     ///
     /// # Errors
     /// [`SimError::Config`] and [`SimError::Scene`] for what does not fit together: wrong step, a scene too short
-    /// for its history, no controlled agent present at the start.
+    /// for its history, no controlled agent present at the start, a driver that is not there, a name used twice;
+    /// [`SimError::Unknown`] for a driver of a vehicle that no scene has.
     pub fn new(
         scenes: Vec<Arc<Scene>>,
         config: WorldConfig,
         num_worlds: usize,
         num_threads: usize,
-        planned: Option<Box<dyn BackgroundPolicy>>,
+        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Result<Self> {
         config.validate()?;
         let bad = |field, got: usize, expected: &str| {
@@ -136,14 +136,10 @@ impl VecWorld {
         if scenes.is_empty() {
             return bad("scenes", 0, "at least one scene");
         }
-        let planned_wanted = config.traffic == Driver::Ccdiff || config.driver == Driver::Ccdiff;
-        if planned_wanted && planned.is_none() {
-            let expected = "a policy handed to the batch".into();
-            return Err(SimError::Config { field: "traffic", got: "ccdiff".into(), expected });
-        }
         for scene in &scenes {
             check_scene(scene, &config)?;
         }
+        let policies = Policies::new(&config, &scenes, policies)?;
         let layout = Layout::new(&config.observation)?;
         let num_scenes = scenes.len();
         let list = scenes.into_iter().map(|s| (s, OnceLock::new())).collect();
@@ -166,7 +162,6 @@ impl VecWorld {
             None
         };
         let decoder = ActionDecoder::new(&config.action);
-        let policies = Policies::new(planned, config.history_steps + 1);
         Ok(Self { config, layout, decoder, scenes, policies, worlds, pool })
     }
 
@@ -195,9 +190,6 @@ impl VecWorld {
             return Err(SimError::Unknown { what: "scene", got: idx.to_string(), expected });
         }
         let wanted = |i: usize| request.mask.is_none_or(|m| m[i]);
-        for i in (0..num_worlds).filter(|i| wanted(*i)) {
-            self.policies.reset_world(i);
-        }
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -239,12 +231,11 @@ impl VecWorld {
         self.check_step(actions, &out)?;
         let steps = self.config.decision_steps;
         // where a policy plans for all worlds they go on step by step together
-        let stride = if self.policies.plans() { 1 } else { steps };
+        let stride = if self.policies.planners().is_empty() { steps } else { 1 };
         for first in (0..steps).step_by(stride) {
             self.plan(first, &out)?;
             self.step_held(actions, first..first + stride, out.reborrow());
         }
-        self.forget_plans();
         Ok(())
     }
 
@@ -292,7 +283,6 @@ impl VecWorld {
             let mut out = out.world(i, shared.extent);
             world.step(actions, 0..self.config.decision_steps, &shared, next, &mut out, lap);
         }
-        self.forget_plans();
         Ok(())
     }
 
@@ -321,27 +311,31 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Plans for a step of a decision: for the worlds that run and have not begun anew in it.
+    /// Lets the policies that plan do so before a step of a decision: for the worlds where they drive, that run and have
+    /// not begun anew in it.
     fn plan(&mut self, step: usize, out: &StepBuffers<'_>) -> Result<()> {
-        if self.policies.plans() {
-            let goes_on =
-                |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
-            let running = self.worlds.iter().filter(goes_on);
-            let views: Vec<WorldView<'_>> = running.map(|w| w.view(&self.config)).collect();
-            self.policies.plan(&views)?;
+        let goes_on = |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
+        let mut made = Vec::new();
+        for place in 0..self.policies.planners().len() {
+            let policy_idx = self.policies.planners()[place];
+            let (driver, always) = (Driver::Policy(policy_idx), self.policies.always_plans(policy_idx));
+            let drives = |w: &&World| always || w.episode.drivers.contains(&driver);
+            let running = self.worlds.iter().filter(goes_on).filter(drives);
+            let requests: Vec<PlanRequest<'_>> =
+                running.map(|w| w.request(&self.config, policy_idx)).collect();
+            if requests.is_empty() {
+                continue;
+            }
+            let plans = self.policies.plan(policy_idx, &requests)?;
+            let plans =
+                requests.iter().zip(plans).filter_map(|(r, p)| Some((r.world.world_idx, policy_idx, p?)));
+            made.extend(plans);
+        }
+        // nothing changes before all policies have planned
+        for (world_idx, policy_idx, plan) in made {
+            self.worlds[world_idx].episode.plans[usize::from(policy_idx)] = Some(plan);
         }
         Ok(())
-    }
-
-    /// Drops the plans of worlds that began a new episode within the step.
-    fn forget_plans(&mut self) {
-        if self.policies.has_planned() {
-            for world in &self.worlds {
-                if world.episode.elapsed_steps == 0 {
-                    self.policies.reset_world(world.idx);
-                }
-            }
-        }
     }
 }
 

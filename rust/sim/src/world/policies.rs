@@ -1,74 +1,167 @@
-//! The background policies of a batch of worlds, one for each driver.
+//! The table of a batch's policies, and who of them drives whom.
 
 use crate::error::{Result, SimError};
-use crate::policy::{BackgroundPolicy, Command, ConstantVelocity, Explanation, Idm, Replay, WorldView};
-use crate::world::config::Driver;
+use crate::geom::Real;
+use crate::policy::{ConstantVelocity, Driver, Idm, PlanRequest, PlanState, Replay, TrafficPolicy};
+use crate::scene::{AgentKind, Scene};
+use crate::world::config::WorldConfig;
+use crate::world::rng::Rng;
+use crate::world::traffic::{EXTERNAL, Traffic};
+use std::sync::Arc;
 
-fn no_planner() -> SimError {
-    let expected = "a batch with a policy that plans".into();
-    SimError::Unknown { what: "policy", got: "ccdiff".into(), expected }
-}
+/// Stream of a world's generator from which mixed traffic is drawn.
+const MIX_STREAM: u64 = u64::MAX - 1;
 
-/// One policy for each [`Driver`].
+/// Policies by name, and the configuration's choice among them.
 pub(crate) struct Policies {
-    replay: Replay,
-    constant_velocity: ConstantVelocity,
-    idm: Idm,
-    planned: Option<Box<dyn BackgroundPolicy>>,
-    /// Steps of history that the planned policy looks back, the present one included.
-    history_len: usize,
+    table: Vec<(String, Box<dyn TrafficPolicy>)>,
+    /// Policies that make plans.
+    planners: Vec<u16>,
+    /// States that the policy looks back at which looks back farthest; 0: none.
+    pub(crate) history_states: usize,
+    /// Driver of the agents with a slot.
+    slots: Driver,
+    /// Drivers of the other vehicles, each with the sum of the shares up to its own.
+    traffic: Vec<(Real, Driver)>,
+    /// Drivers of single vehicles by id.
+    by_id: Vec<(String, Driver)>,
 }
 
 impl Policies {
-    pub(crate) fn new(planned: Option<Box<dyn BackgroundPolicy>>, history_len: usize) -> Self {
-        Self { replay: Replay, constant_velocity: ConstantVelocity, idm: Idm, planned, history_len }
+    /// The three policies without a plan, then `more`.
+    pub(crate) fn new(
+        config: &WorldConfig,
+        scenes: &[Arc<Scene>],
+        more: Vec<(String, Box<dyn TrafficPolicy>)>,
+    ) -> Result<Self> {
+        let idm = Idm { config: config.idm };
+        let mut table: Vec<(String, Box<dyn TrafficPolicy>)> = vec![
+            ("replay".into(), Box::new(Replay)),
+            ("constant_velocity".into(), Box::new(ConstantVelocity)),
+            ("idm".into(), Box::new(idm)),
+        ];
+        for (name, policy) in more {
+            if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
+                let expected = "a name that nobody else has".into();
+                return Err(SimError::Config { field: "policies", got: name, expected });
+            }
+            table.push((name, policy));
+        }
+        let planners = (0..table.len()).filter(|i| table[*i].1.history_states() > 0);
+        let mut policies = Self {
+            planners: planners.map(|i| i as u16).collect(),
+            history_states: table.iter().map(|(_, p)| p.history_states()).max().unwrap_or(0),
+            slots: Driver::External,
+            traffic: Vec::new(),
+            by_id: Vec::new(),
+            table,
+        };
+        policies.slots = policies.driver("driver", &config.driver)?;
+        let mut sum = 0.0;
+        for name in config.traffic.names() {
+            sum += match &config.traffic {
+                Traffic::All(_) => 1.0,
+                Traffic::Mix(shares) => shares[name],
+            };
+            policies.traffic.push((sum, policies.driver("traffic", name)?));
+        }
+        for (id, name) in &config.drivers {
+            let known = scenes.iter().filter_map(|s| Some(s.agents[s.agent_index(id)?].kind));
+            if !known.clone().any(|kind| kind == AgentKind::Vehicle) {
+                let expected = "the id of a vehicle".into();
+                return Err(SimError::Unknown { what: "agent of drivers", got: format!("{id:?}"), expected });
+            }
+            policies.by_id.push((id.clone(), policies.driver("drivers", name)?));
+        }
+        Ok(policies)
     }
 
-    /// The policy of a driver. Agents driven from outside never ask; they would replay their log.
-    pub(crate) fn get(&self, driver: Driver) -> &dyn BackgroundPolicy {
+    /// Names of the policies, in the order of the table.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.table.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Name of a driver.
+    pub(crate) fn name_of(&self, driver: Driver) -> &str {
         match driver {
-            Driver::ConstantVelocity => &self.constant_velocity,
-            Driver::Idm => &self.idm,
-            Driver::Ccdiff => self.planned.as_deref().unwrap_or(&self.replay),
-            Driver::External | Driver::Replay => &self.replay,
+            Driver::External => EXTERNAL,
+            Driver::Policy(i) => &self.table[usize::from(i)].0,
         }
     }
 
-    pub(crate) fn has_planned(&self) -> bool {
-        self.planned.is_some()
-    }
-
-    pub(crate) fn history_len(&self) -> Option<usize> {
-        self.planned.as_ref().is_some_and(|p| p.needs_history()).then_some(self.history_len)
-    }
-
-    pub(crate) fn plans(&self) -> bool {
-        self.planned.as_ref().is_some_and(|p| p.plans())
-    }
-
-    pub(crate) fn plan(&mut self, worlds: &[WorldView<'_>]) -> Result<()> {
-        self.planned.as_mut().map_or(Ok(()), |p| p.plan(worlds))
-    }
-
-    pub(crate) fn command(&mut self, world_idx: usize, command: Command) -> Result<()> {
-        self.planned.as_mut().map_or_else(|| Err(no_planner()), |p| p.command(world_idx, command))
-    }
-
-    pub(crate) fn explain(&self, world_idx: usize) -> Result<Option<&Explanation>> {
-        self.planned.as_ref().map(|p| p.explain(world_idx)).ok_or_else(no_planner)
-    }
-
-    pub(crate) fn reset_world(&mut self, world_idx: usize) {
-        if let Some(p) = &mut self.planned {
-            p.reset_world(world_idx);
+    /// The driver of a name.
+    pub(crate) fn driver(&self, field: &'static str, name: &str) -> Result<Driver> {
+        if name == EXTERNAL {
+            return Ok(Driver::External);
         }
+        let found = self.table.iter().position(|(known, _)| known == name);
+        found.map(|i| Driver::Policy(i as u16)).ok_or_else(|| {
+            let names: Vec<&str> = self.names().collect();
+            let expected = format!("a driver of this batch: {}", names.join(", "));
+            SimError::Config { field, got: format!("{name:?}"), expected }
+        })
     }
 
-    pub(crate) fn save_world(&self, world_idx: usize) -> Vec<u8> {
-        self.planned.as_ref().map(|p| p.save_world(world_idx)).unwrap_or_default()
+    /// Whether a driver is one of this table.
+    pub(crate) fn has(&self, driver: Driver) -> bool {
+        !matches!(driver, Driver::Policy(i) if usize::from(i) >= self.table.len())
     }
 
-    pub(crate) fn load_world(&mut self, world_idx: usize, bytes: &[u8]) -> Result<()> {
-        self.planned.as_mut().map_or(Ok(()), |p| p.load_world(world_idx, bytes))
+    pub(crate) fn get(&self, policy_idx: u16) -> &dyn TrafficPolicy {
+        &*self.table[usize::from(policy_idx)].1
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.table.len()
+    }
+
+    /// Policies that make plans, by their places in the table.
+    pub(crate) fn planners(&self) -> &[u16] {
+        &self.planners
+    }
+
+    /// Whether a policy plans for every world, or only for those where somebody was put into its hands.
+    pub(crate) fn always_plans(&self, policy_idx: u16) -> bool {
+        let driver = Driver::Policy(policy_idx);
+        self.slots == driver || self.traffic.iter().any(|(_, d)| *d == driver)
+    }
+
+    /// One entry for each request, checked.
+    pub(crate) fn plan(
+        &mut self,
+        policy_idx: u16,
+        requests: &[PlanRequest<'_>],
+    ) -> Result<Vec<Option<PlanState>>> {
+        let (name, policy) = &mut self.table[usize::from(policy_idx)];
+        let plans = policy.plan(requests)?;
+        let fits = |(plan, request): (&Option<PlanState>, &PlanRequest<'_>)| {
+            plan.as_ref().is_none_or(|p| p.fits(request.world.states.len()))
+        };
+        if plans.len() != requests.len() || !plans.iter().zip(requests).all(fits) {
+            let message = "its plans do not fit the worlds that it was asked for".into();
+            return Err(SimError::Policy { policy: name.clone(), message });
+        }
+        Ok(plans)
+    }
+
+    /// Driver of the agents with a slot.
+    pub(crate) fn of_slots(&self) -> Driver {
+        self.slots
+    }
+
+    /// Driver of a vehicle without a slot in the episode of a seed.
+    pub(crate) fn of_vehicle(&self, seed: u64, episode: u64, agent_idx: usize) -> Driver {
+        if let [(_, only)] = self.traffic[..] {
+            return only;
+        }
+        let mut rng = Rng::new(seed).split(episode).split(MIX_STREAM).split(agent_idx as u64);
+        let drawn = (rng.next_u64() >> 40) as Real / (1u64 << 24) as Real;
+        let found = self.traffic.iter().find(|(up_to, _)| drawn < *up_to);
+        found.or(self.traffic.last()).map_or(Driver::REPLAY, |(_, driver)| *driver)
+    }
+
+    /// Drivers of single vehicles by id.
+    pub(crate) fn by_id(&self) -> &[(String, Driver)] {
+        &self.by_id
     }
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Layout of the bytes; other layouts are refused, not guessed.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
@@ -15,7 +15,6 @@ struct Snapshot {
     config: String,
     scene: String,
     episode: Episode,
-    plan: Vec<u8>,
 }
 
 fn damaged(e: postcard::Error) -> SimError {
@@ -34,7 +33,6 @@ impl VecWorld {
             config: self.config_fingerprint(),
             scene: self.scene_name(world.episode.scene_idx).to_owned(),
             episode: world.episode.clone(),
-            plan: self.policies.save_world(world_idx),
         };
         postcard::to_stdvec(&snapshot).map_err(damaged)
     }
@@ -46,11 +44,12 @@ impl VecWorld {
     /// [`SimError::Snapshot`] for damaged bytes, another layout, configuration or scene list; the world is unchanged.
     pub fn restore(&mut self, world_idx: usize, bytes: &[u8]) -> Result<()> {
         self.world(world_idx)?;
-        let snapshot: Snapshot = postcard::from_bytes(bytes).map_err(damaged)?;
         let refuse = |what: String| Err(SimError::Snapshot(what));
-        if snapshot.version != VERSION {
-            return refuse(format!("layout {}, this build reads {VERSION}", snapshot.version));
+        let (version, _) = postcard::take_from_bytes::<u32>(bytes).map_err(damaged)?;
+        if version != VERSION {
+            return refuse(format!("layout {version} of another release, this one reads {VERSION}"));
         }
+        let snapshot: Snapshot = postcard::from_bytes(bytes).map_err(damaged)?;
         if snapshot.config != self.config_fingerprint() {
             return refuse("taken under another configuration".into());
         }
@@ -61,17 +60,16 @@ impl VecWorld {
             return refuse(format!("scene {:?} is not number {} here", snapshot.scene, episode.scene_idx));
         }
         let scene = self.prepared(episode.scene_idx)?;
-        if episode.begun() && !episode.fits(&scene, self.config.num_slots) {
+        if episode.begun() && !episode.fits(&scene, self.config.num_slots, &self.policies) {
             return refuse("its arrays do not fit the scene".into());
         }
-        self.policies.load_world(world_idx, &snapshot.plan)?;
         let world = &mut self.worlds[world_idx];
         world.scene = Arc::clone(&scene);
         world.episode = episode;
         Ok(())
     }
 
-    /// FNV-1a digest of the bits of a world's states, its clock and its generator: equal digests, equal worlds.
+    /// FNV-1a digest of the bits of a world's states, its clock, its generator and its plans: equal digests, equal worlds.
     ///
     /// # Errors
     /// [`SimError::Unknown`] for a world that does not exist.

@@ -5,14 +5,14 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, ContactKind, LeastTimes, lane_facts, off_road};
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::observe::{EgoFacts, Observer, View};
-use crate::policy::{Motion, WorldView};
+use crate::policy::{Driver, Motion, PlanRequest, WorldView};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::actions::ActionDecoder;
 use crate::world::assist;
 use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
-use crate::world::config::{Autoreset, Consequence, Driver, WorldConfig};
+use crate::world::config::{Autoreset, Consequence, WorldConfig};
 use crate::world::episode::{Episode, Phase, Slot};
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
@@ -92,6 +92,7 @@ impl World {
         let e = &self.episode;
         WorldView {
             world_idx: self.idx,
+            scene_idx: e.scene_idx,
             scene: &self.scene,
             states: &e.states,
             route_s_m: &e.route_s_m,
@@ -104,10 +105,20 @@ impl World {
         }
     }
 
+    /// What a policy of the table is asked about this world.
+    pub(crate) fn request<'a>(&'a self, config: &'a WorldConfig, policy_idx: u16) -> PlanRequest<'a> {
+        PlanRequest {
+            world: self.view(config),
+            driver: Driver::Policy(policy_idx),
+            plan: self.episode.plans[usize::from(policy_idx)].as_ref(),
+            command: &self.episode.command,
+        }
+    }
+
     /// Begins an episode in a scene.
     pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
         self.scene = scene;
-        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies.history_len());
+        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
         self.find_events(shared.config, true);
     }
 
@@ -172,11 +183,11 @@ impl World {
             }
         }
         for a in 0..view.states.len() {
-            let driver = view.drivers[a];
-            // obstacles do not move; the log decides about everybody else who is not driven from outside
-            let moves = driver != Driver::External && view.scene.kinds[a] != AgentKind::Static;
-            if view.states.active[a] && moves {
-                motions.push((a as u32, shared.policies.get(driver).act(&view, a)));
+            let Driver::Policy(policy_idx) = view.drivers[a] else { continue };
+            // obstacles do not move
+            if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {
+                let plan = self.episode.plans[usize::from(policy_idx)].as_ref();
+                motions.push((a as u32, shared.policies.get(policy_idx).act(&view, plan, a)));
             }
         }
         (self.motions, self.actions) = (motions, own);
@@ -216,8 +227,7 @@ impl World {
             }
         }
         for a in 0..e.states.len() {
-            let follows_route =
-                e.drivers[a] != Driver::Replay || e.slots.iter().any(|s| s.agent_idx == Some(a));
+            let follows_route = e.drivers[a] != Driver::REPLAY || e.has_slot(a);
             if e.states.active[a] && follows_route {
                 let path = &self.scene.routes[a].path;
                 e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;

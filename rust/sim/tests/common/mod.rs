@@ -6,6 +6,7 @@
 )]
 
 use ccdiff_sim::Result;
+use ccdiff_sim::policy::TrafficPolicy;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{Autoreset, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
@@ -50,9 +51,19 @@ pub(crate) fn city(num_agents: usize) -> Arc<Scene> {
 
 impl Batch {
     pub(crate) fn new(scenes: Vec<Arc<Scene>>, config: WorldConfig, envs: usize, threads: usize) -> Self {
+        Self::with_policies(scenes, config, envs, threads, Vec::new())
+    }
+
+    pub(crate) fn with_policies(
+        scenes: Vec<Arc<Scene>>,
+        config: WorldConfig,
+        envs: usize,
+        threads: usize,
+        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
+    ) -> Self {
         let slots = envs * config.num_slots;
         let same_step = config.autoreset == Autoreset::SameStep;
-        let world = VecWorld::new(scenes, config, envs, threads, None).unwrap();
+        let world = VecWorld::new(scenes, config, envs, threads, policies).unwrap();
         let row = world.layout().size;
         let rasters = slots * world.extent().raster;
         Self {

@@ -1,0 +1,302 @@
+//! Drivers: policies that plan, mixed traffic, drivers of single vehicles, refusals.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, TrafficPolicy};
+use ccdiff_sim::world::{Autoreset, Consequence, Traffic, VecWorld, WorldConfig};
+use ccdiff_sim::{Result, SimError};
+use common::{Batch, actions, city};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Lets every vehicle that it drives go straight on at a speed of its own, planning anew every few steps.
+struct Steady {
+    speed_mps: f32,
+    replan_steps: usize,
+    /// What is wrong with the plans that it gives back.
+    fault: &'static str,
+}
+
+const STEPS: usize = 6;
+
+impl Steady {
+    fn boxed(speed_mps: f32) -> Box<dyn TrafficPolicy> {
+        Box::new(Self { speed_mps, replan_steps: 4, fault: "" })
+    }
+
+    fn plan_one(&self, request: &PlanRequest<'_>) -> PlanState {
+        let world = &request.world;
+        let agents: Vec<usize> =
+            (0..world.states.len()).filter(|a| world.states.active[*a] && request.drives(*a)).collect();
+        let m = agents.len();
+        let mut record = PlanRecord {
+            made_at: world.elapsed_steps,
+            executed: vec![true; m],
+            guided: vec![false; m],
+            graph: vec![false; m * m],
+            ttc_s: vec![0.0; m * m],
+            realism_cost: vec![0.0; m],
+            num_samples: 1,
+            num_steps: STEPS,
+            chosen: vec![0; m],
+            ..PlanRecord::default()
+        };
+        for a in &agents {
+            let pose = world.states.pose(*a);
+            for t in 1..=STEPS {
+                let way_m = self.speed_mps * world.config.dt_s * t as f32;
+                let p = pose.position;
+                record.samples.extend([p.x + way_m * pose.cos, p.y + way_m * pose.sin, pose.heading_rad]);
+            }
+        }
+        record.agents = agents;
+        // how many plans the episode has seen
+        let seen = request.plan.map_or(0, |p| p.memory[0]);
+        PlanState { record, speed_mps: vec![self.speed_mps; m * STEPS], memory: vec![seen + 1] }
+    }
+}
+
+impl TrafficPolicy for Steady {
+    fn name(&self) -> &str {
+        "steady"
+    }
+
+    fn history_states(&self) -> usize {
+        3
+    }
+
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
+        if self.fault == "error" {
+            return Err(SimError::Policy { policy: "steady".into(), message: "no idea".into() });
+        }
+        let plan = |r: &PlanRequest<'_>| {
+            assert_eq!(r.world.history.map(|h| h.len() >= 3), Some(true));
+            r.is_due(self.replan_steps).then(|| {
+                let mut plan = self.plan_one(r);
+                match self.fault {
+                    "agent" => plan.record.agents[0] = 10_000,
+                    "number" => plan.record.samples[0] = f32::NAN,
+                    "length" => plan.speed_mps.clear(),
+                    _ => {}
+                }
+                plan
+            })
+        };
+        let mut plans: Vec<_> = requests.iter().map(plan).collect();
+        if self.fault == "count" {
+            plans.pop();
+        }
+        Ok(plans)
+    }
+}
+
+fn config(traffic: Traffic) -> WorldConfig {
+    WorldConfig {
+        traffic,
+        horizon_steps: 30,
+        autoreset: Autoreset::Disabled,
+        on_collision: Consequence::Ignore,
+        on_off_road: Consequence::Ignore,
+        terminate_at_goal: false,
+        ..WorldConfig::default()
+    }
+}
+
+fn mix(shares: &[(&str, f32)]) -> Traffic {
+    Traffic::Mix(shares.iter().map(|(name, share)| ((*name).to_owned(), *share)).collect())
+}
+
+fn batch(config: WorldConfig, envs: usize, threads: usize) -> Batch {
+    let policies = vec![("slow".to_owned(), Steady::boxed(3.0)), ("fast".to_owned(), Steady::boxed(9.0))];
+    Batch::with_policies(vec![city(20), city(9)], config, envs, threads, policies)
+}
+
+/// Names of the drivers of a world's agents.
+fn names(world: &VecWorld, world_idx: usize) -> Vec<String> {
+    let status = world.status(world_idx).unwrap();
+    status.drivers.iter().map(|d| world.driver_name(*d).0.to_owned()).collect()
+}
+
+#[test]
+fn several_policies_plan_in_one_world_and_each_is_followed() {
+    let mut batch = batch(config(mix(&[("slow", 0.5), ("fast", 0.5)])), 2, 1);
+    batch.reset_all(3);
+    assert_eq!(batch.world.planner_names().collect::<Vec<_>>(), ["slow", "fast"]);
+    assert!(batch.world.explain(0, Some("fast")).unwrap().is_none());
+    for t in 0..9 {
+        batch.step(&actions(t, 4)).unwrap();
+        let drivers = names(&batch.world, 0);
+        for (name, speed) in [("slow", 3.0), ("fast", 9.0)] {
+            let plan = batch.world.explain(0, Some(name)).unwrap().unwrap();
+            assert_eq!(plan.made_at, t / 4 * 4);
+            assert!(!plan.agents.is_empty() && plan.agents.iter().all(|a| drivers[*a] == name));
+            let states = batch.world.status(0).unwrap().states;
+            for a in plan.agents.iter().filter(|a| states.active[**a]) {
+                assert!((states.speed_mps[*a] - speed).abs() < 1e-4, "agent {a} of {name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn plans_are_part_of_snapshots_and_forks_and_end_with_the_episode() {
+    let mut batch = batch(config("slow".into()), 2, 1);
+    batch.reset(&[Some(3), Some(4)], &[Some(0), Some(0)]).unwrap();
+    for t in 0..6 {
+        batch.step(&actions(t, 4)).unwrap();
+    }
+    let kept = batch.world.snapshot(0).unwrap();
+    let mut play = |batch: &mut Batch| {
+        (6..14).for_each(|t| batch.step(&actions(t, 4)).unwrap());
+        batch.world.digest(0).unwrap()
+    };
+    let first = play(&mut batch);
+    batch.world.restore(0, &kept).unwrap();
+    assert_eq!(batch.world.explain(0, None).unwrap().unwrap().made_at, 4);
+    assert_eq!(play(&mut batch), first);
+    // a fork follows the plan of the world that it comes from
+    batch.world.restore(1, &kept).unwrap();
+    assert_eq!(batch.world.explain(1, None).unwrap().unwrap().made_at, 4);
+    batch.reset_masked(&[true, false]).unwrap();
+    assert!(batch.world.explain(0, None).unwrap().is_none());
+    assert!(batch.world.explain(1, None).unwrap().is_some());
+}
+
+#[test]
+fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
+    let shares = [("idm", 0.5), ("slow", 0.3), ("replay", 0.2)];
+    let drawn = |envs: usize, threads: usize, seed: u64| {
+        let mut batch = batch(config(mix(&shares)), envs, threads);
+        batch.reset(&vec![Some(seed); envs], &vec![Some(0); envs]).unwrap();
+        let first = names(&batch.world, envs - 1);
+        batch.reset(&vec![None; envs], &vec![Some(0); envs]).unwrap();
+        (first, names(&batch.world, envs - 1))
+    };
+    let (first, second) = drawn(1, 1, 7);
+    assert_ne!(first, second, "another episode, another draw");
+    assert_eq!(drawn(12, 2, 7), (first.clone(), second));
+    assert_ne!(drawn(1, 1, 8).0, first);
+    assert_eq!(first[0], "external");
+
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    let mut batch = batch(config(mix(&shares)), 1, 1);
+    for seed in 0..200 {
+        batch.reset(&[Some(seed)], &[Some(0)]).unwrap();
+        names(&batch.world, 0).into_iter().skip(1).for_each(|n| *counts.entry(n).or_default() += 1);
+    }
+    let total: usize = counts.values().sum();
+    for (name, share) in shares {
+        let got = counts[name] as f32 / total as f32;
+        // five standard deviations of a share of 3,800 draws
+        assert!((got - share).abs() < 0.041, "{name}: {got}");
+    }
+}
+
+#[test]
+fn single_vehicles_have_drivers_of_their_own() {
+    let scene = city(20);
+    let id = scene.agents[5].id.clone();
+    let drivers = BTreeMap::from([(id, "fast".to_owned())]);
+    let mut batch = batch(WorldConfig { drivers, ..config("idm".into()) }, 1, 1);
+    batch.reset(&[Some(1)], &[Some(0)]).unwrap();
+    let found = names(&batch.world, 0);
+    assert_eq!((found[4].as_str(), found[5].as_str()), ("idm", "fast"));
+    batch.step(&actions(0, 2)).unwrap();
+    assert_eq!(batch.world.explain(0, Some("fast")).unwrap().unwrap().agents, [5]);
+    // nobody is driven by it in this world: it is not asked
+    assert!(batch.world.explain(0, Some("slow")).unwrap().is_none());
+    batch.world.assign(0, &[6], "slow").unwrap();
+    batch.step(&actions(1, 2)).unwrap();
+    assert_eq!(batch.world.explain(0, Some("slow")).unwrap().unwrap().agents, [6]);
+}
+
+#[test]
+fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
+    for fault in ["error", "agent", "number", "length", "count"] {
+        let policy: Box<dyn TrafficPolicy> = Box::new(Steady { speed_mps: 5.0, replan_steps: 1, fault });
+        let policies = vec![("odd".to_owned(), policy)];
+        let mut batch = Batch::with_policies(vec![city(9)], config("odd".into()), 2, 1, policies);
+        batch.reset_all(0);
+        let before = batch.world.digest(0).unwrap();
+        match batch.step(&actions(0, 4)) {
+            Err(SimError::Policy { .. }) => {}
+            other => panic!("{fault} gave {other:?}"),
+        }
+        assert_eq!(batch.world.digest(0).unwrap(), before, "{fault}");
+    }
+}
+
+#[test]
+fn drivers_that_are_not_there_are_named() {
+    let fail = |config: WorldConfig, policies: Vec<(String, Box<dyn TrafficPolicy>)>| {
+        VecWorld::new(vec![city(9)], config, 1, 1, policies).err().unwrap().to_string()
+    };
+    let named = fail(config("crazy".into()), Vec::new());
+    assert_eq!(
+        named,
+        "config: traffic is \"crazy\", expected a driver of this batch: replay, constant_velocity, idm"
+    );
+    let twice = fail(config("idm".into()), vec![("idm".to_owned(), Steady::boxed(1.0))]);
+    assert!(twice.contains("policies is idm"), "{twice}");
+    let drivers = BTreeMap::from([("nobody".to_owned(), "idm".to_owned())]);
+    let unknown = fail(WorldConfig { drivers, ..config("idm".into()) }, Vec::new());
+    assert!(unknown.contains("\"nobody\""), "{unknown}");
+    for bad in [&[("idm", 0.5)][..], &[("idm", 1.5), ("replay", -0.5)], &[("idm", f32::NAN)], &[]] {
+        let shares = fail(config(mix(bad)), Vec::new());
+        assert!(shares.contains("config: traffic is") && shares.contains("sum to 1"), "{shares}");
+    }
+    let mut batch = batch(config("idm".into()), 1, 1);
+    batch.reset_all(0);
+    assert!(batch.world.assign(0, &[1], "external").is_err(), "it has no slot");
+    assert!(batch.world.assign(0, &[1], "crazy").is_err());
+}
+
+#[test]
+fn a_snapshot_of_another_layout_is_refused_by_its_number() {
+    let mut batch = batch(config("idm".into()), 1, 1);
+    batch.reset_all(0);
+    let mut bytes = batch.world.snapshot(0).unwrap();
+    bytes[0] = 1;
+    let error = batch.world.restore(0, &bytes).unwrap_err().to_string();
+    assert_eq!(error, "snapshot: layout 1 of another release, this one reads 2");
+}
+
+/// Leaves everything to the defaults of the trait.
+struct Nothing;
+
+impl TrafficPolicy for Nothing {
+    fn name(&self) -> &str {
+        "nothing"
+    }
+}
+
+#[test]
+fn a_policy_of_one_method_replays_the_log() {
+    let run = |traffic: &str| {
+        let policies: Vec<(String, Box<dyn TrafficPolicy>)> = vec![("nothing".to_owned(), Box::new(Nothing))];
+        let mut batch = Batch::with_policies(vec![city(20)], config(traffic.into()), 1, 1, policies);
+        batch.reset_all(2);
+        (0..20).for_each(|t| batch.step(&actions(t, 2)).unwrap());
+        batch.world.status(0).unwrap().states.clone()
+    };
+    assert_eq!(run("nothing"), run("replay"));
+}
+
+#[test]
+fn no_policy_of_another_crate_is_named_here() {
+    fn files(folder: &std::path::Path, found: &mut BTreeSet<std::path::PathBuf>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() { files(&path, found) } else { found.insert(path).then_some(()).unwrap() }
+        }
+    }
+    let mut found = BTreeSet::new();
+    files(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut found);
+    assert!(found.len() > 50);
+    for path in found {
+        let text = std::fs::read_to_string(&path).unwrap().to_lowercase();
+        let text = text.replace("ccdiff-sim", "").replace("ccdiff_sim", "");
+        assert!(!text.contains("ccdiff"), "{}", path.display());
+    }
+}
