@@ -15,6 +15,7 @@ if _torch.__version__.split("+")[0] != _TORCH:
 
 from ccdiff_env import _native as _native  # noqa: E402
 from ccdiff_env import causal, config, errors, metrics  # noqa: E402
+from ccdiff_env.bank import load_bank, record_bank  # noqa: E402
 from ccdiff_env.certificate import Certificate, replay  # noqa: E402
 from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
@@ -54,11 +55,13 @@ __all__ = [
     "config",
     "embedded_scenes",
     "errors",
+    "load_bank",
     "load_nuscenes",
     "load_scenarionet",
     "make_vec",
     "metrics",
     "parallel_env",
+    "record_bank",
     "replay",
 ]
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from ccdiff_env.errors import ConfigError, DatasetError
 
-__all__ = ["Job", "results", "run_jobs"]
+__all__ = ["Job", "end_with_parent", "results", "run_jobs"]
 
 Backend = Literal["local", "ray"]
 #: Times that a lost worker's job is tried again.
@@ -106,12 +106,12 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
         return
     # forked children may not enter worlds that hold threads
     context = get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as pool:
         for future in as_completed([pool.submit(_run, job) for job in jobs]):
             yield future.result()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let this worker end when the process that began it has: else it would work on unseen."""
 
     def watch() -> None:

@@ -28,6 +28,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.planners import ego_driver
+from ccdiff_env.policies import EgoPolicy, find_policy
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
@@ -86,7 +87,8 @@ def planner_jobs(
     source
         The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
     planners
-        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, the path of a policy saved
+        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, a policy of
+        :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
         :func:`play`.
     traffic
@@ -149,7 +151,10 @@ def evaluate_recorded(
 _Drive = Callable[[Worlds, npt.NDArray[np.float32]], npt.NDArray[Any]]
 
 
-def _drive(planner: str, worlds: Worlds) -> _Drive:
+def _drive(planner: str, policy: EgoPolicy | None, worlds: Worlds) -> _Drive:
+    if policy is not None:
+        held = policy.drive(worlds)
+        return lambda _, obs: held(obs)
     if planner == "pdm":
         pdm = PdmPlanner(worlds)
         return lambda w, _: np.stack([pdm.act(i) for i in range(w.num_worlds)])
@@ -214,8 +219,11 @@ def drive(
     dict
         The recorded episodes by name of the scene.
     """
-    outside = planner == "pdm" or ":" in planner or planner.endswith(".zip")
-    config = WorldConfig().with_options(
+    policy = find_policy(planner)
+    outside = policy is not None or planner == "pdm" or ":" in planner or planner.endswith(".zip")
+    fitting = WorldConfig() if policy is None else policy.config
+    config = fitting.with_options(
+        decision_steps=1,
         history_steps=HISTORY_STEPS,
         traffic=traffic.driver,
         driver="external" if outside else planner,
@@ -229,7 +237,7 @@ def drive(
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     native, out = worlds.native, worlds.arrays()
     native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    act = _drive(planner, worlds)
+    act = _drive(planner, policy, worlds)
     names = worlds.column_names
     recorders = {
         i: Recorder(worlds, world_idx=i, planner=planner)

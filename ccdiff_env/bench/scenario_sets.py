@@ -146,19 +146,19 @@ class ScenarioSet:
         return as_scene(self.rollout(scene))
 
 
-def as_scene(rollout: Rollout) -> Scene:
+def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
     """Return the scene of a recorded episode with the logged path of its ego, to the log's end."""
     ego = rollout.agent_ids.index("ego")
     tracks = dict[str, Any](rollout.scene.tracks())
     shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
     changed: dict[str, Any] = {}
-    for name in ("position", "heading", "velocity", "valid"):
-        recorded = getattr(rollout, name)
-        changed[name] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
-        changed[name][:, : rollout.num_steps] = recorded
-        changed[name][ego] = tracks[name][ego, rollout.start_step :]
+    for field in ("position", "heading", "velocity", "valid"):
+        recorded = getattr(rollout, field)
+        changed[field] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
+        changed[field][:, : rollout.num_steps] = recorded
+        changed[field][ego] = tracks[field][ego, rollout.start_step :]
     whole = replace(rollout, **changed, events=(), figures={}, plans=())
-    return whole.to_scene(rollout.scene.name)
+    return whole.to_scene(name or rollout.scene.name)
 
 
 def generate(

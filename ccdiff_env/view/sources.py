@@ -67,7 +67,8 @@ def play_scene(
         The scene.
     traffic, driver
         Who drives the other vehicles, and the ego: ``"ccdiff"``, ``"idm"``, ``"replay"`` or
-        ``"constant_velocity"``.
+        ``"constant_velocity"``; the ego also a policy of :mod:`ccdiff_env.policies`, by name or
+        the path of its file (``.safetensors``).
     seed
         Seed of the episode.
     ccdiff
@@ -87,19 +88,26 @@ def play_scene(
     from ccdiff_env.config import unknown
     from ccdiff_env.envs import EgoEnv
     from ccdiff_env.envs.worlds import DRIVERS
+    from ccdiff_env.policies import SHIPPED, find_policy
     from ccdiff_env.recorder import Recorder
 
+    policy = find_policy(driver)
     known = [name for name in DRIVERS if name != "external"]  # nobody is outside here
-    if driver not in known:
-        raise unknown("driver of the ego", driver, known)
+    if policy is not None:
+        options["config"] = policy.config.with_options(decision_steps=1)
+    elif driver not in known:
+        raise unknown("driver of the ego", driver, [*known, *SHIPPED])
     settings = {"num_samples": SAMPLES, **(ccdiff or {})}
-    env = EgoEnv(scenes=scene, traffic=traffic, driver=driver, ccdiff=settings, **options)
-    env.reset(seed=seed)
+    seat = driver if policy is None else "external"
+    env = EgoEnv(scenes=scene, traffic=traffic, driver=seat, ccdiff=settings, **options)
+    obs, _ = env.reset(seed=seed)
     recorder = Recorder(env, planner=driver)
     recorder.start()
-    idle, done = np.zeros(env.action_space.shape or (), np.float32), False
+    action, done = np.zeros(env.action_space.shape or (), np.float32), False
+    act = None if policy is None else policy.drive(env.worlds)
     while not done:
-        _, _, terminated, truncated, _ = env.step(idle)
+        action = action if act is None else act(obs[None])[0]
+        obs, _, terminated, truncated, _ = env.step(action)
         recorder.step()
         done = terminated or truncated
     env.close()

@@ -1,0 +1,201 @@
+"""Banks: recorded critical traffic as scenes to train in.
+
+CCDiff traffic is far slower than a learner. A bank holds episodes that it made against one ego, as
+scenes in which the others do as recorded: they are played as fast as logs, mixed with logs, and
+recorded anew against the ego of today.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.bench.jobs import end_with_parent
+from ccdiff_env.bench.planners import Traffic, drive
+from ccdiff_env.bench.scenario_sets import OPTIONS, as_scene
+from ccdiff_env.counterfactual import rollout_avoidability
+from ccdiff_env.envs.worlds import Scenes, scene_set
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.models import weights_path
+from ccdiff_env.scenes import Scene, SceneSet
+
+__all__ = ["load_bank", "record_bank"]
+
+FORMAT = "ccdiff-env bank 1"
+SETTINGS = "bank.json"
+#: Scenes that share a batch of the network, and a file.
+PIECE = 12
+#: A scene in a file is not larger.
+MAX_BYTES = 64 << 20
+
+
+def record_bank(
+    scenes: Scenes,
+    folder: str | os.PathLike[str],
+    *,
+    ego: str = "idm",
+    criticality: float = 1.0,
+    draws: int = 1,
+    seed: int = 0,
+    avoidable_only: bool = False,
+    workers: int = 1,
+) -> SceneSet:
+    """Drive scenes in CCDiff traffic and keep the episodes as scenes.
+
+    A call that was stopped goes on with what the folder lacks. What a bank holds does not depend on
+    the number of workers.
+
+    Parameters
+    ----------
+    scenes
+        Scenes to drive, as for :func:`ccdiff_env.make_vec`.
+    folder
+        Where the bank goes.
+    ego
+        The ego that the traffic is made against: ``"idm"``, ``"replay"``, ``"pdm"``, a policy of
+        :mod:`ccdiff_env.policies`, or the path of one (``.safetensors``, ``.zip``).
+    criticality
+        Strength of the guidance against it.
+    draws
+        Episodes of each scene.
+    seed
+        Seed of the first draw; the others follow.
+    avoidable_only
+        Whether episodes are left out in which the ego collides and no plan that was tried would
+        have kept it free of collisions.
+    workers
+        Processes.
+
+    Returns
+    -------
+    SceneSet
+        The recorded scenes: the others do as recorded, the ego's log stays for its route and goal.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds a bank of other settings, or one is out of range.
+    """
+    if draws < 1 or workers < 1:
+        raise ConfigError(f"draws, workers are {draws}, {workers}, expected at least 1")
+    chosen, root = scene_set(scenes), Path(folder)
+    settings = {
+        "format": FORMAT,
+        "ego": _ego_digest(ego),
+        "criticality": criticality,
+        "seed": seed,
+        "avoidable_only": avoidable_only,
+        "scenes": hashlib.sha256("".join(s.hash for s in chosen).encode()).hexdigest(),
+        "weights": hashlib.sha256(Path(weights_path("fast")).read_bytes()).hexdigest(),
+    }
+    _settle(root, settings)
+    tag = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:6]
+    jobs = []
+    for draw in range(draws):
+        for first in range(0, len(chosen), PIECE):
+            path = root / f"{first // PIECE:04d}-{draw}.scenes"
+            if not path.exists():
+                some = [scene.to_bytes() for scene in chosen[first : first + PIECE]]
+                jobs.append((path, some, ego, criticality, seed + draw, f"{tag}-{draw}"))
+    if workers == 1:
+        for job in jobs:
+            _record(*job, avoidable_only)
+    else:
+        # forked children may not enter worlds that hold threads
+        pool = ProcessPoolExecutor(
+            workers, mp_context=get_context("spawn"), initializer=end_with_parent
+        )
+        with pool:
+            for future in as_completed(
+                [pool.submit(_record, *job, avoidable_only) for job in jobs]
+            ):
+                future.result()
+    return load_bank(root)
+
+
+def _ego_digest(ego: str) -> str:
+    """Return the name of an ego, with the hash of its file where it has one."""
+    if not Path(ego).is_file():
+        return ego
+    return f"{Path(ego).name} {hashlib.sha256(Path(ego).read_bytes()).hexdigest()}"
+
+
+def _settle(root: Path, settings: dict[str, Any]) -> None:
+    root.mkdir(parents=True, exist_ok=True)
+    path = root / SETTINGS
+    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else settings
+    for name, value in settings.items():
+        if known.get(name) != value:
+            raise ConfigError(
+                f"{path}: a bank with {name} {known.get(name)!r}, now {value!r}; "
+                "choose another folder"
+            )
+    path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+
+
+def _record(
+    path: Path,
+    packed: list[bytes],
+    ego: str,
+    criticality: float,
+    seed: int,
+    tag: str,
+    avoidable_only: bool,
+) -> None:
+    """Record one piece and write its file."""
+    import torch
+
+    torch.set_num_threads(1)
+    scenes = SceneSet([Scene.from_bytes(data) for data in packed])
+    settings = {"criticality": criticality, "num_samples": 1}
+    traffic = Traffic(f"CCDiff, criticality {criticality:g}", "ccdiff", settings)
+    _, rollouts = drive(scenes, ego, traffic, seed=seed, options=OPTIONS, record=scenes.names)
+    parts = []
+    for name, rollout in rollouts.items():
+        found = rollout_avoidability(rollout) if avoidable_only else None
+        if found is not None and not found.avoidable:
+            continue
+        data = zlib.compress(as_scene(rollout, f"{name} {tag}").to_bytes(), 3)
+        parts.append(struct.pack("<I", len(data)) + data)
+    half = path.with_suffix(".tmp")
+    half.write_bytes(b"".join(parts))
+    half.replace(path)
+
+
+def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
+    """Return the scenes of a bank that :func:`record_bank` wrote.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there is none.
+    DatasetError
+        If a file is damaged.
+    """
+    root = Path(folder)
+    if not (root / SETTINGS).is_file():
+        raise DatasetNotFoundError(f"no bank in {root}")
+    return SceneSet([scene for path in sorted(root.glob("*.scenes")) for scene in _scenes(path)])
+
+
+def _scenes(path: Path) -> Iterator[Scene]:
+    data, at = path.read_bytes(), 0
+    while at < len(data):
+        try:
+            (length,) = struct.unpack_from("<I", data, at)
+            packed, at = data[at + 4 : at + 4 + length], at + 4 + length
+            reader = zlib.decompressobj()
+            plain = reader.decompress(packed, MAX_BYTES)
+            if not reader.eof:
+                raise DatasetError(f"bank: damaged (a scene is cut off), {path}")
+        except (struct.error, zlib.error) as error:
+            raise DatasetError(f"bank: damaged ({error}), {path}") from None
+        yield Scene.from_bytes(plain)

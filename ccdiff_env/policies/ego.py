@@ -1,0 +1,270 @@
+"""Ego policies in numpy: a network over the rows of the observation, with all that it needs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, ShapeError
+from ccdiff_env.policies.tensors import read_tensors, write_tensors
+
+__all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
+
+F32 = npt.NDArray[np.float32]
+
+FORMAT = "ccdiff-env ego 1"
+#: A lean observation: the ego on its route, 10 points of the route, the 12 nearest agents. What
+#: tells one scene from another is left out, so that egos do not learn scenes by heart.
+OBSERVATION: Mapping[str, Any] = {
+    "num_agents": 12,
+    "num_route_points": 10,
+    "route_spacing_m": 4.0,
+    "num_map_pieces": 0,
+    "ego_columns": (
+        "speed",
+        "acceleration",
+        "yaw_rate",
+        "length",
+        "last_action_0",
+        "last_action_1",
+        "speed_limit",
+        "route_distance",
+        "route_sin",
+        "route_cos",
+        "off_road",
+        "route_remaining",
+        "leader_gap",
+        "leader_closing",
+    ),
+    "agent_columns": (
+        "x",
+        "y",
+        "cos",
+        "sin",
+        "velocity_x",
+        "velocity_y",
+        "speed",
+        "length",
+        "width",
+        "ttc",
+        "is_vehicle",
+        "route_position",
+        "route_distance",
+        "route_speed",
+    ),
+}
+_LAYERS = (
+    "encoder.0",
+    "encoder.2",
+    "policy.0",
+    "policy.2",
+    "policy.4",
+)
+
+
+def _schema(worlds: Worlds) -> str:
+    """Digest of what the floats of an observation mean."""
+    return hashlib.blake2b(worlds.native.layout_json.encode(), digest_size=8).hexdigest()
+
+
+def _worlds(config: WorldConfig) -> Worlds:
+    """Return a world of a configuration."""
+    return Worlds(embedded_scenes("val")[:1], config, num_worlds=1)
+
+
+class EgoPolicy:
+    """A trained ego.
+
+    Parameters
+    ----------
+    tensors
+        Weights by name, and ``mean`` and ``std`` [D] of observations.
+    options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what its
+        actions mean, for how many steps it holds them.
+    schema
+        Digest of the meaning of its observations.
+    about
+        How it was trained.
+    """
+
+    def __init__(
+        self,
+        tensors: Mapping[str, F32],
+        options: Mapping[str, Any],
+        schema: str,
+        about: Mapping[str, Any],
+    ) -> None:
+        #: Configuration of worlds that fit.
+        self.config = WorldConfig().with_options(**options)
+        self.about = dict(about)
+        self._schema = schema
+        worlds = _worlds(self.config)
+        self.check(worlds)
+        self._size = worlds.layout.size
+        self._tensors = {name: tensors[name] for name in tensors}
+        entries = {entry.name: entry for entry in worlds.layout.entries}
+        rows, mask = entries["agents"], entries["agents_mask"]
+        self._rows = slice(rows.offset, rows.offset + rows.size)
+        self._mask = slice(mask.offset, mask.offset + mask.size)
+        self._shape = rows.shape
+        self._check_shapes(worlds.native.action_width)
+
+    @property
+    def env_options(self) -> dict[str, Any]:
+        """Keywords of :func:`ccdiff_env.make_vec` that fit; others may stand beside them."""
+        return {"config": self.config}
+
+    def _check_shapes(self, width: int) -> None:
+        expected: dict[str, tuple[int, ...]] = {"mean": (self._size,), "std": (self._size,)}
+        before = self._shape[1]
+        for name in _LAYERS:
+            if name == "policy.0":
+                before += self._size - self._shape[0] * (self._shape[1] + 1)
+            weight = self._tensors.get(f"{name}.weight", np.empty((0, 0)))
+            out = width if name == _LAYERS[-1] else int(weight.shape[0])
+            expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
+            before = out
+        for name, shape in expected.items():
+            found = None if name not in self._tensors else self._tensors[name].shape
+            if found != shape:
+                raise DatasetError(f"policy: {name} has shape {found}, expected {shape}")
+
+    def check(self, worlds: Worlds) -> None:
+        """Refuse worlds whose observations or actions are not those of the policy.
+
+        Raises
+        ------
+        ConfigError
+            In one line that says what differs.
+        """
+        action = self.config.action
+        if worlds.config.action != action:
+            raise ConfigError(
+                f"policy: trained for {action.dynamics}, the worlds have "
+                f"{worlds.config.action.dynamics}; make them with its env_options"
+            )
+        if _schema(worlds) != self._schema:
+            raise ConfigError(
+                f"policy: trained on observations {self._schema}, the worlds' are "
+                f"{_schema(worlds)}; make them with its env_options"
+            )
+
+    def act(self, obs: npt.NDArray[Any]) -> F32:
+        """Return actions [N, A] in [-1, 1] for flat observations [N, D]; nothing is drawn.
+
+        Raises
+        ------
+        ShapeError
+            If the observations have another width.
+        """
+        given = np.asarray(obs, np.float32)
+        if given.ndim != 2 or given.shape[1] != self._size:
+            raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self._size})")
+        t = self._tensors
+        x = np.clip((given - t["mean"]) / t["std"], -5.0, 5.0)
+        rows = x[:, self._rows].reshape(-1, *self._shape)
+        for name in _LAYERS[:2]:
+            rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
+        seen = (rows * given[:, self._mask, None]).max(axis=1)
+        h = np.concatenate([x[:, : self._rows.start], x[:, self._mask.stop :], seen], axis=1)
+        for name in _LAYERS[2:]:
+            h = h @ t[f"{name}.weight"].T + t[f"{name}.bias"]
+            if name != _LAYERS[-1]:
+                h = np.maximum(h, 0.0)
+        actions: F32 = np.clip(h, -1.0, 1.0).astype(np.float32)
+        return actions
+
+    def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
+        """Return a function from observations [E, D] of worlds to actions [E, A].
+
+        Worlds that do not hold actions themselves are given every action for as many steps as the
+        policy was trained to hold it.
+
+        Raises
+        ------
+        ConfigError
+            If the worlds do not fit.
+        """
+        self.check(worlds)
+        held, native = self.config.decision_steps, worlds.native
+        if worlds.config.decision_steps not in (1, held):
+            raise ConfigError(
+                f"policy: trained with decision_steps={held}, the worlds have "
+                f"{worlds.config.decision_steps}; make them with its env_options"
+            )
+        if worlds.config.decision_steps == held:
+            return self.act
+        present = np.zeros((worlds.num_worlds, native.action_width), np.float32)
+
+        def act(obs: npt.NDArray[Any]) -> F32:
+            elapsed = np.array([native.status(i)[4] for i in range(worlds.num_worlds)])
+            due = elapsed % held == 0
+            present[due] = self.act(np.asarray(obs)[due])
+            return present
+
+        return act
+
+
+def save_ego(
+    path: str | os.PathLike[str],
+    tensors: Mapping[str, Any],
+    options: Mapping[str, Any],
+    about: Mapping[str, Any],
+) -> None:
+    """Write a policy with all that it needs to a safetensors file.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    tensors
+        State of the network as ``examples/train_ego_ppo.py`` has it, tensors or arrays.
+    options
+        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy.
+    about
+        How it was trained: what JSON can hold.
+    """
+    names = [f"{layer}.{part}" for layer in _LAYERS for part in ("weight", "bias")]
+    kept = {name: np.asarray(tensors[name], np.float32) for name in names}
+    kept["mean"] = np.asarray(tensors["mean"], np.float32)
+    kept["std"] = np.sqrt(np.asarray(tensors["var"], np.float32) + np.float32(1e-4))
+    metadata = {
+        "format": FORMAT,
+        "options": json.dumps(options),
+        "schema": _schema(_worlds(WorldConfig().with_options(**options))),
+        "about": json.dumps(about),
+    }
+    write_tensors(path, kept, metadata)
+
+
+def load_ego(path: str | os.PathLike[str]) -> EgoPolicy:
+    """Load a policy that :func:`save_ego` wrote.
+
+    Raises
+    ------
+    DatasetNotFoundError, DatasetError
+        If there is no such file, or it is damaged.
+    ConfigError
+        If the observations that this version makes are not those that it was trained on.
+    """
+    tensors, metadata = read_tensors(path)
+    if metadata.get("format") != FORMAT:
+        found = metadata.get("format")
+        raise DatasetError(f"policy: format {found!r}, expected {FORMAT!r}, {os.fspath(path)}")
+    try:
+        options, about = json.loads(metadata["options"]), json.loads(metadata["about"])
+        return EgoPolicy(tensors, options, metadata["schema"], about)
+    except (KeyError, ValueError, TypeError) as error:
+        if isinstance(error, CcdiffError):
+            raise
+        raise DatasetError(f"policy: damaged ({error}), {os.fspath(path)}") from None

@@ -1,0 +1,307 @@
+"""Train an ego with PPO in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
+
+    python examples/train_ego_ppo.py --traffic replay idm --minutes 5
+
+Without --dataroot the embedded scenes are used. A run that was stopped goes on where its last
+checkpoint is: give it --resume. The policy is exported beside the checkpoint, for
+``ccdiff_env.policies.load``, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+import ccdiff_env
+from ccdiff_env.bank import load_bank
+from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.spaces import Layout
+
+ROLLOUT = 32  # decisions of each world between updates
+EPOCHS, MINIBATCH = 3, 8192
+GAMMA, LAMBDA = 0.98, 0.95  # per decision
+CLIP, ENTROPY = 0.2, 0.001
+WIDTH_ROWS, WIDTH = 64, 128
+REWARD = {
+    "progress": 0.02,
+    "collision": -2.0,
+    "off_road": -1.0,
+    "comfort": -0.003,
+    "speed_limit": -0.01,
+    "lane_keeping": -0.004,
+    "goal": 0.4,
+}
+SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--dataroot", help="nuScenes folder")
+    parser.add_argument("--version", default="v1.0-mini")
+    parser.add_argument("--split", default="mini_train")
+    parser.add_argument(
+        "--bank", nargs="*", type=Path, default=[], help="folders of recorded traffic"
+    )
+    parser.add_argument(
+        "--traffic", nargs="+", default=["replay"], help="replay, idm, ccdiff, bank"
+    )
+    parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
+    parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
+    parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of training, resumed ones too")
+    parser.add_argument("--learning-rate", type=float, default=5e-4)
+    parser.add_argument("--noise", type=float, default=0.5, help="first standard deviation")
+    parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--start", type=Path, help="checkpoint whose networks to begin with")
+    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    parser.add_argument("--out", type=Path, default=Path("runs/train_ego_ppo"))
+    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    return parser.parse_args()
+
+
+class Worlds:
+    """Vector environments side by side, one for each traffic, as one batch of E worlds."""
+
+    def __init__(self, args: argparse.Namespace, config: ccdiff_env.WorldConfig, seed: int) -> None:
+        if args.dataroot is None:
+            scenes = ccdiff_env.embedded_scenes("train")
+        else:
+            scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split.split("+"))
+        recorded = [scene for path in args.bank for scene in load_bank(path)]
+        each = args.worlds // len(args.traffic)
+        self.envs = [
+            ccdiff_env.make_vec(
+                each,
+                scenes=ccdiff_env.SceneSet(recorded) if traffic == "bank" else scenes,
+                config=config,
+                traffic="replay" if traffic == "bank" else traffic,
+                autoreset_mode="same_step",
+                info="end",
+                copy=False,
+                num_threads=args.threads,
+                **({"criticality": (0.0, args.criticality)} if traffic == "ccdiff" else {}),
+            )
+            for traffic in args.traffic
+        ]
+        self.size = each
+        self.episodes: list[np.ndarray] = []
+        self.obs = np.concatenate(
+            [env.reset(seed=seed + i * each)[0] for i, env in enumerate(self.envs)]
+        )
+        self.action_width = self.envs[0].single_action_space.shape[0]
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
+        rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
+        for i, env in enumerate(self.envs):
+            part = slice(i * self.size, (i + 1) * self.size)
+            self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
+            rewards.append(reward.copy())
+            ends.append(terminated | truncated)
+            if truncated.any():
+                cut.append(np.flatnonzero(truncated) + i * self.size)
+                last.append(np.stack(info["final_obs"][truncated]))
+            if ends[-1].any():
+                metrics = info["final_info"]["metrics"]
+                self.episodes.append(np.stack([metrics[k][ends[-1]] for k in SHOWN], axis=1))
+        found = np.concatenate(cut) if cut else np.empty(0, np.int64)
+        return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
+
+
+class Agent(nn.Module):
+    """Policy and value: all agents pass one network, the greatest of each feature stays."""
+
+    def __init__(self, layout: Layout, action_width: int, noise: float) -> None:
+        super().__init__()
+        entries = {entry.name: entry for entry in layout.entries}
+        rows, mask = entries["agents"], entries["agents_mask"]
+        self.rows, self.shape = slice(rows.offset, rows.offset + rows.size), rows.shape
+        self.mask = slice(mask.offset, mask.offset + mask.size)
+        rest = sum(e.size for e in layout.entries) - rows.size - mask.size
+        self.encoder = nn.Sequential(
+            nn.Linear(rows.shape[1], WIDTH_ROWS),
+            nn.ReLU(),
+            nn.Linear(WIDTH_ROWS, WIDTH_ROWS),
+            nn.ReLU(),
+        )
+        self.policy, self.value = (
+            nn.Sequential(
+                nn.Linear(rest + WIDTH_ROWS, WIDTH),
+                nn.ReLU(),
+                nn.Linear(WIDTH, WIDTH),
+                nn.ReLU(),
+                nn.Linear(WIDTH, out),
+            )
+            for out in (action_width, 1)
+        )
+        nn.init.orthogonal_(self.policy[-1].weight, 0.01)
+        nn.init.zeros_(self.policy[-1].bias)
+        self.log_std = nn.Parameter(torch.full((action_width,), float(np.log(noise))))
+        for name, value in (("mean", 0.0), ("var", 1.0)):
+            self.register_buffer(name, torch.full((layout.size,), value))
+        self.register_buffer("count", torch.tensor(1e-4))
+
+    def see(self, obs: torch.Tensor) -> None:
+        """Take observations [E, D] into mean and variance; rows of agents share theirs."""
+        mean, var = obs.mean(0), obs.var(0, unbiased=False)
+        rows = obs[:, self.rows].reshape(-1, self.shape[1])
+        present = rows[obs[:, self.mask].reshape(-1) > 0]
+        if len(present) > 1:
+            mean[self.rows] = present.mean(0).repeat(self.shape[0])
+            var[self.rows] = present.var(0, unbiased=False).repeat(self.shape[0])
+        mean[self.mask], var[self.mask] = 0.0, 1.0
+        total = self.count + len(obs)
+        share, delta = len(obs) / total, mean - self.mean
+        self.var += (var - self.var) * share + delta**2 * share * (1.0 - share)
+        self.mean += delta * share
+        self.count.copy_(total)
+
+    def normalised(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations [E, D] as the networks want them."""
+        return ((obs - self.mean) / (self.var + 1e-4).sqrt()).clamp(-5.0, 5.0)
+
+    def features(self, x: torch.Tensor) -> torch.Tensor:
+        """What both heads see of normalised observations [B, D]."""
+        rows = self.encoder(x[:, self.rows].reshape(-1, *self.shape))
+        found = (rows * x[:, self.mask].unsqueeze(-1)).amax(dim=1)
+        return torch.cat([x[:, : self.rows.start], x[:, self.mask.stop :], found], dim=1)
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means [B, W] of the actions and values [B]."""
+        features = self.features(x)
+        return self.policy(features), self.value(features).squeeze(1)
+
+    def log_prob(self, mean: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Log density [B] of actions, less a constant."""
+        return (-0.5 * ((actions - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(1)
+
+
+def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, torch.Tensor]:
+    """Let all worlds decide ROLLOUT times; tensors [T, E, ...]."""
+    size, width = worlds.obs.shape[0], worlds.action_width
+    x = torch.empty(ROLLOUT, *worlds.obs.shape)
+    actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
+    rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
+    values = torch.empty(ROLLOUT + 1, size)
+    for t in range(ROLLOUT):
+        begin = time.perf_counter()
+        x[t] = agent.normalised(torch.from_numpy(worlds.obs))
+        mean, values[t] = agent(x[t])
+        actions[t] = mean + agent.log_std.exp() * torch.randn(size, width)
+        log_prob[t] = agent.log_prob(mean, actions[t])
+        middle = time.perf_counter()
+        reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
+        clock["worlds"] += time.perf_counter() - middle
+        clock["decisions"] += middle - begin
+        rewards[t], ends[t] = torch.from_numpy(reward), torch.from_numpy(end)
+        if len(cut):  # a clock that runs out says nothing about the state: its value counts
+            rewards[t, cut] += GAMMA * agent(agent.normalised(torch.from_numpy(last)))[1]
+    values[ROLLOUT] = agent(agent.normalised(torch.from_numpy(worlds.obs)))[1]
+    advantage, later = torch.empty(ROLLOUT, size), torch.zeros(size)
+    for t in reversed(range(ROLLOUT)):
+        goes_on = 1.0 - ends[t]
+        delta = rewards[t] + GAMMA * goes_on * values[t + 1] - values[t]
+        later = delta + GAMMA * LAMBDA * goes_on * later
+        advantage[t] = later
+    found = {"x": x, "actions": actions, "log_prob": log_prob, "advantage": advantage}
+    found["returns"] = advantage + values[:-1]
+    return {name: value.flatten(0, 1) for name, value in found.items()}
+
+
+def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch.Tensor]) -> float:
+    """Some epochs of PPO; returns how far the policy moved, an estimate of the KL divergence."""
+    advantage = data["advantage"]
+    data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    moved = 0.0
+    for _ in range(EPOCHS):
+        for index in torch.randperm(len(advantage)).split(MINIBATCH):
+            mean, values = agent(data["x"][index])
+            change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
+            ratio, gain = change.exp(), data["advantage"][index]
+            policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()
+            value = (values - data["returns"][index]).pow(2).mean()
+            loss = policy + 0.5 * value - ENTROPY * agent.log_std.sum()
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+            optimiser.step()
+            moved = float(((ratio - 1.0) - change).detach().mean())
+    return moved
+
+
+def main() -> None:
+    args = arguments()
+    if args.smoke:
+        args.worlds, args.minutes = 16 * len(args.traffic), 0.0
+    torch.set_num_threads(args.threads)
+    fitting = {
+        "observation": OBSERVATION,
+        "dynamics": args.dynamics,
+        "decision_steps": args.decision_steps,
+    }
+    training = {"reward": REWARD, "start_spread_steps": 50}
+    args.out.mkdir(parents=True, exist_ok=True)
+    checkpoint = args.out / "checkpoint.pt"
+    saved = torch.load(checkpoint, weights_only=True) if args.resume else None
+    done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
+    torch.manual_seed(args.seed + done["updates"])
+    config = ccdiff_env.WorldConfig().with_options(**fitting, **training)
+    worlds = Worlds(args, config, args.seed + done["decisions"])
+    agent = Agent(worlds.envs[0].worlds.layout, worlds.action_width, args.noise)
+    optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5)
+    if saved:
+        agent.load_state_dict(saved["agent"])
+        optimiser.load_state_dict(saved["optimiser"])
+    elif args.start:
+        agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
+
+    def keep() -> None:
+        state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
+        torch.save(state, checkpoint.with_suffix(".tmp"))
+        checkpoint.with_suffix(".tmp").replace(checkpoint)
+        save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, {"done": done})
+
+    begin = shown = kept = time.perf_counter() - done["seconds"]
+    clock = dict.fromkeys(("worlds", "decisions", "update"), 0.0)
+    first = done["decisions"]
+    while done["updates"] == 0 or time.perf_counter() - begin < 60.0 * args.minutes:
+        left = 1.0 - done["seconds"] / max(60.0 * args.minutes, 1.0)
+        optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
+        with torch.no_grad():
+            agent.see(torch.from_numpy(worlds.obs))
+            data = rollout(agent, worlds, clock)
+        middle = time.perf_counter()
+        moved = update(agent, optimiser, data)
+        clock["update"] += time.perf_counter() - middle
+        done["decisions"] += len(data["x"])
+        done["updates"] += 1
+        done["seconds"] = now = time.perf_counter() - begin
+        if args.smoke or now - (shown - begin) > 30.0:
+            rate = (done["decisions"] - first) / sum(clock.values())
+            split = ", ".join(f"{n} {s / sum(clock.values()):.0%}" for n, s in clock.items())
+            means = np.concatenate([*worlds.episodes, np.zeros((1, len(SHOWN)))])[:-1].mean(axis=0)
+            figures = " ".join(f"{n} {m:.3f}" for n, m in zip(SHOWN, means, strict=True))
+            noise = " ".join(f"{s:.2f}" for s in agent.log_std.exp().tolist())
+            print(
+                f"{now / 60:5.1f} min {done['decisions']:9d} decisions {rate:6.0f}/s ({split}) "
+                f"{figures} noise {noise} kl {moved:.3f}",
+                flush=True,
+            )
+            worlds.episodes.clear()
+            shown = time.perf_counter()
+        if time.perf_counter() - kept > 120.0:
+            keep()
+            kept = time.perf_counter()
+    keep()
+    print(f"policy in {args.out / 'ego.safetensors'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""Ego policies of files: what they say, what they refuse, what they drive."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import ccdiff_env
+from ccdiff_env import WorldConfig, policies
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import (
+    ConfigError,
+    DatasetError,
+    DatasetNotFoundError,
+    ShapeError,
+)
+from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.policies.tensors import read_tensors, write_tensors
+from ccdiff_env.view.sources import play_scene
+
+OPTIONS = {"observation": dict(OBSERVATION), "dynamics": "assisted", "decision_steps": 3}
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return ccdiff_env.embedded_scenes("val")
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The training example as a module: its network is the oracle."""
+    path = Path(__file__).parents[1] / "examples" / "train_ego_ppo.py"
+    spec = importlib.util.spec_from_file_location("train_ego_ppo", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def agent(example, scenes):
+    """A network of random weights that has seen some observations."""
+    torch.manual_seed(0)
+    env = ccdiff_env.make_vec(8, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
+    made = example.Agent(env.worlds.layout, 2, 0.5)
+    torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
+    made.see(torch.from_numpy(env.reset(seed=0)[0]))
+    return made
+
+
+@pytest.fixture
+def path(agent, tmp_path):
+    target = tmp_path / "own.safetensors"
+    save_ego(target, agent.state_dict(), OPTIONS, {"decisions": 0})
+    return target
+
+
+def test_numpy_gives_the_actions_of_torch(agent, path, scenes):
+    policy = policies.load(path)
+    env = ccdiff_env.make_vec(16, scenes=scenes, traffic="idm", **policy.env_options)
+    obs, _ = env.reset(seed=4)
+    for _ in range(10):
+        with torch.no_grad():
+            expected = agent(agent.normalised(torch.from_numpy(obs)))[0].clamp(-1, 1).numpy()
+        actions = policy.act(obs)
+        assert actions.shape == (16, 2)
+        assert actions.dtype == np.float32
+        np.testing.assert_allclose(actions, expected, atol=1e-5)
+        obs = env.step(actions)[0]
+    assert env.config.decision_steps == 3
+
+
+def test_a_row_does_not_depend_on_the_batch(path, scenes):
+    policy = policies.load(path)
+    env = ccdiff_env.make_vec(5, scenes=scenes, **policy.env_options)
+    obs, _ = env.reset(seed=0)
+    apart = np.concatenate([policy.act(row[None]) for row in obs])
+    np.testing.assert_allclose(apart, policy.act(obs), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dynamics": "bicycle"}, "BicycleLimits"),
+        ({"action": {"max_yaw_rate_radps": 0.5}}, "trained for"),
+        ({"observation": {"num_agents": 3}}, "trained on observations"),
+        ({"decision_steps": 2}, "decision_steps=3"),
+    ],
+)
+def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, scenes):
+    policy = policies.load(path)
+    worlds = Worlds(scenes, policy.config.with_options(**options), num_worlds=1)
+    with pytest.raises(ConfigError, match=message) as caught:
+        policy.drive(worlds)
+    assert "\n" not in str(caught.value)
+    assert "env_options" in str(caught.value)
+
+
+def test_observations_of_another_width_are_refused(path):
+    with pytest.raises(ShapeError, match="expected"):
+        policies.load(path).act(np.zeros((2, 3), np.float32))
+
+
+def test_damaged_files_are_refused(path, tmp_path):
+    tensors, metadata = read_tensors(path)
+    bad = tmp_path / "bad.safetensors"
+    for changed, message in [
+        ({**metadata, "schema": "00"}, "observations 00"),
+        ({**metadata, "format": "x"}, "format 'x'"),
+        ({**metadata, "options": "{"}, "damaged"),
+        ({**metadata, "options": json.dumps({"dynamics": "hover"})}, "hover"),
+    ]:
+        write_tensors(bad, tensors, changed)
+        with pytest.raises((DatasetError, ConfigError), match=message):
+            policies.load(bad)
+    write_tensors(bad, {**tensors, "mean": tensors["mean"][1:]}, metadata)
+    with pytest.raises(DatasetError, match="mean has shape"):
+        policies.load(bad)
+    write_tensors(bad, {**tensors, "mean": tensors["mean"] * np.nan}, metadata)
+    with pytest.raises(DatasetError, match="finite"):
+        policies.load(bad)
+    data = path.read_bytes()
+    for part in (b"", data[:4], data[:100], data[:-5], b"\xff" * 64):
+        bad.write_bytes(part)
+        with pytest.raises(DatasetError):
+            policies.load(bad)
+    with pytest.raises(DatasetNotFoundError):
+        policies.load(tmp_path / "none.safetensors")
+    with pytest.raises(ConfigError, match="ego"):
+        policies.load("egg")
+
+
+def test_planners_hold_actions_as_in_training(path, scenes):
+    """A benchmark of single steps gives the episodes of worlds that hold actions themselves."""
+    policy = policies.load(path)
+    rows, _ = drive(scenes, str(path), TRAFFIC["idm"], seed=3)
+    config = policy.config.with_options(
+        traffic="idm", autoreset="disabled", on_collision="stop", on_off_road="ignore"
+    )
+    worlds = Worlds(scenes, config, num_worlds=len(scenes))
+    act, out = policy.drive(worlds), worlds.arrays()
+    everyone = list(range(len(scenes)))
+    worlds.native.reset([3] * len(scenes), everyone, None, out)
+    metrics = [None] * len(scenes)
+    while any(m is None for m in metrics):
+        worlds.native.step(act(out.obs[:, 0])[:, None], out)
+        for i in np.flatnonzero(out.done):
+            if metrics[i] is None:
+                metrics[i] = worlds.native.ended_metrics([int(i)])[0, 0]
+        if out.done.any():
+            worlds.native.reset([3] * len(scenes), everyone, out.done.tolist(), out)
+    names = worlds.metric_names
+    for row, found in zip(rows, metrics, strict=True):
+        assert row["progress"] == found[names.index("route_completion")]
+        assert row["min_ttc_s"] == found[names.index("min_ttc")]
+
+
+def test_episodes_for_replay_pages_are_those_of_the_benchmark(path, scenes):
+    rows, _ = drive(scenes[:1], str(path), TRAFFIC["idm"], seed=0)
+    played = play_scene(scenes[0], driver=str(path), traffic="idm", seed=0)
+    ttc = min(played.figures["ttc"])
+    assert rows[0]["min_ttc_s"] == pytest.approx(ttc) or rows[0]["collision"]
+    assert played.meta["planner"] == str(path)
+    with pytest.raises(ConfigError, match="ego"):
+        play_scene(scenes[0], driver="egg")
+
+
+def test_the_shipped_egos_drive_unseen_scenes(scenes):
+    for name, file in policies.SHIPPED.items():
+        assert file.stat().st_size < 1_000_000
+        rows, _ = drive(scenes, name, TRAFFIC["idm"], seed=0)
+        assert np.mean([row["success"] for row in rows]) > 0.6
+        assert policies.load(name).about
