@@ -15,6 +15,17 @@ from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
 
+#: Settings of PPO for some hundred worlds: large minibatches and few epochs, since small ones cost
+#: more than the worlds (docs/tasks.md).
+PPO_SETTINGS: dict[str, Any] = {
+    "n_steps": 32,
+    "batch_size": 4096,
+    "n_epochs": 3,
+    "learning_rate": 5e-4,
+    "gamma": 0.98,
+    "gae_lambda": 0.95,
+}
+
 
 class SB3VecEnv(VecEnv):
     """The worlds of an :class:`EgoVectorEnv` as stable-baselines3 wants them.
