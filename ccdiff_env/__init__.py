@@ -33,6 +33,7 @@ from ccdiff_env.envs import (  # noqa: E402
 from ccdiff_env.recorder import Recorder  # noqa: E402
 from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan  # noqa: E402
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
+from ccdiff_env.view import notebook  # noqa: E402
 
 __version__ = "0.1.0"
 __all__ = [
@@ -66,3 +67,4 @@ __all__ = [
 ]
 
 register()
+notebook.install()

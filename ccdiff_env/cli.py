@@ -19,6 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_bench(verbs)
     _add_rollout(verbs)
     _add_view(verbs)
+    _add_scenes(verbs)
     args = parser.parse_args(argv)
     try:
         status: int = args.run(args)
@@ -111,6 +112,14 @@ def _add_view(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     parser = verbs.add_parser("view", help="write a replay page, a picture or a film")
     command.add_arguments(parser)
     parser.set_defaults(run=command.run)
+
+
+def _add_scenes(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from ccdiff_env.view import listing
+
+    parser = verbs.add_parser("scenes", help="list the scenes that can be played and shown")
+    listing.add_arguments(parser)
+    parser.set_defaults(run=listing.run)
 
 
 if __name__ == "__main__":

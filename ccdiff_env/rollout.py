@@ -130,7 +130,7 @@ def _expect(name: str, array: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
         raise ShapeError(f"{name} has shape {got}, expected {shape}")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps.
 
@@ -193,6 +193,12 @@ class Rollout:
             _expect(f"figures[{name!r}]", values, (t - 1,))
         object.__setattr__(self, "figures", dict(self.figures))
         object.__setattr__(self, "meta", dict(self.meta))
+
+    def __repr__(self) -> str:
+        return (
+            f"Rollout({self.scene.name}, {self.num_steps} steps of {self.dt_s:g} s, "
+            f"{len(self.agent_ids)} agents, {len(self.plans)} plans, {len(self.events)} events)"
+        )
 
     @property
     def num_steps(self) -> int:

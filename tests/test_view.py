@@ -425,6 +425,17 @@ def test_the_verb_says_what_is_wrong(options, message, tmp_path, capsys):
     assert message in capsys.readouterr().err
 
 
+def test_the_scenes_are_listed(capsys):
+    assert cli.main(["scenes", "--split", "val"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    scenes = embedded_scenes("val")
+    assert lines[0].split() == ["scene", "location", "seconds", "agents", "vehicles"]
+    assert [line.split()[0] for line in lines[2:]] == list(scenes.names)
+    first = lines[2].split()
+    vehicles = sum(kind == "vehicle" for kind in scenes[0].agent_types)
+    assert first[-2:] == [str(scenes[0].num_agents), str(vehicles)]
+
+
 def test_pictures_have_the_ego_in_the_middle_in_its_colour():
     film = Film(planned_rollout(), size=(200, 200), span_m=40.0)
     assert tuple(film.frame(0)[100, 100]) == (0, 87, 184)

@@ -1,0 +1,91 @@
+"""What notebooks show of scenes, sets of scenes, reports and rollouts: their ``_repr_html_``."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Sequence
+
+from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.load_report import LoadReport
+from ccdiff_env.render import pillow
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.view.page import page_html
+
+__all__ = ["install"]
+
+HEIGHT = 560
+"""Of the frame that a replay is shown in, pixels."""
+ROWS = 30
+"""Scenes of a set that are listed, at most."""
+
+
+def install() -> None:
+    """Give the classes their ``_repr_html_``."""
+    Rollout._repr_html_ = rollout_html  # type: ignore[attr-defined]
+    Scene._repr_html_ = scene_html  # type: ignore[attr-defined]
+    SceneSet._repr_html_ = scene_set_html  # type: ignore[attr-defined]
+    LoadReport._repr_html_ = report_html  # type: ignore[attr-defined]
+
+
+def rollout_html(rollout: Rollout) -> str:
+    """Return the replay page in a frame that can do nothing but run its own scripts."""
+    page = html.escape(page_html(rollout), quote=True)
+    return (
+        f'<iframe sandbox="allow-scripts" title="{html.escape(repr(rollout), quote=True)}" '
+        f'style="width: 100%; height: {HEIGHT}px; border: 1px solid #8888; border-radius: 8px" '
+        f'srcdoc="{page}"></iframe>'
+    )
+
+
+def scene_html(scene: Scene) -> str:
+    """Return a picture of the middle of the log, and one line on the scene."""
+    line = html.escape(scene_line(scene))
+    try:
+        library = pillow()
+    except MissingFeatureError:
+        return f"<p>{line}</p>"
+    centre = "ego" if "ego" in scene.agent_ids else (0.0, 0.0)
+    image = scene.render(scene.num_steps // 2, size=(560, 360), centre=centre)
+    buffer = io.BytesIO()
+    library.fromarray(image).quantize(64).save(buffer, format="PNG", optimize=True)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return f'<img src="data:image/png;base64,{data}" alt="{line}"><p>{line}</p>'
+
+
+def scene_line(scene: Scene) -> str:
+    """Return name, place, seconds and agents of a scene in a line."""
+    seconds = (scene.num_steps - 1) * scene.dt
+    parts = [scene.name, scene.location, f"{seconds:.1f} s", f"{scene.num_agents} agents"]
+    return " · ".join(part for part in parts if part)
+
+
+def scene_set_html(scenes: SceneSet) -> str:
+    """Return a table of the scenes."""
+    head = ("name", "location", "seconds", "agents", "vehicles")
+    table = _table(head, (scene_row(scene) for scene in scenes[:ROWS]))
+    more = f"<p>and {len(scenes) - ROWS} more</p>" if len(scenes) > ROWS else ""
+    return f"<p>{len(scenes)} scenes</p>{table}{more}"
+
+
+def scene_row(scene: Scene) -> tuple[str, ...]:
+    """Return name, location, seconds, agents and vehicles of a scene."""
+    seconds = f"{(scene.num_steps - 1) * scene.dt:.1f}"
+    vehicles = scene.agent_types.count("vehicle")
+    return scene.name, scene.location, seconds, str(scene.num_agents), str(vehicles)
+
+
+def report_html(report: LoadReport) -> str:
+    """Return the report of a load as it is printed."""
+    return f"<pre>{html.escape(str(report))}</pre>"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
+        inner = "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells)
+        return f"<tr>{inner}</tr>"
+
+    body = "".join(line(row, "td") for row in rows)
+    return f"<table><thead>{line(head, 'th')}</thead><tbody>{body}</tbody></table>"

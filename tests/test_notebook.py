@@ -1,0 +1,50 @@
+"""What notebooks show."""
+
+from __future__ import annotations
+
+import html
+import re
+
+from view_rollouts import planned_rollout
+
+from ccdiff_env import embedded_scenes
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.view import page_html
+
+
+def test_a_rollout_is_its_page_in_a_frame_without_rights():
+    text = planned_rollout()._repr_html_()
+    found = re.fullmatch(r'<iframe sandbox="allow-scripts" title="[^"]*" style="[^"]*" srcdoc="([^"]*)"></iframe>', text)  # fmt: skip
+    assert html.unescape(found[1]) == page_html(planned_rollout())
+    assert repr(planned_rollout()).startswith("Rollout(left-turn-00, 81 steps of 0.1 s")
+    assert len(repr(planned_rollout())) < 120
+
+
+def test_the_frame_shows_a_canvas(browser, tmp_path):
+    (tmp_path / "note.html").write_text(planned_rollout()._repr_html_(), encoding="utf-8")
+    page = browser.new_page(reduced_motion="reduce")
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto((tmp_path / "note.html").as_uri())
+    frame = page.frame_locator("iframe")
+    frame.locator("body[data-ready=yes]").wait_for()
+    assert frame.locator("canvas.map").bounding_box()["width"] > 300
+    frame.locator("#layer-graph").click()
+    page.wait_for_timeout(700)  # the address that it may not change
+    assert faults == []
+    page.close()
+
+
+def test_scenes_and_sets_are_a_picture_and_a_table():
+    scenes = embedded_scenes()
+    text = scenes["left-turn-00"]._repr_html_()
+    assert text.startswith('<img src="data:image/png;base64,')
+    assert "left-turn-00 · ccdiff-town" in text
+    table = scenes._repr_html_()
+    assert table.count("<tr>") == 31
+    assert f"and {len(scenes) - 30} more" in table
+    assert SceneSet([])._repr_html_() == (
+        "<p>0 scenes</p><table><thead><tr><th>name</th><th>location</th><th>seconds</th>"
+        "<th>agents</th><th>vehicles</th></tr></thead><tbody></tbody></table>"
+    )
+    assert scenes.report._repr_html_() == f"<pre>{html.escape(str(scenes.report))}</pre>"
