@@ -14,7 +14,8 @@ from ccdiff_env.view import page_html
 
 def test_a_rollout_is_its_page_in_a_frame_without_rights():
     text = planned_rollout()._repr_html_()
-    found = re.fullmatch(r'<iframe sandbox="allow-scripts" title="[^"]*" style="[^"]*" srcdoc="([^"]*)"></iframe>', text)  # fmt: skip
+    head = r'<iframe sandbox="allow-scripts" title="[^"]*" style="[^"]*" '
+    found = re.fullmatch(head + r'srcdoc="([^"]*)"></iframe>', text)
     assert html.unescape(found[1]) == page_html(planned_rollout())
     assert repr(planned_rollout()).startswith("Rollout(left-turn-00, 81 steps of 0.1 s")
     assert len(repr(planned_rollout())) < 120

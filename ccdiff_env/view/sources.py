@@ -166,8 +166,8 @@ def find_scene(
     if name not in scenes:
         raise UnknownNameError(
             f"no file {name!r}, and no embedded scene of that name "
-            f"({', '.join(scenes.names[:4])}, ...; ccdiff-env scenes lists them); for nuScenes give "
-            "--dataroot"
+            f"({', '.join(scenes.names[:4])}, ...; ccdiff-env scenes lists them); for nuScenes "
+            "give --dataroot"
         )
     return scenes[name]
 
