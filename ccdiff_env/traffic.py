@@ -101,7 +101,8 @@ class TrafficPlan:
     objectives: tuple[str, ...]
     #: Their losses without weights, [J, N, M].
     losses: npt.NDArray[np.float32]
-    #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau), [M].
+    #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau), [M]; NaN for
+    #: networks that do not denoise.
     realism_cost: npt.NDArray[np.float32]
     #: Mean cosine of the gradients of two objectives, [J, J]; ``None`` unless ``explain`` is set.
     gradient_cosine: npt.NDArray[np.float32] | None

@@ -223,7 +223,8 @@ impl Planner {
         };
         if !config.kind.denoises() {
             for report in reports.iter_mut().flatten() {
-                (report.realism_cost, report.shift_sigmas) = (Vec::new(), Vec::new());
+                report.realism_cost.fill(f32::NAN);
+                report.shift_sigmas.fill(f32::NAN);
             }
         }
         let rows: usize = sizes.iter().sum();

@@ -194,7 +194,7 @@ fn guidance_closes_in_or_keeps_away_as_the_sign_says_and_moves_nobody_else() {
             // the third vehicle is out of everybody's reach
             assert_eq!(plan.actions[2 * STEPS * 2..], free.actions[2 * STEPS * 2..], "{kind:?}");
             let report = plan.guidance.as_ref().unwrap();
-            assert!(report.realism_cost.is_empty(), "{kind:?}");
+            assert!(report.realism_cost.iter().all(|c| c.is_nan()), "{kind:?}");
         }
     }
 }

@@ -342,7 +342,7 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     Ok(dict)
 }
 
-/// `losses` [J, N, M], of a network that denoises `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
+/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
 /// `conflict_share` [M], `objective_cosine` [J, J].
 fn guidance_dict(
     py: Python<'_>,
@@ -354,10 +354,8 @@ fn guidance_dict(
     let objectives = report.losses.len() / (num_samples * num_agents).max(1);
     let losses = report.losses.into_pyarray(py).reshape([objectives, num_samples, num_agents])?;
     dict.set_item("losses", losses)?;
-    if !report.realism_cost.is_empty() || num_agents == 0 {
-        dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
-        dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
-    }
+    dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
+    dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
     if let Some(found) = report.conflict {
         let cosines = found.objective_cosine.into_pyarray(py).reshape([objectives, objectives])?;
         dict.set_item("alignment", found.alignment.into_pyarray(py))?;

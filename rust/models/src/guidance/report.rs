@@ -11,10 +11,10 @@ pub struct GuidanceReport {
     pub chosen: Vec<usize>,
     /// C(τ) of each agent's chosen sample in [0, 1], [M]: total-variation distance between the guided and the unguided
     /// denoising process. Each denoising step draws from a Gaussian whose mean guidance moves by δ at equal variance σ²;
-    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)). Empty for a network that does not denoise.
+    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)). NaN for a network that does not denoise.
     pub realism_cost: Vec<f32>,
     /// √(Σ ‖δ‖²/σ²) of each agent's chosen sample, [M]: the same in standard deviations, which does not saturate.
-    /// Empty likewise.
+    /// NaN likewise.
     pub shift_sigmas: Vec<f32>,
     /// Gradient statistics, if asked for.
     pub conflict: Option<GradientStatistics>,
