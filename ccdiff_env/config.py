@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.traffic import CcdiffConfig, ListedRanking, read_ranking
+from ccdiff_env.traffic import NETWORKS, CcdiffConfig, ListedRanking, read_ranking
 
 __all__ = [
     "ActionConfig",
@@ -33,7 +33,20 @@ __all__ = [
     "WorldConfig",
 ]
 
-Driver: TypeAlias = Literal["external", "replay", "constant_velocity", "idm", "ccdiff"]
+Driver: TypeAlias = Literal[
+    "external",
+    "replay",
+    "constant_velocity",
+    "idm",
+    "ccdiff",
+    "simnet",
+    "trafficsim",
+    "trafficsim_port",
+    "strive",
+    "bits",
+    "ctg",
+    "ctgpp",
+]
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
@@ -291,7 +304,7 @@ class WorldConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     #: Intelligent driver model.
     idm: IdmConfig = field(default_factory=IdmConfig)
-    #: CCDiff, where it drives.
+    #: CCDiff, or another network, where it drives.
     ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
     #: What happens to a world whose episode has ended.
     autoreset: Autoreset = "next_step"
@@ -521,7 +534,8 @@ def _plain(value: Any) -> Any:
         form = "per_scene" if isinstance(value.controlled, Mapping) else "ids"
         fields["controlled"] = {form: fields["controlled"]}
     if isinstance(value, WorldConfig):
-        fields |= {"drivers": {}, "policies": {"ccdiff": {"ccdiff": fields.pop("ccdiff")}}}
+        options = fields.pop("ccdiff")
+        fields |= {"drivers": {}, "policies": {name: {name: options} for name in NETWORKS}}
     if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):
         fields["ranking"] = {"list": fields["ranking"]}
     names = (name for name, kind in DYNAMICS.items() if isinstance(value, kind))

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.rollout import DRIVER_NAMES, Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.traffic import NETWORKS
 
 if TYPE_CHECKING:
     from ccdiff_env.envs.worlds import Worlds
@@ -89,7 +90,7 @@ class Recorder:
         self._events: list[RolloutEvent] = []
         self._plans: list[RolloutPlan] = []
         config = self._worlds.config
-        self._planned = "ccdiff" in (config.traffic, config.driver)
+        self._planned = bool({config.traffic, config.driver} & set(NETWORKS))
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
         self._slot = self._ego_slot()

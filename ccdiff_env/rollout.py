@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError
 from ccdiff_env.scenes import Scene
+from ccdiff_env.traffic import NETWORKS
 
 __all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "RolloutPlan"]
 
@@ -23,7 +24,7 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
 #: Name of each number in :attr:`Rollout.drivers`.
-DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", "ccdiff")
+DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", *NETWORKS)
 #: Kinds of events.
 EVENT_KINDS = (
     "collision_front",

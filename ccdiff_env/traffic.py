@@ -14,7 +14,26 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 
-__all__ = ["PAPER_PROTOCOL", "CcdiffConfig", "ListedRanking", "TrafficPlan", "read_ranking"]
+__all__ = [
+    "NETWORKS",
+    "PAPER_PROTOCOL",
+    "CcdiffConfig",
+    "ListedRanking",
+    "TrafficPlan",
+    "read_ranking",
+]
+
+#: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
+NETWORKS = (
+    "ccdiff",
+    "simnet",
+    "trafficsim",
+    "trafficsim_port",
+    "strive",
+    "bits",
+    "ctg",
+    "ctgpp",
+)
 
 Ranking: TypeAlias = Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
 ListedRanking: TypeAlias = Ranking | Mapping[str, tuple[str, ...]]
@@ -24,11 +43,12 @@ ListedRanking: TypeAlias = Ranking | Mapping[str, tuple[str, ...]]
 class CcdiffConfig:
     """CCDiff as a driver: of the traffic (``traffic="ccdiff"``), or of the controlled agents.
 
-    Plans are made for all worlds of a batch at once, anew every ``replan_steps``, and followed in
-    between.
+    The options of its rivals as well, :data:`NETWORKS` (``traffic="ctg"``, docs/rivals.md): what
+    means nothing to a network must have its default. Plans are made for all worlds of a batch at
+    once, anew every ``replan_steps``, and followed in between.
     """
 
-    #: Weights: ``"fast"`` (shipped), or a safetensors file.
+    #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
     weights: str = "fast"
     #: Where the network runs.
     device: Literal["cpu", "cuda"] = "cpu"
@@ -51,7 +71,7 @@ class CcdiffConfig:
     ranking: ListedRanking = "cliques"
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True
-    #: Who drives the vehicles that are not guided.
+    #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
     others: Literal["ccdiff", "idm", "replay"] = "ccdiff"
     #: Share of each move of the guidance that is made, >= 0: 0 is realistic traffic, 1 the guidance
     #: as configured. Worlds may be told another one at any time.

@@ -18,6 +18,7 @@ from ccdiff_env.bench.scenes import source_of, source_title
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.terminal import align, say_page
+from ccdiff_env.traffic import NETWORKS
 
 __all__ = ["Run", "add_replays", "add_run_arguments", "add_scene_arguments", "source_from"]
 
@@ -86,7 +87,9 @@ class Run:
         self.source = source_from(args)
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
-        self.weights = hashlib.sha256(shipped_weights().read_bytes()).hexdigest()
+        files = (shipped_weights(name) for name in NETWORKS)
+        shipped = b"".join(file.read_bytes() for file in files if file.exists())
+        self.weights = hashlib.sha256(shipped).hexdigest()
         self._seed = args.seed
         self._options = {
             "backend": args.backend,

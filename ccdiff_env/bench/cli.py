@@ -51,7 +51,9 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser = kinds.add_parser("traffic", help="the paper's experiments: methods x K x T")
     add_run_arguments(parser)
     parser.add_argument(
-        "--methods", default="constant_velocity,idm,ccdiff_unguided,ccdiff", help="comma-separated"
+        "--methods",
+        default="constant_velocity,idm,ccdiff_unguided,ccdiff",
+        help="comma-separated; all: every network of the paper's table, guided and not",
     )
     parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
     parser.add_argument("--t", default="0.5", help="seconds between plans T, comma-separated")
@@ -70,10 +72,11 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.examples import choose_examples, examples_table
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
-    from ccdiff_env.bench.traffic import METHODS, traffic_jobs
+    from ccdiff_env.bench.traffic import METHODS, PAPER_METHODS, traffic_jobs
     from ccdiff_env.traffic import read_ranking
 
-    methods, listed = args.methods.split(","), None
+    methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
+    listed = None
     settings: dict[str, Any] = {}
     if args.human is not None:
         listed = read_ranking(args.human)

@@ -22,6 +22,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, METHODS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import Motion
+from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "FEATURES",
@@ -293,7 +294,7 @@ def evaluate(
     """Play scenes several times: one dictionary of likelihoods per scene."""
     chosen = METHODS[method]
     # without a network there is no chance
-    count = num_samples if chosen.driver == "ccdiff" else 1
+    count = num_samples if chosen.driver in NETWORKS else 1
     scenes = scenes_of(source, names)
     played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
     return [

@@ -12,6 +12,7 @@ by the same ranking for every method, and filled up by nearness, not at random
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,11 +28,11 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import Motion
-from ccdiff_env.models import guidance_preset
+from ccdiff_env.models import guidance_preset, weights_path
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.traffic import PAPER_PROTOCOL
+from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL
 
 __all__ = ["METHODS", "Method", "episodes", "evaluate", "traffic_jobs"]
 
@@ -59,7 +60,7 @@ class Method:
         ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
         ``given``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
     ccdiff
-        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where CCDiff drives.
+        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
     num_guided
         Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
         for ``None``.
@@ -112,6 +113,39 @@ METHODS: dict[str, Method] = {
     ),
 }
 
+#: The networks of the paper's table and CTG++, by name; CCDiff trained as long as they were.
+_NETWORKS = {
+    "simnet": "SimNet",
+    "trafficsim": "TrafficSim",
+    "strive": "STRIVE",
+    "bits": "BITS",
+    "ctg": "CTG",
+    "ctgpp": "CTG++",
+    "ccdiff_equal": "CCDiff, trained as the others",
+}
+for _name, _label in _NETWORKS.items():
+    # a regression has one plan
+    _samples = {"num_samples": 1 if _name == "simnet" else 5}
+    _own = {"weights": "equal"} if _name == "ccdiff_equal" else {}
+    _driver = _name.removesuffix("_equal")
+    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_samples, **_own})
+    METHODS[f"{_name}_unguided"] = Method(
+        f"{_label}, no guidance", _driver, ccdiff={**_samples, **_own}
+    )
+# BITS chooses among its plans; moving them as well is its other composition
+METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
+METHODS["bits"] = dataclasses.replace(
+    METHODS["bits"], ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "gradient_steps": 0}}
+)
+
+#: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
+PAPER_METHODS: tuple[str, ...] = tuple(
+    f"{name}{suffix}"
+    for name in (*_NETWORKS, "ccdiff")
+    if weights_path(METHODS[name].ccdiff.get("weights", "fast"), METHODS[name].driver).exists()
+    for suffix in ("", "_unguided")
+)
+
 #: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
 _REORDERED = {
     name
@@ -145,7 +179,7 @@ def traffic_jobs(
     num_controlled
         Numbers of controlled vehicles K; ``None`` is all.
     replan_steps
-        Steps between plans; only CCDiff has any use for them.
+        Steps between plans; only networks have any use for them.
     replan_controlled
         Those K at which all periods are played, the first one alone at the others; all K for
         ``None``.
@@ -179,7 +213,7 @@ def traffic_jobs(
         for k in num_controlled:
             if k is None and method in _REORDERED and "ccdiff" in methods:
                 continue
-            every = METHODS[method].driver == "ccdiff" and k in (replan_controlled or (k,))
+            every = METHODS[method].driver in NETWORKS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     return [
         Job(
@@ -290,7 +324,7 @@ def episodes(
     num_controlled
         K; all for ``None``, 0 replays the log.
     replan_steps
-        Steps between plans of CCDiff.
+        Steps between plans of a network.
     seed
         Seed of every episode.
     options
@@ -344,7 +378,7 @@ def episodes(
         native.assign(i, np.flatnonzero(kinds).tolist(), "replay")
         if chosen[i]:
             native.assign(i, chosen[i], method.driver)
-        if method.driver == "ccdiff" and not own:
+        if method.driver in NETWORKS and not own:
             native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
@@ -363,7 +397,7 @@ def episodes(
         native.step(actions, out)
         for i in running:
             states[i].append(native.states(i))
-            plan = native.explain(i) if method.driver == "ccdiff" else None
+            plan = native.explain(i) if method.driver in NETWORKS else None
             if plan is not None and plan["made_at"] == step:
                 plans[i].append(plan)
         for recorder in recorders.values():

@@ -19,7 +19,7 @@ from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameE
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
-from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.traffic import NETWORKS, TrafficPlan
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -30,9 +30,9 @@ Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
 SceneChoice: TypeAlias = str | int | None
 
 #: Who can drive the other vehicles.
-TRAFFIC = ("replay", "idm", "constant_velocity", "ccdiff")
+TRAFFIC = ("replay", "idm", "constant_velocity", *NETWORKS)
 #: Who can drive the controlled agents.
-DRIVERS = ("external", "idm", "replay", "constant_velocity", "ccdiff")
+DRIVERS = ("external", "idm", "replay", "constant_velocity", *NETWORKS)
 #: Batches from here on use all processors by default.
 PARALLEL_FROM = 64
 #: Past steps in pictures.
@@ -147,7 +147,7 @@ class Worlds:
     trails
         Whether past positions are kept for pictures.
     criticality
-        Criticality of CCDiff traffic by episode, see :class:`~ccdiff_env.curriculum.Curriculum`;
+        Criticality of planned traffic by episode, see :class:`~ccdiff_env.curriculum.Curriculum`;
         ``None``: as configured.
     """
 
@@ -174,9 +174,9 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            {"ccdiff": weights_path(config.ccdiff.weights)},
+            {name: weights_path(config.ccdiff.weights, name) for name in NETWORKS},
         )
-        if criticality is not None and "ccdiff" not in (config.traffic, config.driver):
+        if criticality is not None and not {config.traffic, config.driver} & set(NETWORKS):
             raise ConfigError(f"criticality: traffic is {config.traffic!r}, expected 'ccdiff'")
         self.curriculum = None if criticality is None else Curriculum(criticality)
         #: Criticality that the present episode of a world was given by the curriculum.

@@ -10,13 +10,21 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
+from ccdiff_env.traffic import NETWORKS
 
 #: Titles of drivers, in the order of the legend; names are those of pictures.
 DRIVER_TITLES = {
     "ego": "ego",
     "external": "policy",
     "ccdiff": "CCDiff",
-    "adversary": "CCDiff, guided",
+    "simnet": "SimNet",
+    "trafficsim": "TrafficSim",
+    "trafficsim_port": "TrafficSim (port)",
+    "strive": "STRIVE",
+    "bits": "BITS",
+    "ctg": "CTG",
+    "ctgpp": "CTG++",
+    "adversary": "guided",
     "idm": "IDM",
     "replay": "log",
     "constant_velocity": "constant velocity",
@@ -32,7 +40,7 @@ def driver_of(rollout: Rollout, agent: int) -> str:
     if name == "ego":
         return "ego"
     driver = rollout.driver_names[agent]
-    return "adversary" if driver == "ccdiff" and name in guided_agents(rollout) else driver
+    return "adversary" if driver in NETWORKS and name in guided_agents(rollout) else driver
 
 
 def driver_title(rollout: Rollout, agent: int) -> str:

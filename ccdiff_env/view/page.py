@@ -13,6 +13,7 @@ from urllib.parse import quote, urlencode
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.facts import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
 
@@ -140,7 +141,7 @@ def address(
 def colours() -> dict[str, str]:
     """Return the colour of each driver, as in pictures: ``"#rrggbb"``."""
     legend = render.legend()
-    names = {"static": "static obstacle"}
+    names = {"static": "static obstacle"} | dict.fromkeys(NETWORKS, "ccdiff")
     return {name: _hex(legend[names.get(name, name)]) for name in DRIVER_TITLES}
 
 

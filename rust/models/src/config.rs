@@ -70,9 +70,14 @@ impl ModelKind {
         matches!(self, Self::Ccdiff | Self::Ctg | Self::Ctgpp)
     }
 
+    /// Whether plans attend to each other, so that there is attention to tell of.
+    pub fn attends(self) -> bool {
+        matches!(self, Self::Ccdiff | Self::Ctgpp)
+    }
+
     /// Whether it reads agents by the trunk that all but the scene diffusions share.
     fn has_trunk(self) -> bool {
-        !matches!(self, Self::Ccdiff | Self::Ctgpp)
+        !self.attends()
     }
 }
 

@@ -69,7 +69,10 @@ impl PlanOptions {
     ///
     /// Networks that do not denoise are guided at once, with as many gradient steps as the guided denoising steps of the
     /// default sampler take together.
-    fn of_kind(mut self, kind: ModelKind) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the option.
+    pub(crate) fn of_kind(mut self, kind: ModelKind) -> Result<Self> {
         if self.sampling.guidance_weight > 1.0 && kind != ModelKind::Ccdiff {
             let (got, expected) =
                 (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");

@@ -2,13 +2,13 @@
 
 use crate::errors::{from_sim, py};
 use crate::models::from_model;
+use ccdiff_models::ModelKind;
 use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_sim::SimError;
 use ccdiff_sim::policy::{Idm, TrafficPolicy};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{IdmConfig, WorldConfig};
 use pyo3::prelude::*;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -33,7 +33,17 @@ type Make = fn(&Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>>;
 
 /// Kinds of policies that take options of their own: name in configurations, and how one is made. `replay` and
 /// `constant_velocity` have no options and are always there.
-const KINDS: [(&str, Make); 2] = [("idm", idm), ("ccdiff", network)];
+const KINDS: [(&str, Make); 9] = [
+    ("idm", idm),
+    ("ccdiff", network),
+    ("simnet", network),
+    ("trafficsim", network),
+    ("trafficsim_port", network),
+    ("strive", network),
+    ("bits", network),
+    ("ctg", network),
+    ("ctgpp", network),
+];
 
 fn idm(recipe: &Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>> {
     let config: IdmConfig = recipe.options()?;
@@ -70,11 +80,10 @@ impl Recipe<'_> {
 
 /// Default options of the kinds that are policies by their own name, in the form of [`WorldConfig::policies`].
 pub(crate) fn default_policies() -> PyResult<BTreeMap<String, Value>> {
-    fn value(options: &impl Serialize) -> PyResult<Value> {
-        serde_json::to_value(options).map_err(|e| py::ConfigError::new_err(e.to_string()))
-    }
-    let kinds = [("ccdiff", value(&CcdiffConfig::default())?)];
-    Ok(kinds.into_iter().map(|(kind, v)| (kind.to_owned(), serde_json::json!({ kind: v }))).collect())
+    let options =
+        serde_json::to_value(CcdiffConfig::default()).map_err(|e| py::ConfigError::new_err(e.to_string()))?;
+    let kinds = ModelKind::ALL.map(ModelKind::name);
+    Ok(kinds.map(|kind| (kind.to_owned(), serde_json::json!({ kind: options }))).into())
 }
 
 /// The policies of a configuration beside those that every batch has: those that somebody drives by, and all under

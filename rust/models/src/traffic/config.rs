@@ -1,5 +1,6 @@
-//! What can be chosen about CCDiff traffic.
+//! What can be chosen about the traffic of a planning network.
 
+use crate::config::ModelKind;
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::planner::PlanOptions;
@@ -159,6 +160,28 @@ impl CcdiffConfig {
         self.guided()?.validated()?;
         self.unguided().validated()?;
         Ok(())
+    }
+
+    /// Checks that all of it means something to a kind of network.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the field.
+    pub fn check_kind(&self, kind: ModelKind) -> Result<()> {
+        let fail = |field: &'static str, got: String, expected: &'static str| {
+            Err(ModelError::Config { field, got, expected })
+        };
+        if self.graph == GraphMode::Full && kind != ModelKind::Ccdiff {
+            return fail("ccdiff.graph", "full".into(), "causal: this network sees neighbours by distance");
+        }
+        match self.ranking {
+            Ranking::Greedy if !kind.attends() => {
+                fail("ccdiff.ranking", "greedy".into(), "one without attention: this network has none")
+            }
+            Ranking::Gradient if !kind.denoises() => {
+                fail("ccdiff.ranking", "gradient".into(), "one without scores: this network does not denoise")
+            }
+            _ => self.guided()?.of_kind(kind).map(drop),
+        }
     }
 
     /// How the plans of worlds with guidance are drawn.

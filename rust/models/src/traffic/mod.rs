@@ -49,6 +49,7 @@ impl PlannedTraffic {
     pub fn new(config: CcdiffConfig, weights: &Path) -> Result<Self> {
         let mut planner = Planner::load(weights, crate::device_named(&config.device)?)?;
         config.validate(planner.config().horizon_steps)?;
+        config.check_kind(planner.config().kind)?;
         if config.graph == GraphMode::Full {
             planner.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
         }
