@@ -125,6 +125,20 @@ def test_training_leaves_torchs_generator_and_gradient_mode_alone(tmp_path: Path
     assert torch.equal(state, torch.get_rng_state())
 
 
+@pytest.mark.parametrize("model", ["simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp"])
+def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path: Path, model: str) -> None:
+    options = {"model": model, "settings": QUICK, "progress": False}
+    train([road()], out=tmp_path, steps=2, **options)
+    path = train([road()], out=tmp_path, steps=3, **options)
+    planner = Planner(path)
+    assert (planner.header["kind"], planner.header["step"]) == (model, 3)
+    (plan,) = planner.plan([road()], [40], num_samples=2, attention=True)
+    assert plan.actions.shape == (2, 2, 52, 2)
+    assert (plan.attention is not None) == (model == "ctgpp")
+    with pytest.raises(ConfigError, match="another"):
+        train([road()], out=tmp_path, steps=4, progress=False)
+
+
 def test_parts_of_the_network_can_differ_from_the_preset(tmp_path: Path) -> None:
     wide = train(
         [road()], out=tmp_path, steps=1, settings=QUICK, network={"width": 32}, progress=False

@@ -1,4 +1,4 @@
-"""CCDiff as a driver of the world: plans, guidance, rankings, snapshots, refusals."""
+"""Networks as drivers of the world: plans, guidance, rankings, snapshots, refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from ccdiff_env.errors import (
     UnknownNameError,
 )
 from ccdiff_env.metrics import Motion
+from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.traffic import NETWORKS
 
 FIELDS = ("position", "heading", "velocity", "active")
 
@@ -32,10 +34,10 @@ def scenes() -> SceneSet:
 class Play:
     """Worlds of CCDiff traffic, the ego following its log."""
 
-    def __init__(self, scenes, seed=3, ccdiff=None, **options):
+    def __init__(self, scenes, seed=3, ccdiff=None, traffic="ccdiff", **options):
         options = {"driver": "replay", "on_collision": "ignore", **options}
         config = WorldConfig().with_options(
-            traffic="ccdiff",
+            traffic=traffic,
             ccdiff=ccdiff or {},
             on_off_road="ignore",
             terminate_at_goal=False,
@@ -328,3 +330,40 @@ def test_the_papers_protocol_is_a_set_of_options(scenes):
     plan = env.explain(0)
     assert plan.executed.sum() <= 5
     assert (plan.guided <= plan.executed).all()
+
+
+SHIPPED = [name for name in NETWORKS if shipped_weights(name).exists()]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name):
+    options = {"criticality": 1.0, "num_samples": 2, "num_guided": 1, "explain": True}
+    env = ccdiff_env.EgoEnv(scenes=scenes[:1], traffic=name, driver="idm", ccdiff=options)
+    env.reset(seed=0)
+    start = env.worlds.native.states(0)
+    for _ in range(8):
+        env.step(env.action_space.sample())
+    plan, states = env.explain(), env.worlds.native.states(0)
+    driven = plan.agents[plan.executed]
+    assert name in {env.worlds.native.drivers(0)[agent] for agent in driven}
+    moved = np.linalg.norm(states["position"] - start["position"], axis=1)[driven]
+    assert np.isfinite(plan.samples).all()
+    assert moved.max() > 1.0
+    assert plan.objectives == ("agent_collision", "approach", "map_collision")
+    denoises, attends = name in ("ccdiff", "ctg", "ctgpp"), name in ("ccdiff", "ctgpp")
+    assert np.isfinite(plan.realism_cost).all() == denoises
+    assert (plan.conflict_share is not None) == denoises
+    assert (plan.attention is not None) == attends
+
+
+def test_what_means_nothing_to_a_network_is_refused_by_name(scenes, tmp_path):
+    for options, match in [
+        ({"graph": "full"}, "graph"),
+        ({"cfg_weight": 1.5}, "guidance_weight"),
+        ({"denoising_steps": 10}, "solver"),
+        ({"ranking": "greedy"}, "ranking"),
+        ({"ranking": "gradient"}, "ranking"),
+        ({"weights": str(shipped_weights("ccdiff"))}, "simnet"),
+    ]:
+        with pytest.raises(ConfigError, match=match):
+            Play(scenes[:1], traffic="simnet", ccdiff=options)

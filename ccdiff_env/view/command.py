@@ -14,6 +14,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import file_name
 from ccdiff_env.terminal import say_page, shown
+from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
@@ -142,12 +143,12 @@ def _played(args: argparse.Namespace) -> list[Titled]:
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
     levels = args.criticality
-    ccdiff = args.traffic == "ccdiff" or "ccdiff" in drivers
+    planned = {args.traffic, *drivers} & set(NETWORKS)
     for level in levels:
         if not 0.0 <= level <= MAX_CRITICALITY:
             raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
-    if any(levels) and not ccdiff:
-        raise ConfigError(f"--criticality guides CCDiff, but --traffic is {args.traffic}")
+    if any(levels) and not planned:
+        raise ConfigError(f"--criticality guides networks, but --traffic is {args.traffic}")
     if args.save is not None and len(drivers) * len(levels) > 1:
         raise ConfigError("--save keeps one episode: give one --driver and one --criticality")
     scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
