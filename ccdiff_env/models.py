@@ -47,7 +47,7 @@ def guidance_preset(name: str) -> dict[str, Any]:
     return settings
 
 
-def weights_path(weights: str | os.PathLike[str], model: str) -> Path:
+def weights_path(weights: str | os.PathLike[str], model: str = "ccdiff") -> Path:
     """Return the file of weights of a kind given by name (``"fast"``, ``"equal"``) or path."""
     if weights in ("fast", "equal"):
         return shipped_weights(model, str(weights))
