@@ -20,6 +20,7 @@ mod reward;
 mod rng;
 mod route;
 mod snapshot;
+mod surroundings;
 mod tally;
 mod tick;
 mod traffic;

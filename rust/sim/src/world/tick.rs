@@ -2,27 +2,25 @@
 
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
-use crate::events::{Collisions, Contact, ContactKind, LeastTimes, lane_facts, off_road};
-use crate::geom::{Point2, Pose2, Real, Vector2, math};
+use crate::events::{Collisions, Contact, ContactKind, LeastTimes};
+use crate::geom::{Real, Vector2};
 use crate::observe::{EgoFacts, Observer, View};
 use crate::policy::{Driver, Motion, PlanRequest, WorldView};
 use crate::scene::AgentKind;
-use crate::state::AgentStates;
 use crate::world::actions::ActionDecoder;
 use crate::world::assist;
 use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, WorldConfig};
-use crate::world::episode::{Episode, Phase, Slot};
+use crate::world::episode::{Episode, Phase};
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::reward;
+use crate::world::surroundings::{log_distance, place_is_free, road_and_lane, touching};
 use crate::world::tally::Metrics;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Lanes farther than this say nothing about an agent, metres.
-const LANE_REACH_M: Real = 5.0;
 /// From this many slots on, contacts are looked for among all agents at once.
 const JOINT_DETECTION_SLOTS: usize = 4;
 
@@ -481,68 +479,4 @@ impl StepFacts {
             Some(ContactKind::Side) => 3.0,
         }
     }
-}
-
-fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
-    let log = &scene.scene;
-    let at = log.at(a, e.step_idx);
-    let p = log.tracks.position[at];
-    let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-    let own = scene.bodies[a].at(&pose);
-    let still = scene.kinds[a] == AgentKind::Static;
-    (0..e.states.len()).all(|j| {
-        !e.states.active[j]
-            || (still && scene.kinds[j] == AgentKind::Static)
-            || !near(e.states.position(j), p, scene.bodies[j].radius_m + scene.bodies[a].radius_m)
-            || !own.overlaps(&e.states.oriented_box(j, &scene.bodies[j]))
-    })
-}
-
-#[inline]
-fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
-    (a - b).norm_squared() <= distance_m * distance_m
-}
-
-fn touching(states: &AgentStates, scene: &PreparedScene, i: usize, j: usize) -> bool {
-    let reach = scene.bodies[i].radius_m + scene.bodies[j].radius_m;
-    states.active[i]
-        && states.active[j]
-        && near(states.position(i), states.position(j), reach)
-        && states.oriented_box(i, &scene.bodies[i]).overlaps(&states.oriented_box(j, &scene.bodies[j]))
-}
-
-fn road_and_lane(
-    states: &AgentStates,
-    scene: &PreparedScene,
-    a: usize,
-    route_s_m: Real,
-    slot: &mut Slot,
-    config: &WorldConfig,
-) {
-    let pose = states.pose(a);
-    let on_route = scene.routes[a].path.at(route_s_m);
-    let d = pose.position - on_route.position;
-    slot.route_distance_m = d.y * on_route.cos - d.x * on_route.sin;
-    let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
-    let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
-    slot.route_heading_error_rad = math::atan2(sin, cos);
-    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
-    slot.lane_distance_m = lane.lane.map(|l| l.distance_m);
-    slot.wrong_way = lane.wrong_way;
-    let limit = lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps);
-    slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
-    if let Some(road) = &scene.road {
-        let off = off_road(states, a, &scene.bodies[a], road);
-        slot.been_on_road |= !off.corner;
-        slot.off_road = off.corner && slot.been_on_road;
-        slot.off_road_centroid = off.centroid && slot.been_on_road;
-    }
-}
-
-fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {
-    let log = &scene.scene;
-    if !log.is_valid(a, e.step_idx) {
-        return 0.0;
-    }
-    (e.states.position(a) - log.tracks.position[log.at(a, e.step_idx)]).norm()
 }

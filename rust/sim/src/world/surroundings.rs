@@ -1,0 +1,80 @@
+//! Where an agent is: beside others, its route, lanes, the road, its log.
+
+use crate::events::{lane_facts, off_road};
+use crate::geom::{Point2, Pose2, Real, math};
+use crate::scene::AgentKind;
+use crate::state::AgentStates;
+use crate::world::config::WorldConfig;
+use crate::world::episode::{Episode, Slot};
+use crate::world::prepared::PreparedScene;
+
+/// Lanes farther than this say nothing about an agent, metres.
+const LANE_REACH_M: Real = 5.0;
+
+/// Whether an agent could stand at its logged state of the present step.
+pub(crate) fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
+    let log = &scene.scene;
+    let at = log.at(a, e.step_idx);
+    let p = log.tracks.position[at];
+    let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
+    let own = scene.bodies[a].at(&pose);
+    let still = scene.kinds[a] == AgentKind::Static;
+    (0..e.states.len()).all(|j| {
+        !e.states.active[j]
+            || (still && scene.kinds[j] == AgentKind::Static)
+            || !near(e.states.position(j), p, scene.bodies[j].radius_m + scene.bodies[a].radius_m)
+            || !own.overlaps(&e.states.oriented_box(j, &scene.bodies[j]))
+    })
+}
+
+#[inline]
+fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
+    (a - b).norm_squared() <= distance_m * distance_m
+}
+
+/// Whether two agents are there and their boxes overlap.
+pub(crate) fn touching(states: &AgentStates, scene: &PreparedScene, i: usize, j: usize) -> bool {
+    let reach = scene.bodies[i].radius_m + scene.bodies[j].radius_m;
+    states.active[i]
+        && states.active[j]
+        && near(states.position(i), states.position(j), reach)
+        && states.oriented_box(i, &scene.bodies[i]).overlaps(&states.oriented_box(j, &scene.bodies[j]))
+}
+
+/// Tells a slot where its agent is beside route, lane and road.
+pub(crate) fn road_and_lane(
+    states: &AgentStates,
+    scene: &PreparedScene,
+    a: usize,
+    route_s_m: Real,
+    slot: &mut Slot,
+    config: &WorldConfig,
+) {
+    let pose = states.pose(a);
+    let on_route = scene.routes[a].path.at(route_s_m);
+    let d = pose.position - on_route.position;
+    slot.route_distance_m = d.y * on_route.cos - d.x * on_route.sin;
+    let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
+    let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
+    slot.route_heading_error_rad = math::atan2(sin, cos);
+    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
+    slot.lane_distance_m = lane.lane.map(|l| l.distance_m);
+    slot.wrong_way = lane.wrong_way;
+    let limit = lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps);
+    slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
+    if let Some(road) = &scene.road {
+        let off = off_road(states, a, &scene.bodies[a], road);
+        slot.been_on_road |= !off.corner;
+        slot.off_road = off.corner && slot.been_on_road;
+        slot.off_road_centroid = off.centroid && slot.been_on_road;
+    }
+}
+
+/// Distance of an agent from its log, metres; 0 where there is none.
+pub(crate) fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {
+    let log = &scene.scene;
+    if !log.is_valid(a, e.step_idx) {
+        return 0.0;
+    }
+    (e.states.position(a) - log.tracks.position[log.at(a, e.step_idx)]).norm()
+}
