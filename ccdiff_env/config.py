@@ -61,6 +61,7 @@ Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 SceneOrder: TypeAlias = Literal["random", "sequential"]
+RewardForm: TypeAlias = Literal["sum", "product"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +104,15 @@ class ObservationConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RewardConfig:
-    """Weights of the reward components; the reward is their weighted sum. Finite, at most 1e6."""
+    """Weights of the reward components; the reward is their sum. Finite, at most 1e6.
+
+    Also by the name of a form: ``reward="product"``.
+    """
+
+    #: ``"sum"``: of the weighted components. ``"product"``: new progress times factors for comfort,
+    #: speed, time to contact and distance from the route, as in CaRL; collisions count where they
+    #: are the agent's fault, and the weights of the factors are unused.
+    form: RewardForm = "sum"
 
     #: Per metre of new progress along the route.
     progress: float = 0.1
@@ -127,7 +136,8 @@ class RewardConfig:
         Learners whose value function shares features with the policy learn better from small
         rewards: the loss of the value function grows with their square.
         """
-        return RewardConfig(**{name: factor * w for name, w in dataclasses.asdict(self).items()})
+        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
+        return RewardConfig(form=self.form, **weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,6 +322,8 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
             return _fitting(path, value, literal, old)
         chosen = next(a for a in args if a is not type(None) and a is not literal)
         return _fitting(path, value, chosen, old)
+    if hint is RewardConfig and isinstance(value, str):
+        return _replaced(RewardConfig(), {"form": value}, path + ".")
     if origin is Literal:
         if value not in args or not isinstance(value, str):
             raise ConfigError(f"config: {path} is {value!r}, expected one of {', '.join(args)}")

@@ -73,10 +73,23 @@ pub enum SceneOrder {
     Sequential,
 }
 
-/// Weights of the reward components; the reward is their weighted sum.
+/// How the reward is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RewardForm {
+    /// Weighted sum of the components.
+    Sum,
+    /// New progress times factors for comfort, speed, time to contact and distance from the route, as in CaRL (Jaeger
+    /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
+    Product,
+}
+
+/// Weights of the reward components; the reward is their sum.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RewardConfig {
+    /// How the reward is made.
+    pub form: RewardForm,
     /// Per metre of new progress along the route.
     pub progress: Real,
     /// At the step of a collision.
@@ -96,6 +109,7 @@ pub struct RewardConfig {
 impl Default for RewardConfig {
     fn default() -> Self {
         Self {
+            form: RewardForm::Sum,
             progress: 0.1,
             collision: -10.0,
             off_road: -5.0,

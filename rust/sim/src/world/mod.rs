@@ -28,7 +28,9 @@ mod traffic;
 pub use actions::ActionDecoder;
 pub use buffers::{Extent, StepBuffers};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
-pub use config::{ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, SceneOrder, WorldConfig};
+pub use config::{
+    ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, WorldConfig,
+};
 pub use history::{History, PastState};
 pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;

@@ -1,9 +1,9 @@
-//! Reward of a step: the weighted sum of named components, each also reported as a column.
+//! Reward of a step: the sum of named components, each also reported as a column.
 
 use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::columns::Col;
-use crate::world::config::WorldConfig;
+use crate::world::config::{RewardForm, WorldConfig};
 use crate::world::episode::{STANDING_M, Slot};
 use crate::world::tick::StepFacts;
 
@@ -15,6 +15,12 @@ const COMFORT_MPS3: Real = 10.0;
 const MAX_DISCOMFORT: Real = 3.0;
 /// Distance from the route counts up to here, metres.
 const MAX_LANE_KEEPING_M: Real = 3.0;
+/// Limits of nuPlan's comfort: braking and acceleration, sideways (m/s²), jerk (m/s³).
+const COMFORT_BOUNDS: [(Real, Real); 3] = [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37)];
+/// Speed above the limit at which progress is worth nothing, m/s.
+const SPEEDING_MPS: Real = 5.0;
+/// Times to contact below this halve the worth of progress, seconds.
+const LEAST_TTC_S: Real = 0.95;
 /// Share of the route that makes an episode a success.
 const SUCCESS_COMPLETION: Real = 0.95;
 
@@ -47,14 +53,32 @@ pub(crate) fn score(
     let reached = !standing && !slot.goal_reached && slot.best_s_m >= slot.goal_s_m;
     slot.goal_reached |= reached;
 
+    let at_fault = facts.contact.is_some_and(|c| c.at_fault);
+    let (worth, counts, soft) = match weights.form {
+        RewardForm::Sum => (1.0, collided, 1.0),
+        RewardForm::Product => {
+            let calm = [acceleration, lateral, jerk]
+                .iter()
+                .zip(COMFORT_BOUNDS)
+                .all(|(x, (low, high))| (low..=high).contains(x));
+            let half = |ok: bool| if ok { 1.0 } else { 0.5 };
+            let over = (speed - slot.speed_limit_mps).max(0.0) / SPEEDING_MPS;
+            let beside = slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M) / MAX_LANE_KEEPING_M;
+            let worth = half(calm) * half(facts.ttc_s >= LEAST_TTC_S) * (1.0 - over).max(0.0);
+            (worth * (1.0 - 0.5 * beside), at_fault, 0.0)
+        }
+    };
     let mut set = |column: Col, value: Real| columns[column as usize] = value;
     let components = [
-        (Col::RewardProgress, weights.progress * (slot.best_s_m - progress_before_m)),
-        (Col::RewardCollision, weights.collision * flag(collided)),
+        (Col::RewardProgress, weights.progress * (slot.best_s_m - progress_before_m) * worth),
+        (Col::RewardCollision, weights.collision * flag(counts)),
         (Col::RewardOffRoad, weights.off_road * flag(slot.off_road)),
-        (Col::RewardComfort, weights.comfort * discomfort),
-        (Col::RewardSpeedLimit, weights.speed_limit * (speed - slot.speed_limit_mps).max(0.0)),
-        (Col::RewardLaneKeeping, weights.lane_keeping * slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M)),
+        (Col::RewardComfort, weights.comfort * soft * discomfort),
+        (Col::RewardSpeedLimit, weights.speed_limit * soft * (speed - slot.speed_limit_mps).max(0.0)),
+        (
+            Col::RewardLaneKeeping,
+            weights.lane_keeping * soft * slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M),
+        ),
         (Col::RewardGoal, weights.goal * flag(reached)),
     ];
     let mut total = 0.0;
@@ -65,7 +89,7 @@ pub(crate) fn score(
     set(Col::Collision, flag(collided));
     set(Col::CollisionKind, facts.contact_number());
     set(Col::CollisionPartner, facts.contact.map_or(0.0, |c| (c.partner + 1) as Real));
-    set(Col::AtFault, flag(facts.contact.is_some_and(|c| c.at_fault)));
+    set(Col::AtFault, flag(at_fault));
     set(Col::OffRoad, flag(slot.off_road));
     set(Col::OffRoadCentroid, flag(slot.off_road_centroid));
     set(Col::WrongWay, flag(slot.wrong_way));
