@@ -20,6 +20,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     _add_rollout(verbs)
     _add_view(verbs)
     _add_scenes(verbs)
+    _add_play(verbs)
+    _add_live(verbs)
     args = parser.parse_args(argv)
     try:
         status: int = args.run(args)
@@ -120,6 +122,22 @@ def _add_scenes(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser = verbs.add_parser("scenes", help="list the scenes that can be played and shown")
     listing.add_arguments(parser)
     parser.set_defaults(run=listing.run)
+
+
+def _add_play(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from ccdiff_env.view import play
+
+    parser = verbs.add_parser("play", help="play scenes again with other settings, in the browser")
+    play.add_arguments(parser)
+    parser.set_defaults(run=play.run)
+
+
+def _add_live(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    from ccdiff_env.view import live
+
+    parser = verbs.add_parser("live", help="watch a training: its curves and its newest replay")
+    live.add_arguments(parser)
+    parser.set_defaults(run=live.run)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ def page_html(
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
     home: tuple[str, str] | None = None,
+    edit: bool = False,
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
 
@@ -54,6 +55,8 @@ def page_html(
         Name of each run; by default the scene's where there is one run, else A, B, C, ...
     home
         Address and title of a page above this one, to be linked.
+    edit
+        Let agents be dragged elsewhere; the page around this one is told.
 
     Raises
     ------
@@ -79,7 +82,7 @@ def page_html(
         "subtitle": html.escape(line),
         "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
-        "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES}),
+        "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit}),
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
@@ -109,6 +112,29 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     texts = {"title": html.escape(title), "line": html.escape(line)}
     script = part("plain.js")
     return _filled("plain.html", {**texts, "style": style, "body": body, "script": script})
+
+
+def local_html(name: str, parts: Mapping[str, str]) -> str:
+    """Return a page of a server on this machine.
+
+    Parameters
+    ----------
+    name
+        ``"play"`` or ``"live"``.
+    parts
+        HTML of the holes in its body.
+    """
+    plain = part("plain.html")
+    return _filled(
+        "local.html",
+        {
+            "title": f"ccdiff-env {name}",
+            "colours": plain[plain.index(":root {") : plain.index("h1 {")],
+            "style": part("local.css"),
+            "body": _filled(f"{name}.html", parts),
+            "script": part(f"{name}.js"),
+        },
+    )
 
 
 def _filled(template: str, parts: Mapping[str, str]) -> str:

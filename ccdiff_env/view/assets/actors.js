@@ -263,6 +263,20 @@ class Actors {
     context.setLineDash([]);
   }
 
+  /** An agent where it is dragged to, joined to where it is. */
+  carried(context, at, agent, by, theme, pixel) {
+    const pose = agent < 0 ? null : this.run.pose(agent, at);
+    if (!pose) return;
+    const there = { ...pose, x: pose.x + by.x, y: pose.y + by.y };
+    context.strokeStyle = ACTOR_COLOURS[theme].label;
+    context.lineWidth = 1.5 * pixel;
+    context.beginPath();
+    context.moveTo(pose.x, pose.y);
+    context.lineTo(there.x, there.y);
+    context.stroke();
+    this.body(context, agent, there, { theme, pixel, hit: false });
+  }
+
   /** Outlines only: where the other run has the same moment. */
   ghosts(context, at, theme, pixel) {
     context.strokeStyle = ACTOR_COLOURS[theme].ghost;

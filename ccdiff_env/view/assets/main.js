@@ -78,6 +78,7 @@ async function main() {
     showLegend(player, settings);
   };
   wireControls(player);
+  if (settings.edit) wireEditing(player);
   wireKeys(player);
   player.panes.forEach((pane) => wirePane(pane, player));
   showAbout(runs);
@@ -223,6 +224,16 @@ function wireControls(player) {
   }
 }
 
+/** A chip that lets agents be dragged; the page around this one plays again then. */
+function wireEditing(player) {
+  const chip = element("button", "chip", "Move agents");
+  chip.id = "edit";
+  chip.title = "Drag agents elsewhere and play again (M)";
+  chip.setAttribute("aria-pressed", "false");
+  chip.addEventListener("click", () => player.toggleEditing());
+  $("layers").append(chip);
+}
+
 function togglePanels(player) {
   document.body.classList.toggle("bare");
   player.touch();
@@ -236,6 +247,7 @@ function showControls(player) {
   $("follow").value = player.follow === null ? "" : player.follow;
   $("colour").value = player.colourMode;
   $("heading").setAttribute("aria-pressed", player.headingUp);
+  if ($("edit")) $("edit").setAttribute("aria-pressed", player.editing);
   for (const layer of LAYERS) {
     const chip = $(`layer-${layer}`);
     if (chip) chip.setAttribute("aria-pressed", player.layers[layer]);
@@ -306,6 +318,25 @@ function wirePane(pane, player) {
   const tip = $("tip");
   const hide = () => { tip.hidden = true; };
   listenToGestures(pane.canvas, {
+    grab(x, y) {
+      const id = player.editing ? pane.find(player.camera, x, y, player.time, 14) : null;
+      player.carried = id === null ? null : { id, x: 0, y: 0 };
+      if (id !== null) player.playing = false;
+      return id !== null;
+    },
+    carry(dx, dy) {
+      const [fromX, fromY] = player.camera.toMap(0, 0, 0, 0), [x, y] = player.camera.toMap(dx, dy, 0, 0);
+      player.carried.x += x - fromX;
+      player.carried.y += y - fromY;
+      hide();
+      player.touch();
+    },
+    drop() {
+      const { id, x, y } = player.carried;
+      player.carried = null;
+      player.touch();
+      if (Math.hypot(x, y) > 0.1) parent.postMessage({ moved: id, east: x, north: y }, location.origin);
+    },
     drag(dx, dy) {
       player.follow = null;
       player.camera.pan(dx, dy);
@@ -361,6 +392,7 @@ function wireKeys(player) {
     c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 3]),
     d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
     s: () => togglePanels(player),
+    m: () => $("edit") && player.toggleEditing(),
     "?": () => $("help").showModal(),
   };
   for (const [, , action, keys] of KEYS)

@@ -34,7 +34,7 @@ function factsOf(run, agent, at) {
     }
   }
   facts.push(...planFacts(run, agent, step));
-  facts.push(["heading", `${(wrap(pose.heading) * 180 / Math.PI).toFixed(0)}°`]);
+  facts.push(["heading", `${Math.round(wrap(pose.heading) * 180 / Math.PI) || 0}°`]);
   facts.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`], ["id", id]);
   return facts;
 }

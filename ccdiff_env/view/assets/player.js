@@ -47,6 +47,7 @@ class Pane {
       focus: this.index(player.focus), hover: this.index(player.hover),
       pair: player.pair && player.pair.map((id) => this.index(id)),
     });
+    if (player.carried) this.actors.carried(context, at, this.index(player.carried.id), player.carried, theme, pixel);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
     this.scaleBar(context, camera, width, height, theme);
@@ -107,6 +108,8 @@ class Player {
     this.follow = this.focus;
     this.hover = null;
     this.pair = null;
+    this.editing = false;
+    this.carried = null; // an agent that is dragged: its id, and metres east and north
     this.changed = changed;
     this.dirty = true;
     this.before = 0;
@@ -181,6 +184,11 @@ class Player {
 
   toggle(layer) {
     this.layers[layer] = !this.layers[layer];
+    this.touch();
+  }
+
+  toggleEditing() {
+    this.editing = !this.editing;
     this.touch();
   }
 
