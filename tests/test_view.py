@@ -414,7 +414,10 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         (["left-turn-00", "--span", "40"], "--span goes with --png"),
         (["left-turn-00", "--traffic", "idm", "--criticality", "1"], "guides networks"),
         (["left-turn-00", "--traffic", "ccdiff", "--criticality", "5"], "expected 0 to 2"),
-        (["left-turn-00", "--traffic", "idm", "--driver", "external"], "there are ccdiff, const"),
+        (
+            ["left-turn-00", "--traffic", "idm", "--driver", "external"],
+            "unknown driver of the ego 'external'; there",
+        ),
         (["left-turn-00", "--png", "3", "--open"], "--open shows pages"),
     ],
 )
