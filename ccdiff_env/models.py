@@ -29,13 +29,12 @@ _CHUNK = 20
 _COOLDOWN_SHARE = 0.2
 
 
-def shipped_weights(model: str = "ccdiff", name: str = "fast") -> Path:
-    """Return a shipped weight file of a kind of network.
+def shipped_weights(model: str = "ccdiff") -> Path:
+    """Return the weight file of the shipped ``fast`` network of a kind.
 
-    ``"fast"`` are its weights; ``"equal"`` those of a CCDiff trained as long as its rivals.
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
-    return Path(__file__).parent / "data" / f"{model}_{name}.safetensors"
+    return Path(__file__).parent / "data" / f"{model}_fast.safetensors"
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
@@ -48,10 +47,8 @@ def guidance_preset(name: str) -> dict[str, Any]:
 
 
 def weights_path(weights: str | os.PathLike[str], model: str = "ccdiff") -> Path:
-    """Return the file of weights of a kind given by name (``"fast"``, ``"equal"``) or path."""
-    if weights in ("fast", "equal"):
-        return shipped_weights(model, str(weights))
-    return Path(weights)
+    """Return the file of weights of a kind given by name (``"fast"``) or path."""
+    return shipped_weights(model) if weights == "fast" else Path(weights)
 
 
 @dataclass(frozen=True)

@@ -356,6 +356,12 @@ def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name)
     assert (plan.attention is not None) == attends
 
 
+def test_networks_without_shipped_weights_say_which_file_is_missing(scenes):
+    for name in set(NETWORKS) - set(SHIPPED):
+        with pytest.raises(OSError, match=f"{name}_fast"):
+            Play(scenes[:1], traffic=name)
+
+
 def test_what_means_nothing_to_a_network_is_refused_by_name(scenes, tmp_path):
     for options, match in [
         ({"graph": "full"}, "graph"),

@@ -28,7 +28,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import Motion
-from ccdiff_env.models import guidance_preset, weights_path
+from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
@@ -113,7 +113,7 @@ METHODS: dict[str, Method] = {
     ),
 }
 
-#: The networks of the paper's table and CTG++, by name; CCDiff trained as long as they were.
+#: The networks of the paper's table and CTG++, by name.
 _NETWORKS = {
     "simnet": "SimNet",
     "trafficsim": "TrafficSim",
@@ -121,17 +121,12 @@ _NETWORKS = {
     "bits": "BITS",
     "ctg": "CTG",
     "ctgpp": "CTG++",
-    "ccdiff_equal": "CCDiff, trained as the others",
 }
 for _name, _label in _NETWORKS.items():
     # a regression has one plan
     _samples = {"num_samples": 1 if _name == "simnet" else 5}
-    _own = {"weights": "equal"} if _name == "ccdiff_equal" else {}
-    _driver = _name.removesuffix("_equal")
-    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_samples, **_own})
-    METHODS[f"{_name}_unguided"] = Method(
-        f"{_label}, no guidance", _driver, ccdiff={**_samples, **_own}
-    )
+    METHODS[_name] = Method(_label, _name, ccdiff={**_GUIDED, **_samples})
+    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _name, ccdiff=_samples)
 # BITS chooses among its plans; moving them as well is its other composition
 METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
 METHODS["bits"] = dataclasses.replace(
@@ -142,7 +137,7 @@ METHODS["bits"] = dataclasses.replace(
 PAPER_METHODS: tuple[str, ...] = tuple(
     f"{name}{suffix}"
     for name in (*_NETWORKS, "ccdiff")
-    if weights_path(METHODS[name].ccdiff.get("weights", "fast"), METHODS[name].driver).exists()
+    if shipped_weights(name).exists()
     for suffix in ("", "_unguided")
 )
 
