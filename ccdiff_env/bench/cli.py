@@ -243,6 +243,12 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--draws", type=int, default=3, help="times that each scene is driven in CCDiff traffic"
     )
+    parser.add_argument(
+        "--race",
+        type=float,
+        metavar="S",
+        help="only this: seconds until 80 and 95 %% of the training episodes succeed, S at most",
+    )
     parser.set_defaults(run=_learning)
 
 
@@ -250,6 +256,11 @@ def _learning(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
     from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 
+    if args.race is not None:
+        from ccdiff_env.bench.race import race, race_table
+
+        print(race_table(race(lesson_source(args, source_from(args)), max_s=args.race)))
+        return 0
     run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
         lesson_source(args, run.source),
