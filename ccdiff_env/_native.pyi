@@ -320,6 +320,11 @@ class Planner:
     ) -> list[dict[str, Any]]: ...
 
 def guidance_preset(name: str) -> str: ...
+def drivers() -> list[tuple[str, str, tuple[int, int, int], int]]:
+    """Return name, title, colour and number in pictures of everybody who may move an agent: those
+    that pictures tell apart, in the order of their numbers, then kinds that look like one of them.
+    """
+
 def model_preset(name: str, model: str = "ccdiff") -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
 
@@ -337,6 +342,7 @@ class VecWorld:
         num_threads: int,
         trail_steps: int = 0,
         weights: Mapping[str, Path] | None = None,
+        models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
     def reset(
         self,

@@ -87,6 +87,8 @@ class Certificate:
         config = worlds.config
         if 0 in worlds.criticality:  # drawn by a curriculum
             config = config.with_options(ccdiff={"criticality": worlds.criticality[0]})
+        if worlds.drivers.get(0):  # chosen at the reset
+            config = config.with_options(drivers={**config.drivers, **worlds.drivers[0]})
         return cls(
             package=__version__,
             schema=_schema_digest(worlds),

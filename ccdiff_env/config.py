@@ -26,7 +26,17 @@ from ccdiff_env.actions import (
     UnicycleLimits,
 )
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.traffic import NETWORKS, CcdiffConfig, ListedRanking, read_ranking
+from ccdiff_env.traffic import (
+    KINDS,
+    NETWORKS,
+    CcdiffConfig,
+    IdmConfig,
+    ListedRanking,
+    Policy,
+    PythonTraffic,
+    driver_names,
+    read_ranking,
+)
 
 __all__ = [
     "ActionConfig",
@@ -43,20 +53,8 @@ __all__ = [
     "WorldConfig",
 ]
 
-Driver: TypeAlias = Literal[
-    "external",
-    "replay",
-    "constant_velocity",
-    "idm",
-    "ccdiff",
-    "simnet",
-    "trafficsim",
-    "trafficsim_port",
-    "strive",
-    "bits",
-    "ctg",
-    "ctgpp",
-]
+#: A driver by name, or shares of drivers by name.
+Traffic: TypeAlias = str | Mapping[str, float]
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
@@ -141,26 +139,6 @@ class RewardConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdmConfig:
-    """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
-
-    #: Time headway, s, > 0.
-    headway_s: float = 1.2
-    #: Gap at standstill, m, >= 0.
-    min_gap_m: float = 2.0
-    #: Greatest acceleration, m/s², > 0.
-    acceleration_mps2: float = 1.5
-    #: Comfortable deceleration, m/s², > 0.
-    deceleration_mps2: float = 2.5
-    #: Hardest braking, m/s², > 0.
-    max_braking_mps2: float = 8.0
-    #: Acceleration exponent, > 0.
-    exponent: float = 4.0
-    #: Others are also looked for where they will be after this time, s, >= 0.
-    anticipation_s: float = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
 class WorldConfig:
     """Configuration of worlds.
 
@@ -187,10 +165,14 @@ class WorldConfig:
     controlled: Controlled = "ego"
     #: Slots per world, 1 to 512.
     num_slots: int = 1
-    #: Who drives the agents that have a slot.
-    driver: Driver = "external"
-    #: Who drives the other vehicles; pedestrians, cyclists, motorcycles, obstacles follow the log.
-    traffic: Driver = "replay"
+    #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
+    driver: str = "external"
+    #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
+    #: each vehicle and episode from the world's seed. Pedestrians, cyclists, motorcycles and
+    #: obstacles follow the log. A :class:`~ccdiff_env.traffic.PythonTraffic` stands for itself.
+    traffic: Traffic = "replay"
+    #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
+    drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
     #: Whether agents that the log brings later enter (once their place is free).
     late_arrivals: bool = True
     #: Whether background agents leave when the log has them no more; else they drive on.
@@ -211,15 +193,38 @@ class WorldConfig:
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     #: Rewards.
     reward: RewardConfig = field(default_factory=RewardConfig)
-    #: Intelligent driver model.
+    #: Options of the driver ``"idm"``.
     idm: IdmConfig = field(default_factory=IdmConfig)
-    #: CCDiff, or another network, where it drives.
+    #: Options of the drivers that are networks, ``"ccdiff"`` above all.
     ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
+    #: Further drivers by names of one's own, as options of their kind: two styles of IDM are
+    #: ``{"calm": IdmConfig(headway_s=2.0), "hasty": IdmConfig(headway_s=0.6)}``.
+    policies: Mapping[str, Policy] = field(default_factory=dict, hash=False)
     #: What happens to a world whose episode has ended.
     autoreset: Autoreset = "next_step"
     #: How the scene of an episode is chosen when the reset names none; sequential: world i of E
     #: plays scenes i, i + E, i + 2E ... and round again.
     scene_order: SceneOrder = "random"
+
+    def __post_init__(self) -> None:
+        own = {
+            name: policy if isinstance(policy, Policy) else Policy.of(policy)
+            for name, policy in self.policies.items()
+        }
+        object.__setattr__(self, "policies", own)
+        for name, policy in own.items():
+            if name in (*driver_names(), "external") and (name == "idm" or name != policy.kind):
+                raise ConfigError(f"config: policies: {name!r} is a driver already")
+        known = driver_names(own)
+        shares = (self.traffic,) if isinstance(self.traffic, str) else tuple(self.traffic)
+        for what, names, also in (
+            ("traffic", shares, ()),
+            ("driver", (self.driver,), ("external",)),
+            ("driver", tuple(self.drivers.values()), ("external",)),
+        ):
+            for name in names:
+                if name not in known and name not in also:
+                    raise unknown(what, str(name), (*known, *also))
 
     def with_options(self, **options: Any) -> WorldConfig:
         """Return a copy with some fields replaced.
@@ -229,7 +234,9 @@ class WorldConfig:
         **options
             Fields by name. Nested configurations may be dataclasses, or dictionaries of the fields
             to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``,
-            ``bev`` as the field of ``observation``.
+            ``bev`` as the field of ``observation``, kinds of drivers without a field of their own
+            (``simnet={"weights": ...}``) as entries of ``policies``. Drivers may be given as
+            objects (``traffic=PythonTraffic(model)``) and as paths to import (``"module:Class"``).
 
         Raises
         ------
@@ -240,7 +247,7 @@ class WorldConfig:
             k: options.pop(k) for k in ("dynamics", "discrete", "grid") if k in options
         }
         rasters = {"bev": options.pop("bev")} if "bev" in options else {}
-        config = _replaced(self, options, "")
+        config = _replaced(self, _with_policies(options, self.policies), "")
         if shortcuts:
             action = _replaced(config.action, shortcuts, "action.")
             config = dataclasses.replace(config, action=action)
@@ -268,10 +275,11 @@ class WorldConfig:
             raise ConfigError(f"config: not JSON ({error})") from None
         if not isinstance(fields, dict):
             raise ConfigError(f"config: {type(fields).__name__}, expected an object")
-        policies = fields.pop("policies", {})
+        policies = fields.get("policies")
         if isinstance(policies, dict) and isinstance(policies.get("ccdiff"), dict):
             fields |= policies["ccdiff"]
-        fields.pop("drivers", None)
+            usual = {name: {name: fields.get("ccdiff")} for name in NETWORKS}
+            fields["policies"] = {k: v for k, v in policies.items() if v != usual.get(k)}
         return _replaced(cls(), fields, "")
 
 
@@ -305,6 +313,16 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
         return _dynamics(path, value, old)
     if hint == Controlled:
         return _controlled(path, value)
+    if hint == Traffic:
+        if not isinstance(value, (str, Mapping)):
+            raise ConfigError(
+                f"config: {path} is {value!r}, expected one of the drivers, or shares"
+            )
+        return value if isinstance(value, str) else _by_name(path, value, float)
+    if hint == Mapping[str, str]:
+        return _by_name(path, value, str)
+    if hint == Mapping[str, Policy]:
+        return {name: _policy(f"{path}.{name}", v) for name, v in _pairs(path, value)}
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is types.UnionType or origin is typing.Union:
         if value is None and type(None) in args:
@@ -335,6 +353,57 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if dataclasses.is_dataclass(hint):
         return _nested(path, value, typing.cast("type[Any]", hint), old)
     return _scalar(path, value, hint)
+
+
+def _pairs(path: str, value: Any) -> list[tuple[str, Any]]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"config: {path} is {value!r}, expected values by name")
+    return [(_scalar(path, name, str), entry) for name, entry in value.items()]
+
+
+def _by_name(path: str, value: Any, kind: type[Any]) -> dict[str, Any]:
+    return {name: _scalar(f"{path}[{name!r}]", v, kind) for name, v in _pairs(path, value)}
+
+
+def _policy(path: str, value: Any) -> Policy:
+    """A driver under a name of its own: options of its kind, or ``{kind: options}``."""
+    if isinstance(value, Policy):
+        return value
+    if isinstance(value, (IdmConfig, CcdiffConfig, PythonTraffic)):
+        return Policy.of(value)
+    if not isinstance(value, Mapping) or len(value) != 1:
+        kinds = ", ".join(KINDS)
+        raise ConfigError(f"config: {path} is {value!r}, expected {{kind: options}} of {kinds}")
+    ((kind, options),) = value.items()
+    if kind not in KINDS:
+        raise unknown(path, str(kind), KINDS)
+    if kind == "python" and isinstance(options, Mapping):
+        try:
+            return Policy(kind, PythonTraffic(**options))
+        except TypeError as error:
+            raise ConfigError(f"config: {path}: {error}") from None
+    return Policy(kind, _nested(f"{path}.{kind}", options, KINDS[kind], None))
+
+
+def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict[str, Any]:
+    """Options in which drivers that are objects, or paths to import, are policies by name."""
+    found: dict[str, Any] = {}
+    for kind in KINDS:
+        if kind in options and kind not in ("idm", "ccdiff"):
+            found[kind] = {kind: options.pop(kind)}
+    for field_name in ("traffic", "driver"):
+        value = options.get(field_name)
+        if isinstance(value, str) and ":" in value:
+            value = PythonTraffic.load(value)
+        if isinstance(value, PythonTraffic):
+            found["python"] = value
+            options = {**options, field_name: "python"}
+    if found:
+        more = options.get("policies", known)
+        if not isinstance(more, Mapping):
+            raise ConfigError(f"config: policies is {more!r}, expected values by name")
+        options = {**options, "policies": {**more, **found}}
+    return options
 
 
 def _controlled(path: str, value: Any) -> Controlled:
@@ -445,8 +514,11 @@ def _plain(value: Any) -> Any:
         form = "per_scene" if isinstance(value.controlled, Mapping) else "ids"
         fields["controlled"] = {form: fields["controlled"]}
     if isinstance(value, WorldConfig):
+        own = {name: {p.kind: _plain(p.options)} for name, p in value.policies.items()}
         options = fields.pop("ccdiff")
-        fields |= {"drivers": {}, "policies": {name: {name: options} for name in NETWORKS}}
+        fields["policies"] = {name: {name: options} for name in NETWORKS} | own
+    if isinstance(value, PythonTraffic):
+        fields["model"] = value.described
     if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):
         fields["ranking"] = {"list": fields["ranking"]}
     names = (name for name, kind in DYNAMICS.items() if isinstance(value, kind))

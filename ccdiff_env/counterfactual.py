@@ -27,7 +27,6 @@ from ccdiff_env.planners import Act, Ego, ego_driver
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
-from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "Attribution",
@@ -149,8 +148,11 @@ def branch(
     if not native.begun(0):
         raise ResetNeededError("branch: the environment was never reset")
     if adversaries is not None:
-        if fork.config.traffic not in NETWORKS:
-            raise ConfigError(f"adversaries: traffic is {fork.config.traffic!r}, expected 'ccdiff'")
+        if not native.planners:
+            raise ConfigError(
+                f"adversaries: traffic is {fork.config.traffic!r}, expected one that plans, as "
+                "'ccdiff'"
+            )
         ids = fork.scene.agent_ids
         native.command(0, guided=[ids.index(one) for one in adversaries], criticality=None)
     act = _taken_over(fork, ego)

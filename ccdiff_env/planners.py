@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import unknown
-from ccdiff_env.envs.worlds import DRIVERS
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, MissingFeatureError
+from ccdiff_env.traffic import driver_names
 
 __all__ = ["Act", "Ego", "ego_driver", "load_sb3"]
 
@@ -32,7 +32,7 @@ class _Predicts(Protocol):
 #: A driver of the world by name, a function, a policy with ``predict``, or a file of one.
 Ego: TypeAlias = str | os.PathLike[str] | Act | _Predicts
 
-_WORLD_DRIVERS = tuple(name for name in DRIVERS if name != "external")
+_WORLD_DRIVERS = driver_names()
 #: Part of a policy class's module, and the algorithm that loads it.
 _ALGORITHMS = {
     "sac": "SAC",

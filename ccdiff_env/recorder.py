@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.rollout import DRIVER_NAMES, Rollout, RolloutEvent, RolloutPlan
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
 
 if TYPE_CHECKING:
     from ccdiff_env.envs.worlds import Worlds
@@ -26,6 +26,13 @@ class HasWorlds(Protocol):
     @property
     def worlds(self) -> Worlds:
         """The native worlds."""
+
+
+def _in_words(traffic: str | Mapping[str, float]) -> str:
+    """Traffic as one text: the name, or shares in percent."""
+    if isinstance(traffic, str):
+        return traffic
+    return " + ".join(f"{share:.0%} {name}" for name, share in traffic.items())
 
 
 class Recorder:
@@ -89,8 +96,8 @@ class Recorder:
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
         self._plans: list[RolloutPlan] = []
-        config = self._worlds.config
-        self._planned = bool({config.traffic, config.driver} & set(NETWORKS))
+        #: Step of the newest plan of each driver that plans.
+        self._kept: dict[str, int] = {}
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
         self._slot = self._ego_slot()
@@ -129,8 +136,8 @@ class Recorder:
         if self._worlds.last is not None:
             self._columns.append(self._worlds.last.columns[world, self._slot].copy())
         self._drivers = native.drivers(world)
-        if self._planned:
-            self._keep_plan()
+        for driver in native.planners:
+            self._keep_plan(driver)
         self._contact_events(at)
         self._road_events(at)
         self._end_events(at)
@@ -141,13 +148,14 @@ class Recorder:
         states = self._worlds.native.states(self._world_idx)
         self._states.append({name: states[name] for name in _STATES})  # type: ignore[literal-required]
 
-    def _keep_plan(self) -> None:
-        plan = self._worlds.native.explain(self._world_idx)
+    def _keep_plan(self, driver: str) -> None:
+        plan = self._worlds.native.explain(self._world_idx, driver)
         if plan is None:
             return
         step = int(plan["made_at"]) - self._start_elapsed
-        if self._plans and self._plans[-1].step == step:
+        if self._kept.get(driver) == step:
             return
+        self._kept[driver] = step
         self._plans.append(
             RolloutPlan(
                 step=step,
@@ -200,6 +208,8 @@ class Recorder:
         columns = np.array(self._columns, np.float32).reshape(len(self._states) - 1, -1)
         names = self._worlds.column_names if columns.size else ()
         config = self._worlds.config
+        table = (("external", "external"), *self._worlds.native.policies)
+        drivers = [name for name, _ in table]
         return Rollout(
             scene=self._scene,
             start_step=self._start_step,
@@ -209,14 +219,15 @@ class Recorder:
             heading=stacked["heading"],
             velocity=stacked["velocity"],
             valid=stacked["active"],
-            drivers=np.array([DRIVER_NAMES.index(name) for name in self._drivers], np.int64),
+            drivers=np.array([drivers.index(name) for name in self._drivers], np.int64),
+            driver_table=table,
             events=tuple(self._events),
             figures={name: columns[:, i].copy() for i, name in enumerate(names)},
             plans=tuple(self._plans),
             meta={
                 "seed": self._seed,
                 "config": json.loads(config.to_json()),
-                "traffic": config.traffic,
+                "traffic": _in_words(config.traffic),
                 "source": self._scene.source,
                 **self._meta,
             },

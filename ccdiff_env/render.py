@@ -20,8 +20,9 @@ __all__ = ["DRIVERS", "KINDS", "draw", "legend", "save"]
 
 Image: TypeAlias = npt.NDArray[np.uint8]
 
-#: Who moves an agent; sets its colour.
-DRIVERS = ("ego", "external", "ccdiff", "adversary", "idm", "replay", "constant_velocity")
+_NUMBERS = {name: number for name, _, _, number in _native.drivers()}
+#: Who moves an agent; sets its colour. Further drivers look like one of these.
+DRIVERS = tuple(name for i, (name, number) in enumerate(_NUMBERS.items()) if i == number)
 #: Kinds of agents; set their shape.
 KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
 
@@ -251,6 +252,8 @@ def _vector(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
 
 
 def _number(what: str, name: str, names: tuple[str, ...]) -> int:
+    if names is DRIVERS and name in _NUMBERS:
+        return _NUMBERS[name]
     if name not in names:
         raise ConfigError(f"{what} is {name!r}, expected one of {', '.join(names)}")
     return names.index(name)

@@ -23,7 +23,7 @@ __all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "RolloutPla
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
-#: Name of each number in :attr:`Rollout.drivers`.
+#: Drivers of rollouts that name none in their own table.
 DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", *NETWORKS)
 #: Kinds of events.
 EVENT_KINDS = (
@@ -151,7 +151,9 @@ class Rollout:
     valid
         Whether an agent is in the world [A, T].
     drivers
-        Who drives each agent [A]: indices of :data:`DRIVER_NAMES`.
+        Who drives each agent [A]: indices of ``driver_table``.
+    driver_table
+        Name and kind of each driver: those under names of their own are of another kind's.
     events
         What happened, by step.
     figures
@@ -171,6 +173,7 @@ class Rollout:
     velocity: F32
     valid: Bool
     drivers: npt.NDArray[np.int64]
+    driver_table: tuple[tuple[str, str], ...] = tuple((name, name) for name in DRIVER_NAMES)
     events: tuple[RolloutEvent, ...] = ()
     figures: Mapping[str, F32] = field(default_factory=dict)
     plans: tuple[RolloutPlan, ...] = ()
@@ -209,7 +212,12 @@ class Rollout:
     @property
     def driver_names(self) -> tuple[str, ...]:
         """Name of the driver of each agent."""
-        return tuple(DRIVER_NAMES[i] for i in self.drivers)
+        return tuple(self.driver_table[i][0] for i in self.drivers)
+
+    @property
+    def driver_kinds(self) -> tuple[str, ...]:
+        """Kind of the driver of each agent: its name, unless that is one of the user's own."""
+        return tuple(self.driver_table[i][1] for i in self.drivers)
 
     def collisions(self, agent_id: str | None = None) -> tuple[RolloutEvent, ...]:
         """Collisions, of one agent or of all, as each of their two sides sees them."""
@@ -286,6 +294,7 @@ class Rollout:
             "format": FORMAT,
             "start_step": self.start_step,
             "dt_s": self.dt_s,
+            "driver_table": [list(entry) for entry in self.driver_table],
             "events": [dataclasses.astuple(event) for event in self.events],
             "plans": [[p.step, list(p.agent_ids)] for p in self.plans],
             "meta": dict(self.meta),
@@ -334,8 +343,10 @@ class Rollout:
             for i, (step, ids) in enumerate(head["plans"])
         )
         drivers = _typed(arrays, "drivers", np.int64)
-        if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(DRIVER_NAMES):
-            raise DatasetError(f"drivers up to {drivers.max()}, expected less than 5")
+        told = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
+        table = tuple((str(name), str(kind)) for name, kind in told)
+        if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(table):
+            raise DatasetError(f"drivers up to {drivers.max()}, expected less than {len(table)}")
         return cls(
             scene=scene,
             start_step=int(head["start_step"]),
@@ -346,6 +357,7 @@ class Rollout:
             velocity=_typed(arrays, "velocity", np.float32),
             valid=_typed(arrays, "valid", np.bool_),
             drivers=drivers,
+            driver_table=table,
             events=tuple(_event(*fields) for fields in head["events"]),
             figures={
                 name.removeprefix("figures/"): _typed(arrays, name, np.float32)

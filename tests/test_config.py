@@ -40,6 +40,9 @@ def test_defaults_are_those_of_rust():
     [
         {},
         {"traffic": "idm", "horizon_steps": 7},
+        {"traffic": {"idm": 0.5, "ccdiff": 0.3, "replay": 0.2}, "ccdiff": {"criticality": 1.0}},
+        {"policies": {"calm": {"idm": {"headway_s": 2.0}}}, "traffic": "calm", "driver": "calm"},
+        {"simnet": {"weights": "mine.safetensors"}, "drivers": {"ego": "simnet"}},
         {"controlled": ("a", "b"), "num_slots": 2},
         {"controlled": {"scene-1": ["a"], "scene-2": ["ego", "b"]}, "num_slots": 2},
         {"dynamics": "bicycle", "discrete": True},
@@ -88,8 +91,20 @@ def test_numpy_numbers_are_numbers():
         ({"dynamics": "bicicle"}, "did you mean 'bicycle'"),
         ({"dynamics": {"bicycle": {"speed": 1}}}, "speed_mps"),
         ({"dynamics": 3}, "unicycle, bicycle, delta_pose"),
-        ({"traffic": "crazy"}, "replay, constant_velocity, idm"),
+        (
+            {"traffic": "crazy"},
+            "there are bits, ccdiff, constant_velocity, ctg, ctgpp, idm, replay",
+        ),
         ({"traffic": ["idm"]}, "expected one of"),
+        ({"traffic": {"idm": "half"}}, "expected float"),
+        ({"traffic": {"idn": 1.0}}, "did you mean 'idm'"),
+        ({"drivers": {"ego": "calm"}}, "unknown driver 'calm'"),
+        ({"drivers": "idm"}, "values by name"),
+        ({"policies": {"calm": {"idm": {"headway": 2.0}}}}, "headway_s"),
+        ({"policies": {"calm": {"crazy": {}}}}, "unknown policies.calm 'crazy'"),
+        ({"policies": {"calm": "idm"}}, "expected {kind: options}"),
+        ({"policies": {"replay": {"idm": {}}}}, "'replay' is a driver already"),
+        ({"traffic": "nowhere:Model"}, "nowhere"),
         ({"dt_s": "0.1"}, "expected float"),
         ({"dt_s": float("nan")}, "finite"),
         ({"dt_s": 10**400}, "number"),
@@ -118,7 +133,13 @@ def test_bad_json_is_refused(text):
 
 
 def test_ranges_are_checked_by_rust():
-    for change in ({"dt_s": 2.0}, {"num_slots": 3}, {"idm": {"headway_s": -1.0}}):
+    for change in (
+        {"dt_s": 2.0},
+        {"num_slots": 3},
+        {"idm": {"headway_s": -1.0}},
+        {"policies": {"calm": {"idm": {"headway_s": 0.0}}}},
+        {"traffic": {"idm": 0.5, "replay": 0.6}},
+    ):
         config = WorldConfig().with_options(**change)
         with pytest.raises(CcdiffError):
             _native.VecWorld([], config.to_json(), 1, 1)

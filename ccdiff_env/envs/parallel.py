@@ -204,13 +204,15 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         seed
             Any integer; ``None`` goes on with the world's generator.
         options
-            ``scene``: name or index of the scene. Other options are ignored, as PettingZoo asks.
+            ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles by id,
+            for this episode. Other options are ignored, as PettingZoo asks.
 
         Returns
         -------
         observations, infos
             Of all agents of the episode; infos hold scene, token, seed, the agent's id and role.
         """
+        drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
         scene_idx = self.worlds.scene_index((options or {}).get("scene"))
         folded = None if seed is None else fold_seed(seed)
         if folded is None and not self._seeded:
@@ -218,6 +220,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self._seeded = True
         out = self.worlds.arrays()
         self.worlds.native.reset([folded], [scene_idx], None, out)
+        self.worlds.assign(0, drivers)
         self._begin()
         common = self.worlds.reset_info(0)
         ids = self.scene.agent_ids

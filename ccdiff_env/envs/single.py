@@ -124,7 +124,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         seed
             Any integer; ``None`` goes on with the world's generator.
         options
-            ``scene``: name or index of the scene.
+            ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles by id,
+            for this episode.
 
         Returns
         -------
@@ -132,8 +133,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``.
         """
         for name in options or {}:
-            if name != "scene":
-                raise unknown("reset option", str(name), ("scene",))
+            if name not in ("scene", "drivers"):
+                raise unknown("reset option", str(name), ("scene", "drivers"))
+        drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
         scene_idx = self.worlds.scene_index((options or {}).get("scene"))
         folded = None if seed is None else fold_seed(seed)
         super().reset(seed=folded)
@@ -142,6 +144,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         self._seeded = self._begun = True
         out = self.worlds.arrays()
         self.worlds.native.reset([folded], [scene_idx], None, out)
+        self.worlds.assign(0, drivers)
         self._actions = []
         if self.render_mode == "human":
             self.render()

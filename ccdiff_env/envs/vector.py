@@ -189,7 +189,9 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
             Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with their
             generators).
         options
-            ``scene``: name or index, or one per world; ``reset_mask``: worlds [E] to reset.
+            ``scene``: name or index, or one per world; ``reset_mask``: worlds [E] to reset;
+            ``drivers``: drivers of single vehicles by id, for these episodes, of those vehicles
+            that a world's scene has.
 
         Returns
         -------
@@ -200,8 +202,9 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
         """
         options = options or {}
         for name in options:
-            if name not in ("scene", "reset_mask"):
-                raise unknown("reset option", str(name), ("scene", "reset_mask"))
+            if name not in ("scene", "reset_mask", "drivers"):
+                raise unknown("reset option", str(name), ("scene", "reset_mask", "drivers"))
+        drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         seeds = self._seeds(seed)
         scenes = self._scenes(options.get("scene"))
         mask = self._mask(options.get("reset_mask"))
@@ -211,6 +214,10 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
                 self._keep(arrays, int(i))
         listed = None if mask is None else mask.tolist()
         self.worlds.native.reset(seeds, scenes, listed, arrays)
+        for i in range(self.num_envs):
+            if mask is None or mask[i]:
+                ids = set(self.worlds.scenes[self.worlds.native.status(i)[0]].agent_ids)
+                self.worlds.assign(i, {k: v for k, v in drivers.items() if k in ids})
         rows = slice(None) if mask is None else mask
         self._begun[rows] = True
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask

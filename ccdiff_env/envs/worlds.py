@@ -5,21 +5,23 @@ from __future__ import annotations
 import hashlib
 import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import BevConfig, WorldConfig, unknown
+from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
-from ccdiff_env.traffic import NETWORKS, TrafficPlan
+from ccdiff_env.traffic import NETWORKS, CcdiffConfig, Policy, PythonTraffic, TrafficPlan
+from ccdiff_env.traffic.python import BoundTraffic
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -29,10 +31,6 @@ Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
 #: A scene by name or by index.
 SceneChoice: TypeAlias = str | int | None
 
-#: Who can drive the other vehicles.
-TRAFFIC = ("replay", "idm", "constant_velocity", *NETWORKS)
-#: Who can drive the controlled agents.
-DRIVERS = ("external", "idm", "replay", "constant_velocity", *NETWORKS)
 #: Batches from here on use all processors by default.
 PARALLEL_FROM = 64
 #: Past steps in pictures.
@@ -65,9 +63,6 @@ def world_config(
 
     Rasters are drawn where the form of observation shows them, and refused elsewhere.
     """
-    for name, known in (("traffic", TRAFFIC), ("driver", DRIVERS)):
-        if name in options and options[name] not in known:
-            raise unknown(name, str(options[name]), known)
     if config is None and "dt_s" not in options:
         options = {**options, "dt_s": scenes[0].dt}
     settled = (config or WorldConfig()).with_options(**options)
@@ -130,6 +125,25 @@ class StepArrays(NamedTuple):
     final_bev: U8 | None
 
 
+def _weights(config: WorldConfig) -> dict[str, Path]:
+    """Weight files of the drivers that are networks, by name."""
+    usual = {name: Policy(name, config.ccdiff) for name in NETWORKS}
+    return {
+        name: weights_path(policy.options.weights, policy.kind)
+        for name, policy in {**usual, **config.policies}.items()
+        if isinstance(policy.options, CcdiffConfig)
+    }
+
+
+def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
+    """Models of the user's own, by the names of their drivers."""
+    return {
+        name: BoundTraffic(name, policy.options, scenes, config.dt_s)
+        for name, policy in config.policies.items()
+        if isinstance(policy.options, PythonTraffic)
+    }
+
+
 class Worlds:
     """E native worlds over scenes.
 
@@ -174,11 +188,16 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            {name: weights_path(config.ccdiff.weights, name) for name in NETWORKS},
+            _weights(config),
+            _models(config, scenes),
         )
-        if criticality is not None and not {config.traffic, config.driver} & set(NETWORKS):
-            raise ConfigError(f"criticality: traffic is {config.traffic!r}, expected 'ccdiff'")
+        if criticality is not None and not self.native.planners:
+            raise ConfigError(
+                f"criticality: traffic is {config.traffic!r}, expected one that plans, as 'ccdiff'"
+            )
         self.curriculum = None if criticality is None else Curriculum(criticality)
+        #: Drivers by id that the present episode of a world was given at its reset.
+        self.drivers: dict[int, dict[str, str]] = {}
         #: Criticality that the present episode of a world was given by the curriculum.
         self.criticality: dict[int, float] = {}
         self.num_worlds = num_worlds
@@ -268,6 +287,44 @@ class Worlds:
             raise UnknownNameError(
                 f"no world {world_idx!r}, expected an index below {self.num_worlds}"
             )
+
+    def agent_drivers(self, choice: Any) -> dict[str, str]:
+        """Return drivers by the ids of vehicles, as a reset may be given them, checked.
+
+        Raises
+        ------
+        ConfigError
+            If it is something else.
+        UnknownNameError
+            If the batch has no such driver.
+        """
+        if not isinstance(choice, Mapping):
+            raise ConfigError(f"drivers is {choice!r}, expected names of drivers by agent id")
+        known = ("external", *(name for name, _ in self.native.policies))
+        for agent, driver in choice.items():
+            if driver not in known:
+                raise UnknownNameError(
+                    f"driver of {agent!r} is {driver!r}, expected one of {', '.join(known)}; name "
+                    "others in traffic or policies when the environment is made"
+                )
+        return dict(choice)
+
+    def assign(self, world_idx: int, drivers: Mapping[str, str]) -> None:
+        """Put drivers into vehicles of a world by id, until its episode ends.
+
+        Raises
+        ------
+        UnknownNameError
+            If the scene has no such vehicle.
+        """
+        ids = list(self.scenes[self.native.status(world_idx)[0]].agent_ids)
+        for agent, driver in drivers.items():
+            if agent not in ids:
+                raise UnknownNameError(
+                    f"drivers: scene of world {world_idx} has no agent {agent!r}"
+                )
+            self.native.assign(world_idx, [ids.index(agent)], driver)
+        self.drivers[world_idx] = dict(drivers)
 
     def set_progress(self, progress: float) -> None:
         """Tell the curriculum how far training has come, 0 to 1.

@@ -10,26 +10,10 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import driver_titles
 
 #: Titles of drivers, in the order of the legend; names are those of pictures.
-DRIVER_TITLES = {
-    "ego": "ego",
-    "external": "policy",
-    "ccdiff": "CCDiff",
-    "simnet": "SimNet",
-    "trafficsim": "TrafficSim",
-    "trafficsim_port": "TrafficSim (port)",
-    "strive": "STRIVE",
-    "bits": "BITS",
-    "ctg": "CTG",
-    "ctgpp": "CTG++",
-    "adversary": "guided",
-    "idm": "IDM",
-    "replay": "log",
-    "constant_velocity": "constant velocity",
-    "static": "obstacle",
-}
+DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 
 
 def driver_of(rollout: Rollout, agent: int) -> str:
@@ -39,14 +23,16 @@ def driver_of(rollout: Rollout, agent: int) -> str:
     name = rollout.agent_ids[agent]
     if name == "ego":
         return "ego"
-    driver = rollout.driver_names[agent]
-    return "adversary" if driver in NETWORKS and name in guided_agents(rollout) else driver
+    return "adversary" if name in guided_agents(rollout) else rollout.driver_kinds[agent]
 
 
 def driver_title(rollout: Rollout, agent: int) -> str:
     """Return in words who moves an agent, the ego too."""
     driver = driver_of(rollout, agent)
-    return DRIVER_TITLES[rollout.driver_names[agent] if driver == "ego" else driver]
+    name = rollout.driver_names[agent]
+    if driver in ("ego", rollout.driver_kinds[agent]):
+        driver = name
+    return DRIVER_TITLES.get(driver, name)
 
 
 def guided_agents(rollout: Rollout) -> set[str]:
@@ -108,7 +94,7 @@ def subtitle(rollout: Rollout) -> str:
     if is_log(rollout):
         return " · ".join(filter(None, [rollout.scene.location, f"{len(kinds)} agents"]))
     background = Counter(
-        DRIVER_TITLES[driver]
+        DRIVER_TITLES.get(driver, driver)
         for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
         if name != "ego" and kind == "vehicle"
     )

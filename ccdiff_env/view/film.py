@@ -11,7 +11,6 @@ import numpy.typing as npt
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout, RolloutPlan
-from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.facts import driver_of, is_collision
 
 TRAIL_S = 3.0
@@ -57,8 +56,7 @@ class Film:
         self._size, self._span_m = size, span_m
         self._graph, self._captions = graph, captions
         self._centres = _centres(rollout, rollout.agent_ids.index(follow))
-        drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
-        self._drivers = ["ccdiff" if d in NETWORKS else d for d in drivers]
+        self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property

@@ -10,10 +10,9 @@ from importlib import resources
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
-from ccdiff_env import render
+from ccdiff_env import _native, render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.facts import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
 
@@ -166,9 +165,8 @@ def address(
 
 def colours() -> dict[str, str]:
     """Return the colour of each driver, as in pictures: ``"#rrggbb"``."""
-    legend = render.legend()
-    names = {"static": "static obstacle"} | dict.fromkeys(NETWORKS, "ccdiff")
-    return {name: _hex(legend[names.get(name, name)]) for name in DRIVER_TITLES}
+    drivers = {name: _hex(colour) for name, _, colour, _ in _native.drivers()}
+    return {**drivers, "static": _hex(render.legend()["static obstacle"])}
 
 
 def _hex(rgb: tuple[int, int, int]) -> str:

@@ -87,12 +87,12 @@ def play_scene(
     # imported here: most pages are of recorded episodes
     from ccdiff_env.config import unknown
     from ccdiff_env.envs import EgoEnv
-    from ccdiff_env.envs.worlds import DRIVERS
     from ccdiff_env.policies import SHIPPED, find_policy
     from ccdiff_env.recorder import Recorder
+    from ccdiff_env.traffic import driver_names
 
     policy = find_policy(driver)
-    known = [name for name in DRIVERS if name != "external"]  # nobody is outside here
+    known = driver_names()  # nobody is outside here
     if policy is not None:
         options["config"] = policy.config.with_options(decision_steps=1)
     elif driver not in known:

@@ -173,7 +173,7 @@ class SelectionBatch:
             chosen.append([view.rows[row] for row in self.actions.rows(action, mask)])
         for e, adversaries in enumerate(chosen):
             self.match(e).begin(adversaries)
-            if self.worlds.config.traffic == "ccdiff":
+            if self.worlds.native.planners:
                 strength = self.actions.criticality(actions[e])
                 native.command(e, guided=adversaries, criticality=strength)
         ends: dict[int, tuple[bool, bool, bytes]] = {}

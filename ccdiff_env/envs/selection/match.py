@@ -153,7 +153,7 @@ class Match:
 
     def plan(self) -> dict[str, Any] | None:
         """Return what the policy says about its latest plan, ``None`` where there is none."""
-        if self._worlds.config.traffic != "ccdiff":
+        if not self._worlds.native.planners:
             return None
         plan: dict[str, Any] | None = self._worlds.native.explain(self._world_idx)
         return plan

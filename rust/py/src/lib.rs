@@ -6,6 +6,7 @@ mod enter;
 mod errors;
 mod metrics;
 mod models;
+mod python_policy;
 mod render;
 mod scene;
 mod scene_map;
@@ -20,6 +21,7 @@ use pyo3::prelude::*;
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
     metrics::register(m)?;
+    drivers::register(m)?;
     models::register(m)?;
     render::register(m)?;
     scene::register(m)?;

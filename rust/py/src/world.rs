@@ -189,9 +189,9 @@ impl<'py> Outputs<'py> {
 #[pymethods]
 impl PyVecWorld {
     /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `weights` are the weight files of
-    /// policies by name.
+    /// policies by name, `models` the objects behind Python models.
     #[new]
-    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, weights=None))]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, weights=None, models=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<PyRef<'_, PyScene>>,
@@ -200,11 +200,13 @@ impl PyVecWorld {
         num_threads: usize,
         trail_steps: usize,
         weights: Option<BTreeMap<String, PathBuf>>,
+        models: Option<BTreeMap<String, Py<PyAny>>>,
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
         let world = enter(py, || {
-            let policies = drivers::policies(&config, &scenes, &weights.unwrap_or_default())?;
+            let (weights, models) = (weights.unwrap_or_default(), models.unwrap_or_default());
+            let policies = drivers::policies(&config, &scenes, &weights, &models)?;
             VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));

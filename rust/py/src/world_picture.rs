@@ -1,5 +1,6 @@
 //! Pictures of a running world.
 
+use crate::drivers;
 use crate::errors::{from_sim, py};
 use crate::render::{CentreArg, from_render, layers_of, pixels, to_array};
 use ccdiff_render::{AgentBox, Camera, Driver as Colour, Line, Picture, render};
@@ -101,17 +102,6 @@ fn middle(p: Point2, q: Point2) -> Point2 {
     p + 0.5 * (q - p)
 }
 
-fn colour(kind: &str, is_ego: bool) -> Colour {
-    match kind {
-        _ if is_ego => Colour::Ego,
-        "external" => Colour::External,
-        "idm" => Colour::Idm,
-        "replay" => Colour::Replay,
-        "constant_velocity" => Colour::ConstantVelocity,
-        _ => Colour::Ccdiff,
-    }
-}
-
 fn caption(name: &str, dt_s: f32, status: &WorldStatus<'_>, focus: Option<usize>) -> String {
     let time_s = f64::from(dt_s) * status.elapsed_steps as f64;
     let speed = focus.map(|a| format!("  {:.1} m/s", status.states.speed_mps[a])).unwrap_or_default();
@@ -145,7 +135,11 @@ pub(crate) fn draw<'py>(
     };
     let colour_of = |a: usize| {
         let (name, kind) = world.driver_name(status.drivers[a]);
-        if is_guided(a, name) { Colour::Adversary } else { colour(kind, scene.agents[a].id == EGO_ID) }
+        match drivers::drawn(kind) {
+            _ if is_guided(a, name) => Colour::Adversary,
+            _ if scene.agents[a].id == EGO_ID => Colour::Ego,
+            driver => driver,
+        }
     };
     let touching: Vec<(usize, usize)> = world
         .contacts(world_idx)

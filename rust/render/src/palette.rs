@@ -26,11 +26,13 @@ pub enum Driver {
     Replay = 5,
     /// Constant velocity.
     ConstantVelocity = 6,
+    /// Any other model.
+    Other = 7,
 }
 
 impl Driver {
     /// All drivers, in the order of their numbers.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Ego,
         Self::External,
         Self::Ccdiff,
@@ -38,11 +40,20 @@ impl Driver {
         Self::Idm,
         Self::Replay,
         Self::ConstantVelocity,
+        Self::Other,
     ];
 
     /// The name used in Python and in legends.
     pub fn name(self) -> &'static str {
-        ["ego", "external", "ccdiff", "adversary", "idm", "replay", "constant_velocity"][self as usize]
+        ["ego", "external", "ccdiff", "adversary", "idm", "replay", "constant_velocity", "other"]
+            [self as usize]
+    }
+
+    /// What it is called in words.
+    pub fn title(self) -> &'static str {
+        let titles =
+            ["ego", "policy", "CCDiff", "guided", "IDM", "log", "constant velocity", "another model"];
+        titles[self as usize]
     }
 
     /// The driver of a number, as [`Driver::ALL`] counts them.
@@ -60,6 +71,7 @@ impl Driver {
             Self::Idm => Rgb(0xEB, 0xD5, 0x3A),
             Self::Replay => Rgb(0x8C, 0x96, 0xA3),
             Self::ConstantVelocity => Rgb(0xC2, 0x6F, 0xA4),
+            Self::Other => Rgb(0x7D, 0x6F, 0xD0),
         }
     }
 }

@@ -1,0 +1,31 @@
+"""Traffic: who can drive the vehicles, the options of each, and models of one's own."""
+
+from __future__ import annotations
+
+from ccdiff_env.traffic.ccdiff import (
+    NETWORKS,
+    PAPER_PROTOCOL,
+    CcdiffConfig,
+    ListedRanking,
+    TrafficPlan,
+    read_ranking,
+)
+from ccdiff_env.traffic.idm import IdmConfig
+from ccdiff_env.traffic.kinds import KINDS, Policy, driver_names, driver_titles
+from ccdiff_env.traffic.python import PythonTraffic, TrafficBatch
+
+__all__ = [
+    "KINDS",
+    "NETWORKS",
+    "PAPER_PROTOCOL",
+    "CcdiffConfig",
+    "IdmConfig",
+    "ListedRanking",
+    "Policy",
+    "PythonTraffic",
+    "TrafficBatch",
+    "TrafficPlan",
+    "driver_names",
+    "driver_titles",
+    "read_ranking",
+]

@@ -1,0 +1,208 @@
+"""Traffic models of one's own, written in Python."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+
+if TYPE_CHECKING:
+    from ccdiff_env.scenes import Scene, SceneSet
+
+__all__ = ["AGENT_KINDS", "BoundTraffic", "PythonTraffic", "TrafficBatch"]
+
+F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+#: Name of each number in :attr:`TrafficBatch.kind`.
+AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrafficBatch:
+    """What a traffic model is told: all agents of all worlds for which a plan is due.
+
+    M agents of W worlds, H past states each, the present one last. Positions and headings are those
+    of the frame of each agent's scene. Entries of states that are not valid are zero.
+    """
+
+    #: Centres, m, [M, H, 2].
+    position_m: F32
+    #: Headings, rad, [M, H].
+    heading_rad: F32
+    #: Speeds along the heading, m/s, [M, H].
+    speed_mps: F32
+    #: Whether the agent was there, [M, H].
+    valid: Bool
+    #: Lengths and widths, m, [M, 2].
+    size_m: F32
+    #: Kinds, indices of :data:`AGENT_KINDS`, [M].
+    kind: npt.NDArray[np.uint8]
+    #: Agents [M] that the model drives; the others have other drivers, and their plans are not
+    #: looked at.
+    drives: Bool
+    #: World of each agent among the W, [M]; agents of a world stand together.
+    world: I64
+    #: Index of each agent in its scene, [M].
+    agent: I64
+    #: Scene of each world with its map (:meth:`~ccdiff_env.Scene.map_layers`), W of them.
+    scenes: tuple[Scene, ...]
+    #: Index of each world's scene in the environment's list, [W].
+    scene_idx: I64
+    #: Steps since each world's episode began, [W].
+    elapsed_steps: I64
+    #: Seed of each world's random numbers for this plan, [W]: another one for every plan, the same
+    #: whatever the batch.
+    seed: npt.NDArray[np.uint64]
+    #: Seconds between states, and between the steps of a plan.
+    dt_s: float
+
+
+#: From a batch to poses x, y (m), heading (rad) in the scene's frame [M, T, 3], or accelerations
+#: (m/s²) and yaw rates (rad/s) [M, T, 2], after and during each of the next T steps.
+TrafficModel: TypeAlias = Callable[[TrafficBatch], Any]
+
+
+@dataclass(frozen=True)
+class PythonTraffic:
+    """A traffic model of one's own as a driver: ``traffic=PythonTraffic(model)``.
+
+    The model is called once per plan phase for all worlds that are due, and its plans are followed
+    in between. It must be a function of what it is told (randomness from ``seed`` alone): then the
+    same seed gives the same traffic, and snapshots, which hold the plans, need nothing of it.
+
+    Parameters
+    ----------
+    model
+        From a :class:`TrafficBatch` to poses [M, T, 3] or accelerations and yaw rates [M, T, 2], an
+        array or a tensor of torch. The latter are driven by a unicycle that does not reverse.
+    replan_steps
+        Steps from one plan to the next, 1 to T.
+    history_states
+        Past states H of each agent, the present one included, >= 1.
+
+    Examples
+    --------
+    >>> import ccdiff_env, numpy as np
+    >>> from ccdiff_env.traffic import PythonTraffic
+    >>> def coast(batch):
+    ...     return np.zeros((len(batch.kind), 10, 2), np.float32)
+    >>> env = ccdiff_env.make_vec(4, traffic=PythonTraffic(coast))
+    """
+
+    model: TrafficModel | str
+    replan_steps: int = 5
+    history_states: int = 31
+
+    def __post_init__(self) -> None:
+        if not callable(self.model) and not isinstance(self.model, str):
+            raise ConfigError(f"python.model is {self.model!r}, expected a function or an object")
+        for name, most in (("replan_steps", 10_000), ("history_states", 1_000)):
+            value = getattr(self, name)
+            if type(value) is not int or not 1 <= value <= most:
+                raise ConfigError(f"python.{name} is {value!r}, expected an integer 1 to {most}")
+
+    @classmethod
+    def load(cls, path: str) -> PythonTraffic:
+        """Import a model by its path, ``"module:name"``.
+
+        Parameters
+        ----------
+        path
+            A function, an object, a class (made without arguments), or a :class:`PythonTraffic`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such thing, or the class wants arguments.
+        """
+        module, _, name = path.partition(":")
+        try:
+            found: Any = importlib.import_module(module)
+            for part in name.split("."):
+                found = getattr(found, part)
+            made = found() if isinstance(found, type) else found
+        except (ImportError, AttributeError, TypeError, ValueError) as error:
+            raise ConfigError(f"traffic model {path!r}: {error}") from error
+        return made if isinstance(made, PythonTraffic) else cls(made)
+
+    @property
+    def described(self) -> str:
+        """Path of the model, for reports and the fingerprint of a configuration."""
+        if isinstance(self.model, str):
+            return self.model
+        named: Any = self.model if hasattr(self.model, "__qualname__") else type(self.model)
+        return f"{named.__module__}:{named.__qualname__}"
+
+
+class BoundTraffic:
+    """A model in an environment: what is called with arrays, checks the answer and returns it.
+
+    Parameters
+    ----------
+    name
+        Name of the driver, for messages.
+    traffic
+        The model.
+    scenes
+        Scenes of the environment.
+    dt_s
+        Its step.
+    """
+
+    def __init__(self, name: str, traffic: PythonTraffic, scenes: SceneSet, dt_s: float) -> None:
+        if isinstance(traffic.model, str):
+            raise ConfigError(
+                f"policies.{name}: the model {traffic.model!r} is named only, expected the object: "
+                "files do not import code, PythonTraffic.load does"
+            )
+        self._name, self._model = name, traffic.model
+        self._replan_steps = traffic.replan_steps
+        self._scenes, self._dt_s = list(scenes), dt_s
+
+    def __call__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> F32:
+        """Return the plans [M, T, 3] or [M, T, 2] of the agents of a batch.
+
+        Raises
+        ------
+        ShapeError
+            If the answer has another shape, or is too short for the time between plans.
+        PolicyError
+            If the plan of an agent that the model drives is not finite.
+        """
+        scenes = tuple(self._scenes[i] for i in arrays["scene_idx"])
+        batch = TrafficBatch(**arrays, scenes=scenes, dt_s=self._dt_s)
+        answer = self._model(batch)
+        if hasattr(answer, "detach"):
+            answer = answer.detach().cpu().numpy()
+        try:
+            plans = np.array(answer, np.float32, order="C", ndmin=1)
+        except (TypeError, ValueError) as error:
+            raise ShapeError(f"traffic {self._name!r}: {error}, expected an array") from None
+        rows, least = len(batch.kind), self._replan_steps
+        fits = plans.ndim == 3 and plans.shape[0] == rows and plans.shape[2] in (2, 3)
+        if not fits or plans.shape[1] < least:
+            raise ShapeError(
+                f"traffic {self._name!r}: plans have shape {list(plans.shape)}, expected "
+                f"[{rows}, T, 3] or [{rows}, T, 2] with T of at least {least} (replan_steps)"
+            )
+        sound = (np.abs(plans) < 1e6).all(axis=(1, 2))  # neither NaN nor infinite either
+        bad = np.flatnonzero(batch.drives & ~sound)
+        if bad.size:
+            scene = scenes[batch.world[bad[0]]]
+            agent = scene.agent_ids[batch.agent[bad[0]]]
+            values = plans[bad[0]]
+            worst = values[~(np.abs(values) < 1e6)][0]
+            raise PolicyError(
+                f"traffic {self._name!r}: plan of agent {agent!r} of scene {scene.name!r} holds "
+                f"{worst}, expected finite numbers below 1e6"
+            )
+        plans[~batch.drives] = 0.0
+        return plans
