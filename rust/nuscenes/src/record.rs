@@ -39,7 +39,7 @@ fn excerpt(bytes: &[u8]) -> String {
 
 /// Some fields of an object, looked for when they are asked for.
 ///
-/// Of a name that is there twice the first one counts; text after the last field asked for is not looked at.
+/// If a name appears twice, the first one counts; text after the last field asked for is not looked at.
 pub(crate) struct Record<'a, const N: usize> {
     source: Source<'a>,
     text: &'a [u8],

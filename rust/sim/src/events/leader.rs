@@ -1,4 +1,4 @@
-//! Who is next on the way ahead.
+//! The leader: the nearest agent on the route ahead, its gap and speed.
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
 use crate::state::{AgentStates, Body};

@@ -43,7 +43,7 @@ pub(crate) struct Slot {
     pub(crate) touching: bool,
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
-    /// Whether the agent has been on the road; until then being off it is the log's fault.
+    /// Whether the agent has been on the road; before that, it is not counted as off the road.
     pub(crate) been_on_road: bool,
     pub(crate) goal_reached: bool,
     // what the last step found out, for reward and observation
