@@ -16,7 +16,7 @@ if _torch.__version__.split("+")[0] != _TORCH:
 from ccdiff_env import _native as _native  # noqa: E402
 from ccdiff_env import causal, config, errors, metrics  # noqa: E402
 from ccdiff_env.bank import load_bank, record_bank  # noqa: E402
-from ccdiff_env.certificate import Certificate, replay  # noqa: E402
+from ccdiff_env.certificate import Certificate  # noqa: E402
 from ccdiff_env.config import WorldConfig  # noqa: E402
 from ccdiff_env.embedded import embedded_scenes  # noqa: E402
 from ccdiff_env.envs import (  # noqa: E402
@@ -30,12 +30,13 @@ from ccdiff_env.envs import (  # noqa: E402
     parallel_env,
     register,
 )
+from ccdiff_env.envs.replay import replay  # noqa: E402
 from ccdiff_env.recorder import Recorder  # noqa: E402
 from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan  # noqa: E402
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
+from ccdiff_env.version import __version__  # noqa: E402
 from ccdiff_env.view import notebook  # noqa: E402
 
-__version__ = "0.1.0"
 __all__ = [
     "AdversarySelectionEnv",
     "AdversarySelectionVectorEnv",

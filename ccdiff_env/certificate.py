@@ -19,17 +19,17 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
+from ccdiff_env.version import __version__
 
 if TYPE_CHECKING:
-    from ccdiff_env.envs.single import EgoEnv
-    from ccdiff_env.envs.worlds import Scenes, Worlds
+    from ccdiff_env.envs.worlds import Worlds
 
-__all__ = ["Certificate", "Replay", "replay"]
+__all__ = ["Certificate", "schema_digest"]
 
 FORMAT = "ccdiff-env certificate 1"
 
 
-def _schema_digest(worlds: Worlds) -> str:
+def schema_digest(worlds: Worlds) -> str:
     """Digest of what observations and figures mean."""
     text = worlds.native.layout_json + _native.columns_json()
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
@@ -79,8 +79,6 @@ class Certificate:
     @classmethod
     def of(cls, worlds: Worlds, actions: bytes) -> Certificate:
         """Return the certificate of the present episode of a single world."""
-        from ccdiff_env import __version__
-
         scene_idx, seed, episode, _, _ = worlds.native.status(0)
         scene = worlds.scenes[scene_idx]
         rows = np.frombuffer(actions, np.float32).reshape(-1, worlds.native.action_width)
@@ -91,7 +89,7 @@ class Certificate:
             config = config.with_options(drivers={**config.drivers, **worlds.drivers[0]})
         return cls(
             package=__version__,
-            schema=_schema_digest(worlds),
+            schema=schema_digest(worlds),
             scene=scene.name,
             scene_hash=scene.hash,
             config=config,
@@ -158,91 +156,3 @@ class Certificate:
         except UnicodeDecodeError as error:
             raise SnapshotError(f"certificate: damaged ({error}), {path}") from None
         return cls.from_json(text)
-
-
-@dataclass(frozen=True)
-class Replay:
-    """A certified episode, simulated again.
-
-    Parameters
-    ----------
-    env
-        The environment at the end of the episode.
-    rewards
-        Rewards [T].
-    frames
-        Pictures [T + 1] of the steps, if asked for.
-    """
-
-    env: EgoEnv
-    rewards: npt.NDArray[np.float64]
-    frames: list[npt.NDArray[np.uint8]]
-
-
-def replay(
-    certificate: Certificate | str | os.PathLike[str],
-    scenes: Scenes = None,
-    *,
-    render_mode: str | None = None,
-    **picture: Any,
-) -> Replay:
-    """Simulate a certified episode again and check that it comes out the same, bit for bit.
-
-    Parameters
-    ----------
-    certificate
-        A certificate, or the path of its file.
-    scenes
-        Scenes among which the certified one is; by default the embedded ones.
-    render_mode
-        ``"rgb_array"`` keeps a picture of every step.
-    **picture
-        Options of pictures, as for :class:`EgoEnv`.
-
-    Returns
-    -------
-    Replay
-        The environment at the end of the episode, the rewards, the pictures.
-
-    Raises
-    ------
-    SnapshotError
-        If the scene, the schema or the outcome is another one.
-    """
-    from ccdiff_env.envs.single import EgoEnv
-    from ccdiff_env.envs.worlds import scene_set
-
-    if not isinstance(certificate, Certificate):
-        certificate = Certificate.load(certificate)
-    known = scene_set("all" if scenes is None else scenes)
-    if certificate.scene not in known:
-        raise SnapshotError(
-            f"certificate: scene {certificate.scene!r} is not among the scenes given"
-        )
-    scene = known[certificate.scene]
-    if scene.hash != certificate.scene_hash:
-        raise SnapshotError(
-            f"certificate: scene {scene.name!r} has hash {scene.hash}, "
-            f"expected {certificate.scene_hash}"
-        )
-    env = EgoEnv(
-        scenes=[scene], config=certificate.config, render_mode=render_mode, picture=picture
-    )
-    if _schema_digest(env.worlds) != certificate.schema:
-        raise SnapshotError(
-            f"certificate: made by version {certificate.package}, whose observations or figures "
-            "differ from this one's"
-        )
-    env.reset(seed=certificate.seed)
-    for _ in range(certificate.episode_idx):
-        env.reset()
-    frames = [env.render() if render_mode == "rgb_array" else None]
-    rewards = []
-    shape = env.action_space.shape or ()
-    for row in certificate.actions:
-        action = row.reshape(shape) if shape else np.int64(row[0])
-        rewards.append(env.step(action)[1])
-        frames.append(env.render() if render_mode == "rgb_array" else None)
-    if env.certificate().digest != certificate.digest:
-        raise SnapshotError("certificate: the episode came out differently")
-    return Replay(env, np.array(rewards), [frame for frame in frames if frame is not None])

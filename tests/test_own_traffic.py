@@ -250,7 +250,7 @@ def test_single_vehicles_have_drivers_of_their_own():
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
         done = terminated or truncated
     # what the reset chose is part of the certificate
-    assert ccdiff_env.certificate.replay(env.certificate()).rewards.size
+    assert ccdiff_env.replay(env.certificate()).rewards.size
     env.reset(seed=0, options={"scene": "cut-in-03"})
     assert env.worlds.native.drivers(0)[other] == "idm"
     configured = ccdiff_env.EgoEnv(scenes="val", drivers={ids[other]: "constant_velocity"})

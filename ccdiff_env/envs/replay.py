@@ -1,0 +1,102 @@
+"""Certified episodes, simulated again."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.certificate import Certificate, schema_digest
+from ccdiff_env.envs.single import EgoEnv
+from ccdiff_env.envs.worlds import Scenes, scene_set
+from ccdiff_env.errors import SnapshotError
+
+__all__ = ["Replay", "replay"]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A certified episode, simulated again.
+
+    Parameters
+    ----------
+    env
+        The environment at the end of the episode.
+    rewards
+        Rewards [T].
+    frames
+        Pictures [T + 1] of the steps, if asked for.
+    """
+
+    env: EgoEnv
+    rewards: npt.NDArray[np.float64]
+    frames: list[npt.NDArray[np.uint8]]
+
+
+def replay(
+    certificate: Certificate | str | os.PathLike[str],
+    scenes: Scenes = None,
+    *,
+    render_mode: str | None = None,
+    **picture: Any,
+) -> Replay:
+    """Simulate a certified episode again and check that it comes out the same, bit for bit.
+
+    Parameters
+    ----------
+    certificate
+        A certificate, or the path of its file.
+    scenes
+        Scenes among which the certified one is; by default the embedded ones.
+    render_mode
+        ``"rgb_array"`` keeps a picture of every step.
+    **picture
+        Options of pictures, as for :class:`EgoEnv`.
+
+    Returns
+    -------
+    Replay
+        The environment at the end of the episode, the rewards, the pictures.
+
+    Raises
+    ------
+    SnapshotError
+        If the scene, the schema or the outcome is another one.
+    """
+    if not isinstance(certificate, Certificate):
+        certificate = Certificate.load(certificate)
+    known = scene_set("all" if scenes is None else scenes)
+    if certificate.scene not in known:
+        raise SnapshotError(
+            f"certificate: scene {certificate.scene!r} is not among the scenes given"
+        )
+    scene = known[certificate.scene]
+    if scene.hash != certificate.scene_hash:
+        raise SnapshotError(
+            f"certificate: scene {scene.name!r} has hash {scene.hash}, "
+            f"expected {certificate.scene_hash}"
+        )
+    env = EgoEnv(
+        scenes=[scene], config=certificate.config, render_mode=render_mode, picture=picture
+    )
+    if schema_digest(env.worlds) != certificate.schema:
+        raise SnapshotError(
+            f"certificate: made by version {certificate.package}, whose observations or figures "
+            "differ from this one's"
+        )
+    env.reset(seed=certificate.seed)
+    for _ in range(certificate.episode_idx):
+        env.reset()
+    frames = [env.render() if render_mode == "rgb_array" else None]
+    rewards = []
+    shape = env.action_space.shape or ()
+    for row in certificate.actions:
+        action = row.reshape(shape) if shape else np.int64(row[0])
+        rewards.append(env.step(action)[1])
+        frames.append(env.render() if render_mode == "rgb_array" else None)
+    if env.certificate().digest != certificate.digest:
+        raise SnapshotError("certificate: the episode came out differently")
+    return Replay(env, np.array(rewards), [frame for frame in frames if frame is not None])
