@@ -11,8 +11,8 @@ from ccdiff_env.policies.ego import EgoPolicy, load_ego
 __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 
 _DATA = Path(__file__).resolve().parents[1] / "data"
-#: Policies by name.
-SHIPPED = {"ego": _DATA / "ego.safetensors"}
+#: Policies by name: trained in recorded critical traffic, too, and in log replay and IDM alone.
+SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay")}
 
 
 def load(name: str | os.PathLike[str]) -> EgoPolicy:
