@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache as _memoise
 from functools import partial
@@ -23,7 +21,6 @@ __all__ = [
     "Scene",
     "SceneSet",
     "cache_directory",
-    "file_name",
     "load_nuscenes",
     "load_scenarionet",
     "splits",
@@ -109,26 +106,6 @@ class SceneSet(Sequence[Scene]):
         return (
             f"SceneSet({len(self)} scenes: {', '.join(self.names[:3])}{', ...' * (len(self) > 3)})"
         )
-
-
-def file_name(name: str, suffix: str = "") -> str:
-    """Return a file name for what comes from a file: names of scenes are no paths.
-
-    Letters, digits and ``-_.`` stay; a name that has others, begins with a dot or is longer than
-    100 letters is changed and gets the beginning of its SHA-256, so that two names stay two files.
-
-    Examples
-    --------
-    >>> file_name("scene-0061", ".html")
-    'scene-0061.html'
-    >>> file_name("../scene", ".html")
-    'scene-0b42f5e4.html'
-    """
-    plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip(".-")[:100]
-    if plain != name or not name:
-        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-        plain = f"{plain[:80]}-{digest}".lstrip("-")
-    return plain + suffix
 
 
 @_memoise

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import ccdiff_env
 from ccdiff_env import AdversarySelectionEnv, Recorder, counterfactual
-from ccdiff_env.scenes import file_name
+from ccdiff_env.files import file_name
 
 
 def arguments() -> argparse.Namespace:

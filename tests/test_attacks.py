@@ -13,7 +13,7 @@ from ccdiff_env import errors
 from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.cli import main
-from ccdiff_env.scenes import file_name
+from ccdiff_env.files import file_name
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout
 

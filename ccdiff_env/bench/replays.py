@@ -15,7 +15,6 @@ from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.render import save
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import file_name
 from ccdiff_env.view import address, write_page
 from ccdiff_env.view.index import thumbnail
 from ccdiff_env.view.outcome import LEAD_S, outcome

@@ -22,9 +22,10 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import Scene, file_name
+from ccdiff_env.scenes import Scene
 
 __all__ = [
     "Scenario",

@@ -11,8 +11,8 @@ from typing import Any
 
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.files import file_name
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import file_name
 from ccdiff_env.terminal import say_page, shown
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.facts import DRIVER_TITLES

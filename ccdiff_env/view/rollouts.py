@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ccdiff_env import render
 from ccdiff_env.embedded import embedded_scenes
-from ccdiff_env.scenes import SceneSet, file_name, load_nuscenes
+from ccdiff_env.files import file_name
+from ccdiff_env.scenes import SceneSet, load_nuscenes
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import play_scene

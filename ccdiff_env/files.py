@@ -1,0 +1,28 @@
+"""Files that come from others or go to them: names, JSON, and writing that is never half done."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+__all__ = ["file_name"]
+
+
+def file_name(name: str, suffix: str = "") -> str:
+    """Return a file name for what comes from a file: names of scenes are no paths.
+
+    Letters, digits and ``-_.`` stay; a name that has others, begins with a dot or is longer than
+    100 letters is changed and gets the beginning of its SHA-256, so that two names stay two files.
+
+    Examples
+    --------
+    >>> file_name("scene-0061", ".html")
+    'scene-0061.html'
+    >>> file_name("../scene", ".html")
+    'scene-0b42f5e4.html'
+    """
+    plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip(".-")[:100]
+    if plain != name or not name:
+        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+        plain = f"{plain[:80]}-{digest}".lstrip("-")
+    return plain + suffix
