@@ -1,5 +1,6 @@
 //! Bindings of `ccdiff_sim::causal`: measures, the decision causal graph, rankings.
 
+use crate::enter::flags;
 use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc};
@@ -55,6 +56,7 @@ fn causal_ttc<'py>(
         "released" => Ttc::Released,
         _ => return Err(unknown("TTC method", method, "\"oriented\" or \"released\"")),
     };
+    let valid = flags(&valid)?;
     let history = AgentHistory::new(
         x.as_slice()?,
         y.as_slice()?,
@@ -62,7 +64,7 @@ fn causal_ttc<'py>(
         speed.as_slice()?,
         length.as_slice()?,
         width.as_slice()?,
-        valid.as_slice()?,
+        &valid,
     )
     .map_err(from_sim)?;
     let out = py.detach(|| history.ttc_s(ttc));
@@ -78,11 +80,10 @@ fn causal_distance<'py>(
     y: States<'py>,
     valid: PyReadonlyArray2<'py, bool>,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let num_agents = x.shape()[1];
+    let (num_agents, valid) = (x.shape()[1], flags(&valid)?);
     let (zeros, sizes) = (vec![0.0; x.len()], vec![0.0; num_agents]);
-    let history =
-        AgentHistory::new(x.as_slice()?, y.as_slice()?, &zeros, &zeros, &sizes, &sizes, valid.as_slice()?)
-            .map_err(from_sim)?;
+    let history = AgentHistory::new(x.as_slice()?, y.as_slice()?, &zeros, &zeros, &sizes, &sizes, &valid)
+        .map_err(from_sim)?;
     let out = history.distance_m().map_err(from_sim)?;
     PyArray1::from_vec(py, out).reshape([x.shape()[0], num_agents, num_agents])
 }
@@ -172,7 +173,7 @@ fn causal_rank(
         }
     };
     let input = RankInput {
-        valid: valid.as_slice()?,
+        valid: &flags(&valid)?,
         ttc: ttc.as_ref().map_or(Ok(&[][..]), |a| a.as_slice())?,
         distance: distance.as_ref().map_or(Ok(&[][..]), |a| a.as_slice())?,
         scores: scores.as_ref().map(|a| a.as_slice()).transpose()?,

@@ -1,6 +1,7 @@
-//! Entering Rust with an object that owns threads: fork check, GIL release, and panics as exceptions.
+//! Entering Rust: flags of numpy; with an object that owns threads: fork check, GIL release, panics as exceptions.
 
 use crate::errors::py;
+use numpy::{PyReadonlyArray, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -35,6 +36,16 @@ impl Home {
             std::process::id()
         )))
     }
+}
+
+/// Flags of an array in its order of rows: any byte but 0 is true. (A `bool` of Rust may be 0 or 1 only, an array of
+/// numpy holds what its maker put there.)
+///
+/// # Errors
+/// Whatever numpy says.
+pub(crate) fn flags<D: ndarray::Dimension>(array: &PyReadonlyArray<'_, bool, D>) -> PyResult<Vec<bool>> {
+    let bytes: PyReadonlyArrayDyn<'_, u8> = array.as_any().call_method1("view", ("uint8",))?.extract()?;
+    Ok(bytes.as_array().iter().map(|byte| *byte != 0).collect())
 }
 
 /// Runs a call without the GIL; a panic becomes a `RuntimeError`.

@@ -1,5 +1,6 @@
 //! Bindings of `ccdiff_sim::metrics`.
 
+use crate::enter::flags;
 use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
@@ -78,7 +79,7 @@ impl NativeMotion {
             x_m: x.as_slice()?.to_vec(),
             y_m: y.as_slice()?.to_vec(),
             heading_rad: heading.as_slice()?.to_vec(),
-            valid: valid.as_slice()?.to_vec(),
+            valid: flags(&valid)?,
             bodies,
         };
         motion.view().map_err(from_sim)?;
@@ -91,7 +92,7 @@ impl NativeMotion {
         controlled: PyReadonlyArray1<'_, bool>,
         log: Option<&Self>,
     ) -> PyResult<CollisionParts<'py>> {
-        let mask = controlled.as_slice()?;
+        let mask = &flags(&controlled)?;
         let report = py
             .detach(|| {
                 let log = log.map(Self::view).transpose()?;
@@ -128,7 +129,7 @@ impl NativeMotion {
         let region = Region::new(&polygons)
             .ok_or_else(|| ShapeError::new_err("drivable has no polygon of three or more finite points"))?;
         let motion = self.view().map_err(from_sim)?;
-        let report = off_road_report(&motion, &region, counted.as_slice()?, replan_steps);
+        let report = off_road_report(&motion, &region, &flags(&counted)?, replan_steps);
         let shape = [self.bodies.len(), self.num_steps];
         let centroid = report.flags.iter().map(|f| f.centroid).collect();
         let corner = report.flags.iter().map(|f| f.corner).collect();
@@ -182,7 +183,7 @@ impl NativeMotion {
         at_least_s: f32,
         counted: PyReadonlyArray1<'_, bool>,
     ) -> PyResult<Vec<bool>> {
-        Ok(over_speed(&self.view().map_err(from_sim)?, limit_mps, at_least_s, counted.as_slice()?))
+        Ok(over_speed(&self.view().map_err(from_sim)?, limit_mps, at_least_s, &flags(&counted)?))
     }
 }
 

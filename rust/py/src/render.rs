@@ -1,5 +1,6 @@
 //! Bindings of `ccdiff_render`: pictures from arrays and from the log of a scene.
 
+use crate::enter::flags;
 use crate::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use crate::scene::PyScene;
 use ccdiff_render::{
@@ -151,7 +152,7 @@ fn boxes(
         }
     }
     let (heading_rad, kind) = (heading_rad.as_array(), kind.as_array());
-    let (driver_of, collided) = (driver_of.as_array(), collided.as_array());
+    let (driver_of, collided) = (driver_of.as_array(), flags(collided)?);
     (0..num_agents)
         .map(|a| {
             let shape = AgentKind::ALL.get(usize::from(kind[a])).copied();

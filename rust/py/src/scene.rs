@@ -1,5 +1,6 @@
 //! `Scene`, and the functions that load scenes.
 
+use crate::enter::flags;
 use crate::errors::{from_nuscenes, from_sim, py};
 use crate::render::{CentreArg, scene_picture};
 use crate::scene_map;
@@ -94,9 +95,9 @@ impl PyScene {
             agents.push(Agent { id, kind: kind(kind_name)?, category, length_m, width_m, height_m });
         }
         // entries that are not valid are zero, whatever the caller left there
-        let shown = valid.as_array();
+        let shown = flags(&valid)?;
         let masked = |array: ndarray::ArrayView2<'_, f32>| -> Vec<f32> {
-            array.iter().zip(shown.iter()).map(|(v, ok)| if *ok { *v } else { 0.0 }).collect()
+            array.iter().zip(&shown).map(|(v, ok)| if *ok { *v } else { 0.0 }).collect()
         };
         let axis =
             |array: &PyReadonlyArray3<'_, f32>, i| masked(array.as_array().index_axis(ndarray::Axis(2), i));
@@ -112,7 +113,7 @@ impl PyScene {
                 .zip(axis(&velocity, 1))
                 .map(|(x, y)| Vector2::new(x, y))
                 .collect(),
-            valid: shown.iter().copied().collect(),
+            valid: shown.clone(),
         };
         let map = map_layers.map(scene_map::from_dict).transpose()?.unwrap_or_default();
         let scene = Scene {

@@ -327,6 +327,7 @@ impl PyVecWorld {
 
     /// Digest of everything that the future of a world depends on.
     fn digest(&self, world_idx: usize) -> PyResult<u64> {
+        self.home.check()?;
         self.world.digest(world_idx).map_err(from_sim)
     }
 
@@ -390,6 +391,7 @@ impl PyVecWorld {
         world_idx: usize,
         driver: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyDict>>> {
+        self.home.check()?;
         let plan = self.world.explain(world_idx, driver).map_err(from_sim)?;
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }

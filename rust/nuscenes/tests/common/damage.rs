@@ -1,8 +1,11 @@
 //! Files with damage that a few bytes describe; driven by `hostile.rs` and by the fuzz targets in `rust/fuzz`.
 
+use super::world::Batch;
 use super::{DataSet, VERSION};
 use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load};
-use std::sync::OnceLock;
+use ccdiff_sim::scene::Scene;
+use ccdiff_sim::world::{Controlled, WorldConfig};
+use std::sync::{Arc, OnceLock};
 
 /// Edits bytes as the input says, four bytes an edit: what to do, with which byte, and where (two bytes).
 fn edit(bytes: &mut Vec<u8>, input: &[u8]) {
@@ -58,6 +61,24 @@ pub(crate) fn decode_damaged(input: &[u8]) {
         .clone();
     edit(&mut bytes, input);
     if let Ok(scene) = decode_scene(&bytes) {
-        scene.validated().unwrap();
+        play(Arc::new(scene.validated().unwrap()));
+    }
+}
+
+/// Steps a world of a scene that holds: whatever a world derives from it fits into memory and stays finite.
+fn play(scene: Arc<Scene>) {
+    let config = WorldConfig {
+        dt_s: scene.dt_s,
+        history_steps: 2,
+        controlled: Controlled::Vehicles,
+        num_slots: 4,
+        traffic: "idm".into(),
+        ..WorldConfig::default()
+    };
+    let Ok(mut batch) = Batch::of(vec![scene], config, 1, 1, Vec::new()) else { return };
+    batch.reset_all(0);
+    for _ in 0..3 {
+        batch.step(&[0.5, 0.1].repeat(4)).unwrap();
+        assert!(batch.obs.iter().chain(&batch.columns).all(|x| x.is_finite()));
     }
 }

@@ -2,6 +2,8 @@
 #![allow(dead_code, clippy::unwrap_used, reason = "each user takes its own part; a test fails by panicking")]
 
 pub(crate) mod damage;
+#[path = "../../../sim/tests/common/mod.rs"]
+mod world;
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

@@ -3,6 +3,9 @@
 use crate::geom::{Point2, Polygon, Real};
 use serde::{Deserialize, Serialize};
 
+/// Nothing of a scene lies farther from its origin along an axis, metres.
+pub(crate) const FARTHEST_M: Real = 1e6;
+
 /// What a lane is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -54,14 +57,15 @@ pub struct Map {
 }
 
 impl Map {
-    /// Name of the first layer that holds a number that is not finite, a line of fewer than two points or a lane
-    /// index out of range.
+    /// Name of the first layer that holds a point farther away than [`FARTHEST_M`] or not finite, a line of fewer
+    /// than two points or a lane index out of range.
     pub fn first_fault(&self) -> Option<&'static str> {
         // without a branch: several points at once
-        let finite =
-            |points: &[Point2]| points.iter().fold(true, |ok, p| ok & p.x.is_finite() & p.y.is_finite());
-        let polygon = |p: &Polygon| finite(&p.exterior) && p.holes.iter().all(|h| finite(h));
-        let line = |l: &Vec<Point2>| l.len() >= 2 && finite(l);
+        let near = |points: &[Point2]| {
+            points.iter().fold(true, |ok, p| ok & (p.x.abs() <= FARTHEST_M) & (p.y.abs() <= FARTHEST_M))
+        };
+        let polygon = |p: &Polygon| near(&p.exterior) && p.holes.iter().all(|h| near(h));
+        let line = |l: &Vec<Point2>| l.len() >= 2 && near(l);
         let linked = |ids: &[u32]| ids.iter().all(|i| (*i as usize) < self.lanes.len());
         let lane = |l: &Lane| {
             line(&l.centreline) && polygon(&l.polygon) && linked(&l.successors) && linked(&l.predecessors)
@@ -78,6 +82,20 @@ impl Map {
         ]
         .into_iter()
         .find_map(|(name, ok)| (!ok).then_some(name))
+    }
+
+    /// Length of all lines and rings, metres along x plus metres along y: what observations cut into pieces.
+    pub fn length_m(&self) -> f64 {
+        let along = |points: &[Point2]| -> f64 {
+            points.windows(2).map(|w| f64::from((w[1].x - w[0].x).abs() + (w[1].y - w[0].y).abs())).sum()
+        };
+        let polygons =
+            [&self.drivable_area, &self.ped_crossings, &self.walkways, &self.stop_lines, &self.carpark_areas];
+        let areas = polygons.into_iter().flatten().chain(self.lanes.iter().map(|l| &l.polygon));
+        let rings = areas.flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes));
+        let lines = self.lanes.iter().map(|l| &l.centreline);
+        let lines = lines.chain(&self.road_dividers).chain(&self.lane_dividers);
+        rings.chain(lines).map(|points| along(points)).sum()
     }
 
     /// Whether the map has lanes at all.

@@ -18,6 +18,11 @@ use std::sync::Arc;
 /// Id of the ego agent in every scene.
 pub const EGO_ID: &str = "ego";
 
+/// Most metres that all lines of a map, and all logged paths, may have together: worlds keep points along them.
+const LONGEST_M: f64 = 5e6;
+/// Largest length and width of an agent, metres.
+const LARGEST_M: Real = 1e3;
+
 /// Kind of an agent, coarse enough to be the same for every data set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -125,7 +130,9 @@ impl Scene {
         if !self.origin.iter().all(|v| v.is_finite()) {
             return fail("origin".into(), format!("{:?}", self.origin), "finite numbers");
         }
-        let entries = num_agents * num_steps;
+        let Some(entries) = num_agents.checked_mul(num_steps) else {
+            return fail("num_steps".into(), num_steps.to_string(), "a number of logged steps");
+        };
         for (name, len) in [
             ("tracks.position", self.tracks.position.len()),
             ("tracks.heading_rad", self.tracks.heading_rad.len()),
@@ -146,27 +153,52 @@ impl Scene {
             );
         }
         for (i, a) in self.agents.iter().enumerate() {
-            if !(a.length_m.is_finite() && a.length_m > 0.0 && a.width_m.is_finite() && a.width_m > 0.0) {
+            if ![a.length_m, a.width_m].iter().all(|side| *side > 0.0 && *side <= LARGEST_M) {
                 let got = format!("{} x {} m", a.length_m, a.width_m);
-                return fail(format!("agents[{i}] {:?} size", a.id), got, "a positive length and width");
+                let expected = "a positive length and width of at most 1000 m";
+                return fail(format!("agents[{i}] {:?} size", a.id), got, expected);
             }
         }
         for (i, ok) in self.tracks.valid.iter().enumerate() {
             let (p, h, v) = (self.tracks.position[i], self.tracks.heading_rad[i], self.tracks.velocity[i]);
-            if *ok && !([p.x, p.y, v.x, v.y].iter().all(|x| x.abs() < 1e6) && h.is_finite()) {
+            if *ok && ![p.x, p.y, v.x, v.y, h].iter().all(|x| x.abs() < map::FARTHEST_M) {
                 let field = format!("track of {:?} at step {}", self.agents[i / num_steps].id, i % num_steps);
                 let got = format!("position {p}, heading {h}, velocity ({}, {})", v.x, v.y);
                 return fail(field, got, "finite numbers within 1000 km");
             }
         }
+        let logged_m = self.logged_m();
+        if logged_m > LONGEST_M {
+            return fail("tracks.position".into(), format!("{logged_m:.0} m of paths"), "at most 5000 km");
+        }
         if let Some(field) = self.map.first_fault() {
             return fail(
                 format!("map.{field}"),
-                "not finite or dangling".into(),
-                "finite points and lane indices in range",
+                "not finite, farther than 1000 km away, or dangling".into(),
+                "finite points within 1000 km and lane indices in range",
             );
         }
+        let length_m = self.map.length_m();
+        if length_m > LONGEST_M {
+            return fail("map".into(), format!("{length_m:.0} m of lines"), "at most 5000 km");
+        }
         Ok(self)
+    }
+
+    /// Length of the paths of all agents from one logged position to the next, metres.
+    fn logged_m(&self) -> f64 {
+        let (mut total, tracks) = (0.0, &self.tracks);
+        for agent in 0..self.agents.len() {
+            let mut last: Option<Point2> = None;
+            for at in self.at(agent, 0)..self.at(agent + 1, 0) {
+                if tracks.valid[at] {
+                    let here = tracks.position[at];
+                    total += last.map_or(0.0, |last| f64::from((here - last).norm()));
+                    last = Some(here);
+                }
+            }
+        }
+        total
     }
 
     /// Number of agents A.

@@ -100,6 +100,13 @@ pub struct ResetRequest<'a> {
     pub mask: Option<&'a [bool]>,
 }
 
+/// Most worlds of a batch.
+const MOST_WORLDS: usize = 1 << 16;
+/// Most worker threads of a batch.
+const MOST_THREADS: usize = 1 << 10;
+/// Most bytes of observations and rasters of one step of a batch.
+const MOST_BYTES: usize = 1 << 34;
+
 /// E worlds over a list of scenes.
 pub struct VecWorld {
     config: WorldConfig,
@@ -130,11 +137,11 @@ impl VecWorld {
         let bad = |field, got: usize, expected: &str| {
             Err(SimError::Config { field, got: got.to_string(), expected: expected.into() })
         };
-        if num_worlds == 0 {
-            return bad("num_envs", 0, "at least 1");
+        if !(1..=MOST_WORLDS).contains(&num_worlds) {
+            return bad("num_envs", num_worlds, "1 to 65536");
         }
-        if num_threads == 0 {
-            return bad("num_threads", 0, "at least 1");
+        if !(1..=MOST_THREADS).contains(&num_threads) {
+            return bad("num_threads", num_threads, "1 to 1024");
         }
         if scenes.is_empty() {
             return bad("scenes", 0, "at least one scene");
@@ -144,6 +151,16 @@ impl VecWorld {
         }
         let policies = Policies::new(&config, &scenes, policies)?;
         let layout = Layout::new(&config.observation)?;
+        let row_bytes =
+            size_of::<f32>() * layout.size + layout.bev.as_ref().map_or(0, |b| b.shape.iter().product());
+        let bytes = row_bytes.saturating_mul(config.num_slots).saturating_mul(num_worlds);
+        if bytes > MOST_BYTES {
+            return bad(
+                "bytes of the observations of a step",
+                bytes,
+                "at most 16 GiB: fewer worlds or columns",
+            );
+        }
         let num_scenes = scenes.len();
         let list = scenes.into_iter().map(|s| (s, OnceLock::new())).collect();
         let scenes = Scenes { list, bev: config.observation.bev };

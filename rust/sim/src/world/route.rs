@@ -9,6 +9,8 @@ const SPACING_M: Real = 1.0;
 const MIN_STEP_M: Real = 0.5;
 /// How far a route goes on past the end of the log, metres.
 const EXTENSION_M: Real = 80.0;
+/// Most of one straight piece of a lane that a route follows past the end of the log, metres.
+const LONGEST_STEP_M: Real = 1000.0;
 /// Lateral acceleration at which curves are taken, m/s².
 const CURVE_MPS2: Real = 3.0;
 /// Braking assumed ahead of a curve, m/s².
@@ -87,8 +89,11 @@ fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneI
         for pair in lane.centreline.windows(2) {
             s += (pair[1] - pair[0]).norm();
             if s >= from_s && left_m > 0.0 {
-                left_m -= (pair[1] - pair[0]).norm();
-                points.push(pair[1]);
+                let step = pair[1] - pair[0];
+                // a metre where the loaders made the line, but a file can say anything
+                let share = (LONGEST_STEP_M / step.norm()).min(1.0);
+                left_m -= step.norm();
+                points.push(if share < 1.0 { pair[0] + step * share } else { pair[1] });
             }
         }
         from_s = 0.0;

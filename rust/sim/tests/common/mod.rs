@@ -61,12 +61,23 @@ impl Batch {
         threads: usize,
         policies: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Self {
+        Self::of(scenes, config, envs, threads, policies).unwrap()
+    }
+
+    /// As [`Batch::with_policies`], for scenes and configurations that may not go together.
+    pub(crate) fn of(
+        scenes: Vec<Arc<Scene>>,
+        config: WorldConfig,
+        envs: usize,
+        threads: usize,
+        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
+    ) -> Result<Self> {
         let slots = envs * config.num_slots;
         let same_step = config.autoreset == Autoreset::SameStep;
-        let world = VecWorld::new(scenes, config, envs, threads, policies).unwrap();
+        let world = VecWorld::new(scenes, config, envs, threads, policies)?;
         let row = world.layout().size;
         let rasters = slots * world.extent().raster;
-        Self {
+        Ok(Self {
             obs: vec![0.0; slots * row],
             reward: vec![0.0; slots],
             terminated: vec![false; slots],
@@ -79,7 +90,7 @@ impl Batch {
             bev: vec![0; rasters],
             final_bev: vec![0; if same_step { rasters } else { 0 }],
             world,
-        }
+        })
     }
 
     pub(crate) fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
