@@ -380,6 +380,11 @@ impl ModelConfig {
         if self.diffusion_steps < 2 {
             return fail("diffusion_steps", self.diffusion_steps.to_string(), "at least 2");
         }
+        for (field, got, most) in self.sizes() {
+            if !usize::try_from(got).is_ok_and(|got| got <= most) {
+                return fail(field, got.to_string(), "a size of a network that fits into memory");
+            }
+        }
         if let Some(map) = &self.map {
             if map.size_px < 8 || map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {
                 return fail(
@@ -406,6 +411,32 @@ impl ModelConfig {
             }
         }
         Ok(self)
+    }
+
+    /// Sizes with what they may be at most: a header of a weight file could say anything.
+    fn sizes(&self) -> Vec<(&'static str, i64, usize)> {
+        let size = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
+        let mut sizes = vec![
+            ("history_steps", size(self.history_steps), 1000),
+            ("horizon_steps", size(self.horizon_steps), 1000),
+            ("width", self.width, 4096),
+            ("feed_forward", self.feed_forward, 65_536),
+            ("social_feed_forward", self.social_feed_forward, 65_536),
+            ("edge_width", self.edge_width, 4096),
+            ("temporal_layers", size(self.temporal_layers), 64),
+            ("edge_layers", size(self.edge_layers), 64),
+            ("max_neighbours", size(self.max_neighbours), 4096),
+            ("max_agents", size(self.max_agents), 4096),
+            ("diffusion_steps", size(self.diffusion_steps), 10_000),
+        ];
+        if let Some(map) = &self.map {
+            sizes.extend([
+                ("map.size_px", size(map.size_px), 4096),
+                ("map.feature_width", map.feature_width, 8192),
+                ("map.rounds", size(map.rounds.len()), 64),
+            ]);
+        }
+        sizes
     }
 
     /// Number of action knots, which is the number of future tokens.

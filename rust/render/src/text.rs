@@ -117,6 +117,9 @@ fn write(canvas: &mut Canvas, text: &str, (x, y): (f32, f32), cap_px: f32) {
     canvas.stroke(outline, palette::INK, 1.0, (0.16 * cap_px).max(1.1), true);
 }
 
+/// Most letters of a caption.
+const LONGEST: usize = 200;
+
 /// Height of capitals for a picture, pixels.
 fn cap_px(width: f32, height: f32) -> f32 {
     (width.min(height) / 56.0).clamp(7.0, 24.0)
@@ -124,15 +127,16 @@ fn cap_px(width: f32, height: f32) -> f32 {
 
 /// Writes a caption on a light panel in the upper left corner, as small as it takes to fit.
 pub(crate) fn caption(canvas: &mut Canvas, text: &str, (width, height): (f32, f32)) {
-    // A long caption is made smaller, to fit.
-    let units = width_px(text, 1.0) + 3.4;
+    // A long caption is made smaller, to fit; a name from a file can be longer than any picture.
+    let text: String = text.chars().take(LONGEST).collect();
+    let units = width_px(&text, 1.0) + 3.4;
     let cap = cap_px(width, height).min(width / units);
     let (pad, margin) = (0.8 * cap, 0.9 * cap);
-    let panel = (width_px(text, cap) + 2.0 * pad, cap + 2.0 * pad);
+    let panel = (width_px(&text, cap) + 2.0 * pad, cap + 2.0 * pad);
     let mut outline = Outline::new();
     rounded(&mut outline, (margin, margin), panel, 0.6 * cap);
     canvas.fill(outline, palette::PAPER, 0.85);
-    write(canvas, text, (margin + pad, margin + pad), cap);
+    write(canvas, &text, (margin + pad, margin + pad), cap);
 }
 
 /// Draws a bar of a round number of metres in the lower left corner, about a fifth of the width.
