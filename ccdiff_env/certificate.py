@@ -19,6 +19,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.version import __version__
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["Certificate", "schema_digest"]
 
 FORMAT = "ccdiff-env certificate 1"
+#: Episodes since the seed that a replay goes through.
+MOST_EPISODES = 100_000
 
 
 def schema_digest(worlds: Worlds) -> str:
@@ -119,9 +122,9 @@ class Certificate:
             If the text is damaged or of another format.
         """
         try:
-            fields: dict[str, Any] = json.loads(text)
+            fields = parsed_object(text)
             found = fields.pop("format")
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError) as error:
             raise SnapshotError(f"certificate: damaged ({error})") from None
         if found != FORMAT:
             raise SnapshotError(f"certificate: format {found!r}, this release reads {FORMAT!r}")
@@ -138,6 +141,13 @@ class Certificate:
             ):
                 if type(fields[name]) is not kind:
                     raise SnapshotError(f"certificate: {name} is {fields[name]!r}")
+            if not 0 <= fields["episode_idx"] <= MOST_EPISODES:
+                raise SnapshotError(
+                    f"certificate: episode_idx is {fields['episode_idx']}, expected 0 to "
+                    f"{MOST_EPISODES}: it is played from its seed on"
+                )
+            if fields["actions"].ndim != 2 or not 0 <= fields["seed"] < 2**64:
+                raise SnapshotError("certificate: actions or seed, expected [T, W] and 64 bits")
             return cls(**fields)
         except SnapshotError:
             raise

@@ -26,6 +26,7 @@ from ccdiff_env.actions import (
     UnicycleLimits,
 )
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.traffic import (
     KINDS,
     NETWORKS,
@@ -270,11 +271,9 @@ class WorldConfig:
             If the text is no JSON object, or a field is unknown or of the wrong type.
         """
         try:
-            fields = json.loads(text)
+            fields = parsed_object(text)
         except (TypeError, ValueError) as error:
             raise ConfigError(f"config: not JSON ({error})") from None
-        if not isinstance(fields, dict):
-            raise ConfigError(f"config: {type(fields).__name__}, expected an object")
         policies = fields.get("policies")
         if isinstance(policies, dict) and isinstance(policies.get("ccdiff"), dict):
             fields |= policies["ccdiff"]

@@ -3,9 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 import re
+from pathlib import Path
+from typing import Any
 
-__all__ = ["file_name"]
+__all__ = ["file_name", "parsed_object", "write_aside"]
+
+
+def parsed_object(text: str | bytes) -> dict[str, Any]:
+    """Return the object that a JSON text from a file holds.
+
+    Raises
+    ------
+    ValueError
+        If it is no JSON, nested too deep, or no object.
+    """
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    if not isinstance(value, dict):
+        raise ValueError(f"a JSON {type(value).__name__}, expected an object")
+    return value
+
+
+def write_aside(path: Path, text: str) -> None:
+    """Write a file under another name first: a run that ends in the middle leaves no half of it."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        aside.write_text(text, encoding="utf-8")
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def file_name(name: str, suffix: str = "") -> str:

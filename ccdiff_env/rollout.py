@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import NETWORKS
 
@@ -36,6 +39,13 @@ EVENT_KINDS = (
     "time_limit",
 )
 FORMAT = "ccdiff-env rollout 1"
+#: Bytes that the arrays of a file may have unpacked.
+_MOST_BYTES = 1 << 30
+#: What a damaged archive, array header or text raises.
+_DAMAGE = (
+    *(ValueError, KeyError, TypeError, AttributeError, OSError, EOFError, RuntimeError),
+    *(MemoryError, SyntaxError, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
+)
 _PLAN_ARRAYS: dict[str, Any] = {
     "samples": np.float32,
     "chosen": np.int64,
@@ -195,6 +205,20 @@ class Rollout:
             _expect(name, getattr(self, name), shape)
         for name, values in self.figures.items():
             _expect(f"figures[{name!r}]", values, (t - 1,))
+        there = self.valid
+        for name in ("position", "heading", "velocity"):
+            if not np.isfinite(getattr(self, name)[there]).all():
+                raise DatasetError(f"{name} is not finite where valid")
+        if not (self.dt_s > 0 and np.isfinite(self.dt_s) and self.start_step >= 0):
+            raise DatasetError(
+                f"dt_s is {self.dt_s} and start_step {self.start_step}, expected more than 0 and "
+                "at least 0"
+            )
+        named: set[str | None] = {name for plan in self.plans for name in plan.agent_ids}
+        named.update(name for e in self.events for name in (e.agent_id, e.partner_id))
+        lost = named - {*self.agent_ids, None}
+        if lost:
+            raise DatasetError(f"events or plans name agents that are not there: {lost}")
         object.__setattr__(self, "figures", dict(self.figures))
         object.__setattr__(self, "meta", dict(self.meta))
 
@@ -315,19 +339,20 @@ class Rollout:
             If it is damaged or of another format.
         """
         try:
+            with zipfile.ZipFile(path) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size > _MOST_BYTES:
+                raise DatasetError(f"{size} bytes unpacked, expected at most {_MOST_BYTES}")
             with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            return cls._from_arrays(arrays)
+                return cls._from_arrays(file)
         except FileNotFoundError:
             raise DatasetNotFoundError(f"no rollout at {os.fspath(path)}") from None
-        except (ValueError, KeyError, TypeError, AttributeError, OSError, EOFError) as error:
+        except _DAMAGE as error:
             raise DatasetError(f"damaged rollout ({error}): {os.fspath(path)}") from None
-        except zipfile.BadZipFile as error:
-            raise DatasetError(f"no rollout ({error}): {os.fspath(path)}") from None
 
     @classmethod
     def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:
-        head = json.loads(arrays["head"].tobytes())
+        head = parsed_object(arrays["head"].tobytes())
         if head["format"] != FORMAT:
             raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
         scene = Scene.from_bytes(arrays["scene"].tobytes())
@@ -379,6 +404,8 @@ def _typed(arrays: Mapping[str, npt.NDArray[Any]], name: str, dtype: Any) -> npt
 def _event(
     step: int, agent_id: str, partner_id: str | None, kind: str, fault: bool
 ) -> RolloutEvent:
+    if not (isinstance(agent_id, str) and isinstance(partner_id, (str, type(None)))):
+        raise DatasetError(f"event of agents {agent_id!r} and {partner_id!r}, expected ids")
     if kind not in EVENT_KINDS:
         raise DatasetError(f"event of kind {kind!r}, expected one of {', '.join(EVENT_KINDS)}")
     return RolloutEvent(int(step), agent_id, partner_id, kind, bool(fault))

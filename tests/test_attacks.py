@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import json
+import resource
 import runpy
+import struct
 import time
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import errors
+from ccdiff_env import EgoEnv, EgoVectorEnv, Rollout, Scene, WorldConfig, errors
 from ccdiff_env.bench import scenario_sets
+from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.replays import write_replay
+from ccdiff_env.certificate import Certificate, replay
 from ccdiff_env.cli import main
+from ccdiff_env.config import BevConfig, ObservationConfig
 from ccdiff_env.files import file_name
+from ccdiff_env.models import Planner, shipped_weights
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout
 
@@ -86,3 +97,231 @@ def test_pages_of_a_folder_do_not_replace_each_other(tmp_path):
     pages = write_pages(tmp_path, tmp_path / "pages", thumbnails=False)
     assert len(set(pages)) == 3
     assert all(page.is_file() for page in pages)
+
+
+def certificate():
+    env = EgoEnv(traffic="replay")
+    env.reset(seed=1)
+    for _ in range(3):
+        env.step(env.action_space.sample() * 0)
+    return json.loads(env.certificate().to_json())
+
+
+JSON_READERS = {
+    "certificate": (Certificate.load, "c.json"),
+    "configuration": (lambda path: WorldConfig.from_json(path.read_text()), "c.json"),
+    "scenario set": (scenario_sets.load_scenario_set, "manifest.json"),
+    "result": (lambda path: results([Job("r", "", {})], path.parent), "r.json"),
+}
+
+
+@pytest.mark.parametrize("name", list(JSON_READERS))
+@pytest.mark.parametrize("attack", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
+def test_texts_that_are_no_objects(tmp_path, name, attack):
+    read, file = JSON_READERS[name]
+    (tmp_path / file).write_bytes(attack.read_bytes())
+    with pytest.raises(errors.CcdiffError):
+        read(tmp_path / file)
+
+
+def test_a_manifest_names_files_by_text(tmp_path):
+    fields = dict.fromkeys((f.name for f in dataclasses.fields(scenario_sets.Scenario)), 3)
+    head = dict.fromkeys(("generator", "traffic", "seed", "weights", "source", "settings"), 0)
+    text = {"format": scenario_sets.FORMAT, "scenarios": [fields], **head}
+    (tmp_path / "manifest.json").write_text(json.dumps(text))
+    with pytest.raises(errors.DatasetError, match="file 3"):
+        scenario_sets.load_scenario_set(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"episode_idx": 2**63},
+        {"episode_idx": -5},
+        {"episode_idx": True},
+        {"seed": -1},
+        {"seed": 2**70},
+        {"actions": {"shape": [6], "float32": "AAAA" * 8}},
+        {"actions": {"shape": [2, 3], "float32": "AAAA" * 8}},
+        {"actions": 3},
+    ],
+    ids=str,
+)
+def test_certificates_with_changed_numbers(change):
+    with pytest.raises(errors.SnapshotError):
+        replay(Certificate.from_json(json.dumps(certificate() | change)))
+
+
+def changed(path, **members):
+    """Write a rollout whose arrays are changed; ``head`` is changed by a function."""
+    log_rollout(ccdiff_env.embedded_scenes()[0]).save(path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    head = json.loads(arrays.pop("head").tobytes())
+    text = members.pop("head", lambda head: json.dumps(head).encode())(head)
+    np.savez_compressed(path, **arrays | members, head=np.frombuffer(text, np.uint8))
+
+
+def with_events(*events):
+    return {"head": lambda head: json.dumps(head | {"events": events}).encode()}
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"head": lambda head: b"[" * 100_000},
+        {"head": lambda head: b"[]"},
+        {"head": lambda head: json.dumps(head | {"plans": [[0, ["nobody"]]]}).encode()},
+        {"head": lambda head: json.dumps(head | {"plans": 10**6}).encode()},
+        {"head": lambda head: json.dumps(head | {"dt_s": -1}).encode()},
+        {"head": lambda head: json.dumps(head | {"start_step": -1}).encode()},
+        with_events([0, "nobody", None, "goal", False]),
+        with_events([0, ["ego"], None, "goal", False]),
+        with_events([0, "ego", 3, "goal", False]),
+        {"position": np.zeros(9, object)},
+        {"position": np.zeros((0, 10**9, 2), np.float32)},
+        {"scene": np.zeros(100, np.uint8)},
+    ],
+    ids=str,
+)
+def test_rollouts_with_changed_members(tmp_path, members):
+    changed(tmp_path / "a.npz", **members)
+    with pytest.raises(errors.DatasetError, match=r"a\.npz"):
+        Rollout.load(tmp_path / "a.npz")
+
+
+def test_rollouts_with_changed_bytes(tmp_path):
+    path = tmp_path / "a.npz"
+    log_rollout(ccdiff_env.embedded_scenes()[0]).save(path)
+    whole = path.read_bytes()
+    for at in np.random.default_rng(0).integers(0, len(whole), 300):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        with contextlib.suppress(errors.DatasetError):
+            Rollout.load(path)
+
+
+def test_rollouts_that_unpack_to_gibibytes_or_are_locked(tmp_path):
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in "abcde":
+            archive.writestr(f"{name}.npy", bytes(2**28))
+    with pytest.raises(errors.DatasetError, match="unpacked"):
+        Rollout.load(path)
+    log_rollout(ccdiff_env.embedded_scenes()[0]).save(path)
+    locked = bytearray(path.read_bytes())
+    locked[6] |= 1
+    locked[locked.rfind(b"PK\1\2") + 8] |= 1
+    path.write_bytes(locked)
+    with pytest.raises(errors.DatasetError):
+        Rollout.load(path)
+
+
+def scene_with(lanes=(), *, position=None, **changes):
+    t = 60
+    arrays = {
+        "agent_ids": ["ego"],
+        "agent_types": ["vehicle"],
+        "sizes": np.array([[4.5, 1.9, 1.6]], np.float32),
+        "position": np.zeros((1, t, 2), np.float32) if position is None else position,
+        "heading": np.zeros((1, t), np.float32),
+        "velocity": np.zeros((1, t, 2), np.float32),
+        "valid": np.ones((1, t), bool),
+    }
+    lane = {
+        "id": "0",
+        "kind": "lane",
+        "polygon": {"exterior": np.zeros((0, 2), np.float32), "holes": []},
+        "successors": [],
+        "predecessors": [],
+        "speed_limit_mps": None,
+    }
+    layers = {
+        "lanes": [lane | {"centreline": np.array(line, np.float32)} for line in lanes],
+    }
+    return Scene.from_arrays("far", **arrays | changes, map_layers=layers)
+
+
+ZIGZAG = [[float(i % 2) * 1e6, float(i)] for i in range(100)]
+
+
+@pytest.mark.parametrize(
+    "line", [[[0, 0], [3e11, 0]], [[0, 0], [2.5e11, 0]], [[0, 0], [1e7, 0]], ZIGZAG]
+)
+def test_lines_that_are_far_or_long(line):
+    with pytest.raises(errors.SceneError, match="map"):
+        scene_with([line])
+
+
+def test_a_line_of_a_thousand_kilometres_costs_little():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    EgoEnv(scenes=scene_with([[[0, 0], [9.9e5, 0]]]), traffic="idm").reset(seed=0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
+
+
+def test_tracks_that_jump():
+    position = np.zeros((1, 60, 2), np.float32)
+    position[0, ::2, 0] = 9e5
+    with pytest.raises(errors.SceneError, match="paths"):
+        scene_with(position=position)
+    with pytest.raises(errors.SceneError, match="size"):
+        scene_with(sizes=np.array([[1e30, 2, 1]], np.float32))
+    with pytest.raises(errors.SceneError, match="heading"):
+        scene_with(heading=np.full((1, 60), 1e30, np.float32))
+
+
+def test_any_byte_but_zero_is_true():
+    valid = np.full((1, 60), 2, np.uint8).view(bool)
+    valid[0, 7] = False
+    scene = scene_with(valid=valid)
+    assert scene.tracks()["valid"].sum() == 59
+    assert Scene.from_bytes(scene.to_bytes()).hash == scene.hash
+
+
+@pytest.mark.parametrize("count", [0, -1, 10**5, 10**9, 2**62, 2**70, 1.0, "4"])
+def test_absurd_numbers_of_worlds_and_threads(count):
+    with pytest.raises(errors.ConfigError, match="num_envs"):
+        EgoVectorEnv(count)
+    with pytest.raises(errors.ConfigError, match="num_threads"):
+        EgoVectorEnv(1, num_threads=count)
+
+
+def test_observations_that_do_not_fit():
+    config = WorldConfig(observation=ObservationConfig(bev=BevConfig(size_px=1024)))
+    with pytest.raises(errors.ConfigError, match="bytes"):
+        EgoVectorEnv(65_536, config=config, observation="bev")
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        {"diffusion_steps": 10**12},
+        {"temporal_layers": 10**6},
+        {"width": 2**40},
+        {"max_agents": 2**60},
+        {"horizon_steps": 10**9},
+    ],
+    ids=str,
+)
+def test_weight_headers_of_absurd_networks(tmp_path, size):
+    data = Path(shipped_weights()).read_bytes()
+    (length,) = struct.unpack("<Q", data[:8])
+    header = json.loads(data[8 : 8 + length])
+    settings = json.loads(header["__metadata__"]["ccdiff_env"])
+    settings["model"].update(size)
+    header["__metadata__"]["ccdiff_env"] = json.dumps(settings)
+    head = json.dumps(header).encode()
+    path = tmp_path / "huge.safetensors"
+    path.write_bytes(struct.pack("<Q", len(head)) + head + data[8 + length :])
+    with pytest.raises(errors.CcdiffError, match=next(iter(size))):
+        Planner(path)
+
+
+def test_long_names_are_cut_in_pictures():
+    scene = log_rollout(ccdiff_env.embedded_scenes()[0]).to_scene("n" * 100_000)
+    env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
+    env.reset(seed=0)
+    start = time.process_time()
+    env.render()
+    assert time.process_time() - start < 2.0

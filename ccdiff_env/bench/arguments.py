@@ -15,7 +15,8 @@ from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import source_of, source_title
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.terminal import align, say_page
 from ccdiff_env.traffic import NETWORKS
@@ -105,14 +106,17 @@ class Run:
     def _settle(self, settings: dict[str, Any]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "run.json"
-        known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        try:
+            known = parsed_object(path.read_text(encoding="utf-8")) if path.exists() else {}
+        except ValueError as error:
+            raise DatasetError(f"damaged settings of a run ({error}): {path}") from None
         changed = [k for k in settings if k in known and known[k] != settings[k]]
         if changed:
             raise ConfigError(
                 f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
                 f"{settings[changed[0]]!r}; choose another folder"
             )
-        path.write_text(json.dumps({**known, **settings}, indent=1), encoding="utf-8")
+        write_aside(path, json.dumps({**known, **settings}, indent=1))
 
     def results(self, jobs: Sequence[Job], folder: str = "raw") -> dict[str, Any]:
         """Do the jobs whose results are not there yet; return the results of all by name."""

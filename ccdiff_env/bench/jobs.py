@@ -15,6 +15,7 @@ from threading import Thread
 from typing import Any, Literal
 
 from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.files import parsed_object, write_aside
 
 __all__ = ["Job", "end_with_parent", "results", "run_jobs"]
 
@@ -94,9 +95,7 @@ def run_jobs(
     found = _ray(open_jobs) if backend == "ray" else _local(open_jobs, workers)
     for name, result, seconds in _shown(found, len(jobs), len(jobs) - len(open_jobs), progress):
         entry = json.dumps({"result": result, "seconds": round(seconds, 3)}, allow_nan=False)
-        part = folder / f".{name}.{os.getpid()}"
-        part.write_text(entry, encoding="utf-8")
-        part.replace(folder / f"{name}.json")
+        write_aside(folder / f"{name}.json", entry)
 
 
 def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]]:
@@ -162,7 +161,7 @@ def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
     for job in jobs:
         path = folder / f"{job.name}.json"
         try:
-            found[job.name] = json.loads(path.read_text(encoding="utf-8"))["result"]
+            found[job.name] = parsed_object(path.read_text(encoding="utf-8"))["result"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise DatasetError(f"no result ({error}): {path}") from None
     return found

@@ -22,7 +22,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.files import file_name
+from ccdiff_env.files import file_name, parsed_object
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
@@ -312,11 +312,11 @@ def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
     place = Path(path)
     manifest = place / MANIFEST if place.is_dir() else place
     try:
-        fields = json.loads(manifest.read_text(encoding="utf-8"))
+        fields = parsed_object(manifest.read_text(encoding="utf-8"))
         known = fields.pop("format", None)
     except (FileNotFoundError, NotADirectoryError):
         raise DatasetNotFoundError(f"no scenario set at {manifest}") from None
-    except (ValueError, AttributeError, TypeError) as error:
+    except ValueError as error:
         raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
     if known != FORMAT:
         raise DatasetError(f"format {known!r}, this release reads {FORMAT!r}: {manifest}")
@@ -331,7 +331,7 @@ def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
 
 
 def _check(folder: Path, scenario: Scenario) -> None:
-    if Path(scenario.file).name != scenario.file:
+    if not isinstance(scenario.file, str) or Path(scenario.file).name != scenario.file:
         raise DatasetError(f"file {scenario.file!r} is not in the folder of the set: {folder}")
     path = folder / scenario.file
     if not path.is_file():

@@ -93,6 +93,11 @@ def replay(
     frames = [env.render() if render_mode == "rgb_array" else None]
     rewards = []
     shape = env.action_space.shape or ()
+    width = env.worlds.native.action_width
+    if certificate.actions.shape[1] != width:
+        raise SnapshotError(
+            f"certificate: actions have shape {certificate.actions.shape}, expected [T, {width}]"
+        )
     for row in certificate.actions:
         action = row.reshape(shape) if shape else np.int64(row[0])
         rewards.append(env.step(action)[1])

@@ -176,7 +176,7 @@ class Worlds:
         criticality: Criticality | None = None,
     ) -> None:
         for name, count in (("num_envs", num_worlds), ("num_threads", num_threads)):
-            if count is not None and (type(count) is not int or count < 1):
+            if count is not None and (type(count) is not int or not 1 <= count < 2**63):
                 raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
         if num_threads is None:
             num_threads = _num_processors() if num_worlds >= PARALLEL_FROM else 1

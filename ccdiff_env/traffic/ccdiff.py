@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.files import parsed_object
 
 __all__ = [
     "NETWORKS",
@@ -177,13 +177,11 @@ def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
         If it holds anything else, naming the scene.
     """
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = parsed_object(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DatasetNotFoundError(f"no ranking at {os.fspath(path)}") from None
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise DatasetError(f"no ranking in JSON ({error}): {os.fspath(path)}") from None
-    if not isinstance(found, dict):
-        raise DatasetError(f"{os.fspath(path)}: expected agent ids by scene name")
     for scene, ids in found.items():
         if not isinstance(ids, list) or not all(isinstance(i, str) for i in ids):
             raise DatasetError(f"{os.fspath(path)}: {scene}: {ids!r}, expected a list of agent ids")
