@@ -175,6 +175,7 @@ def _taken_over(env: EgoEnv, ego: Ego) -> Act:
     if act is not None:
         if env.config.driver != "external":
             raise ConfigError(f"ego: driver is {env.config.driver!r}, expected 'external'")
+        act.begin(env.worlds)
         return act
     if driver == "replay" and env.config.driver == "external":
         return lambda _: env.worlds.native.expert_actions(0)

@@ -1,25 +1,60 @@
-"""Planners of the ego: policies of the world by name, functions, policies saved to a file."""
+"""Planners of the ego: one protocol for functions, classes, modules and files of policies.
+
+docs/planners.md shows the protocol with examples.
+"""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import os
+import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, cast
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import unknown
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError, MissingFeatureError
+from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.fit import ATTRIBUTE, STATISTICS, Fit
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import (
+    ConfigError,
+    DatasetError,
+    DatasetNotFoundError,
+    MissingFeatureError,
+    ShapeError,
+)
+from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.traffic import driver_names
 
-__all__ = ["Act", "Ego", "ego_driver", "load_sb3"]
+__all__ = ["Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
 
-#: From flat observations [N, D] to actions [N, W], or indices [N].
-Act: TypeAlias = Callable[[npt.NDArray[np.float32]], npt.NDArray[Any]]
+F32 = npt.NDArray[np.float32]
+#: From observations of N worlds to actions [N, W], or indices [N].
+Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """What drives egos, one in each of E worlds.
+
+    Two attributes are optional: ``observation`` (``"flat"``, the default, or ``"dict"``) is the
+    form in which observations come, ``env_options`` are fields of
+    :class:`~ccdiff_env.WorldConfig` that the planner needs (columns, dynamics, decision steps).
+    """
+
+    def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
+        """Forget the episodes of some worlds: new ones begin there. Optional."""
+
+    def __call__(self, obs: Any) -> npt.NDArray[Any]:
+        """Return actions [E, W] in [-1, 1], or indices [E], for observations of all worlds.
+
+        ``obs`` is [E, D] float32, or a dictionary of arrays [E, ...].
+        """
 
 
 class _Predicts(Protocol):
@@ -29,23 +64,169 @@ class _Predicts(Protocol):
         """Return actions and states."""
 
 
-#: A driver of the world by name, a function, a policy with ``predict``, or a file of one.
+#: A driver of the world by name, a planner, a function, a policy with ``predict``, the file of one,
+#: or ``module:name``.
 Ego: TypeAlias = str | os.PathLike[str] | Act | _Predicts
 
 _WORLD_DRIVERS = driver_names()
-#: Part of a policy class's module, and the algorithm that loads it.
+#: Part of a policy class's module; package and algorithm that loads it.
 _ALGORITHMS = {
-    "sac": "SAC",
-    "td3": "TD3",
-    "dqn": "DQN",
-    "common": "PPO",
+    "recurrent": ("sb3_contrib", "RecurrentPPO"),
+    "maskable": ("sb3_contrib", "MaskablePPO"),
+    "sac": ("stable_baselines3", "SAC"),
+    "td3": ("stable_baselines3", "TD3"),
+    "dqn": ("stable_baselines3", "DQN"),
+    "common": ("stable_baselines3", "PPO"),
 }
 
 
-def load_sb3(path: str | os.PathLike[str]) -> Act:
-    """Load a policy that stable-baselines3 saved (PPO, A2C, SAC, TD3, DQN).
+class Seat:
+    """A planner in the egos' seats: checked, named in errors, its actions held as it was trained.
 
-    Files of stable-baselines3 hold pickles: load files that you trust only.
+    Parameters
+    ----------
+    planner
+        See :class:`Planner`; a class is made with the worlds where it takes an argument.
+    name
+        What errors call it.
+    env_options
+        Fields of :class:`~ccdiff_env.WorldConfig` for worlds that fit, or ``config``; by default
+        the planner's.
+    """
+
+    def __init__(
+        self, planner: Any, name: str, env_options: Mapping[str, Any] | None = None
+    ) -> None:
+        self.name = name
+        wanted = getattr(planner, "env_options", {}) if env_options is None else env_options
+        options = dict(wanted)
+        #: Configuration of worlds that fit.
+        self.config = (options.pop("config", None) or WorldConfig()).with_options(**options)
+        self._planner = planner
+        self._act: Any = None if isinstance(planner, type) else planner
+        self._worlds: Worlds | None = None
+        self._form = getattr(planner, "observation", "flat")
+        if self._form not in ("flat", "dict"):
+            raise ConfigError(f"{name}: observation is {self._form!r}, expected 'flat' or 'dict'")
+
+    def begin(self, worlds: Worlds) -> None:
+        """Take the seats of worlds, all of which begin an episode.
+
+        Raises
+        ------
+        ConfigError
+            If the worlds are not what the planner needs.
+        """
+        if isinstance(self._planner, type):
+            given = inspect.signature(self._planner).parameters.values()
+            takes = any(p.default is p.empty and p.kind < p.VAR_POSITIONAL for p in given)
+            self._act = self._planner(worlds) if takes else self._planner()
+        if not (callable(self._act) or hasattr(self._act, "drive")):
+            raise ConfigError(f"{self.name}: a {type(self._act).__name__} cannot be called")
+        fit = getattr(self._act, "fit", None)
+        if isinstance(fit, Fit):
+            fit.check(worlds.config, worlds.native.layout_json, self.name)
+        self._worlds = worlds
+        width, discrete = worlds.native.action_width, worlds.native.num_actions is not None
+        self._shape = (worlds.num_worlds,) if discrete else (worlds.num_worlds, width)
+        drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
+        self._act = self._planner.drive(worlds) if drives else self._act
+        alone = worlds.config.decision_steps == 1 and not drives
+        self._held = self.config.decision_steps if alone else 1
+        self._present: npt.NDArray[Any] = np.zeros(
+            self._shape, np.int64 if discrete else np.float32
+        )
+        self.reset(range(worlds.num_worlds))
+
+    def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
+        """Tell the planner that episodes begin in some worlds."""
+        if self._worlds is not None and hasattr(self._act, "reset"):
+            self._act.reset(self._worlds, np.asarray(indices, np.int64))
+
+    def __call__(self, obs: F32) -> npt.NDArray[Any]:
+        """Return actions for rows [E, D].
+
+        Raises
+        ------
+        ShapeError
+            If the planner returns another shape, or numbers that are not finite.
+        """
+        worlds = self._worlds
+        if worlds is None:  # a function by itself
+            return np.asarray(self._act(obs))
+        due = np.ones(worlds.num_worlds, np.bool_)
+        if self._held > 1:
+            elapsed = [worlds.native.status(i)[4] for i in range(worlds.num_worlds)]
+            due = np.asarray(elapsed) % self._held == 0
+            if not due.any():
+                return self._present
+        given = obs if self._form == "flat" else worlds.layout.split(obs)
+        found = np.asarray(self._act(given))
+        if found.shape == (*self._shape, 1) and len(self._shape) == 1:
+            found = found[:, 0]
+        if found.shape != self._shape or found.dtype.kind not in "iuf":
+            raise ShapeError(
+                f"{self.name} returned {found.dtype} {list(found.shape)} for {len(obs)} worlds, "
+                f"expected actions {list(self._shape)}"
+            )
+        if not np.isfinite(found).all():
+            raise ShapeError(f"{self.name} returned numbers that are not finite")
+        self._present = self._present.copy()
+        self._present[due] = found[due]
+        return self._present
+
+
+class _Sb3:
+    """A policy of stable-baselines3, or of sb3-contrib, as a planner."""
+
+    def __init__(self, model: Any, name: str) -> None:
+        self._model = model
+        self.fit = Fit.read(getattr(model.observation_space, ATTRIBUTE, None), name)
+        if self.fit.form not in ("flat", "dict"):
+            raise ConfigError(f"{name} observes {self.fit.form!r}, expected 'flat' or 'dict'")
+        self._statistics = getattr(model, STATISTICS, None)
+        last = None if self._statistics else getattr(model, "_last_obs", None)
+        if last is not None and not _inside(model.observation_space, last):
+            raise ConfigError(
+                f"{name} was trained on normalised observations (VecNormalize), whose statistics "
+                "are not in its file: save it with ccdiff_env.envs.sb3.save_policy"
+            )
+        self.observation = self.fit.form
+        self.env_options = dict(self.fit.options)
+        self._state: Any = None
+        self._starts: npt.NDArray[np.bool_] | None = None
+
+    def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
+        if self._starts is None or len(self._starts) != worlds.num_worlds:
+            self._state, self._starts = None, np.ones(worlds.num_worlds, np.bool_)
+        self._starts[indices] = True
+
+    def __call__(self, obs: Any) -> npt.NDArray[Any]:
+        if self._statistics is not None:
+            mean, scale, clip = (np.asarray(part, np.float32) for part in self._statistics)
+            obs = np.clip((obs - mean) / scale, -clip, clip)
+        starts = {} if self._starts is None else {"episode_start": self._starts.copy()}
+        actions, self._state = self._model.predict(
+            obs, state=self._state, deterministic=True, **starts
+        )
+        if self._starts is not None:
+            self._starts[:] = False
+        return np.asarray(actions)
+
+
+def _inside(space: Any, obs: Any) -> bool:
+    """Whether a batch of observations lies in its space, but for rounding."""
+    if isinstance(obs, dict):
+        return all(_inside(space[name], part) for name, part in obs.items())
+    low, high = getattr(space, "low", 0), getattr(space, "high", 1)
+    return bool(((obs >= low - 1e-3) & (obs <= high + 1e-3)).all())
+
+
+def load_sb3(path: str | os.PathLike[str]) -> Seat:
+    """Load a policy that stable-baselines3 (PPO, A2C, SAC, TD3, DQN) or sb3-contrib saved.
+
+    Files of stable-baselines3 hold pickles, which run code: load files that you trust only. What
+    a policy was trained in is in the file; its ``env_options`` make worlds that fit.
 
     Raises
     ------
@@ -53,44 +234,63 @@ def load_sb3(path: str | os.PathLike[str]) -> Act:
         If there is no such file.
     DatasetError
         If it is no file of stable-baselines3.
+    ConfigError
+        If the file does not say what the policy was trained in, or its statistics are missing.
     MissingFeatureError
         If stable-baselines3 is not installed.
     """
     if not Path(path).is_file():
         raise DatasetNotFoundError(f"no policy at {os.fspath(path)}")
+    name = Path(path).name
     try:
         with zipfile.ZipFile(path) as file:
             data = json.loads(file.read("data"))
-        module = str(data["policy_class"]["__module__"]).split(".")[1]
-        algorithm = _ALGORITHMS[module]
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError) as error:
+        module = str(data["policy_class"]["__module__"])
+        package, algorithm = next(how for part, how in _ALGORITHMS.items() if part in module)
+        space = data["observation_space"]
+        Fit.read(space.get(ATTRIBUTE), name)
+    except ConfigError:
+        raise
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, StopIteration) as error:
         message = f"no policy of stable-baselines3 ({error}): {os.fspath(path)}"
         raise DatasetError(message) from None
     try:
-        import stable_baselines3
+        learners = importlib.import_module(package)
     except ImportError as error:
         raise MissingFeatureError(
-            "policies of stable-baselines3 need it: pip install stable-baselines3"
+            f"policies of {package} need it: pip install {package.replace('_', '-')}"
         ) from error
-    return _acting(getattr(stable_baselines3, algorithm).load(path, device="cpu"))
+    return Seat(_Sb3(getattr(learners, algorithm).load(path, device="cpu"), name), name)
 
 
-def _acting(policy: _Predicts) -> Act:
-    def act(obs: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
-        return np.asarray(policy.predict(obs, deterministic=True)[0])
+def _imported(name: str) -> Any:
+    """Return what ``module:name`` names; modules of the working folder are found, too."""
+    module, _, attribute = name.partition(":")
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise
+        raise ConfigError(
+            f"planner {name!r}: no module {module!r} in {os.getcwd()}, nor installed"
+        ) from None
+    except AttributeError:
+        raise ConfigError(f"planner {name!r}: no {attribute!r} in module {module!r}") from None
 
-    return act
 
-
-def ego_driver(ego: Ego) -> tuple[str, Act | None]:
-    """Return the driver of the ego's slot, and the function that makes its actions if it needs one.
+def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
+    """Return the driver of the ego's slot, and who makes its actions if nobody of the world does.
 
     Parameters
     ----------
     ego
-        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a function from
-        observations [N, D] to actions [N, ...]; an object with ``predict`` as those of
-        stable-baselines3; or the path of a policy that stable-baselines3 saved.
+        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a policy of
+        :mod:`ccdiff_env.policies` by name, or its file (``.safetensors``); a :class:`Planner`, a
+        class of one, a function from observations [N, D] to actions [N, ...], or ``module:name``
+        of these; an object with ``predict`` as those of stable-baselines3; or the path of a policy
+        that stable-baselines3 saved.
 
     Raises
     ------
@@ -99,10 +299,17 @@ def ego_driver(ego: Ego) -> tuple[str, Act | None]:
     """
     if isinstance(ego, str) and ego in _WORLD_DRIVERS:
         return ego, None
-    if isinstance(ego, str) and not ego.endswith(".zip"):
-        raise unknown("ego", ego, _WORLD_DRIVERS)
     if isinstance(ego, (str, os.PathLike)):
-        return "external", load_sb3(ego)
+        name = os.fspath(ego)
+        if name.endswith(".zip"):
+            return "external", load_sb3(ego)
+        if ":" in name:
+            return "external", Seat(_imported(name), name)
+        policy = find_policy(name)
+        if policy is None:
+            raise unknown("ego", name, [*_WORLD_DRIVERS, *SHIPPED])
+        return "external", Seat(policy, name)
+    named = getattr(ego, "__name__", type(ego).__name__)
     if hasattr(ego, "predict"):
-        return "external", _acting(cast("_Predicts", ego))
-    return "external", ego
+        return "external", Seat(_Sb3(ego, named), named)
+    return "external", Seat(ego, named)

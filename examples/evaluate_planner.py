@@ -2,8 +2,9 @@
 
     python examples/evaluate_planner.py --traffic ccdiff --criticality 1
 
-A planner is any function from observations to an action. The one below keeps its lane and brakes
-for what is ahead; replace it.
+docs/planners.md says what a planner is. The one below keeps its lane and brakes for what is ahead;
+replace it. In its folder ``ccdiff-env bench planners --planners evaluate_planner:MyPlanner`` gives
+the whole table with intervals and replays.
 """
 
 from __future__ import annotations
@@ -13,18 +14,30 @@ import argparse
 import numpy as np
 
 import ccdiff_env
+from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.envs.worlds import Worlds
 
 
 class MyPlanner:
     """Follows the route and keeps two seconds to whoever is ahead in its way."""
 
-    def __init__(self, env: ccdiff_env.EgoEnv) -> None:
-        entries = {entry.name: entry for entry in env.worlds.layout.entries}
+    observation = "dict"
+
+    def __init__(self, worlds: Worlds) -> None:
+        entries = {entry.name: entry for entry in worlds.layout.entries}
         self.agent = {name: i for i, name in enumerate(entries["agents"].columns)}
         self.route = {name: i for i, name in enumerate(entries["route"].columns)}
         self.ego = {name: i for i, name in enumerate(entries["ego"].columns)}
 
+    def reset(self, worlds: Worlds, indices: np.ndarray) -> None:
+        """A planner with a memory would forget the episodes of these worlds."""
+
     def __call__(self, obs: dict[str, np.ndarray]) -> np.ndarray:
+        parts = [{name: part[i] for name, part in obs.items()} for i in range(len(obs["ego"]))]
+        return np.array([self.act(one) for one in parts])
+
+    def act(self, obs: dict[str, np.ndarray]) -> tuple[float, float]:
+        """The action of one world."""
         speed = 20.0 * float(obs["ego"][self.ego["speed"]])  # scales: docs/observation.md
         target = 60.0 * obs["route"][min(2 + int(speed / 4), len(obs["route"]) - 1)]
         x, y = target[self.route["x"]], target[self.route["y"]]
@@ -35,7 +48,9 @@ class MyPlanner:
         gaps = ahead[(ahead > 0) & (beside < 2.0)] - 5.0
         wanted = min(12.0, max(float(gaps.min()) / 2.0, 0.0) if gaps.size else 12.0)
         acceleration = np.clip((wanted - speed) / 1.0, -8.0, 2.0)
-        return np.array([acceleration / (4.0 if acceleration > 0 else 8.0), turn], np.float32)
+        # an action of +1 is 4 m/s², -1 is -8 m/s²; the yaw rate has 1 rad/s at 1
+        throttle = acceleration / (4.0 if acceleration > 0 else 8.0)
+        return float(np.clip(throttle, -1, 1)), float(np.clip(turn, -1, 1))
 
 
 def arguments() -> argparse.Namespace:
@@ -49,17 +64,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-FIGURES = ("is_success", "collision", "at_fault", "off_road", "route_completion")
-
-
-def episode(env: ccdiff_env.EgoEnv, scene: str, planner) -> dict[str, float]:
-    obs, _ = env.reset(seed=0, options={"scene": scene})
-    done = False
-    while not done:
-        action = env.action_space.sample() * 0 if planner is None else np.clip(planner(obs), -1, 1)
-        obs, _, terminated, truncated, info = env.step(action)
-        done = terminated or truncated
-    return info["metrics"]
+FIGURES = ("score", "success", "collision", "no_at_fault_collision", "on_road", "progress")
 
 
 def main() -> None:
@@ -69,17 +74,15 @@ def main() -> None:
     else:
         scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split)
     scenes = scenes[:2] if args.smoke else scenes
-    options = {"scenes": scenes, "observation": "dict", "info": "end", "traffic": args.traffic}
-    if args.traffic == "ccdiff":
-        options["ccdiff"] = {"criticality": args.criticality}
+    options = {"criticality": args.criticality} if args.traffic == "ccdiff" else {}
+    traffic = Traffic(args.traffic, args.traffic, options)
     print(f"{len(scenes)} scenes, {args.traffic} traffic")
-    print(f"  {'planner':18s}" + "".join(f"{name:>18s}" for name in FIGURES))
-    for name in ("mine", "idm", "replay", "constant_velocity"):
-        env = ccdiff_env.EgoEnv(driver="external" if name == "mine" else name, **options)
-        planner = MyPlanner(env) if name == "mine" else None
-        rows = [episode(env, scene.name, planner) for scene in scenes]
+    print(f"  {'planner':18s}" + "".join(f"{name:>23s}" for name in FIGURES))
+    for planner in (MyPlanner, "idm", "replay", "constant_velocity"):
+        rows = play(scenes, planner, traffic)
+        name = planner if isinstance(planner, str) else planner.__name__
         means = [np.mean([row[figure] for row in rows]) for figure in FIGURES]
-        print(f"  {name:18s}" + "".join(f"{mean:18.3f}" for mean in means))
+        print(f"  {name:18s}" + "".join(f"{mean:23.3f}" for mean in means))
 
 
 if __name__ == "__main__":

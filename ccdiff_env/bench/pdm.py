@@ -47,6 +47,10 @@ class PdmPlanner:
         self._steering = Steering(worlds)
         self._proposals = np.array([(s, d) for d in OFFSETS_M for s in SPEED_SHARES])
 
+    def __call__(self, obs: object) -> npt.NDArray[np.float32]:
+        """Return the actions [E, W] of all worlds."""
+        return np.stack([self.act(i) for i in range(self._worlds.num_worlds)])
+
     def act(self, world_idx: int) -> npt.NDArray[np.float32]:
         """Return the action [W] of a world's first slot; zeros where it is empty."""
         native = self._worlds.native

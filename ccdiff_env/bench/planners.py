@@ -13,8 +13,7 @@ points are not given.
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,8 +26,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.planners import ego_driver
-from ccdiff_env.policies import EgoPolicy, find_policy
+from ccdiff_env.planners import Ego, Seat, ego_driver
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
@@ -147,33 +145,14 @@ def evaluate_recorded(
     return drive(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, record=record)
 
 
-#: From the worlds and the observations [E, D] to actions [E, W].
-_Drive = Callable[[Worlds, npt.NDArray[np.float32]], npt.NDArray[Any]]
-
-
-def _drive(planner: str, policy: EgoPolicy | None, worlds: Worlds) -> _Drive:
-    if policy is not None:
-        held = policy.drive(worlds)
-        return lambda _, obs: held(obs)
-    if planner == "pdm":
-        pdm = PdmPlanner(worlds)
-        return lambda w, _: np.stack([pdm.act(i) for i in range(w.num_worlds)])
-    if ":" in planner and not planner.endswith(".zip"):
-        module, name = planner.split(":", 1)
-        made = getattr(importlib.import_module(module), name)
-        own = made(worlds) if isinstance(made, type) else made
-        return lambda _, obs: np.asarray(own(obs))
-    act = ego_driver(planner)[1]
-    if act is None:
-        nothing = np.zeros((worlds.num_worlds, worlds.native.action_width), np.float32)
-        return lambda *_: nothing
-    function = act
-    return lambda _, obs: function(obs)
+def _seat(planner: Ego) -> tuple[str, Seat | None]:
+    """Return the driver of the ego's slot, and who makes its actions."""
+    return ("external", Seat(PdmPlanner, "pdm")) if planner == "pdm" else ego_driver(planner)
 
 
 def play(
     scenes: SceneSet,
-    planner: str,
+    planner: Ego,
     traffic: Traffic,
     *,
     seed: int = 0,
@@ -185,7 +164,7 @@ def play(
 
 def drive(
     scenes: SceneSet,
-    planner: str,
+    planner: Ego,
     traffic: Traffic,
     *,
     seed: int = 0,
@@ -201,8 +180,8 @@ def drive(
     scenes
         The scenes.
     planner
-        As in :func:`planner_jobs`. A function gets flat observations [E, D] and returns actions
-        [E, W]; a class is made with the :class:`~ccdiff_env.envs.worlds.Worlds` first.
+        As in :func:`planner_jobs`; see :class:`~ccdiff_env.planners.Planner`. A policy that was
+        trained with other dynamics, observations or decision steps is driven with those.
     traffic
         Who drives the others.
     seed
@@ -219,28 +198,29 @@ def drive(
     dict
         The recorded episodes by name of the scene.
     """
-    policy = find_policy(planner)
-    outside = policy is not None or planner == "pdm" or ":" in planner or planner.endswith(".zip")
-    fitting = WorldConfig() if policy is None else policy.config
-    config = fitting.with_options(
+    driver, seat = _seat(planner)
+    config = WorldConfig() if seat is None else seat.config
+    config = config.with_options(**(options or {}))
+    config = config.with_options(
         decision_steps=1,
         history_steps=HISTORY_STEPS,
         traffic=traffic.driver,
-        driver="external" if outside else planner,
+        driver=driver,
         ccdiff=dict(traffic.ccdiff),
         autoreset="disabled",
         on_collision="stop",
         on_off_road="ignore",
         dt_s=scenes[0].dt,
-        **(options or {}),
     )
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     native, out = worlds.native, worlds.arrays()
     native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    act = _drive(planner, policy, worlds)
+    nothing = np.zeros((len(scenes), native.action_width), np.float32)
+    if seat is not None:
+        seat.begin(worlds)
     names = worlds.column_names
     recorders = {
-        i: Recorder(worlds, world_idx=i, planner=planner)
+        i: Recorder(worlds, world_idx=i, planner=driver if seat is None else seat.name)
         for i, scene in enumerate(scenes)
         if scene.name in record
     }
@@ -249,8 +229,8 @@ def drive(
     figures: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
     while any(m is None for m in metrics):
-        actions = np.asarray(act(worlds, out.obs[:, 0]), np.float32)
-        native.step(actions.reshape(len(scenes), 1, -1), out)
+        actions = nothing if seat is None else seat(out.obs[:, 0])
+        native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out)
         for i in range(len(scenes)):
             if metrics[i] is not None:
                 continue
@@ -263,6 +243,8 @@ def drive(
         if any(ended) and any(m is None for m in metrics):
             # ended worlds go round once more, unwatched, so that the batch stays whole
             native.reset([seed] * len(scenes), list(range(len(scenes))), ended, out)
+            if seat is not None:
+                seat.reset(np.flatnonzero(ended))
     rows = [
         {
             "scene": scene.name,

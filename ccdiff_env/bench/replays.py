@@ -13,6 +13,7 @@ import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.files import file_name
 from ccdiff_env.render import save
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view import address, write_page

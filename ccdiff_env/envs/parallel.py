@@ -157,16 +157,15 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.render_mode = render_mode
         self.possible_agents: list[str] = list(cast.names(names))
         self.agents: list[str] = []
-        layout = self.worlds.layout
         self._form: Form = observation
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
-            name: layout.space(observation) for name in self.possible_agents
+            name: self.worlds.observation_space(observation) for name in self.possible_agents
         }
         self._action_spaces = {
             name: copy.deepcopy(self.worlds.action_space) for name in self.possible_agents
         }
         rows = self.worlds.num_slots
-        box = layout.flat_space()
+        box = self.worlds.layout.flat_space()
         self.state_space = spaces.Box(
             np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
         )

@@ -115,7 +115,9 @@ class AgentVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self._picture = picture_options(picture)
         self._form: Form = observation
-        self.single_observation_space: gymnasium.Space[Any] = self.worlds.layout.space(observation)
+        self.single_observation_space: gymnasium.Space[Any] = self.worlds.observation_space(
+            observation
+        )
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from ccdiff_env.envs.fit import STATISTICS
 from ccdiff_env.envs.rows import AgentVectorEnv
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
@@ -25,6 +28,30 @@ PPO_SETTINGS: dict[str, Any] = {
     "gamma": 0.98,
     "gae_lambda": 0.95,
 }
+
+
+def save_policy(model: BaseAlgorithm, path: str | Path) -> None:
+    """Save a policy with the statistics of the ``VecNormalize`` that it was trained under.
+
+    What it was trained in is in the file anyway, as its observation space says it.
+
+    Raises
+    ------
+    ConfigError
+        If dictionaries of observations were normalised.
+    """
+    norm = model.get_vec_normalize_env()
+    if norm is None or not norm.norm_obs:
+        model.save(path)
+        return
+    if isinstance(norm.obs_rms, dict):
+        raise ConfigError("save_policy: observation is 'dict', expected 'flat' with VecNormalize")
+    scale = np.sqrt(norm.obs_rms.var + norm.epsilon)
+    setattr(model, STATISTICS, [norm.obs_rms.mean.tolist(), scale.tolist(), norm.clip_obs])
+    try:
+        model.save(path)
+    finally:
+        delattr(model, STATISTICS)
 
 
 class SB3VecEnv(VecEnv):

@@ -100,9 +100,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         )
         self._criticality = criticality
         self.render_mode = render_mode
-        layout = self.worlds.layout
         self._form: Form = observation
-        self.observation_space: gymnasium.Space[Any] = layout.space(observation)
+        self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(observation)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._info: InfoLevel = info
         self._actions: list[bytes] | None = []

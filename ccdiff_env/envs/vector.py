@@ -153,9 +153,10 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
-        layout = self.worlds.layout
         self._form: Form = observation
-        self.single_observation_space: gymnasium.Space[Any] = layout.space(observation)
+        self.single_observation_space: gymnasium.Space[Any] = self.worlds.observation_space(
+            observation
+        )
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +17,7 @@ from ccdiff_env import _native
 from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
@@ -213,6 +215,13 @@ class Worlds:
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
         #: Arrays of the newest reset or step.
         self.last: StepArrays | None = None
+
+    def observation_space(self, form: Form) -> gymnasium.Space[Any]:
+        """Return the space of an agent's observations in a form; it says what they are made from.
+
+        Policies carry it with them, see :mod:`ccdiff_env.envs.fit`.
+        """
+        return Fit.of(self.config, self.native.layout_json, form).mark(self.layout.space(form))
 
     def arrays(self) -> StepArrays:
         """Return new arrays for a reset or step, and keep them as :attr:`last`."""

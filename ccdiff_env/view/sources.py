@@ -85,29 +85,24 @@ def play_scene(
         If the scene cannot be played: it has no ego, or is too short.
     """
     # imported here: most pages are of recorded episodes
-    from ccdiff_env.config import unknown
     from ccdiff_env.envs import EgoEnv
-    from ccdiff_env.policies import SHIPPED, find_policy
+    from ccdiff_env.planners import ego_driver
     from ccdiff_env.recorder import Recorder
-    from ccdiff_env.traffic import driver_names
 
-    policy = find_policy(driver)
-    known = driver_names()  # nobody is outside here
-    if policy is not None:
-        options["config"] = policy.config.with_options(decision_steps=1)
-    elif driver not in known:
-        raise unknown("driver of the ego", driver, [*known, *SHIPPED])
+    name, seat = ego_driver(driver)
+    if seat is not None:
+        options["config"] = seat.config.with_options(decision_steps=1)
     settings = {"num_samples": SAMPLES, **(ccdiff or {})}
-    seat = driver if policy is None else "external"
-    env = EgoEnv(scenes=scene, traffic=traffic, driver=seat, ccdiff=settings, **options)
-    obs, _ = env.reset(seed=seed)
+    env = EgoEnv(scenes=scene, traffic=traffic, driver=name, ccdiff=settings, **options)
+    env.reset(seed=seed)
     recorder = Recorder(env, planner=driver)
     recorder.start()
     action, done = np.zeros(env.action_space.shape or (), np.float32), False
-    act = None if policy is None else policy.drive(env.worlds)
+    if seat is not None:
+        seat.begin(env.worlds)
     while not done:
-        action = action if act is None else act(obs[None])[0]
-        obs, _, terminated, truncated, _ = env.step(action)
+        action = action if seat is None else seat(env.worlds.observation(0))[0]
+        _, _, terminated, truncated, _ = env.step(action)
         recorder.step()
         done = terminated or truncated
     env.close()

@@ -84,6 +84,7 @@ class SelectionBatch:
         self.worlds = Worlds(
             chosen, settled, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )
+        self._began = False
         self.matches: list[Match | None] = [None] * num_worlds
         self._ended = np.ones(num_worlds, np.bool_)
         self._obs = np.zeros((num_worlds, self.worlds.layout.size), np.float32)
@@ -119,6 +120,12 @@ class SelectionBatch:
             self.matches[e] = Match(self.worlds, int(e), self._reward)
             self._obs[e] = out.obs[e, 0]
         self._ended[which] = False
+        if self._act is not None:
+            if self._began:
+                self._act.reset(np.flatnonzero(which))
+            else:
+                self._act.begin(self.worlds)
+            self._began = True
 
     def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
         """Return what the chooser of a world sees."""

@@ -1,0 +1,159 @@
+"""Planners of every kind in the ego's seat: what they are given, what is refused, in one line."""
+
+from __future__ import annotations
+
+import json
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+import ccdiff_env
+from ccdiff_env import WorldConfig
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.config import ObservationConfig
+from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
+from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.planners import load_sb3
+
+REPLAY = TRAFFIC["replay"]
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return ccdiff_env.embedded_scenes("val")[:2]
+
+
+def trained(scenes, algorithm=PPO, policy="MlpPolicy", wrap=lambda env: env, **options):
+    env = ccdiff_env.make_vec(2, scenes=scenes, autoreset_mode="same_step", **options)
+    model = algorithm(policy, wrap(SB3VecEnv(env)), n_steps=8, batch_size=8, seed=0)
+    return model.learn(16)
+
+
+class Counting:
+    """Counts its calls and the episodes that began."""
+
+    observation = "dict"
+    seen: list
+
+    def __init__(self, worlds):
+        self.began = np.zeros(worlds.num_worlds, int)
+        Counting.seen = [self]
+
+    def reset(self, worlds, indices):
+        self.began[indices] += 1
+
+    def __call__(self, obs):
+        self.obs = obs
+        return np.zeros((len(obs["ego"]), 2))
+
+
+def test_a_class_is_made_with_the_worlds_and_told_of_episodes(scenes):
+    drive(scenes, Counting, REPLAY)
+    planner = Counting.seen[0]
+    assert (planner.began >= 1).all()
+    assert planner.obs["agents_mask"].dtype == np.int8
+    assert planner.obs["ego"].shape[0] == 2
+
+
+class Bicycle:
+    env_options: ClassVar = {"dynamics": "bicycle", "decision_steps": 5}
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, obs):
+        self.calls += 1
+        return np.full((len(obs), 2), 0.1)
+
+
+def test_a_planner_names_the_options_it_needs_and_its_actions_are_held(scenes):
+    planner = Bicycle()
+    rows, rollouts = drive(scenes, planner, REPLAY, record=scenes.names)
+    steps = max(rollout.num_steps for rollout in rollouts.values())
+    assert len(rows) == 2
+    assert abs(planner.calls - steps / 5) <= 2
+    config = rollouts[scenes[0].name].meta["config"]
+    assert config["action"]["dynamics"].keys() == {"bicycle"}
+
+
+@pytest.mark.parametrize(
+    ("planner", "error", "words"),
+    [
+        (lambda obs: np.zeros(2), ShapeError, r"lambda.*\[2\] for 2 worlds, expected.*\[2, 2\]"),
+        (lambda obs: np.full((2, 2), np.nan), ShapeError, "lambda.*not finite"),
+        (lambda obs: "left", ShapeError, "lambda"),
+        (3, ConfigError, "int cannot be called"),
+        ("robot", ConfigError, "robot"),
+        ("nowhere_at_all:X", ConfigError, "no module 'nowhere_at_all' in .*nor installed"),
+        ("json:Nothing", ConfigError, "no 'Nothing' in module 'json'"),
+    ],
+)
+def test_mistakes_name_the_planner(scenes, planner, error, words):
+    with pytest.raises(error, match=words):
+        drive(scenes, planner, REPLAY)
+
+
+def test_modules_of_the_working_folder_are_found(scenes, tmp_path, monkeypatch):
+    text = "import numpy as np\ndef still(obs):\n    return np.zeros((len(obs), 2))\n"
+    (tmp_path / "my_own_planner.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    assert len(drive(scenes, "my_own_planner:still", REPLAY)[0]) == 2
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"dynamics": "bicycle"},
+        {"discrete": True},
+        {"decision_steps": 5},
+        {"config": WorldConfig(observation=ObservationConfig(num_agents=4))},
+        {"policy": "MultiInputPolicy", "observation": "dict"},
+        {"algorithm": RecurrentPPO, "policy": "MlpLstmPolicy"},
+    ],
+    ids=lambda options: "-".join(map(str, options)) or "default",
+)
+def test_policies_are_driven_as_they_were_trained(scenes, tmp_path, options):
+    trained(scenes, **options).save(tmp_path / "ego.zip")
+    seat = load_sb3(tmp_path / "ego.zip")
+    rows, rollouts = drive(scenes, str(tmp_path / "ego.zip"), REPLAY, record=scenes.names[:1])
+    assert len(rows) == 2
+    config = rollouts[scenes[0].name].meta["config"]
+    for name in ("action", "observation"):
+        assert config[name] == json.loads(seat.config.to_json())[name]
+
+
+def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
+    trained(scenes, dynamics="bicycle").save(tmp_path / "ego.zip")
+    with pytest.raises(ConfigError, match=r'dynamics = "bicycle", the worlds have "unicycle"'):
+        drive(scenes, str(tmp_path / "ego.zip"), REPLAY, options={"dynamics": "unicycle"})
+    env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=tmp_path / "ego.zip")
+    with pytest.raises(ConfigError, match="bicycle"):
+        env.reset(seed=0)
+
+
+def test_normalised_observations_are_not_forgotten(scenes, tmp_path):
+    model = trained(scenes, wrap=VecNormalize)
+    model.save(tmp_path / "bare.zip")
+    with pytest.raises(ConfigError, match=r"VecNormalize.*save_policy"):
+        load_sb3(tmp_path / "bare.zip")
+    save_policy(model, tmp_path / "whole.zip")
+    seat = load_sb3(tmp_path / "whole.zip")
+    env = ccdiff_env.make_vec(2, scenes=scenes)
+    obs, _ = env.reset(seed=5)
+    normalised = model.get_vec_normalize_env().normalize_obs(obs)
+    expected = model.predict(normalised, deterministic=True)[0]
+    np.testing.assert_allclose(seat(obs), expected, atol=1e-5)
+    assert not hasattr(model, "ccdiff_env_statistics")
+
+
+def test_policies_that_say_nothing_are_refused(scenes, tmp_path):
+    model = trained(scenes)
+    del model.observation_space.ccdiff_env
+    model.save(tmp_path / "old.zip")
+    with pytest.raises(ConfigError, match=r"old\.zip does not say what it was trained in"):
+        load_sb3(tmp_path / "old.zip")
