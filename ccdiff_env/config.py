@@ -25,7 +25,7 @@ from ccdiff_env.actions import (
     Dynamics,
     UnicycleLimits,
 )
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, UnknownOptionError
 from ccdiff_env.files import parsed_object
 from ccdiff_env.traffic import (
     KINDS,
@@ -301,7 +301,12 @@ def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
     changes = {}
     for name, value in options.items():
         if name not in hints:
-            raise unknown("option", path + str(name), (path + n for n in hints))
+            error = unknown("option", path + str(name), (path + n for n in hints))
+            if path:
+                raise error
+            # wrappers of other libraries look for these words
+            words = f"{error} (unexpected keyword argument {str(name)!r})"
+            raise UnknownOptionError(words)
         changes[name] = _fitting(path + name, value, hints[name], getattr(config, name))
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
 

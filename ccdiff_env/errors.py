@@ -15,6 +15,10 @@ class ConfigError(CcdiffError, ValueError):
     """An option is out of its range, unknown, or contradicts another one."""
 
 
+class UnknownOptionError(ConfigError, TypeError):
+    """A keyword is no option; also a :class:`TypeError`, as for any unexpected keyword."""
+
+
 class ShapeError(CcdiffError, ValueError):
     """An array has the wrong shape, dtype or layout."""
 

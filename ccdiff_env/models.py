@@ -227,7 +227,15 @@ def _progress_bar(total: float, unit: str, shown: bool) -> _Progress:
     except ImportError:
         return _Silent()
     form = "{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}{postfix}]"
-    bar: _Progress = tqdm(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
+
+    class Bar(tqdm):  # type: ignore[misc]
+        """Ends at its total: beyond it tqdm forgets the total, and the format asks for it."""
+
+        def update(self, n: float | None = 1) -> bool | None:
+            shown: bool | None = super().update(min(n or 0, total - self.n))
+            return shown
+
+    bar: _Progress = Bar(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
     return bar
 
 

@@ -38,6 +38,9 @@ def _in_words(traffic: str | Mapping[str, float]) -> str:
 class Recorder:
     """Records one world of an environment.
 
+    Made after a reset, it has started; before one, :meth:`start` comes after it. A step may be
+    recorded twice. Environments of adversary selection call :meth:`step` themselves.
+
     Parameters
     ----------
     env
@@ -64,7 +67,6 @@ class Recorder:
     >>> env = ccdiff_env.EgoEnv(traffic="idm", driver="idm")
     >>> _ = env.reset(seed=0)
     >>> recorder = Recorder(env, planner="idm")
-    >>> recorder.start()
     >>> done = False
     >>> while not done:
     ...     _, _, terminated, truncated, _ = env.step(env.action_space.sample())
@@ -84,6 +86,10 @@ class Recorder:
         self._meta = meta
         self._episode: tuple[int, int, int] | None = None
         self._elapsed = 0
+        if hasattr(unwrapped, "on_step"):
+            unwrapped.on_step = self.step
+        if self._worlds.native.begun(world_idx):
+            self.start()
 
     def start(self) -> None:
         """Begin a recording at the present state, usually after a reset; drops the one before."""
@@ -124,7 +130,7 @@ class Recorder:
             Before :meth:`start`.
         """
         if self._episode is None:
-            raise ResetNeededError("recorder: step before start")
+            raise ResetNeededError("recorder: step before start(), which comes after a reset")
         native, world = self._worlds.native, self._world_idx
         *episode, step, elapsed = native.status(world)
         if tuple(episode) != self._episode or elapsed < self._elapsed:

@@ -221,12 +221,13 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.worlds.native.reset([folded], [scene_idx], None, out)
         self.worlds.assign(0, drivers)
         self._begin()
-        common = self.worlds.reset_info(0)
+        common = self.worlds.reset_info(0, self._info)
         ids = self.scene.agent_ids
         infos = {}
         for name in self.agents:
             agent_idx = self._agent_of[self._slots[name]]
-            infos[name] = {**common, "agent_id": ids[agent_idx], "role": self.role(name)}
+            texts = {"agent_id": ids[agent_idx], "role": self.role(name)}
+            infos[name] = common if self._info == "none" else {**common, **texts}
         if self.render_mode == "human":
             self.render()
         return self._observations(out.obs, out.bev, self.agents), infos

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
+from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.game import Adversaries, Agents, Cast, Roles
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
@@ -39,7 +40,7 @@ Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
 
-class AgentVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
+class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     """E worlds of C slots in Rust as E x C rows; row i is slot ``i % C`` of world ``i // C``.
 
     A row's episode ends when its vehicle's does. It then waits, with observations and rewards of
@@ -306,10 +307,12 @@ class AgentVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
             scene_idx = self.worlds.native.status(int(e))[0]
             self._adversary[e] = self._cast.adversary_slots(scene_idx)
             ids = self.worlds.scenes[scene_idx].agent_ids
-            common = self.worlds.reset_info(int(e))
+            common = self.worlds.reset_info(int(e), self._info)
             for c, agent in enumerate(self.worlds.native.slot_agents(int(e))):
                 role = "adversary" if self._adversary[e, c] else "ego"
-                values = {**common, "agent_id": None if agent is None else ids[agent], "role": role}
+                name = None if agent is None else ids[agent]
+                texts = {} if self._info == "none" else {"agent_id": name, "role": role}
+                values = {**common, **texts}
                 self._put(infos, int(e) * self.num_slots + c, values)
 
     def _put(self, infos: Info, row: int, values: Info) -> None:

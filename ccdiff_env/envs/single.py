@@ -47,7 +47,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
         ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
-        ``"none"``: only scene and seed at resets.
+        ``"none"``: only numbers at resets: index of the scene, seed, episode.
     render_mode
         ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
     picture
@@ -147,7 +147,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         self._actions = []
         if self.render_mode == "human":
             self.render()
-        return self._observation(out.obs, out.bev), self.worlds.reset_info(0)
+        return self._observation(out.obs, out.bev), self.worlds.reset_info(0, self._info)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one step.

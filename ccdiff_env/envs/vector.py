@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
+from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.worlds import (
@@ -68,7 +69,7 @@ def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
         raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego'")
 
 
-class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
+class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
     Parameters
@@ -87,7 +88,7 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
         a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
         ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
-        ``"none"``: only scene and seed at resets.
+        ``"none"``: only numbers at resets: index of the scene, seed, episode.
     copy
         Whether every call returns arrays of its own. Without, observations, rewards, flags and
         figures of the step before are overwritten.
@@ -309,7 +310,7 @@ class EgoVectorEnv(FollowsTraining, VectorEnv[Any, Any, Any]):
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
         rows = np.flatnonzero(which)
         for i in rows:
-            for name, value in self.worlds.reset_info(int(i)).items():
+            for name, value in self.worlds.reset_info(int(i), self._info).items():
                 if name not in infos:
                     kind = object if isinstance(value, str) else type(value)
                     empty = None if kind is object else 0

@@ -347,8 +347,10 @@ class Worlds:
             raise ConfigError("progress: the environment was made without criticality")
         self.curriculum.progress = progress
 
-    def reset_info(self, world_idx: int) -> dict[str, Any]:
+    def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
         """Return what ``info`` says about a new episode: scene, its token, seed, episode.
+
+        Level ``"none"`` has numbers alone: some learners take no text.
 
         With a curriculum, the episode's criticality is drawn, set and said here.
         """
@@ -357,9 +359,12 @@ class Worlds:
         info: dict[str, Any] = {
             "scene": scene.name,
             "scene_token": scene.token,
+            "scene_idx": scene_idx,
             "seed": seed,
             "episode_idx": episode - 1,
         }
+        if level == "none":
+            del info["scene"], info["scene_token"]
         if self.curriculum is not None:
             strength = self.curriculum.draw(seed, episode - 1)
             self.native.command(world_idx, guided=None, criticality=strength)

@@ -75,5 +75,4 @@ def _scenes(args: argparse.Namespace) -> SceneSet:
         return load_nuscenes(args.dataroot, args.version, split, args.scenes)
     if not args.scenes:
         return scenes
-    by_name = {scene.name: scene for scene in scenes}
-    return SceneSet([by_name[name] for name in args.scenes])
+    return SceneSet([scenes[name] for name in args.scenes])

@@ -142,7 +142,10 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         self._batch.reset([folded], [scene_idx])
         if self.render_mode == "human":
             self.render()
-        return self._batch.observe(0), {**self.worlds.reset_info(0), "agent_ids": self.agent_ids()}
+        return self._batch.observe(0), {
+            **self.worlds.reset_info(0, "full"),
+            "agent_ids": self.agent_ids(),
+        }
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Choose adversaries and advance until the next plan.

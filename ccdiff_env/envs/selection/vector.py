@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.match import FIGURES
@@ -29,7 +30,7 @@ Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
 
-class AdversarySelectionVectorEnv(VectorEnv[Any, Any, Any]):
+class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
     """E worlds; ended ones begin anew within the step (SAME_STEP).
 
     World i of ``reset(seed=n)`` gets the seed n + i and then runs as the single environment.
@@ -198,7 +199,7 @@ class AdversarySelectionVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _reset_infos(self, infos: Info, which: Bool) -> None:
         for i in np.flatnonzero(which):
-            for name, value in self.worlds.reset_info(int(i)).items():
+            for name, value in self.worlds.reset_info(int(i), "full").items():
                 if name not in infos:
                     kind = object if isinstance(value, str) else type(value)
                     empty = None if kind is object else 0
