@@ -8,6 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import ccdiff_env
+from ccdiff_env.envs.rows import AgentVectorEnv
 from ccdiff_env.errors import ConfigError
 
 
@@ -57,7 +58,7 @@ def test_without_information_there_are_numbers_alone(scenes):
     assert infos["scene_idx"].tolist() == [1, 0]
     game = ccdiff_env.parallel_env(scenes=scenes, agents=2, info="none")
     assert is_numeric(game.reset(seed=0)[1])
-    rows = ccdiff_env.make_agent_vec(2, scenes=scenes, info="none")
+    rows = AgentVectorEnv(2, agents=2, scenes=scenes, info="none")
     assert is_numeric(rows.reset(seed=0)[1])
 
 
