@@ -20,9 +20,10 @@ from ccdiff_env import EgoEnv, EgoVectorEnv, Rollout, Scene, WorldConfig, errors
 from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.replays import write_replay
-from ccdiff_env.certificate import Certificate, replay
+from ccdiff_env.certificate import Certificate
 from ccdiff_env.cli import main
 from ccdiff_env.config import BevConfig, ObservationConfig
+from ccdiff_env.envs.replay import replay
 from ccdiff_env.files import file_name
 from ccdiff_env.models import Planner, shipped_weights
 from ccdiff_env.view.index import write_pages
