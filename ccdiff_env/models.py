@@ -428,6 +428,7 @@ def _loop(
     first = run.step
     total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
     bar = _progress_bar(total, "s" if steps is None else "steps", progress)
+    said = ""
 
     def checkpoint() -> None:
         run.save(os.fspath(folder / STATE))
@@ -437,8 +438,9 @@ def _loop(
         )
         if errors is not None:
             curves.write("validation", run.step, errors)
-            bar.set_postfix_str(
-                f"minADE {errors['min_ade_m']:.2f} m, constant velocity "
+            nonlocal said
+            said = (
+                f", minADE {errors['min_ade_m']:.2f} m, constant velocity "
                 f"{errors['constant_velocity_ade_m']:.2f} m"
             )
 
@@ -457,9 +459,9 @@ def _loop(
             losses = run.run(count)
             now = time.monotonic()
             bar.update(count if steps is not None else now - begin - elapsed)
-            curves.write(
-                "loss", run.step, {"loss": sum(losses) / len(losses), "seconds": now - begin}
-            )
+            loss = sum(losses) / len(losses)
+            bar.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
+            curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
             if now - last > checkpoint_minutes * 60.0:
                 checkpoint()
                 last = time.monotonic()

@@ -3,8 +3,7 @@
 ``python examples/demo.py`` trains a stable-baselines3 PPO ego on training scenes, first in IDM
 traffic, then in CCDiff traffic of all criticalities; drives it on held-out scenes beside constant
 velocity, IDM and log replay, in IDM traffic and in realistic and safety-critical CCDiff traffic;
-and leaves a table, a learning curve and an animation. Without a data set it uses the embedded
-scenes.
+and leaves a table, a learning curve and a replay. Without a data set it uses embedded scenes.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import argparse
 import csv
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +23,10 @@ import numpy as np
 import ccdiff_env
 from ccdiff_env.bench.learning import OBSERVATION
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.recorder import Recorder
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.terminal import align
+from ccdiff_env.view import write_page
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
 FIGURES = (
@@ -46,6 +50,8 @@ LESSONS: tuple[dict[str, Any], ...] = (
 #: Learning rate of each part: what was learned in the first is not to be lost in the second.
 LEARNING_RATES = (3e-4, 1e-4)
 NUM_ENVS = 32
+#: Steps of each environment between two updates.
+NUM_STEPS = 128
 #: The ego sees less than by default, so that it learns faster and does not know scenes by heart.
 CONFIG = WorldConfig().with_options(observation=OBSERVATION)
 
@@ -114,23 +120,31 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
+    from tqdm import tqdm
 
     from ccdiff_env.envs.sb3 import SB3VecEnv
     from ccdiff_env.envs.sb3_rows import rows_policy
 
     class Curve(BaseCallback):
-        """Collects finished episodes."""
+        """Collects finished episodes, and shows how the last ones went."""
 
         def __init__(self) -> None:
             super().__init__()
             self.rows: list[tuple[int, float, float]] = []
+            self.bar: Any = None
 
         def _on_step(self) -> bool:
             for info in self.locals["infos"]:
                 if "episode" in info:
                     row = (self.num_timesteps, info["episode"]["r"], float(info["is_success"]))
                     self.rows.append(row)
+            self.bar.update(NUM_ENVS)
             return True
+
+        def _on_rollout_end(self) -> None:
+            if self.rows:
+                _, reward, success = np.mean(self.rows[-100:], axis=0)
+                self.bar.set_postfix_str(f"return {reward:.2f}, success {success:.0%}")
 
     torch.set_num_threads(1)
     envs = [
@@ -148,7 +162,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     model = PPO(
         "MlpPolicy",
         envs[0],
-        n_steps=128,
+        n_steps=NUM_STEPS,
         batch_size=512,
         n_epochs=6,
         learning_rate=LEARNING_RATES[0],
@@ -170,7 +184,9 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
             env.seed(seed)
             model.set_env(env)
             model.lr_schedule = constant(rate)
-            model.learn(count, callback=curve, progress_bar=True, reset_num_timesteps=False)
+            whole = NUM_ENVS * NUM_STEPS * math.ceil(count / (NUM_ENVS * NUM_STEPS))
+            with tqdm(total=whole, unit="step", unit_scale=True, dynamic_ncols=True) as curve.bar:
+                model.learn(count, callback=curve, reset_num_timesteps=False)
     model.save(out / "ego_ppo.zip")
     draw_curve(curve.rows, out / "learning_curve.png", change=steps[0])
     for env in envs:
@@ -209,21 +225,19 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
     plt.close(figure)
 
 
-def draw_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act, path: Path) -> None:
-    """Animate one episode of a scene, as far as the ego is in it."""
-    from ccdiff_env.render import save
-
-    env = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG, render_mode="rgb_array", **traffic)
+def record_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act) -> Rollout:
+    """Record one episode of a scene."""
+    env = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG, **traffic)
     obs, _ = env.reset(seed=0, options={"scene": [index]})
-    frames = list(env.render() or ())
+    recorder = Recorder(env, planner="PPO")
+    recorder.start()
     done = False
     while not done:
-        obs, _, terminated, truncated, infos = env.step(act(obs))
+        obs, _, terminated, truncated, _ = env.step(act(obs))
+        recorder.step()
         done = bool(terminated[0] or truncated[0])
-        if not infos["goal_reached"][0]:
-            frames += env.render() or ()
     env.close()
-    save(frames, path, fps=10)
+    return recorder.rollout()
 
 
 def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
@@ -283,13 +297,12 @@ def main() -> None:
             writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
     drawn = "critical CCDiff"
     longest = int(np.argmax([row["steps"] for row in results[drawn, "PPO"]]))
-    draw_episode(test_scenes, longest, TRAFFIC[drawn], ppo, args.out / "episode.gif")
+    write_page(record_episode(test_scenes, longest, TRAFFIC[drawn], ppo), args.out / "episode.html")
     summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print(f"\n{len(test_scenes)} held-out scenes:\n\n{text}\n")
-    files = "table.md, episodes.csv, learning_curve.png, episode.gif, ego_ppo.zip"
-    print(f"results in {args.out}/: {files}")
+    print(f"\n{len(test_scenes)} held-out scenes:\n\n{align(text)}")
+    print(f"results in {args.out}/; open {(args.out / 'episode.html').resolve().as_uri()}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import scipy.stats
 import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench import selection
-from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
@@ -71,7 +71,7 @@ def test_workers_end_with_the_run_that_was_killed(tmp_path):
     pids.mkdir()
     code = f"""
 from pathlib import Path
-from ccdiff_env.bench.jobs import Job, run_jobs
+from ccdiff_env.bench.jobs import Job, _line, run_jobs
 if __name__ == "__main__":
     jobs = [Job(str(x), "test_bench:sleepy", {{"folder": {str(pids)!r}}}) for x in (0, 1)]
     run_jobs(jobs, Path({str(tmp_path / "raw")!r}), workers=2, progress=False)
@@ -139,6 +139,14 @@ def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
         assert results(jobs, tmp_path / "ray") == results(jobs, tmp_path / "local")
     finally:
         ray.shutdown()
+
+
+def test_bars_say_what_was_done_and_the_mean_so_far():
+    figures = {}
+    assert _line(("00-ccdiff-1-0-000", [{"score": 1.0}], 1.0), figures).endswith("score 1.00")
+    second = _line(("00-ccdiff-1-0-001", [{"score": 0.0}, {"score": 0.5}], 1.0), figures)
+    assert second == "00 ccdiff 1 0, score 0.50"
+    assert _line(("train-0", {"path": "x"}, 1.0), {}) == "train"
 
 
 def test_damaged_results_and_doubled_names_are_refused(tmp_path):

@@ -134,19 +134,38 @@ def _ray(jobs: Sequence[Job]) -> Iterator[tuple[str, Any, float]]:
         yield from ray.get(ready)
 
 
+#: Figures of rows whose mean is shown while jobs are done, the first that there is.
+_SHOWN = ("score", "success", "collision", "return")
+
+
 def _shown(
     found: Iterator[tuple[str, Any, float]], total: int, done: int, progress: bool
 ) -> Iterator[tuple[str, Any, float]]:
-    if not progress:
+    if not progress or done == total:
         yield from found
         return
     from tqdm import tqdm  # an optional dependency
 
-    with tqdm(total=total, initial=done, unit="job", dynamic_ncols=True) as bar:
+    figures: dict[str, list[float]] = {}
+    options = {"unit": "job", "dynamic_ncols": True, "smoothing": 0.0}
+    with tqdm(total=total, initial=done, **options) as bar:
         for entry in found:
-            bar.set_postfix_str(entry[0], refresh=False)
+            bar.set_postfix_str(_line(entry, figures), refresh=False)
             bar.update()
             yield entry
+
+
+def _line(entry: tuple[str, Any, float], figures: dict[str, list[float]]) -> str:
+    """What a bar says after a job: its name in words, and the mean of a figure so far."""
+    name, result, _ = entry
+    for row in result if isinstance(result, list) else ():
+        for figure in _SHOWN:
+            value = row.get(figure) if isinstance(row, Mapping) else None
+            if isinstance(value, (bool, int, float)):
+                figures.setdefault(figure, []).append(float(value))
+                break
+    means = [f"{figure} {sum(v) / len(v):.2f}" for figure, v in figures.items()]
+    return ", ".join([name.rpartition("-")[0].replace("_", " ").replace("-", " "), *means])
 
 
 def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
