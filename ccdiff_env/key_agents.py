@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -11,15 +12,33 @@ from ccdiff_env import causal
 from ccdiff_env._native import Scene
 from ccdiff_env.config import unknown
 
-__all__ = ["RANKINGS", "KeyRanking", "logged_vehicles", "rank_agents"]
+__all__ = ["RANKINGS", "KeyRanking", "logged_vehicles", "rank_agents", "ranking_named"]
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
-KeyRanking: TypeAlias = Literal["cliques", "distance", "ttc", "first", "random"]
+KeyRanking: TypeAlias = Literal["cliques", "nearest", "ttc", "first", "random"]
 
-#: Ways to rank: clique occurrences in the causal graph, distance from the ego, time to contact with
+#: Ways to rank: clique occurrences in the causal graph, nearest to the ego, time to contact with
 #: the ego (then distance), the scene's order, chance.
-RANKINGS: tuple[KeyRanking, ...] = ("cliques", "distance", "ttc", "first", "random")
+RANKINGS: tuple[KeyRanking, ...] = ("cliques", "nearest", "ttc", "first", "random")
+
+
+def ranking_named(name: str) -> KeyRanking:
+    """Return the ranking of a name; ``"distance"`` is the former name of ``"nearest"``.
+
+    Raises
+    ------
+    ConfigError
+        For another name.
+    """
+    if name == "distance":
+        message = 'ranking="distance" is called "nearest"; the old name goes with the next release'
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
+        return "nearest"
+    for known in RANKINGS:
+        if name == known:
+            return known
+    raise unknown("ranking", str(name), RANKINGS)
 
 
 def rank_agents(
@@ -61,7 +80,8 @@ def rank_agents(
     there[ego_idx] = False
     chosen = np.flatnonzero(there)
     distance_m = np.linalg.norm(position[-1] - position[-1, ego_idx], axis=-1)
-    if ranking == "distance":
+    ranking = ranking_named(ranking)
+    if ranking == "nearest":
         return [int(i) for i in chosen[np.argsort(distance_m[chosen], kind="stable")]]
     if ranking == "ttc":
         now = causal.ttc(position[-1], heading[-1], speed[-1], size, valid[-1], normalised=False)
@@ -74,10 +94,8 @@ def rank_agents(
             "cliques", top_k=len(there), valid=valid[-1], ttc=contact, distance=near
         )
         return [i for i in every.agents if there[i]]
-    if ranking in ("first", "random"):
-        every = causal.rank(ranking, top_k=len(there), valid=there, seed=seed)
-        return list(every.agents)
-    raise unknown("ranking", str(ranking), RANKINGS)
+    every = causal.rank(ranking, top_k=len(there), valid=there, seed=seed)
+    return list(every.agents)
 
 
 def logged_vehicles(scene: Scene, step: int, ranking: KeyRanking, seed: int = 0) -> list[int]:

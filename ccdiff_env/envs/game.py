@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.key_agents import RANKINGS, KeyRanking, logged_vehicles
+from ccdiff_env.key_agents import KeyRanking, logged_vehicles, ranking_named
 from ccdiff_env.scenes import SceneSet
 
 Agents: TypeAlias = Literal["all"] | int | Sequence[str]
@@ -71,8 +71,7 @@ class Cast:
         ConfigError
             If a choice does not exist, or leaves a scene without anybody.
         """
-        if ranking not in RANKINGS:
-            raise unknown("ranking", str(ranking), RANKINGS)
+        ranking = ranking_named(ranking)
         count = _count("agents", agents, "all")
         ids = []
         for scene in scenes:

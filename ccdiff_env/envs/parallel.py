@@ -50,7 +50,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         Who is controlled: ``"all"`` vehicles that are there at the start, a number K (the ego and
         the first K - 1 others of the ranking), or ids.
     ranking
-        How the others are ranked at the start: ``"distance"`` or ``"ttc"`` (to the ego),
+        How the others are ranked at the start: ``"nearest"`` or ``"ttc"`` (to the ego),
         ``"cliques"`` (of the causal graph), ``"first"``, ``"random"``.
     adversaries
         Who plays against the others: ``None``, all ``"others"`` than the ego, the first n others,
@@ -98,7 +98,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         agents: Agents = "all",
-        ranking: KeyRanking = "distance",
+        ranking: KeyRanking = "nearest",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         names: Names = "token",

@@ -77,7 +77,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         agents: Agents = "all",
-        ranking: KeyRanking = "distance",
+        ranking: KeyRanking = "nearest",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         observation: Form = "flat",

@@ -24,7 +24,7 @@ __all__ = ["BASELINES", "SelectionBatch"]
 BASELINES: dict[str, KeyRanking | None] = {
     "none": None,
     "random": "random",
-    "distance": "distance",
+    "distance": "nearest",
     "ttc": "ttc",
     "causal": "cliques",
 }

@@ -145,7 +145,7 @@ class Match:
             states=self.states,
             size=self._size,
             ego=self.ego,
-            rows=self.rank("distance")[:num_rows],
+            rows=self.rank("nearest")[:num_rows],
             before=self.before,
             plan=self.plan(),
             time_left=max(horizon - elapsed, 0) / horizon,
