@@ -416,7 +416,7 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         (["left-turn-00", "--traffic", "ccdiff", "--criticality", "5"], "expected 0 to 2"),
         (
             ["left-turn-00", "--traffic", "idm", "--driver", "external"],
-            "unknown driver of the ego 'external'; there",
+            "'external'; there are",
         ),
         (["left-turn-00", "--png", "3", "--open"], "--open shows pages"),
     ],

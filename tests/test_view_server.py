@@ -68,7 +68,7 @@ def test_what_is_wrong_is_said_on_the_page(serve):
         ({"scene": "<b>"}, "no scene &#x27;&lt;b&gt;&#x27;"),
         ({"criticality": "nan"}, "expected 0 to 2"),
         ({"seed": "-1"}, "expected 0 to"),
-        ({"driver": "external"}, "unknown driver"),
+        ({"driver": "external"}, "&#x27;external&#x27;; there are"),
         ({"moves": "[1]"}, "metres by agent id"),
         ({"moves": '{"1": [1e9, 0]}'}, "at most 100 m"),
         ({"moves": '{"nobody": [1, 0]}'}, "no agent &#x27;nobody&#x27;"),

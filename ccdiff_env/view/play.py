@@ -106,7 +106,9 @@ class Playground:
         other: Rollout | None = None
         if words.get("compare") == "log":
             other = log_rollout(scene, like=rollout)
-        title = DRIVER_TITLES[traffic] + (f", criticality {level:g}" if traffic == "ccdiff" else "")
+        title = DRIVER_TITLES.get(traffic, traffic)
+        if level > 0.0:
+            title += f", criticality {level:g}"
         titles = None if other is None else (title, "log")
         return page_html(rollout, compare=other, titles=titles, edit=True)
 
