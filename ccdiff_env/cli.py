@@ -9,11 +9,29 @@ from pathlib import Path
 
 from ccdiff_env.bench.cli import add_bench
 from ccdiff_env.errors import CcdiffError, ConfigError
+from ccdiff_env.version import __version__
+
+
+class _Help(argparse.HelpFormatter):
+    """Help that shows defaults, where there are any to show."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        shown = action.default not in (None, False, [], argparse.SUPPRESS) and action.option_strings
+        return f"{action.help or ''} (default: %(default)s)" if shown else action.help
+
+
+def _show_defaults(parser: argparse.ArgumentParser) -> None:
+    parser.formatter_class = _Help
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                _show_defaults(verb)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
     parser = argparse.ArgumentParser(prog="ccdiff-env", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"ccdiff-env {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     _add_train(verbs)
     add_bench(verbs)
@@ -22,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _add_scenes(verbs)
     _add_play(verbs)
     _add_live(verbs)
+    _show_defaults(parser)
     args = parser.parse_args(argv)
     try:
         status: int = args.run(args)

@@ -307,7 +307,7 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
             return "external", Seat(_imported(name), name)
         policy = find_policy(name)
         if policy is None:
-            raise unknown("ego", name, [*_WORLD_DRIVERS, *SHIPPED])
+            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *SHIPPED])
         return "external", Seat(policy, name)
     named = getattr(ego, "__name__", type(ego).__name__)
     if hasattr(ego, "predict"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache as _memoise
 from functools import partial
@@ -236,6 +237,12 @@ def load_nuscenes(
         require_map=require_map,
         cache_directory=None if folder is None else os.fspath(folder),
     )
+    if '"missing_maps":[]' not in report:
+        warnings.warn(
+            "no map file for some scenes (report.missing_maps): nothing is off road there; the map "
+            "expansion of nuScenes belongs into maps/expansion, see docs/data.md",
+            stacklevel=2,
+        )
     return SceneSet(loaded, partial(LoadReport.from_json, report))
 
 

@@ -44,3 +44,14 @@ def test_a_missing_data_set_is_an_error_in_one_line(
     assert message.startswith("ccdiff-env train: ")
     assert "none" in message
     assert "Traceback" not in message
+
+
+def test_a_progress_bar_does_not_run_past_its_end():
+    from ccdiff_env.models import _progress_bar
+
+    bar = _progress_bar(10.0, "s", True)
+    bar.update(9.9)
+    bar.update(1.0)
+    bar.update(3.0)
+    bar.set_postfix_str("done")
+    bar.close()

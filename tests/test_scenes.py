@@ -125,6 +125,11 @@ def test_set_is_a_sequence_with_names(scenes):
         SceneSet([scenes[0], scenes[0]])
 
 
+def test_a_missing_map_is_warned_of(root):
+    with pytest.warns(UserWarning, match="no map file"):
+        ccdiff_env.load_nuscenes(root, VERSION, cache=False)
+
+
 def test_report_can_be_read_tested_and_printed(scenes):
     report = scenes.report
     assert report.num_tracks == 4

@@ -112,7 +112,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     Notes
     -----
     World i of ``reset(seed=n)`` gets the seed n + i and then runs exactly as
-    ``EgoEnv.reset(seed=n + i)`` would. ``reset(options={"scene": ...})`` chooses scenes by name or
+    ``EgoEnv.reset(seed=n + i)`` would, but for rounding in traffic of networks, which torch does by
+    the size of the batch. ``reset(options={"scene": ...})`` chooses scenes by name or
     index, one for all worlds or a list with one entry per world (``None``: no choice).
     """
 
