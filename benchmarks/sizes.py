@@ -19,10 +19,12 @@ import torch
 from open_loop import HORIZON, quality
 
 import ccdiff_env
-from ccdiff_env import _native
-from ccdiff_env.models import Planner, train
+from ccdiff_env.models import Planner, require_networks, train
 
-PAPER: dict[str, Any] = json.loads(_native.model_preset("paper")[0])
+require_networks()
+from ccdiff_env import _models  # noqa: E402
+
+PAPER: dict[str, Any] = json.loads(_models.model_preset("paper")[0])
 #: Parts that a network has from ``paper``, by its name in the table.
 PARTS: dict[str, tuple[str, ...]] = {
     "fast": (),

@@ -21,9 +21,11 @@ import numpy as np
 import torch
 
 import ccdiff_env
-from ccdiff_env import _native
-from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.models import Planner, require_networks, shipped_weights
 from ccdiff_env.scenes import SceneSet
+
+require_networks()
+from ccdiff_env import _models  # noqa: E402
 
 ENVS = (1, 8, 32)
 STEP = 40
@@ -37,8 +39,8 @@ def scenes_of(dataroot: str | None) -> SceneSet:
 
 def paper_weights(scenes: SceneSet, folder: str) -> Path:
     """Write fresh weights of the paper's preset."""
-    model, training = _native.model_preset("paper")
-    trainer = _native.Trainer(
+    model, training = _models.model_preset("paper")
+    trainer = _models.Trainer(
         list(scenes[:1]), [], model, training, device="cpu", stride=10, smooth=False, estimate=True
     )
     path = Path(folder) / "paper.safetensors"

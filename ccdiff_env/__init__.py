@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-# torch comes first: it loads libtorch into the process, and the extension's libraries then
-# resolve to those by name. No rpath or LD_LIBRARY_PATH is needed.
-import torch as _torch
+from importlib import import_module
+from types import ModuleType
 
-_TORCH = "2.11.0"
-if _torch.__version__.split("+")[0] != _TORCH:
-    raise ImportError(
-        f"ccdiff_env is built for torch {_TORCH}, found {_torch.__version__}: "
-        f"pip install torch=={_TORCH}"
-    )
-
-from ccdiff_env import _native as _native  # noqa: E402
-from ccdiff_env import causal, config, errors, metrics  # noqa: E402
-from ccdiff_env.bank import load_bank, record_bank  # noqa: E402
-from ccdiff_env.certificate import Certificate  # noqa: E402
-from ccdiff_env.config import WorldConfig  # noqa: E402
-from ccdiff_env.embedded import embedded_scenes  # noqa: E402
-from ccdiff_env.envs import (  # noqa: E402
+from ccdiff_env import _native as _native
+from ccdiff_env import causal, config, errors, metrics
+from ccdiff_env.bank import load_bank, record_bank
+from ccdiff_env.certificate import Certificate
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.envs import (
     AdversarySelectionEnv,
     AdversarySelectionVectorEnv,
     AgentVectorEnv,
@@ -30,12 +22,12 @@ from ccdiff_env.envs import (  # noqa: E402
     parallel_env,
     register,
 )
-from ccdiff_env.envs.replay import replay  # noqa: E402
-from ccdiff_env.recorder import Recorder  # noqa: E402
-from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan  # noqa: E402
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet  # noqa: E402
-from ccdiff_env.version import __version__  # noqa: E402
-from ccdiff_env.view import notebook  # noqa: E402
+from ccdiff_env.envs.replay import replay
+from ccdiff_env.recorder import Recorder
+from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
+from ccdiff_env.version import __version__
+from ccdiff_env.view import notebook
 
 __all__ = [
     "AdversarySelectionEnv",
@@ -67,5 +59,14 @@ __all__ = [
     "replay",
 ]
 
+#: Parts that are imported when they are first named.
+_LAZY = ("bench", "counterfactual", "models")
+
 register()
 notebook.install()
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in _LAZY:
+        return import_module(f"ccdiff_env.{name}")
+    raise AttributeError(f"module 'ccdiff_env' has no attribute {name!r}")

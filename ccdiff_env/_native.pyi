@@ -1,7 +1,6 @@
 """The compiled extension; arrays are C-contiguous."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -264,69 +263,10 @@ def load_nuscenes(
     require_map: bool,
     cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
-
-@final
-class Trainer:
-    def __new__(
-        cls,
-        scenes: list[Scene],
-        held_out: list[Scene],
-        model: str,
-        training: str,
-        *,
-        device: str,
-        stride: int,
-        smooth: bool,
-        estimate: bool,
-    ) -> Trainer: ...
-    def run(self, steps: int) -> list[float]: ...
-    def validate(
-        self, count: int, *, solver_steps: int | None, num_samples: int, guidance_weight: float
-    ) -> dict[str, float] | None: ...
-    def cool_down(self, steps: int) -> None: ...
-    @property
-    def cooldown(self) -> tuple[int, int] | None: ...
-    def save(self, path: str) -> None: ...
-    def resume(self, path: str) -> None: ...
-    def export(self, path: str, notes: str) -> None: ...
-    @property
-    def step(self) -> int: ...
-    @property
-    def num_parameters(self) -> int: ...
-    @property
-    def num_samples(self) -> int: ...
-
-@final
-class Planner:
-    def __new__(cls, path: str, device: str) -> Planner: ...
-    @property
-    def header(self) -> str: ...
-    @property
-    def num_parameters(self) -> int: ...
-    def plan_scenes(
-        self,
-        scenes: list[Scene],
-        steps: list[int],
-        seeds: list[int],
-        *,
-        solver_steps: int | None,
-        num_samples: int,
-        guidance_weight: float,
-        guidance: str | None,
-        guided: list[list[int]] | None,
-        partners: list[list[int]] | None,
-        attention: bool,
-        gradient_statistics: bool,
-    ) -> list[dict[str, Any]]: ...
-
-def guidance_preset(name: str) -> str: ...
 def drivers() -> list[tuple[str, str, tuple[int, int, int], int]]:
     """Return name, title, colour and number in pictures of everybody who may move an agent: those
     that pictures tell apart, in the order of their numbers, then kinds that look like one of them.
     """
-
-def model_preset(name: str, model: str = "ccdiff") -> tuple[str, str]: ...
-def training_settings(path: str) -> tuple[str, str]: ...
 
 _Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None, U8 | None, U8 | None]
 
@@ -341,7 +281,7 @@ class VecWorld:
         num_worlds: int,
         num_threads: int,
         trail_steps: int = 0,
-        weights: Mapping[str, Path] | None = None,
+        networks: Mapping[str, object] | None = None,
         models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
     def reset(
@@ -466,6 +406,8 @@ class VecWorld:
     ) -> U8:
         """Return a picture [H, W, 3]."""
 
+def build_mark() -> int: ...
+def networks_wanted(config: str) -> list[tuple[str, str, str]]: ...
 def default_world_config() -> str: ...
 def columns_json() -> str: ...
 def metrics_json() -> str: ...

@@ -10,23 +10,96 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes import Scene
 
-__all__ = ["Planner", "ScenePlan", "guidance_preset", "shipped_weights", "train"]
+if TYPE_CHECKING:
+    from ccdiff_env import _models
+    from ccdiff_env.config import WorldConfig
 
+__all__ = [
+    "Planner",
+    "ScenePlan",
+    "guidance_preset",
+    "require_networks",
+    "shipped_weights",
+    "train",
+]
+
+#: The release of torch whose libtorch the networks are built with.
+TORCH = "2.11.0"
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
 _CHUNK = 20
 _COOLDOWN_SHARE = 0.2
+
+
+def require_networks() -> None:
+    """Load torch and the extension module of networks, both of which nothing else needs.
+
+    Raises
+    ------
+    MissingFeatureError
+        If torch is not there or is another release, or the package was built without networks; the
+        message names the cure.
+    """
+    try:
+        # torch comes first: it loads libtorch into the process, and the libraries that the
+        # extension names then resolve to it. No rpath or LD_LIBRARY_PATH is needed.
+        import torch
+    except ModuleNotFoundError as error:
+        raise MissingFeatureError(
+            f"networks need torch {TORCH}: pip install 'ccdiff-env[models]'"
+        ) from error
+    if torch.__version__.split("+")[0] != TORCH:
+        raise MissingFeatureError(
+            f"networks need torch {TORCH}, found {torch.__version__}: "
+            f"pip install 'ccdiff-env[models]', or use an environment of their own for them"
+        )
+    try:
+        from ccdiff_env import _models as _loaded  # noqa: F401
+    except ImportError as error:
+        raise MissingFeatureError(
+            f"networks cannot be loaded ({error}): was the package built without them? "
+            f"With torch {TORCH} installed: pip install --no-build-isolation ."
+        ) from error
+
+
+def traffic_policies(config: WorldConfig, scenes: Sequence[Scene]) -> dict[str, object]:
+    """Return the policies of a configuration that need a network, by name, for the native worlds.
+
+    Raises
+    ------
+    MissingFeatureError
+        See :func:`require_networks`.
+    ConfigError, CheckpointError, SceneError, OSError
+        Settings, weights or scenes do not fit; the message says which.
+    """
+    wanted = _native.networks_wanted(config.to_json())
+    if not wanted:
+        return {}
+    require_networks()
+    from ccdiff_env import _models
+
+    return {
+        name: _models.traffic_policy(
+            name,
+            kind,
+            options,
+            weights_path(json.loads(options)["weights"], kind),
+            config.dt_s,
+            config.history_steps,
+            list(scenes),
+        )
+        for name, kind, options in wanted
+    }
 
 
 def shipped_weights(model: str = "ccdiff") -> Path:
@@ -42,7 +115,10 @@ def guidance_preset(name: str) -> dict[str, Any]:
 
     docs/method.md says what they mean; every one of them may be changed.
     """
-    settings: dict[str, Any] = json.loads(_native.guidance_preset(name))
+    require_networks()
+    from ccdiff_env import _models
+
+    settings: dict[str, Any] = json.loads(_models.guidance_preset(name))
     return settings
 
 
@@ -113,6 +189,8 @@ class Planner:
 
     Raises
     ------
+    MissingFeatureError
+        Torch is not there, see :func:`require_networks`.
     CheckpointError
         The file is damaged or does not fit; the message names the tensor or field.
     OSError
@@ -120,8 +198,11 @@ class Planner:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
+        require_networks()
+        from ccdiff_env import _models
+
         with _own_generator(0):
-            self._native = _native.Planner(os.fspath(path), device)
+            self._native = _models.Planner(os.fspath(path), device)
 
     @property
     def header(self) -> dict[str, Any]:
@@ -242,6 +323,8 @@ def _progress_bar(total: float, unit: str, shown: bool) -> _Progress:
 @contextmanager
 def _own_generator(seed: int) -> Iterator[None]:
     """Seed torch's generator for fresh weights and put the caller's back afterwards."""
+    import torch
+
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield
@@ -360,14 +443,17 @@ def train(
     """
     if (steps is None) == (minutes is None):
         raise ConfigError("give steps or minutes, exactly one of them")
+    require_networks()
+    from ccdiff_env import _models
+
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     state = folder / STATE
     resumed = state.exists()
     config, training = (
-        _native.training_settings(os.fspath(state))
+        _models.training_settings(os.fspath(state))
         if resumed
-        else _native.model_preset(preset, model)
+        else _models.model_preset(preset, model)
     )
     if resumed and json.loads(config)["kind"] != model:
         raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
@@ -375,7 +461,7 @@ def train(
         training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
         config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
-        run = _native.Trainer(
+        run = _models.Trainer(
             list(scenes),
             list(held_out),
             config,
@@ -414,7 +500,7 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
 
 
 def _loop(
-    run: _native.Trainer,
+    run: _models.Trainer,
     folder: Path,
     curves: _Curves,
     steps: int | None,
@@ -472,7 +558,7 @@ def _loop(
 
 
 def _maybe_cool_down(
-    run: _native.Trainer, first: int, steps: int | None, total_s: float | None, elapsed_s: float
+    run: _models.Trainer, first: int, steps: int | None, total_s: float | None, elapsed_s: float
 ) -> None:
     if steps is not None:
         left = max(round(steps * _COOLDOWN_SHARE), 1)

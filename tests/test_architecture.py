@@ -10,7 +10,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-CRATES = ("sim", "nuscenes", "render", "models", "py")
+CRATES = ("sim", "nuscenes", "render", "models", "bridge", "py", "py-models")
+#: Crates that may use others beside the simulator.
+USERS = {
+    "py": {"sim", "nuscenes", "render", "bridge"},
+    "py-models": {"sim", "models", "bridge"},
+}
 
 #: Rooms of the simulator; each may use those before it.
 SIM_ROOMS = [
@@ -144,12 +149,16 @@ def test_no_crate_knows_its_siblings():
     for name in CRATES:
         manifest = (ROOT / "rust" / name / "Cargo.toml").read_text(encoding="utf-8")
         needs = manifest.split("[dependencies]")[1].split("[dev-dependencies]")[0]
-        others = set(re.findall(r"^ccdiff-(\w+)", needs, re.MULTILINE))
-        allowed = {"sim": set(), "py": set(CRATES) - {"py"}}.get(name, {"sim"})
+        others = set(re.findall(r"^ccdiff-([\w-]+)", needs, re.MULTILINE))
+        allowed = {"sim": set(), **USERS}.get(name, {"sim"})
         assert others <= allowed, name
 
 
 # Python
+
+
+#: Compiled modules of the package.
+EXTENSIONS = ("_native", "_models")
 
 
 def python_graph() -> dict[str, set[str]]:
@@ -167,8 +176,8 @@ def python_graph() -> dict[str, set[str]]:
             elif isinstance(node, ast.ImportFrom) and node.module is not None:
                 for name in node.names:
                     full = f"{node.module}.{name.name}"
-                    # the extension is a module, its stub no file of Python
-                    used.add(full if full in modules or name.name == "_native" else node.module)
+                    # an extension is a module, its stub no file of Python
+                    used.add(full if full in modules or name.name in EXTENSIONS else node.module)
         graph[module] = (used & set(modules)) - {module}
     return graph
 

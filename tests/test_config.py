@@ -19,6 +19,7 @@ from ccdiff_env.config import (
     WorldConfig,
 )
 from ccdiff_env.errors import CcdiffError, ConfigError
+from ccdiff_env.models import require_networks
 
 
 def as_float32(value):
@@ -32,6 +33,10 @@ def as_float32(value):
 
 def test_defaults_are_those_of_rust():
     rust = json.loads(_native.default_world_config())
+    require_networks()
+    from ccdiff_env import _models
+
+    rust["policies"] = json.loads(_models.default_policies())
     assert as_float32(json.loads(WorldConfig().to_json())) == as_float32(rust)
 
 

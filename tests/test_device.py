@@ -20,12 +20,15 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
 import ccdiff_env
-from ccdiff_env import _native, make_vec
+from ccdiff_env import make_vec
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.models import Planner, require_networks, shipped_weights
 from ccdiff_env.traffic import CcdiffConfig
 
 aten = torch.ops.aten
+
+require_networks()
+from ccdiff_env import _models  # noqa: E402
 
 needs_no_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU to run on")
 
@@ -169,11 +172,11 @@ def test_training_on_cuda_gets_to_its_backward_pass_and_its_state_can_be_kept(
     preset: str, tmp_path: Path
 ) -> None:
     scenes = list(ccdiff_env.embedded_scenes("val"))
-    model, training = (json.loads(text) for text in _native.model_preset(preset))
+    model, training = (json.loads(text) for text in _models.model_preset(preset))
     training |= {"batch_scenes": 2}
 
     def trainer(device: str) -> Any:
-        return _native.Trainer(
+        return _models.Trainer(
             scenes[:2],
             scenes[2:3],
             json.dumps(model),

@@ -1,4 +1,4 @@
-"""The stub of the compiled extension against the extension itself."""
+"""The stubs of the compiled extensions against the extensions themselves."""
 
 from __future__ import annotations
 

@@ -17,13 +17,12 @@ from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.terminal import align
 
-__all__ = ["add_bench"]
+__all__ = ["add_arguments"]
 
 
-def add_bench(verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the verb ``bench`` with its benchmarks."""
-    bench = verbs.add_parser("bench", help="benchmarks of traffic and of planners")
-    kinds = bench.add_subparsers(dest="kind", required=True, metavar="kind")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the benchmarks to the verb ``bench``."""
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
     _add_planners(kinds)
     _add_scenarios(kinds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -45,9 +46,12 @@ class Job:
 
     def run(self) -> Any:
         """Do the work."""
-        import torch
-
-        torch.set_num_threads(1)
+        torch = sys.modules.get("torch")
+        if torch is None:
+            # read when torch is imported, which only networks do
+            os.environ["OMP_NUM_THREADS"] = "1"
+        else:
+            torch.set_num_threads(1)
         module, name = self.function.split(":")
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
         return function(**self.arguments)

@@ -6,7 +6,6 @@ import hashlib
 import operator
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
@@ -19,10 +18,10 @@ from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
-from ccdiff_env.models import weights_path
+from ccdiff_env.models import traffic_policies
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
-from ccdiff_env.traffic import NETWORKS, CcdiffConfig, Policy, PythonTraffic, TrafficPlan
+from ccdiff_env.traffic import PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.python import BoundTraffic
 
 F32 = npt.NDArray[np.float32]
@@ -127,16 +126,6 @@ class StepArrays(NamedTuple):
     final_bev: U8 | None
 
 
-def _weights(config: WorldConfig) -> dict[str, Path]:
-    """Weight files of the drivers that are networks, by name."""
-    usual = {name: Policy(name, config.ccdiff) for name in NETWORKS}
-    return {
-        name: weights_path(policy.options.weights, policy.kind)
-        for name, policy in {**usual, **config.policies}.items()
-        if isinstance(policy.options, CcdiffConfig)
-    }
-
-
 def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
     """Models of the user's own, by the names of their drivers."""
     return {
@@ -190,7 +179,7 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            _weights(config),
+            traffic_policies(config, scenes),
             _models(config, scenes),
         )
         if criticality is not None and not self.native.planners:

@@ -1,7 +1,7 @@
 //! Bindings of `ccdiff_sim::causal`: measures, the decision causal graph, rankings.
 
 use crate::enter::flags;
-use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
+use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc};
 use ccdiff_sim::causal::rank::{

@@ -1,39 +1,29 @@
 //! The kinds of drivers that there are, and the policies of a batch of worlds: the one place that names them.
 
-use crate::errors::{from_sim, py};
-use crate::models::from_model;
 use crate::python_policy::PythonPolicy;
-use ccdiff_models::ModelKind;
-use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_bridge::Policy;
+use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::Driver;
 use ccdiff_sim::SimError;
-use ccdiff_sim::policy::{Idm, TrafficPolicy};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::policy::Idm;
 use ccdiff_sim::world::{IdmConfig, WorldConfig};
 use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::sync::Arc;
 
 /// What a policy is made from.
 struct Recipe<'a> {
     /// Name in the batch.
     name: &'a str,
-    /// Kind of policy.
-    kind: &'a str,
     /// Options as JSON.
     options: &'a Value,
-    /// Weight file, where Python found one.
-    weights: Option<&'a PathBuf>,
     /// The object behind a Python model.
     model: Option<&'a Py<PyAny>>,
-    world: &'a WorldConfig,
-    scenes: &'a [Arc<Scene>],
 }
 
-type Make = fn(&Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>>;
+type Make = fn(&Recipe<'_>) -> PyResult<Policy>;
 
 /// A kind of policy that takes options of its own.
 struct Kind {
@@ -43,29 +33,31 @@ struct Kind {
     title: &'static str,
     /// Whose colour it has in pictures.
     drawn: Driver,
-    make: Make,
+    /// How it is made here; policies with a network are made by `_models`.
+    make: Option<Make>,
 }
 
-const fn kind(name: &'static str, title: &'static str, drawn: Driver, make: Make) -> Kind {
+const fn kind(name: &'static str, title: &'static str, drawn: Driver, make: Option<Make>) -> Kind {
     Kind { name, title, drawn, make }
 }
 
 /// The kinds. A new one is a line here; `replay` and `constant_velocity` have no options and are always there.
 const KINDS: [Kind; 10] = [
-    kind("idm", "IDM", Driver::Idm, idm),
-    kind("python", "Python model", Driver::Other, python),
-    kind("ccdiff", "CCDiff", Driver::Ccdiff, network),
-    kind("simnet", "SimNet", Driver::Ccdiff, network),
-    kind("trafficsim", "TrafficSim", Driver::Ccdiff, network),
-    kind("trafficsim_port", "TrafficSim (port)", Driver::Ccdiff, network),
-    kind("strive", "STRIVE", Driver::Ccdiff, network),
-    kind("bits", "BITS", Driver::Ccdiff, network),
-    kind("ctg", "CTG", Driver::Ccdiff, network),
-    kind("ctgpp", "CTG++", Driver::Ccdiff, network),
+    kind("idm", "IDM", Driver::Idm, Some(idm)),
+    kind("python", "Python model", Driver::Other, Some(python)),
+    kind("ccdiff", "CCDiff", Driver::Ccdiff, None),
+    kind("simnet", "SimNet", Driver::Ccdiff, None),
+    kind("trafficsim", "TrafficSim", Driver::Ccdiff, None),
+    kind("trafficsim_port", "TrafficSim (port)", Driver::Ccdiff, None),
+    kind("strive", "STRIVE", Driver::Ccdiff, None),
+    kind("bits", "BITS", Driver::Ccdiff, None),
+    kind("ctg", "CTG", Driver::Ccdiff, None),
+    kind("ctgpp", "CTG++", Driver::Ccdiff, None),
 ];
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(networks_wanted, module)?)?;
     module.add_function(wrap_pyfunction!(drivers, module)?)
 }
 
@@ -86,7 +78,7 @@ fn drivers() -> Vec<(&'static str, &'static str, (u8, u8, u8), u8)> {
     pictured.chain(others.map(|k| row(k.name, k.title, k.drawn))).collect()
 }
 
-fn idm(recipe: &Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>> {
+fn idm(recipe: &Recipe<'_>) -> PyResult<Policy> {
     let config: IdmConfig = recipe.options()?;
     if let Some((field, got, expected)) = config.first_fault() {
         let error = SimError::Config { field, got: got.to_string(), expected: expected.into() };
@@ -96,30 +88,13 @@ fn idm(recipe: &Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>> {
 }
 
 /// Traffic of a model of the user's own.
-fn python(recipe: &Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>> {
+fn python(recipe: &Recipe<'_>) -> PyResult<Policy> {
     let model = recipe.model.ok_or_else(|| {
         let message = format!("config: policies: {}: no Python object was handed over", recipe.name);
         py::ConfigError::new_err(message)
     })?;
     let model = Python::attach(|py| model.clone_ref(py));
     Ok(Box::new(PythonPolicy::new(recipe.name, recipe.options()?, model)))
-}
-
-/// Traffic of a planning network, whose weights say which one it is.
-fn network(recipe: &Recipe<'_>) -> PyResult<Box<dyn TrafficPolicy>> {
-    let config: CcdiffConfig = recipe.options()?;
-    let weights = recipe.weights.cloned().unwrap_or_else(|| PathBuf::from(&config.weights));
-    let policy = PlannedTraffic::new(config, &weights).map_err(from_model)?;
-    if policy.kind() != recipe.kind {
-        return Err(py::ConfigError::new_err(format!(
-            "config: policies: {}: weights of {:?}, expected those of {:?}",
-            recipe.name,
-            policy.kind(),
-            recipe.kind
-        )));
-    }
-    policy.check(recipe.world.dt_s, recipe.world.history_steps, recipe.scenes).map_err(from_model)?;
-    Ok(Box::new(policy))
 }
 
 impl Recipe<'_> {
@@ -129,23 +104,12 @@ impl Recipe<'_> {
     }
 }
 
-/// Default options of the kinds that are policies by their own name, in the form of [`WorldConfig::policies`].
-pub(crate) fn default_policies() -> PyResult<BTreeMap<String, Value>> {
-    let options =
-        serde_json::to_value(CcdiffConfig::default()).map_err(|e| py::ConfigError::new_err(e.to_string()))?;
-    let kinds = ModelKind::ALL.map(ModelKind::name);
-    Ok(kinds.map(|kind| (kind.to_owned(), serde_json::json!({ kind: options }))).into())
-}
-
-/// The policies of a configuration beside those that every batch has: those that somebody drives by, and all under
-/// names of their own.
-pub(crate) fn policies(
-    config: &WorldConfig,
-    scenes: &[Arc<Scene>],
-    weights: &BTreeMap<String, PathBuf>,
-    models: &BTreeMap<String, Py<PyAny>>,
-) -> PyResult<Vec<(String, Box<dyn TrafficPolicy>)>> {
-    let mut made = Vec::new();
+/// What is to be made beside the policies that every batch has: what somebody drives by, and all under names of their own.
+fn recipes<'a>(
+    config: &'a WorldConfig,
+    models: &'a BTreeMap<String, Py<PyAny>>,
+) -> PyResult<Vec<(&'static Kind, Recipe<'a>)>> {
+    let mut found = Vec::new();
     for (name, policy) in &config.policies {
         let one = policy.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
         let kind = one.and_then(|(kind, options)| Some((KINDS.iter().find(|k| k.name == kind)?, options)));
@@ -157,10 +121,43 @@ pub(crate) fn policies(
             return Err(py::ConfigError::new_err(message));
         };
         if kind.name != name || config.names(name) {
-            let (weights, model) = (weights.get(name), models.get(name));
-            let recipe = Recipe { name, kind: kind.name, options, weights, model, world: config, scenes };
-            made.push((name.clone(), (kind.make)(&recipe)?));
+            found.push((kind, Recipe { name, options, model: models.get(name) }));
         }
+    }
+    Ok(found)
+}
+
+/// Policies of a configuration (JSON) that need a network: name, kind, options as JSON.
+#[pyfunction]
+fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
+    let config = WorldConfig::from_json(config).map_err(from_sim)?;
+    let none = BTreeMap::new();
+    let wanted = recipes(&config, &none)?.into_iter().filter(|(kind, _)| kind.make.is_none());
+    Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
+}
+
+/// The policies in capsules of the module of networks, by name.
+pub(crate) fn taken(capsules: BTreeMap<String, Bound<'_, PyCapsule>>) -> PyResult<BTreeMap<String, Policy>> {
+    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::taken_policy(capsule)?))).collect()
+}
+
+/// The policies of a configuration beside those that every batch has.
+pub(crate) fn policies(
+    config: &WorldConfig,
+    mut networks: BTreeMap<String, Policy>,
+    models: &BTreeMap<String, Py<PyAny>>,
+) -> PyResult<Vec<(String, Policy)>> {
+    let mut made = Vec::new();
+    for (kind, recipe) in recipes(config, models)? {
+        let policy = match (kind.make, networks.remove(recipe.name)) {
+            (Some(make), _) => make(&recipe)?,
+            (None, Some(policy)) => policy,
+            (None, None) => {
+                let message = format!("config: policies: {}: no network was handed over", recipe.name);
+                return Err(py::ConfigError::new_err(message));
+            }
+        };
+        made.push((recipe.name.to_owned(), policy));
     }
     Ok(made)
 }

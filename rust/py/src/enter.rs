@@ -1,6 +1,6 @@
 //! Entering Rust: flags of numpy; with an object that owns threads: fork check, GIL release, panics as exceptions.
 
-use crate::errors::py;
+use ccdiff_bridge::errors::py;
 use numpy::{PyReadonlyArray, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;

@@ -1,11 +1,9 @@
-//! The Python module `ccdiff_env._native`: a translation, no arithmetic.
+//! The Python module `ccdiff_env._native`: a translation, no arithmetic. It needs no torch.
 
 mod causal;
 mod drivers;
 mod enter;
-mod errors;
 mod metrics;
-mod models;
 mod python_policy;
 mod render;
 mod scene;
@@ -17,14 +15,20 @@ mod world_state;
 
 use pyo3::prelude::*;
 
+/// A number that `_models` compares with its own: how the simulator within was compiled.
+#[pyfunction]
+fn build_mark() -> u64 {
+    ccdiff_sim::build_mark()
+}
+
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
     metrics::register(m)?;
     drivers::register(m)?;
-    models::register(m)?;
     render::register(m)?;
     scene::register(m)?;
     world::register(m)?;
+    m.add_function(wrap_pyfunction!(build_mark, m)?)?;
     Ok(())
 }

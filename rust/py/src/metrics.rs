@@ -1,7 +1,7 @@
 //! Bindings of `ccdiff_sim::metrics`.
 
 use crate::enter::flags;
-use crate::errors::{from_sim, py::ShapeError, py::UnknownNameError};
+use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{

@@ -1,8 +1,8 @@
 //! Bindings of `ccdiff_render`: pictures from arrays and from the log of a scene.
 
 use crate::enter::flags;
-use crate::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use crate::scene::PyScene;
+use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
     AgentBox, Arrow, Camera, Centre, Driver, Image, Line, LogShot, MapLayers, Picture, RenderError, palette,
     render, render_log,

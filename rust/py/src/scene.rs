@@ -1,11 +1,12 @@
 //! `Scene`, and the functions that load scenes.
 
 use crate::enter::flags;
-use crate::errors::{from_nuscenes, from_sim, py};
 use crate::render::{CentreArg, scene_picture};
 use crate::scene_map;
+use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, Interpolation, LoadOptions, Selection, decode_scene, encode_scene, load, scene_hash,
+    BuildOptions, Interpolation, LoadOptions, NuscenesError, Selection, decode_scene, encode_scene, load,
+    scene_hash,
 };
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
@@ -13,7 +14,7 @@ use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyCapsule, PyDict};
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
@@ -21,6 +22,18 @@ use std::sync::{Arc, OnceLock};
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyScene>()?;
     module.add_function(wrap_pyfunction!(load_nuscenes, module)?)
+}
+
+/// The Python exception for a loader error.
+fn from_nuscenes(error: NuscenesError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        NuscenesError::Scene(error) => from_sim(error),
+        NuscenesError::Missing { .. } => py::DatasetNotFoundError::new_err(message),
+        NuscenesError::Option { .. } => py::ConfigError::new_err(message),
+        NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
+        _ => py::DatasetError::new_err(message),
+    }
 }
 
 /// A scene: logged tracks of all agents on a map. Immutable.
@@ -135,6 +148,11 @@ impl PyScene {
     #[staticmethod]
     fn from_bytes(data: &[u8]) -> PyResult<Self> {
         Ok(Arc::new(decode_scene(data).map_err(from_nuscenes)?).into())
+    }
+
+    /// The scene as an argument of the module of networks.
+    fn _handed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyCapsule>> {
+        ccdiff_bridge::scene_capsule(py, Arc::clone(&self.scene))
     }
 
     /// The whole scene as bytes; equal scenes give equal bytes.

@@ -1,6 +1,6 @@
 //! Map layers between Rust and Python: one shape of dictionary both ways.
 
-use crate::errors::py;
+use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{Lane, LaneKind, Map};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};

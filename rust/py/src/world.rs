@@ -2,12 +2,12 @@
 
 use crate::drivers;
 use crate::enter::{Home, enter};
-use crate::errors::{from_sim, py};
 use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::world_picture::{self, Shot, Trails};
 use crate::world_plans;
 use crate::world_state;
+use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
     COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
@@ -17,9 +17,8 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
+use pyo3::types::{PyBytes, PyCapsule, PyDict};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Adds the classes and functions of this file to the module.
@@ -37,7 +36,7 @@ fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 /// The default configuration as JSON.
 #[pyfunction]
 fn default_world_config() -> PyResult<String> {
-    to_json(&WorldConfig { policies: drivers::default_policies()?, ..WorldConfig::default() })
+    to_json(&WorldConfig::default())
 }
 
 /// The schema of the figures of a step as JSON: name, unit and meaning of each column.
@@ -188,10 +187,10 @@ impl<'py> Outputs<'py> {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `weights` are the weight files of
-    /// policies by name, `models` the objects behind Python models.
+    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `networks` are policies by
+    /// name ([`drivers::networks_wanted`]), `models` the objects behind Python models.
     #[new]
-    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, weights=None, models=None))]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, networks=None, models=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<PyRef<'_, PyScene>>,
@@ -199,14 +198,14 @@ impl PyVecWorld {
         num_worlds: usize,
         num_threads: usize,
         trail_steps: usize,
-        weights: Option<BTreeMap<String, PathBuf>>,
+        networks: Option<BTreeMap<String, Bound<'_, PyCapsule>>>,
         models: Option<BTreeMap<String, Py<PyAny>>>,
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
+        let networks = drivers::taken(networks.unwrap_or_default())?;
         let world = enter(py, || {
-            let (weights, models) = (weights.unwrap_or_default(), models.unwrap_or_default());
-            let policies = drivers::policies(&config, &scenes, &weights, &models)?;
+            let policies = drivers::policies(&config, networks, &models.unwrap_or_default())?;
             VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));

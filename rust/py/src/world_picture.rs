@@ -1,8 +1,8 @@
 //! Pictures of a running world.
 
 use crate::drivers;
-use crate::errors::{from_sim, py};
 use crate::render::{CentreArg, from_render, layers_of, pixels, to_array};
+use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{AgentBox, Camera, Driver as Colour, Line, Picture, render};
 use ccdiff_sim::Result;
 use ccdiff_sim::geom::{Point2, Pose2};

@@ -14,3 +14,15 @@ mod wide;
 pub mod world;
 
 pub use error::{Result, SimError};
+
+use std::hash::{Hash, Hasher};
+
+/// A number that is the same in two libraries only where this crate was compiled alike for both: from the same source and
+/// dependencies, by the same compiler, in the same profile. They may then hand values of this crate to each other.
+pub fn build_mark() -> u64 {
+    let mut state = std::hash::DefaultHasher::new();
+    // the number of a type is made from compiler, version, features, profile and dependencies
+    std::any::TypeId::of::<world::VecWorld>().hash(&mut state);
+    env!("CCDIFF_SIM_SOURCE").hash(&mut state);
+    state.finish()
+}

@@ -1,11 +1,10 @@
 //! From Rust errors to the exception tree of `ccdiff_env.errors`.
 
-use ccdiff_nuscenes::NuscenesError;
 use ccdiff_sim::SimError;
 use pyo3::prelude::*;
 
 /// The classes, as Python defines them.
-pub(crate) mod py {
+pub mod py {
     #![allow(missing_docs, reason = "documented in ccdiff_env/errors.py")]
     pyo3::import_exception!(ccdiff_env.errors, ActionError);
     pyo3::import_exception!(ccdiff_env.errors, CheckpointError);
@@ -22,7 +21,7 @@ pub(crate) mod py {
 }
 
 /// The Python exception for a simulator error.
-pub(crate) fn from_sim(error: SimError) -> PyErr {
+pub fn from_sim(error: SimError) -> PyErr {
     let message = error.to_string();
     match error {
         SimError::Scene { .. } => py::SceneError::new_err(message),
@@ -39,18 +38,6 @@ pub(crate) fn from_sim(error: SimError) -> PyErr {
 
 /// The Python exception for what libtorch refuses: that of the Python code which torch called (a dispatch mode, a hook),
 /// where it raised one.
-pub(crate) fn policy_failed(message: String) -> PyErr {
+pub fn policy_failed(message: String) -> PyErr {
     Python::attach(PyErr::take).unwrap_or_else(|| py::PolicyError::new_err(message))
-}
-
-/// The Python exception for a loader error.
-pub(crate) fn from_nuscenes(error: NuscenesError) -> PyErr {
-    let message = error.to_string();
-    match error {
-        NuscenesError::Scene(error) => from_sim(error),
-        NuscenesError::Missing { .. } => py::DatasetNotFoundError::new_err(message),
-        NuscenesError::Option { .. } => py::ConfigError::new_err(message),
-        NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
-        _ => py::DatasetError::new_err(message),
-    }
 }

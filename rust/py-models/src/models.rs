@@ -1,7 +1,7 @@
 //! Bindings of `ccdiff_models`: training runs and planners.
 
-use crate::errors::{policy_failed, py};
-use crate::scene::PyScene;
+use ccdiff_bridge::Handed;
+use ccdiff_bridge::errors::{from_sim, policy_failed, py};
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
@@ -36,7 +36,7 @@ pub(crate) fn from_model(error: ModelError) -> PyErr {
         ModelError::Shape { .. } => py::ShapeError::new_err(message),
         ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
         ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
-        ModelError::Sim(source) => crate::errors::from_sim(source),
+        ModelError::Sim(source) => from_sim(source),
         _ => policy_failed(message),
     }
 }
@@ -54,8 +54,8 @@ fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
     serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
 }
 
-fn arcs(scenes: Vec<PyRef<'_, PyScene>>) -> Vec<Arc<Scene>> {
-    scenes.iter().map(|s| Arc::clone(&s.scene)).collect()
+fn arcs(scenes: Vec<Handed>) -> Vec<Arc<Scene>> {
+    scenes.into_iter().map(|handed| handed.0).collect()
 }
 
 /// DDIM in `steps` evaluations, or DDPM for `None`.
@@ -87,7 +87,7 @@ fn training_settings(py: Python<'_>, path: PathBuf) -> PyResult<(String, String)
 }
 
 /// A training run with its data.
-#[pyclass(frozen, name = "Trainer", module = "ccdiff_env._native")]
+#[pyclass(frozen, name = "Trainer", module = "ccdiff_env._models")]
 struct PyTrainer {
     run: Mutex<Trainer>,
     held_out: Option<Dataset>,
@@ -100,8 +100,8 @@ impl PyTrainer {
     #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate))]
     fn new(
         py: Python<'_>,
-        scenes: Vec<PyRef<'_, PyScene>>,
-        held_out: Vec<PyRef<'_, PyScene>>,
+        scenes: Vec<Handed>,
+        held_out: Vec<Handed>,
         model: &str,
         training: &str,
         device: &str,
@@ -203,7 +203,7 @@ impl PyTrainer {
 }
 
 /// A loaded network that plans for scenes.
-#[pyclass(frozen, name = "Planner", module = "ccdiff_env._native")]
+#[pyclass(frozen, name = "Planner", module = "ccdiff_env._models")]
 struct PyPlanner(Mutex<Planner>);
 
 #[pymethods]
@@ -233,7 +233,7 @@ impl PyPlanner {
     fn plan_scenes<'py>(
         &self,
         py: Python<'py>,
-        scenes: Vec<PyRef<'py, PyScene>>,
+        scenes: Vec<Handed>,
         steps: Vec<usize>,
         seeds: Vec<u64>,
         solver_steps: Option<usize>,

@@ -1,0 +1,73 @@
+"""``ccdiff-env train``: training of a planning network on nuScenes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ccdiff_env.errors import ConfigError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("--dataroot", required=True, type=Path, help="folder of nuScenes")
+    parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
+    parser.add_argument(
+        "--split", nargs="+", default=["train", "train_val"], help="splits to train on"
+    )
+    parser.add_argument("--model", default="ccdiff", help="ccdiff or one of its rivals")
+    parser.add_argument("--preset", default="fast", choices=["fast", "paper"])
+    parser.add_argument("--out", required=True, type=Path, help="folder of the run")
+    length = parser.add_mutually_exclusive_group(required=True)
+    length.add_argument("--steps", type=int, help="training steps in all")
+    length.add_argument("--minutes", type=float, help="minutes of this call")
+    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
+    parser.add_argument("--batch-scenes", type=int, help="scenes per step")
+    parser.add_argument("--learning-rate", type=float)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument(
+        "--hold-out-every", type=int, default=16, help="keep every n-th scene for validation"
+    )
+    parser.add_argument("--threads", type=int, default=1, help="threads of torch on the CPU")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, and print where the weights are."""
+    from ccdiff_env.models import require_networks, train
+    from ccdiff_env.scenes import load_nuscenes, splits
+
+    kept_out = {*splits()["val"], *splits()["mini_val"]}
+    if args.hold_out_every < 2:
+        raise ConfigError(f"--hold-out-every is {args.hold_out_every}, expected at least 2")
+    require_networks()
+    import torch
+
+    torch.set_num_threads(args.threads)
+    scenes = [
+        scene
+        for scene in load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
+        if scene.name not in kept_out
+    ]
+    held_out = scenes[args.hold_out_every // 2 :: args.hold_out_every]
+    names = {scene.name for scene in held_out}
+    settings = {
+        "batch_scenes": args.batch_scenes,
+        "learning_rate": args.learning_rate,
+        "seed": args.seed,
+    }
+    weights = train(
+        [scene for scene in scenes if scene.name not in names],
+        out=args.out,
+        held_out=held_out,
+        model=args.model,
+        preset=args.preset,
+        steps=args.steps,
+        minutes=args.minutes,
+        device=args.device,
+        settings={key: value for key, value in settings.items() if value is not None},
+        notes={"data": f"nuScenes {args.version}", "splits": list(args.split)},
+        progress=not args.quiet,
+    )
+    print(weights)
+    return 0

@@ -1,0 +1,78 @@
+"""The command line: ``ccdiff-env <verb>``.
+
+It stands outside of the package, whose import takes the time of NumPy and Gymnasium, and imports
+what a verb needs when that verb is called: help comes at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+#: What each verb does, and the module of the package with its `add_arguments` and `run`.
+VERBS = {
+    "train": ("train a planning network on nuScenes (resumes a run in --out)", "train_command"),
+    "bench": ("benchmarks of traffic and of planners", "bench.cli"),
+    "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
+    "view": ("write a replay page, a picture or a film", "view.command"),
+    "scenes": ("list the scenes that can be played and shown", "view.listing"),
+    "play": ("play scenes again with other settings, in the browser", "view.play"),
+    "live": ("watch a training: its curves and its newest replay", "view.live"),
+}
+
+
+class _Help(argparse.HelpFormatter):
+    """Help that shows defaults, where there are any to show."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        shown = action.default not in (None, False, [], argparse.SUPPRESS) and action.option_strings
+        return f"{action.help or ''} (default: %(default)s)" if shown else action.help
+
+
+class _Version(argparse.Action):
+    """Prints the version; the package is imported for it alone."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from ccdiff_env.version import __version__
+
+        print(f"ccdiff-env {__version__}")
+        parser.exit()
+
+
+def _show_defaults(parser: argparse.ArgumentParser) -> None:
+    parser.formatter_class = _Help
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                _show_defaults(verb)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb; return the exit status."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    parser = argparse.ArgumentParser(
+        prog="ccdiff-env", description="Driving among learned traffic."
+    )
+    parser.add_argument("--version", nargs=0, action=_Version, help="print the version")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
+    for verb, (help_text, module) in VERBS.items():
+        arguments = verbs.add_parser(verb, help=help_text, description=help_text)
+        if words[:1] == [verb]:
+            found = import_module(f"ccdiff_env.{module}")
+            arguments.set_defaults(run=getattr(found, "run", None))
+            found.add_arguments(arguments)
+    _show_defaults(parser)
+    args = parser.parse_args(words)
+    from ccdiff_env.errors import CcdiffError
+
+    try:
+        status: int = args.run(args)
+    except (CcdiffError, OSError) as error:
+        print(f"ccdiff-env {args.verb}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    return status

@@ -1,0 +1,57 @@
+//! A policy whose panics stay in the module that made it.
+
+use crate::Policy;
+use ccdiff_sim::policy::{Motion, PlanRequest, PlanState, TrafficPolicy, WorldView};
+use ccdiff_sim::{Result, SimError};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::OnceLock;
+
+struct Contained {
+    policy: Policy,
+    /// What the first panic of a motion said.
+    fault: OnceLock<String>,
+}
+
+/// The same policy, whose panics are errors: at once where it plans, in the next step where it moves an agent.
+pub fn contained(policy: Policy) -> Policy {
+    Box::new(Contained { policy, fault: OnceLock::new() })
+}
+
+fn text(cause: Box<dyn std::any::Any + Send>) -> String {
+    let text = cause.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default()
+}
+
+impl Contained {
+    fn error(&self, fault: &str) -> SimError {
+        let message = format!("internal fault, please report it: {fault}");
+        SimError::Policy { policy: self.policy.name().into(), message }
+    }
+}
+
+impl TrafficPolicy for Contained {
+    fn name(&self) -> &str {
+        self.policy.name()
+    }
+
+    fn history_states(&self) -> usize {
+        self.policy.history_states()
+    }
+
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
+        if let Some(fault) = self.fault.get() {
+            return Err(self.error(fault));
+        }
+        let policy = &mut self.policy;
+        catch_unwind(AssertUnwindSafe(|| policy.plan(requests)))
+            .unwrap_or_else(|cause| Err(self.error(&text(cause))))
+    }
+
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Motion {
+        catch_unwind(AssertUnwindSafe(|| self.policy.act(world, plan, agent_idx))).unwrap_or_else(|cause| {
+            // reported by the next plan, which comes before any further motion
+            self.fault.get_or_init(|| text(cause));
+            Motion::Leave
+        })
+    }
+}

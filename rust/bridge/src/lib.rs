@@ -1,0 +1,12 @@
+//! What the extension modules `_native` and `_models` share: exceptions, and values handed from one to the other.
+//!
+//! Each module has a copy of `ccdiff_sim` of its own. `_models` refuses to be imported unless both copies were compiled alike
+//! ([`ccdiff_sim::build_mark`]): a scene or policy made by one is then a scene or policy to the other. No panic crosses
+//! from one to the other, which would end the process: policies are handed over [`contained`].
+
+mod contained;
+pub mod errors;
+mod handed;
+
+pub use contained::contained;
+pub use handed::{Handed, Policy, check_build, policy_capsule, scene_capsule, taken_policy};

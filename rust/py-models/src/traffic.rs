@@ -1,0 +1,51 @@
+//! Networks as drivers of traffic, made here and handed to the worlds of `_native`.
+
+use crate::models::from_model;
+use ccdiff_bridge::{Handed, contained, errors::py, policy_capsule};
+use ccdiff_models::ModelKind;
+use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
+use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Adds the functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(default_policies, module)?)?;
+    module.add_function(wrap_pyfunction!(traffic_policy, module)?)
+}
+
+/// Default options of the kinds that are policies by their own name, as JSON in the form of `WorldConfig::policies`.
+#[pyfunction]
+fn default_policies() -> String {
+    let options = serde_json::json!(CcdiffConfig::default());
+    let kinds: BTreeMap<_, _> =
+        ModelKind::ALL.map(|kind| (kind.name(), serde_json::json!({ kind.name(): options }))).into();
+    serde_json::json!(kinds).to_string()
+}
+
+/// A policy of worlds with this step and history over these scenes; `options` is a `CcdiffConfig` as JSON.
+#[pyfunction]
+fn traffic_policy<'py>(
+    py: Python<'py>,
+    name: &str,
+    kind: &str,
+    options: &str,
+    weights: PathBuf,
+    dt_s: f32,
+    history_steps: usize,
+    scenes: Vec<Handed>,
+) -> PyResult<Bound<'py, PyCapsule>> {
+    let fail = |what: String| py::ConfigError::new_err(format!("config: policies: {name}: {what}"));
+    let config: CcdiffConfig = serde_json::from_str(options).map_err(|e| fail(e.to_string()))?;
+    let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
+    let policy = py.detach(|| {
+        let policy = PlannedTraffic::new(config, &weights)?;
+        policy.check(dt_s, history_steps, &scenes).map(|()| policy)
+    });
+    let policy = policy.map_err(from_model)?;
+    if policy.kind() != kind {
+        return Err(fail(format!("weights of {:?}, expected those of {kind:?}", policy.kind())));
+    }
+    policy_capsule(py, contained(Box::new(policy)))
+}

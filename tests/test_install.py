@@ -1,0 +1,113 @@
+"""What importing the package costs, and what happens without torch: in processes of their own."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ccdiff_env
+from ccdiff_env.models import TORCH
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MEASURED = """
+import resource, sys
+sys.argv = ["ccdiff-env", "--help"]
+{code}
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, "torch" in sys.modules)
+"""
+
+
+def python(code: str) -> str:
+    """Last line that a fresh process prints."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def cost(code: str) -> tuple[float, float, str]:
+    """Least seconds of processor time of three processes, greatest MiB, and whether torch is in."""
+    runs = [python(MEASURED.format(code=code)).split() for _ in range(3)]
+    return min(float(r[0]) for r in runs), max(float(r[1]) for r in runs), runs[0][2]
+
+
+def test_import_is_light_and_leaves_torch_alone():
+    # half a second on an idle machine
+    seconds, mebibytes, torch = cost("import ccdiff_env")
+    assert seconds < 1.0
+    assert mebibytes < 100
+    assert torch == "False"
+
+
+def test_help_comes_at_once():
+    help_text = "from ccdiff_env_cli import main\ntry: main()\nexcept SystemExit: pass"
+    seconds, _, torch = cost(help_text)
+    assert seconds < 0.3
+    assert torch == "False"
+
+
+def test_worlds_with_rules_leave_torch_alone():
+    episode = """
+env = ccdiff_env.EgoEnv(traffic="idm")
+env.reset(seed=1)
+env.step([0.0, 0.0])
+print("torch" in sys.modules)
+"""
+    assert python(f"import sys, ccdiff_env\n{episode}") == "False"
+
+
+REFUSED = """
+import sys, types
+import ccdiff_env
+{before}
+try:
+    ccdiff_env.EgoEnv(traffic="ccdiff")
+except ccdiff_env.errors.MissingFeatureError as error:
+    assert isinstance(error, ImportError)
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "message"),
+    [
+        ("sys.modules['torch'] = None", r"need torch .*pip install 'ccdiff-env\[models\]'"),
+        (
+            "torch = sys.modules['torch'] = types.ModuleType('torch')\n"
+            "torch.__version__ = '2.12.0+cpu'",
+            r"need torch .*, found 2\.12\.0\+cpu",
+        ),
+        ("sys.modules['ccdiff_env._models'] = None", r"built without them"),
+        ("ccdiff_env._native.build_mark = lambda: 1", r"of different builds"),
+    ],
+    ids=["no torch", "another torch", "no module", "another build"],
+)
+def test_networks_that_cannot_be_are_one_clear_line(before, message):
+    assert re.search(message, python(REFUSED.format(before=before)))
+
+
+def test_parts_of_the_package_are_there_when_they_are_named():
+    assert python("import ccdiff_env\nprint(ccdiff_env.view.write_page.__name__)") == "write_page"
+
+
+def test_versions_are_written_alike_everywhere():
+    def found(file: str, pattern: str) -> str:
+        match = re.search(pattern, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
+        assert match, file
+        return match[1]
+
+    versions = {
+        found("pyproject.toml", r'^version = "(.+)"'),
+        found("Cargo.toml", r'^version = "(.+)"'),
+        found("CITATION.cff", r"^version: (.+)"),
+        ccdiff_env.__version__,
+    }
+    assert len(versions) == 1
+    torch = {found("pyproject.toml", r"torch==([\d.]+)"), TORCH}
+    assert torch == {found("rust/models/build.rs", r'TORCH: &str = "([\d.]+)"')}
