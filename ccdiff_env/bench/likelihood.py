@@ -294,7 +294,8 @@ def evaluate(
     """Play scenes several times: one dictionary of likelihoods per scene."""
     chosen = METHODS[method]
     # without a network there is no chance
-    count = num_samples if chosen.driver in NETWORKS else 1
+    draws = chosen.driver in NETWORKS or ":" in chosen.driver
+    count = num_samples if draws else 1
     scenes = scenes_of(source, names)
     played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
     return [

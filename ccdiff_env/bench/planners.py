@@ -62,12 +62,26 @@ def _critical(level: float) -> Traffic:
     )
 
 
-TRAFFIC: dict[str, Traffic] = {
-    "replay": Traffic("Log replay", "replay"),
-    "idm": Traffic("IDM", "idm"),
-    "ccdiff": Traffic("CCDiff, no guidance", "ccdiff", {"num_samples": 1}),
-    **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
-}
+class _Traffics(dict[str, Traffic]):
+    """Traffic by name; a model of one's own is named by its path, ``module:Class``."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or ":" in str(name)
+
+    def __missing__(self, name: str) -> Traffic:
+        if ":" not in name:
+            raise KeyError(name)
+        return Traffic(name.partition(":")[2], name)
+
+
+TRAFFIC: dict[str, Traffic] = _Traffics(
+    {
+        "replay": Traffic("Log replay", "replay"),
+        "idm": Traffic("IDM", "idm"),
+        "ccdiff": Traffic("CCDiff, no guidance", "ccdiff", {"num_samples": 1}),
+        **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
+    }
+)
 
 
 def planner_jobs(

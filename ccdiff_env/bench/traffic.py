@@ -85,33 +85,50 @@ _OVER_SPEED = [
 #: Rankings that only a planning network can make.
 OWN_RANKINGS = ("greedy", "gradient")
 
+
+class _Methods(dict[str, Method]):
+    """Methods by name; a model of one's own is named by its path, ``module:Class``."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or ":" in str(name)
+
+    def __missing__(self, name: str) -> Method:
+        if ":" not in name:
+            raise KeyError(name)
+        return Method(name.partition(":")[2], name)
+
+
 #: The methods by name. More may be added: a driver is all that one needs.
-METHODS: dict[str, Method] = {
-    "replay": Method("Log replay", "replay"),
-    "constant_velocity": Method("Constant velocity", "constant_velocity"),
-    "idm": Method("IDM", "idm"),
-    "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
-    "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
-    "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
-    "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
-    "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
-    "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
-    "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
-    "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
-    "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
-    "ccdiff_no_enc": Method(
-        "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
-    ),
-    "ccdiff_top2": Method("CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2),
-    "ccdiff_over_speed": Method(
-        "CCDiff, over-speed",
-        "ccdiff",
-        ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}},
-    ),
-    "ccdiff_released": Method(
-        "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
-    ),
-}
+METHODS: dict[str, Method] = _Methods(
+    {
+        "replay": Method("Log replay", "replay"),
+        "constant_velocity": Method("Constant velocity", "constant_velocity"),
+        "idm": Method("IDM", "idm"),
+        "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
+        "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
+        "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
+        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
+        "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
+        "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
+        "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
+        "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
+        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
+        "ccdiff_no_enc": Method(
+            "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
+        ),
+        "ccdiff_top2": Method(
+            "CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2
+        ),
+        "ccdiff_over_speed": Method(
+            "CCDiff, over-speed",
+            "ccdiff",
+            ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}},
+        ),
+        "ccdiff_released": Method(
+            "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
+        ),
+    }
+)
 
 #: The networks of the paper's table and CTG++, by name.
 _NETWORKS = {
@@ -356,6 +373,8 @@ def episodes(
             **(options or {}),
         }
     )
+    # a model given by its path drives under a name
+    driver = config.traffic if isinstance(config.traffic, str) else method.driver
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     out, native = worlds.arrays(), worlds.native
     everyone = list(range(len(scenes)))
@@ -372,7 +391,7 @@ def episodes(
         kinds = np.array(scenes[i].agent_types) == "vehicle"
         native.assign(i, np.flatnonzero(kinds).tolist(), "replay")
         if chosen[i]:
-            native.assign(i, chosen[i], method.driver)
+            native.assign(i, chosen[i], driver)
         if method.driver in NETWORKS and not own:
             native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]

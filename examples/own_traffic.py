@@ -1,0 +1,114 @@
+"""Train a small traffic model in torch, and let it drive: ``python examples/own_traffic.py``.
+
+The model sees the last second of each vehicle on its own and proposes accelerations and yaw rates
+for the next second. It is trained on the logs of the embedded scenes, then drives in place of IDM.
+The benchmarks take it by its path::
+
+    PYTHONPATH=examples ccdiff-env bench traffic --methods own_traffic:SmallTraffic --out runs/own
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+import ccdiff_env
+from ccdiff_env.traffic import PythonTraffic, TrafficBatch
+
+HISTORY, STEPS = 11, 10
+WEIGHTS = Path("runs/own_traffic.pt")
+#: Largest acceleration (m/s²) and yaw rate (rad/s) that the model proposes.
+LIMITS = torch.tensor([4.0, 0.6])
+
+
+def features(heading: np.ndarray, speed: np.ndarray) -> torch.Tensor:
+    """Speeds and turns [M, 2 H] of the last steps, in the units of the network."""
+    turn = np.angle(np.exp(1j * (heading - heading[:, -1:])))
+    return torch.from_numpy(np.concatenate([speed / 10.0, turn], axis=1).astype(np.float32))
+
+
+class SmallTraffic:
+    """A network of two layers as a traffic model; weights are read where there are any."""
+
+    def __init__(self, path: Path = WEIGHTS) -> None:
+        torch.manual_seed(0)
+        self.network = nn.Sequential(nn.Linear(2 * HISTORY, 64), nn.Tanh(), nn.Linear(64, 2))
+        if path.is_file():
+            self.network.load_state_dict(torch.load(path, weights_only=True))
+
+    def actions(self, rows: torch.Tensor) -> torch.Tensor:
+        """Accelerations and yaw rates [M, STEPS, 2], the same at every step."""
+        return (LIMITS * torch.tanh(self.network(rows)))[:, None].expand(-1, STEPS, -1)
+
+    def __call__(self, batch: TrafficBatch) -> torch.Tensor:
+        """Return actions [M, STEPS, 2] of all agents of a batch."""
+        with torch.no_grad():
+            return self.actions(
+                features(batch.heading_rad[:, -HISTORY:], batch.speed_mps[:, -HISTORY:])
+            )
+
+
+def samples() -> tuple[torch.Tensor, torch.Tensor]:
+    """What vehicles of the logs did [N, 2 H], and their mean acceleration and yaw rate after it."""
+    rows, targets = [], []
+    for scene in ccdiff_env.embedded_scenes("train"):
+        log = scene.tracks()
+        heading, velocity = log["heading"], log["velocity"]
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        speed = (velocity * ahead).sum(axis=-1)
+        for t in range(HISTORY, scene.num_steps - STEPS, 5):
+            there = log["valid"][:, t - HISTORY + 1 : t + STEPS + 1].all(axis=1)
+            kept = there & (np.array(scene.agent_types) == "vehicle")
+            past = slice(t - HISTORY + 1, t + 1)
+            rows.append(features(heading[kept, past], speed[kept, past]))
+            change = np.stack([speed[kept, t + STEPS] - speed[kept, t],
+                               heading[kept, t + STEPS] - heading[kept, t]], axis=-1)  # fmt: skip
+            targets.append(torch.from_numpy((change / (STEPS * scene.dt)).astype(np.float32)))
+    return torch.cat(rows), torch.cat(targets)
+
+
+def train(model: SmallTraffic, steps: int) -> float:
+    """Fit the model to the logs; returns the mean error of the last steps."""
+    rows, targets = samples()
+    optimiser = torch.optim.Adam(model.network.parameters(), lr=3e-3)
+    draw = torch.Generator().manual_seed(0)
+    errors = []
+    for _ in range(steps):
+        picked = torch.randint(len(rows), (256,), generator=draw)
+        loss = ((model.actions(rows[picked])[:, 0] - targets[picked]) / LIMITS).abs().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        errors.append(float(loss.detach()))
+    return float(np.mean(errors[-20:]))
+
+
+def main() -> None:
+    """Train, save, drive."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=3000, help="training steps")
+    parser.add_argument("--out", type=Path, default=WEIGHTS, help="file of the weights")
+    parser.add_argument("--smoke", action="store_true", help="a few steps of everything")
+    args = parser.parse_args()
+    model = SmallTraffic(Path("no weights"))
+    error = train(model, 40 if args.smoke else args.steps)
+    print(f"error of the actions, in shares of their limits: {error:.3f}")
+    if not args.smoke:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        torch.save(model.network.state_dict(), args.out)
+    traffic = PythonTraffic(model, replan_steps=5, history_states=HISTORY)
+    env = ccdiff_env.make_vec(4, scenes="val", traffic=traffic, driver="idm")
+    env.reset(seed=0)
+    for _ in range(10 if args.smoke else 100):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    plan = env.explain(0)
+    assert plan is not None
+    print(f"world 0 follows a plan of {len(plan.agents)} vehicles, made at step {plan.made_at}")
+
+
+if __name__ == "__main__":
+    main()
