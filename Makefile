@@ -23,8 +23,9 @@ $(STAMP): pyproject.toml
 	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
 	touch $(STAMP)
 
-$(SO) &: $(STAMP) $(RUST) setup.py
-	$(UV) pip install -q --python $(BIN)/python --no-deps --no-build-isolation -e .
+$(SO) &: $(STAMP) $(RUST) tools/build_backend.py
+	$(BIN)/python tools/build_backend.py
+	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
 	touch $(SO)
 
 demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)

@@ -103,7 +103,6 @@ def test_versions_are_written_alike_everywhere():
         return match[1]
 
     versions = {
-        found("pyproject.toml", r'^version = "(.+)"'),
         found("Cargo.toml", r'^version = "(.+)"'),
         found("CITATION.cff", r"^version: (.+)"),
         ccdiff_env.__version__,
