@@ -44,6 +44,8 @@ def play(scenes, ego: str, rules: dict, worlds: int) -> list[dict[str, float]]:
             len(some), scenes=some, driver=driver, info="end", autoreset_mode="next_step", **rules
         )
         obs, _ = env.reset(seed=0, options={"scene": list(range(len(some)))})
+        if act is not None:
+            act.begin(env.worlds)  # refuses worlds that the policy was not trained in
         nothing = np.zeros(env.action_space.shape, np.float32)
         found: dict[int, dict[str, float]] = {}
         while len(found) < len(some):
