@@ -23,6 +23,21 @@ const PEDESTRIAN: u8 = 4;
 /// Half the width of the painted lane direction, metres.
 const LANE_HALF_WIDTH_M: f32 = 1.5;
 
+/// Beyond the logged positions a map is taken to reach at least so far, metres: a vehicle that only leaves its road
+/// sideways does not leave the map.
+const LOG_MARGIN_M: f32 = 10.0;
+
+/// Corners of the box of all that a map holds but its lanes, which loaders do not cut; `None` without any.
+fn extent(map: &Map) -> Option<[Point2; 2]> {
+    let areas = [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.carpark_areas];
+    let lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
+    let points = areas.into_iter().flatten().flat_map(|p| &p.exterior).chain(lines);
+    points.fold(None, |found, p| {
+        let [low, high] = found.unwrap_or([*p; 2]);
+        Some([Point2::new(low.x.min(p.x), low.y.min(p.y)), Point2::new(high.x.max(p.x), high.y.max(p.y))])
+    })
+}
+
 /// The map round a scene as bits and lane directions, one byte each per pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapBitmap {
@@ -33,10 +48,13 @@ pub struct MapBitmap {
     flags: Vec<u8>,
     /// 0: no lane; else 1 + 254 × (direction / 2π).
     direction: Vec<u8>,
+    /// Corners of the part that has a map.
+    known: [Point2; 2],
 }
 
 impl MapBitmap {
-    /// Draws the map over the box of all logged vehicle positions, grown by the raster's reach and 50 m.
+    /// Draws the map over the box of all logged positions, grown by the raster's reach and 50 m. The part that has a map
+    /// ends where its areas and lines end, a loader's crop included, but no nearer than [`LOG_MARGIN_M`] to that box.
     pub fn from_scene(scene: &Scene, config: &MapConfig) -> Self {
         let margin = config.reach_m() + 50.0;
         let valid = scene.tracks.position.iter().zip(&scene.tracks.valid).filter(|(_, ok)| **ok);
@@ -48,19 +66,29 @@ impl MapBitmap {
         if min.x > max.x {
             (min, max) = (Point2::origin(), Point2::origin());
         }
+        let near = |low: f32, high: f32, from: f32, to: f32| {
+            [low.min(from - LOG_MARGIN_M), high.max(to + LOG_MARGIN_M)]
+        };
+        let known = extent(&scene.map).map(|[low, high]| {
+            let (x, y) = (near(low.x, high.x, min.x, max.x), near(low.y, high.y, min.y, max.y));
+            [Point2::new(x[0], y[0]), Point2::new(x[1], y[1])]
+        });
         let size = |a: f32, b: f32| ((b - a + 2.0 * margin) * config.bitmap_px_per_m).ceil() as usize + 1;
-        Self::draw(
+        let bitmap = Self::draw(
             &scene.map,
             Point2::new(min.x - margin, min.y - margin),
             config.bitmap_px_per_m,
             size(min.x, max.x),
             size(min.y, max.y),
-        )
+        );
+        Self { known: known.unwrap_or(bitmap.known), ..bitmap }
     }
 
     /// Draws a map into `width` x `height` pixels whose first corner is `min`.
     pub fn draw(map: &Map, min: Point2, px_per_m: f32, width: usize, height: usize) -> Self {
+        let whole = [Point2::new(f32::MIN, f32::MIN), Point2::new(f32::MAX, f32::MAX)];
         let mut bitmap = Self {
+            known: whole,
             min,
             px_per_m,
             width,
@@ -151,10 +179,11 @@ impl MapBitmap {
         }
     }
 
-    /// Whether a point lies on the bitmap.
+    /// Whether a point lies where there is a map: on the bitmap, and within the edge of the map.
     pub fn covers(&self, point: Point2) -> bool {
-        let (x, y) = self.to_px(point);
-        self.index(x, y).is_some()
+        let ((x, y), [low, high]) = (self.to_px(point), self.known);
+        let within = low.x <= point.x && point.x <= high.x && low.y <= point.y && point.y <= high.y;
+        within && self.index(x, y).is_some()
     }
 
     /// Cuts the layers round a pose into `out` [layers, size, size].
