@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_speed(kinds)
     _add_realism(kinds)
     _add_selection(kinds)
+    _add_reactivity(kinds)
 
 
 def _counts(text: str) -> list[int | None]:
@@ -375,7 +376,23 @@ def _realism(args: argparse.Namespace) -> int:
         run.source, args.methods.split(","), num_samples=args.samples, seed=args.seed
     )
     rows = {method: found for (method,), found in run.rows(jobs, "method").items()}
-    write_likelihoods(rows, run.folder)
+    write_likelihoods(rows, run.folder, num_samples=args.samples)
     return run.report(
         "Realism", plots=["likelihoods.png"], parts={"Likelihood of the log": "table.md"}
     )
+
+
+def _add_reactivity(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("reactivity", help="an ego that leaves its log, and who copes")
+    add_run_arguments(parser)
+    parser.add_argument("--traffic", default="replay,idm,ccdiff", help="comma-separated")
+    parser.set_defaults(run=_reactivity)
+
+
+def _reactivity(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.reactivity import reactivity_jobs, write_reactivity
+
+    run = Run(args, "reactivity")
+    jobs = reactivity_jobs(run.source, args.traffic.split(","), seed=args.seed)
+    write_reactivity(run.rows(jobs, "traffic", "way"), run.folder)
+    return run.report("Reactivity", plots=[], parts={"Who copes": "table.md"})

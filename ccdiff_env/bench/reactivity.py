@@ -1,0 +1,252 @@
+"""Reactivity: the ego leaves its log in plausible ways, and the others must cope.
+
+In the manner of reactivity tests of nuPlan, not an implementation of any. An ego that moves at
+2 m/s and more at the start of the episode
+
+* ``speed``: brakes on its logged path with 2 m/s², or as the log where that is slower;
+* ``lateral``: moves over by 1.5 m within 3 s at its logged pace, to the left, else to the right,
+  where its centre stays on the road;
+* ``direction``: turns off by 30 degrees with at most 1.5 m/s² across, at the speed it has, and
+  brakes with 3 m/s² to a standstill before its centre leaves the road; to the left, else right.
+
+``log`` is the floor: the ego does as logged. A way that a scene has no room for is left out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.bench.episode import drivable, logged
+from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.planner_report import mean_interval
+from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
+from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.metrics import Motion
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.scenes import Scene, SceneSet
+
+__all__ = ["WAYS", "altered", "evaluate", "reactivity_jobs", "write_reactivity"]
+
+WAYS = ("log", "speed", "lateral", "direction")
+LEAST_SPEED_MPS, LEAST_CHANGE_M = 2.0, 1.0
+BRAKING_MPS2, STOPPING_MPS2 = 2.0, 3.0
+OFFSET_M, OFFSET_S = 1.5, 3.0
+TURN_RAD, ACROSS_MPS2, YAW_RATE_RADPS = np.pi / 6, 1.5, 0.3
+
+F64 = npt.NDArray[np.float64]
+#: x, y and heading after each step.
+Path3 = tuple[F64, F64, F64]
+
+
+def altered(scene: Scene, way: str) -> Scene | None:
+    """Return a scene in which the log of the ego goes another way from the start of the episode on.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    way
+        One of :data:`WAYS`.
+
+    Returns
+    -------
+    Scene or None
+        ``None`` where there is no ego that moves, or no room.
+    """
+    if way not in WAYS:
+        raise UnknownNameError(f"no way {way!r}, there are {', '.join(WAYS)}")
+    tracks = {name: values.copy() for name, values in scene.tracks().items()}
+    ego = list(scene.agent_ids).index("ego") if "ego" in scene.agent_ids else None
+    if ego is None or not tracks["valid"][ego, HISTORY_STEPS:].all():
+        return None
+    if np.linalg.norm(tracks["velocity"][ego, HISTORY_STEPS]) < LEAST_SPEED_MPS:
+        return None
+    if way == "log":
+        return scene
+    path = _path(scene, tracks, ego, way)
+    if path is None:
+        return None
+    x, y, heading = path
+    after = slice(HISTORY_STEPS, None)
+    position = np.stack([x, y], axis=-1)
+    tracks["velocity"][ego, HISTORY_STEPS + 1 :] = np.diff(position, axis=0) / scene.dt
+    tracks["position"][ego, after] = position
+    tracks["heading"][ego, after] = heading
+    return Scene.from_arrays(
+        scene.name,
+        agent_ids=scene.agent_ids,
+        agent_types=scene.agent_types,
+        agent_categories=scene.agent_categories,
+        sizes=scene.sizes,
+        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
+        dt=scene.dt,
+        token=scene.token,
+        location=scene.location,
+        source=scene.source,
+        origin=scene.origin,
+        map_layers=scene.map_layers(),
+    )
+
+
+def _path(scene: Scene, tracks: Mapping[str, Any], ego: int, way: str) -> Path3 | None:
+    x, y = tracks["position"][ego, HISTORY_STEPS:].T.astype(np.float64)
+    heading = tracks["heading"][ego, HISTORY_STEPS:].astype(np.float64)
+    speed = float(np.linalg.norm(tracks["velocity"][ego, HISTORY_STEPS]))
+    time_s = np.arange(len(x)) * scene.dt
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    if way == "speed":
+        until = np.minimum(time_s, speed / BRAKING_MPS2)
+        driven = speed * until - 0.5 * BRAKING_MPS2 * until**2
+        # where the log brakes harder, so does the ego
+        driven = np.minimum(driven, way_m)
+        far = np.max(way_m - driven) > LEAST_CHANGE_M
+        return _at(driven, way_m, (x, y, heading)) if far else None
+    for side in (1.0, -1.0):
+        if way == "lateral":
+            share = np.clip(time_s / OFFSET_S, 0.0, 1.0)
+            offset = side * OFFSET_M * share**2 * (3.0 - 2.0 * share)
+            x2, y2 = x - offset * np.sin(heading), y + offset * np.cos(heading)
+            pace = np.maximum(np.gradient(way_m, scene.dt), 1.0)
+            path = (x2, y2, heading + np.arctan2(np.gradient(offset, scene.dt), pace))
+            if not _off_road(scene, ego, path).any():
+                return path
+            continue
+        rate = min(YAW_RATE_RADPS, ACROSS_MPS2 / speed)
+        turned = heading[0] + side * np.minimum(rate * time_s, TURN_RAD)
+        step = speed * scene.dt
+        x2 = x[0] + np.concatenate([[0.0], np.cumsum(step * np.cos(turned[:-1]))])
+        y2 = y[0] + np.concatenate([[0.0], np.cumsum(step * np.sin(turned[:-1]))])
+        off = _off_road(scene, ego, (x2, y2, turned))
+        room_m = step * (int(off.argmax()) - 1 if off.any() else len(x))
+        if room_m < speed**2 / (2.0 * STOPPING_MPS2) + step:
+            continue
+        driven, now = np.zeros(len(x)), speed
+        for k in range(1, len(x)):
+            left_m = max(room_m - driven[k - 1], 0.0)
+            now = min(now, np.sqrt(2.0 * STOPPING_MPS2 * left_m))
+            driven[k] = driven[k - 1] + min(now * scene.dt, left_m)
+        return _at(driven, step * np.arange(len(x)), (x2, y2, turned))
+    return None
+
+
+def _at(driven_m: F64, way_m: F64, path: Path3) -> Path3:
+    """Where a path is after so many metres."""
+    x, y, heading = (np.interp(driven_m, way_m, values) for values in path)
+    return x, y, heading
+
+
+def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
+    x, y, heading = (values[None] for values in path)
+    size, there = scene.sizes[ego : ego + 1, :2], np.ones(x.shape, bool)
+    motion = Motion(np.stack([x, y], axis=-1), heading, size, there, dt_s=scene.dt)
+    off: npt.NDArray[np.bool_] = motion.off_road(drivable(scene)).centroid[0]
+    return off
+
+
+def reactivity_jobs(
+    source: Mapping[str, str], traffic: Sequence[str], *, seed: int = 0
+) -> list[Job]:
+    """Return the jobs: traffic x ways x pieces of the scenes.
+
+    Parameters
+    ----------
+    source
+        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+    traffic
+        Names of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
+    seed
+        Seed of the episodes.
+    """
+    for name in traffic:
+        if name not in TRAFFIC:
+            raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
+    pieces = chunks(scene_names(source), CHUNK)
+    return [
+        Job(
+            f"{name}-{way}-{i:03d}",
+            f"{__name__}:evaluate",
+            {
+                "source": dict(source),
+                "names": piece,
+                "traffic": name,
+                "way": way,
+                "seed": seed,
+            },
+        )
+        for name in traffic
+        for way in WAYS
+        for i, piece in enumerate(pieces)
+    ]
+
+
+def evaluate(
+    *, source: Mapping[str, str], names: Sequence[str], traffic: str, way: str, seed: int
+) -> list[dict[str, Any]]:
+    """Play scenes with an ego that goes a way: one dictionary for each that has room for it.
+
+    ``collision``: the ego is in a contact with a vehicle that touches it neither at the start nor
+    in the log; ``low_ttc``: its least time to contact is below 0.95 s; ``others``: two others
+    begin to touch.
+    """
+    original = list(scenes_of(source, names))
+    changed = [altered(scene, way) for scene in original]
+    kept = [(scene, new) for scene, new in zip(original, changed, strict=True) if new is not None]
+    if not kept:
+        return []
+    scenes = SceneSet([new for _, new in kept])
+    options = {"terminate_at_goal": False}
+    recorded = [scene.name for scene in scenes]
+    _, rollouts = drive(
+        scenes, "replay", TRAFFIC[traffic], seed=seed, options=options, record=recorded
+    )
+    return [_row(scene, rollouts[new.name]) for scene, new in kept]
+
+
+def _row(scene: Scene, rollout: Rollout) -> dict[str, Any]:
+    vehicles = np.flatnonzero(np.array(scene.agent_types) == "vehicle")
+    ego = int(np.flatnonzero(np.array(scene.agent_ids)[vehicles] == "ego")[0])
+    motion = Motion(
+        rollout.position[vehicles],
+        rollout.heading[vehicles],
+        scene.sizes[vehicles][:, :2],
+        rollout.valid[vehicles],
+        dt_s=rollout.dt_s,
+    )
+    steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    new = motion.collisions(log=logged(scene, vehicles, steps)).matrix("new")
+    others = np.delete(np.delete(new, ego, axis=0), ego, axis=1)
+    return {
+        "scene": scene.name,
+        "collision": bool(new[ego].any() or new[:, ego].any()),
+        "low_ttc": bool(motion.min_ttc()[ego] < TTC_BOUND_S),
+        "others": bool(others.any()),
+    }
+
+
+def write_reactivity(
+    found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], folder: Path
+) -> None:
+    """Write ``table.md``: shares of scenes by traffic and way, with their intervals."""
+    lines = [
+        "| traffic | the ego's way | scenes | collision with the ego | low time to contact | "
+        "others collide |",
+        "|---|---|---:|---|---|---|",
+    ]
+    for (traffic, way), rows in found.items():
+        cells = []
+        for name in ("collision", "low_ttc", "others"):
+            if rows:
+                mean, low, high = mean_interval(rows, name)
+                cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
+            else:
+                cells.append("")
+        label = TRAFFIC[traffic].label
+        lines.append(f"| {label} | {way} | {len(rows)} | " + " | ".join(cells) + " |")
+    lines += ["", "Shares of scenes; brackets: 95 % bootstrap intervals. Low: below 0.95 s."]
+    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

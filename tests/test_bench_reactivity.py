@@ -1,0 +1,70 @@
+"""Reactivity: plausible ways off the log, and what the others make of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import cli
+from ccdiff_env.bench.episode import drivable
+from ccdiff_env.bench.reactivity import WAYS, altered
+from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.metrics import Motion
+
+START = 30
+
+
+def test_altered_egos_leave_their_log_within_the_rules():
+    found = dict.fromkeys(WAYS, 0)
+    for scene in ccdiff_env.embedded_scenes("val"):
+        log = scene.tracks()
+        for way in WAYS:
+            new = altered(scene, way)
+            if new is None:
+                continue
+            found[way] += 1
+            tracks, ego = new.tracks(), list(scene.agent_ids).index("ego")
+            others = np.delete(np.arange(len(scene.agent_ids)), ego)
+            np.testing.assert_array_equal(tracks["position"][others], log["position"][others])
+            before = slice(0, START + 1)
+            np.testing.assert_allclose(
+                tracks["position"][ego, before], log["position"][ego, before], atol=1e-4
+            )
+            path = tracks["position"][ego, START:].astype(np.float64)
+            away = np.linalg.norm(path - log["position"][ego, START:], axis=-1).max()
+            assert (away > 1.0) == (way != "log")
+            if way == "log":
+                continue
+            motion = Motion(
+                path[None].astype(np.float32), tracks["heading"][ego : ego + 1, START:],
+                scene.sizes[ego : ego + 1, :2], np.ones((1, len(path)), bool), dt_s=scene.dt,
+            )  # fmt: skip
+            if way != "speed":
+                assert not motion.off_road(drivable(scene)).centroid.any()
+            speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) / scene.dt
+            if way == "direction":
+                # half a second of braking at 3 m/s², in steps
+                assert (speed[5:] - speed[:-5] > -2.0).all()
+            if way == "speed":
+                logged = np.linalg.norm(np.diff(log["position"][ego, START:], axis=0), axis=-1)
+                assert (np.cumsum(speed) * scene.dt <= np.cumsum(logged) + 1e-3).all()
+    assert all(found.values()), found
+
+
+def test_unknown_ways_and_traffic_are_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="no way 'up'"):
+        altered(ccdiff_env.embedded_scenes("val")[0], "up")
+    command = ["bench", "reactivity", "--out", str(tmp_path), "--limit", "1", "--traffic", "none"]
+    assert cli.main(command) == 2
+
+
+def test_the_command_writes_a_row_for_every_traffic_and_way(tmp_path, capsys):
+    command = ["bench", "reactivity", "--out", str(tmp_path), "--limit", "2", "--quiet"]
+    assert cli.main([*command, "--traffic", "replay,idm"]) == 0
+    table = (tmp_path / "table.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:3] for line in table.splitlines() if line.startswith("| ")][1:]
+    assert [[c.strip() for c in row] for row in rows] == [
+        [traffic, way] for traffic in ("Log replay", "IDM") for way in WAYS
+    ]
+    assert (tmp_path / "report.html").exists()
