@@ -19,7 +19,9 @@ __all__ = ["write_likelihoods"]
 _COLUMNS = (*GROUPS, *FEATURES, "ade_m", "min_ade_m")
 
 
-def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) -> None:
+def write_likelihoods(
+    found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path, *, num_samples: int
+) -> None:
     """Write ``table.md``, ``likelihoods.csv`` and ``likelihoods.png``.
 
     Parameters
@@ -29,6 +31,8 @@ def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: 
         :func:`ccdiff_env.bench.likelihood.scene_likelihoods`.
     folder
         Where to.
+    num_samples
+        Episodes per scene and method, which the likelihoods depend on.
     """
     figures = {
         method: {name: _interval(rows, name) for name in _COLUMNS} for method, rows in found.items()
@@ -39,7 +43,7 @@ def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: 
         writer.writerow(["method", "scenes", *ends])
         for method, by_name in figures.items():
             writer.writerow([method, len(found[method]), *(v for f in by_name.values() for v in f)])
-    groups = ["| method | " + " | ".join(GROUPS) + " | ADE m | min ADE m |"]
+    groups = ["| method | " + " | ".join(GROUPS) + f" | ADE m | min ADE m of {num_samples} |"]
     groups.append("|---|" + "---|" * (len(GROUPS) + 2))
     parts = ["| method | " + " | ".join(n.replace("_", " ") for n in FEATURES) + " |"]
     parts.append("|---|" + "---|" * len(FEATURES))
@@ -49,15 +53,11 @@ def write_likelihoods(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: 
         cells += [_cell(by_name[n], 2) for n in ("ade_m", "min_ade_m")]
         groups.append(f"| {label} | " + " | ".join(cells) + " |")
         parts.append(f"| {label} | " + " | ".join(f"{by_name[n][0]:.3f}" for n in FEATURES) + " |")
-    text = [
-        _verdict(figures),
-        "",
-        *groups,
-        "",
-        *parts,
-        "",
-        "Means over scenes; brackets: 95 % bootstrap intervals.",
-    ]
+    note = (
+        f"Means over scenes; brackets: 95 % bootstrap intervals. {num_samples} episodes per "
+        "scene and method: figures from another number cannot be compared."
+    )
+    text = [_verdict(figures), "", *groups, "", *parts, "", note]
     (folder / "table.md").write_text("\n".join(text) + "\n", encoding="utf-8")
     _plot(figures, folder / "likelihoods.png")
 
