@@ -115,8 +115,8 @@ def test_samples_of_a_scene_differ_and_unknown_methods_are_refused():
     assert one["min_ade_m"] == one["ade_m"]
     assert two["min_ade_m"] < two["ade_m"]
     assert two["min_ade_m"] <= one["ade_m"]
-    with pytest.raises(UnknownNameError, match="no method 'ctg'"):
-        likelihood_jobs(VAL, ["ctg"])
+    with pytest.raises(UnknownNameError, match="no method 'nobody'"):
+        likelihood_jobs(VAL, ["nobody"])
     with pytest.raises(ConfigError, match="samples"):
         likelihood_jobs(VAL, ["idm"], num_samples=0)
 
