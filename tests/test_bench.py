@@ -218,8 +218,8 @@ def test_jobs_name_their_condition_and_the_floor_is_always_there():
     assert Condition("replay", 0, 5) in found
     assert Condition("ccdiff", None, 10) in found
     assert Condition("idm", 1, 10) not in found
-    with pytest.raises(UnknownNameError, match="no method 'ctg'"):
-        traffic_jobs(VAL, ["ctg"])
+    with pytest.raises(UnknownNameError, match="no method 'nobody'"):
+        traffic_jobs(VAL, ["nobody"])
 
 
 def _row(scene, collided, off_road, fde, histogram):
