@@ -15,7 +15,7 @@ import pytest
 import scipy.stats
 
 import ccdiff_env
-from ccdiff_env import cli
+from ccdiff_env import _native, cli
 from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
@@ -362,7 +362,7 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
 
 
 def test_all_methods_have_drivers_that_exist():
-    assert {m.driver for m in METHODS.values()} <= {"replay", "constant_velocity", "idm", "ccdiff"}
+    assert {m.driver for m in METHODS.values()} <= {name for name, *_ in _native.drivers()}
 
 
 def test_learning_tables_average_over_scenes_then_seeds():

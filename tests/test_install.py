@@ -38,9 +38,9 @@ def cost(code: str) -> tuple[float, float, str]:
 
 
 def test_import_is_light_and_leaves_torch_alone():
-    # half a second on an idle machine
+    # half a second on an idle machine; twice as much and more where every core is taken
     seconds, mebibytes, torch = cost("import ccdiff_env")
-    assert seconds < 1.0
+    assert seconds < 2.0
     assert mebibytes < 100
     assert torch == "False"
 

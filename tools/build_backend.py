@@ -1,9 +1,10 @@
 """Build backend of the package: cargo makes `_models`, maturin everything else.
 
-maturin puts one extension module into a wheel: `_native`, which needs Rust alone. `_models`, the networks, is made before,
-with libtorch of LIBTORCH, of the link .libtorch that `make setup` makes, or of the torch that pip installs for the time of
-the build, and lies beside the Python sources, from where maturin takes it along. ``CCDIFF_MODELS=0`` leaves it out, and with
-it gigabytes of torch. ``python tools/build_backend.py`` makes `_models` alone.
+maturin puts one extension module into a wheel: `_native`, which needs Rust alone. `_models`, the
+networks, is made before, with libtorch of LIBTORCH, of the link .libtorch that `make setup` makes,
+or of the torch that pip installs for the time of the build, and lies beside the Python sources,
+from where maturin takes it along. ``CCDIFF_MODELS=0`` leaves it out, and with it gigabytes of
+torch. ``python tools/build_backend.py`` makes `_models` alone.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def _libtorch() -> Path | None:
 
 
 def make_models() -> None:
-    """Compile `_models` and put it beside the Python sources; end with one line where that cannot be."""
+    """Compile `_models` and put it beside the Python sources, or end with a line that says why."""
     MODULE.unlink(missing_ok=True)
     for tool, cure in (("cargo", "install Rust, https://rustup.rs"), ("c++", "install g++")):
         if shutil.which(tool) is None and (_wanted() or tool == "cargo"):
@@ -60,9 +61,10 @@ def make_models() -> None:
     # the link is where .cargo/config.toml looks, too: one spelling, one build
     if folder != ROOT / ".libtorch":
         environment["LIBTORCH"] = str(folder)
-    # with ccdiff-render the dependencies of ccdiff-sim have the same features as under maturin: one build of it serves both
-    # modules, as they ask of each other
-    call = ["cargo", "build", "--release", "--locked", "-p", "ccdiff-py-models", "-p", "ccdiff-render"]
+    # with ccdiff-render the dependencies of ccdiff-sim have the same features as under maturin: one
+    # build of it serves both modules, as they ask of each other
+    packages = ["-p", "ccdiff-py-models", "-p", "ccdiff-render"]
+    call = ["cargo", "build", "--release", "--locked", *packages]
     if subprocess.run(call, cwd=ROOT, env=environment, check=False).returncode != 0:
         sys.exit(f"ccdiff-env: {' '.join(call)} failed, see above")
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
@@ -94,7 +96,8 @@ def get_requires_for_build_sdist(config_settings: Any = None) -> list[str]:
     """Return what maturin needs."""
     import maturin
 
-    return maturin.get_requires_for_build_sdist(config_settings)
+    requirements: list[str] = maturin.get_requires_for_build_sdist(config_settings)
+    return requirements
 
 
 def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
@@ -102,7 +105,7 @@ def build_wheel(folder: str, config_settings: Any = None, metadata: str | None =
     import maturin
 
     make_models()
-    return maturin.build_wheel(folder, config_settings, metadata)
+    return str(maturin.build_wheel(folder, config_settings, metadata))
 
 
 def build_editable(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
@@ -110,14 +113,14 @@ def build_editable(folder: str, config_settings: Any = None, metadata: str | Non
     import maturin
 
     make_models()
-    return maturin.build_editable(folder, config_settings, metadata)
+    return str(maturin.build_editable(folder, config_settings, metadata))
 
 
 def build_sdist(folder: str, config_settings: Any = None) -> str:
     """Make a source distribution: the files that git tracks."""
     import maturin
 
-    return maturin.build_sdist(folder, config_settings)
+    return str(maturin.build_sdist(folder, config_settings))
 
 
 if __name__ == "__main__":

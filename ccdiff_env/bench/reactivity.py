@@ -61,7 +61,7 @@ def altered(scene: Scene, way: str) -> Scene | None:
     """
     if way not in WAYS:
         raise UnknownNameError(f"no way {way!r}, there are {', '.join(WAYS)}")
-    tracks = {name: values.copy() for name, values in scene.tracks().items()}
+    tracks = {name: np.array(values) for name, values in scene.tracks().items()}
     ego = list(scene.agent_ids).index("ego") if "ego" in scene.agent_ids else None
     if ego is None or not tracks["valid"][ego, HISTORY_STEPS:].all():
         return None

@@ -68,10 +68,13 @@ pub(crate) fn drawn(kind: &str) -> Driver {
     pictured.or(like).unwrap_or(Driver::Other)
 }
 
+/// Name, title, colour and number in pictures.
+type Row = (&'static str, &'static str, (u8, u8, u8), u8);
+
 /// Name, title, colour and number in pictures of everybody who may move an agent: those that pictures tell apart, in
 /// the order of their numbers, then the kinds that look like one of them.
 #[pyfunction]
-fn drivers() -> Vec<(&'static str, &'static str, (u8, u8, u8), u8)> {
+fn drivers() -> Vec<Row> {
     let row = |name, title, d: Driver| (name, title, (d.colour().0, d.colour().1, d.colour().2), d as u8);
     let pictured = Driver::ALL.iter().map(|d| row(d.name(), d.title(), *d));
     let others = KINDS.iter().filter(|k| k.drawn.name() != k.name);

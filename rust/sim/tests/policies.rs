@@ -147,7 +147,7 @@ fn plans_are_part_of_snapshots_and_forks_and_end_with_the_episode() {
         batch.step(&actions(t, 4)).unwrap();
     }
     let kept = batch.world.snapshot(0).unwrap();
-    let mut play = |batch: &mut Batch| {
+    let play = |batch: &mut Batch| {
         (6..14).for_each(|t| batch.step(&actions(t, 4)).unwrap());
         batch.world.digest(0).unwrap()
     };

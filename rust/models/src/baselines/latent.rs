@@ -29,7 +29,7 @@ fn gradient(
         let mut total = (&knots * fixed).sum(Kind::Float);
         if let Some((prior, share)) = prior {
             let off = (&leaf - &prior.mean) / prior.std();
-            total = total + (off.square() * share).sum(Kind::Float) * 0.5;
+            total += (off.square() * share).sum(Kind::Float) * 0.5;
         }
         total.backward();
         Ok(leaf.grad())
@@ -58,7 +58,7 @@ pub(super) fn descended(
         second = second * BETA.1 + gradient.square() * (1.0 - BETA.1);
         let (unbias_1, unbias_2) = (1.0 - BETA.0.powi(step), 1.0 - BETA.1.powi(step));
         let change = (&first / unbias_1) / ((&second / unbias_2).sqrt() + 1e-8);
-        z = z - change * f64::from(config.learning_rate);
+        z -= change * f64::from(config.learning_rate);
     }
     Ok((start + strength * (z - start)).where_self(&guided, start))
 }
