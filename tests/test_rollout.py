@@ -213,11 +213,10 @@ def test_recording_stops_at_the_end_of_the_episode():
     env = ccdiff_env.make_vec(
         2, scenes="val", autoreset_mode="next_step", horizon_steps=3, terminate_at_goal=False
     )
+    with pytest.raises(errors.ResetNeededError):
+        Recorder(env, world_idx=1).step()
     env.reset(seed=0)
     recorder = Recorder(env, world_idx=1)
-    with pytest.raises(errors.ResetNeededError):
-        recorder.step()
-    recorder.start()
     on = [(env.step(np.zeros((2, 2), np.float32)), recorder.step())[1] for _ in range(5)]
     assert on == [True, True, True, False, False]
     rollout = recorder.rollout()
