@@ -16,10 +16,13 @@ ROOT = Path(__file__).resolve().parents[1]
 
 MEASURED = """
 import resource, sys
+from pathlib import Path
 sys.argv = ["ccdiff-env", "--help"]
 {code}
 used = resource.getrusage(resource.RUSAGE_SELF)
-print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, "torch" in sys.modules)
+# of this program alone: ru_maxrss begins at what the process had that started it
+peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]
+print(used.ru_utime + used.ru_stime, int(peak) / 1024, "torch" in sys.modules)
 """
 
 

@@ -87,7 +87,8 @@ async function main() {
   player.camera.scale = Math.max(Math.min(width, height) / 75, 4.5);
   const asked = readAddress(player);
   addEventListener("hashchange", () => readAddress(player));
-  setInterval(() => writeAddress(player), 500);
+  let known = addressOf(player); // as opened: the address stays as it came until something changes
+  setInterval(() => { known = writeAddress(player, known); }, 500);
   player.playing = asked.has("t") ? asked.has("play") : !matchMedia("(prefers-reduced-motion)").matches;
   new ResizeObserver(() => player.touch()).observe($("app"));
   window.replay = player; // for the curious, and for tests
@@ -145,14 +146,12 @@ function addressOf(player) {
   return `#${wishes.toString().replaceAll("%2C", ",")}`;
 }
 
-/** The address bar follows while nothing plays. */
-function writeAddress(player) {
+/** The address bar follows while nothing plays. Returns the address that it now stands for. */
+function writeAddress(player, known) {
   const hash = addressOf(player);
-  if (player.playing || hash === writeAddress.last) return;
-  if (writeAddress.last !== undefined) {
-    try { history.replaceState(null, "", hash); } catch { return; } // a page inside another one
-  }
-  writeAddress.last = hash;
+  if (player.playing || hash === known) return known;
+  try { history.replaceState(null, "", hash); } catch { return known; } // a page inside another one
+  return hash;
 }
 
 async function copyLink(player) {
