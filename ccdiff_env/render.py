@@ -174,8 +174,11 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
 def _save_gif(stack: Image, path: Path, fps: float) -> None:
     library = pillow()
     # One palette for the whole film, taken from a few of its pictures: colours do not flicker.
+    # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
     few = stack[:: max(1, len(stack) // 8)]
-    palette = library.fromarray(np.concatenate(list(few))).quantize(256, method=0, dither=0)
+    stripes = np.repeat(np.array([*legend().values()], np.uint8), 8, axis=0)[:, None, :]
+    pictures = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
+    palette = library.fromarray(np.concatenate(pictures)).quantize(256, method=0, dither=0)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0

@@ -33,6 +33,8 @@ class Film:
         Metres across the width.
     follow
         Id of the agent in the middle; the first agent (the ego) by default.
+    centre_m
+        A point (x, y) of the scene in the middle instead, metres: the picture stands still.
     graph
         Draw the causal graph of the plan in force.
     captions
@@ -46,6 +48,7 @@ class Film:
         size: tuple[int, int] = (720, 720),
         span_m: float = 90.0,
         follow: str | None = None,
+        centre_m: tuple[float, float] | None = None,
         graph: bool = False,
         captions: bool = True,
     ) -> None:
@@ -55,7 +58,11 @@ class Film:
         self._rollout = rollout
         self._size, self._span_m = size, span_m
         self._graph, self._captions = graph, captions
-        self._centres = _centres(rollout, rollout.agent_ids.index(follow))
+        self._centres = (
+            _centres(rollout, rollout.agent_ids.index(follow))
+            if centre_m is None
+            else np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
+        )
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
