@@ -18,6 +18,8 @@ from ccdiff_env.config import ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners import load_sb3
+from ccdiff_env.view.sources import play_scene
+from ccdiff_env_cli import main
 
 REPLAY = TRAFFIC["replay"]
 
@@ -125,6 +127,24 @@ def test_policies_are_driven_as_they_were_trained(scenes, tmp_path, options):
     config = rollouts[scenes[0].name].meta["config"]
     for name in ("action", "observation"):
         assert config[name] == json.loads(seat.config.to_json())[name]
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_page_shows_a_policy_of_a_file(scenes, tmp_path, steps):
+    file = tmp_path / "ego.zip"
+    trained(scenes, decision_steps=steps, dynamics="bicycle").save(file)
+    rollout = play_scene(scenes[0], traffic="idm", driver=str(file))
+    planned = drive(scenes[:1], str(file), TRAFFIC["idm"], record=scenes.names[:1])[1]
+    same = slice(None, rollout.num_steps - 1)
+    assert np.array_equal(
+        rollout.position[0, same], planned[scenes[0].name].position[0, same], equal_nan=True
+    )
+    page = tmp_path / "page.html"
+    assert (
+        main(["view", scenes[0].name, "--traffic", "idm", "--driver", str(file), "-o", str(page)])
+        == 0
+    )
+    assert page.stat().st_size > 50_000
 
 
 def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
