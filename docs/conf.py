@@ -6,7 +6,7 @@ from pathlib import Path
 project = "ccdiff-env"
 author = copyright = "the ccdiff-env authors"
 version = release = re.search(
-    r'^version = "(.+)"$', Path(__file__).parents[1].joinpath("pyproject.toml").read_text(), re.M
+    r'^version = "(.+)"$', Path(__file__).parents[1].joinpath("Cargo.toml").read_text(), re.M
 )[1]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["site"]
