@@ -180,8 +180,8 @@ def test_sets_of_two_generators_need_two_names(tmp_path):
         set_folders(["a/ego.zip", "b/ego.zip"], tmp_path)
     folders = set_folders(["egos/ego.zip", "my.planners:Mine"], tmp_path)
     assert [folder.name for folder in folders.values()] == ["ego", "my.planners-Mine"]
-    with pytest.raises(UnknownNameError, match="no traffic 'ctg'"):
-        generation_jobs(VAL, folders, traffic="ctg")
+    with pytest.raises(UnknownNameError, match="no traffic 'ctg-9'"):
+        generation_jobs(VAL, folders, traffic="ctg-9")
 
 
 def scenario(scene, *, collision, avoidable):

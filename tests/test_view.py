@@ -249,6 +249,14 @@ def test_criticalities_are_shown_beside_each_other(tmp_path):
     assert [run["title"] for run in runs] == ["CCDiff, criticality 0", "CCDiff, criticality 1"]
 
 
+def test_networks_are_shown_beside_each_other_and_their_log(tmp_path):
+    out = tmp_path / "page.html"
+    options = ["--traffic", "ctg", "ccdiff", "--compare", "log", "--samples", "1", "-o", str(out)]
+    assert cli.main(["view", "left-turn-00", *options]) == 0
+    runs = [unpacked(e)[0]["run"] for e in elements(out.read_text(encoding="utf-8"))]
+    assert [run["title"] for run in runs] == ["CTG", "CCDiff", "log"]
+
+
 def test_pages_need_nothing_from_outside():
     text = page_html(planned_rollout())
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)""", text)

@@ -19,7 +19,6 @@ from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.terminal import align, say_page
-from ccdiff_env.traffic import NETWORKS
 
 __all__ = ["Run", "add_replays", "add_run_arguments", "add_scene_arguments", "source_from"]
 
@@ -88,8 +87,8 @@ class Run:
         self.source = source_from(args)
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
-        files = (shipped_weights(name) for name in NETWORKS)
-        shipped = b"".join(file.read_bytes() for file in files if file.exists())
+        files = sorted(shipped_weights().parent.glob("*_fast.safetensors"))
+        shipped = b"".join(file.read_bytes() for file in files)
         self.weights = hashlib.sha256(shipped).hexdigest()
         self._seed = args.seed
         self._options = {

@@ -69,6 +69,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _traffic(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.comparison import write_comparison
     from ccdiff_env.bench.correlation import write_correlations
     from ccdiff_env.bench.examples import choose_examples, examples_table
     from ccdiff_env.bench.plots import plot_scores
@@ -97,6 +98,7 @@ def _traffic(args: argparse.Namespace) -> int:
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
     write_tables(table, run.folder)
+    write_comparison(table, methods, run.folder)
     write_correlations(by_condition, run.folder)
     plot_scores(table, run.folder / "scores.png")
     job_of = {
@@ -113,6 +115,7 @@ def _traffic(args: argparse.Namespace) -> int:
         plots=["scores.png"],
         parts={
             "Tables": "table.md",
+            "Methods against one another": "comparison.md",
             "Cliques and collisions": "correlation.md",
             "Examples of guided traffic": "examples.md",
         },

@@ -30,6 +30,7 @@ from ccdiff_env.planners import Ego, Seat, ego_driver
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic import NETWORKS, driver_titles
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
 
@@ -56,10 +57,12 @@ class Traffic:
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _critical(level: float) -> Traffic:
-    return Traffic(
-        f"CCDiff, criticality {level:g}", "ccdiff", {"criticality": level, "num_samples": 1}
-    )
+_TITLES = driver_titles()
+
+
+def _critical(level: float, driver: str = "ccdiff") -> Traffic:
+    options = {"criticality": level, "num_samples": 1}
+    return Traffic(f"{_TITLES[driver]}, criticality {level:g}", driver, options)
 
 
 class _Traffics(dict[str, Traffic]):
@@ -78,8 +81,12 @@ TRAFFIC: dict[str, Traffic] = _Traffics(
     {
         "replay": Traffic("Log replay", "replay"),
         "idm": Traffic("IDM", "idm"),
-        "ccdiff": Traffic("CCDiff, no guidance", "ccdiff", {"num_samples": 1}),
+        **{
+            name: Traffic(f"{_TITLES[name]}, no guidance", name, {"num_samples": 1})
+            for name in NETWORKS
+        },
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
+        **{f"{name}-1": _critical(1.0, name) for name in NETWORKS},
     }
 )
 

@@ -259,8 +259,10 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     log = logged(rollout.scene, agents, steps)
     fde = simulated.displacement(log).mean()[1]
+    mean = np.concatenate(cost).mean() if cost else np.nan
     return {
-        "realism_cost": float(np.concatenate(cost).mean()) if cost else None,
+        # not a number for networks that do not denoise
+        "realism_cost": float(mean) if np.isfinite(mean) else None,
         "fde_m": fde if np.isfinite(fde) else None,
         "comfort": simulated.comfort().tolist(),
         "comfort_log": log.comfort().tolist(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -67,12 +67,17 @@ class Condition:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of a condition by name: value, and the 95 % interval of a bootstrap over scenes."""
+    """Figures of a condition by name: value, and the 95 % interval of a bootstrap over scenes.
+
+    ``draws`` are the values in the resamples, ``[R]`` each: conditions of the same scenes and seed
+    are resampled alike, so that differences of their draws are paired.
+    """
 
     num_scenes: int
     value: Mapping[str, float]
     low: Mapping[str, float]
     high: Mapping[str, float]
+    draws: Mapping[str, npt.NDArray[np.float64]] = field(repr=False, compare=False)
 
 
 def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]]]:
@@ -145,21 +150,26 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     value = figures(np.arange(len(rows)))
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(len(rows), size=len(rows))) for _ in range(RESAMPLES)]
-    bounds = {
-        name: np.nanpercentile([d[name] for d in drawn], [2.5, 97.5])
-        if np.isfinite(value[name])
-        else (np.nan, np.nan)
-        for name in FIGURES
-    }
+    draws = {name: np.array([d[name] for d in drawn]) for name in FIGURES}
+    bounds = {name: interval(draws[name]) for name in FIGURES}
     return Figures(
         num_scenes=len(rows),
         value=value,
-        low={name: float(b[0]) for name, b in bounds.items()},
-        high={name: float(b[1]) for name, b in bounds.items()},
+        low={name: b[0] for name, b in bounds.items()},
+        high={name: b[1] for name, b in bounds.items()},
+        draws=draws,
     )
 
 
-def _with_scores(
+def interval(draws: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Return the 95 % interval of the draws of a bootstrap ``[R]``; NaN without a finite one."""
+    if not np.isfinite(draws).any():
+        return np.nan, np.nan
+    low, high = np.nanpercentile(draws, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def with_scores(
     table: Mapping[Condition, Figures], paper_scale: bool
 ) -> dict[Condition, tuple[float, float]]:
     """CS and RS of every condition but the floor, over the bounds of them all or the paper's."""
@@ -174,7 +184,7 @@ def _with_scores(
 def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
     """Write ``figures.csv``, and ``table.md`` and ``table.tex`` in the paper's layout."""
     folder.mkdir(parents=True, exist_ok=True)
-    relative, paper = _with_scores(table, False), _with_scores(table, True)
+    relative, paper = with_scores(table, False), with_scores(table, True)
     with (folder / "figures.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         ends = [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
@@ -203,7 +213,7 @@ def in_order(table: Mapping[Condition, T]) -> dict[Condition, T]:
 
 def verdict(table: Mapping[Condition, Figures]) -> str:
     """Say which method controls most and which is most realistic, over its conditions."""
-    pairs = _with_scores(table, False)
+    pairs = with_scores(table, False)
     if not pairs:
         return "Only the log was measured."
     of: dict[str, list[tuple[float, float]]] = {}

@@ -119,36 +119,43 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff_top2": Method(
             "CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2
         ),
-        "ccdiff_over_speed": Method(
-            "CCDiff, over-speed",
-            "ccdiff",
-            ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}},
-        ),
         "ccdiff_released": Method(
             "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
         ),
     }
 )
 
-#: The networks of the paper's table and CTG++, by name.
+#: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
 _NETWORKS = {
     "simnet": "SimNet",
     "trafficsim": "TrafficSim",
+    "trafficsim_port": "TrafficSim, as ported",
     "strive": "STRIVE",
     "bits": "BITS",
     "ctg": "CTG",
     "ctgpp": "CTG++",
+    "ccdiff_equal": "CCDiff, equal training",
 }
 for _name, _label in _NETWORKS.items():
     # a regression has one plan
-    _samples = {"num_samples": 1 if _name == "simnet" else 5}
-    METHODS[_name] = Method(_label, _name, ccdiff={**_GUIDED, **_samples})
-    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _name, ccdiff=_samples)
+    _own: dict[str, Any] = {"num_samples": 1 if _name == "simnet" else 5}
+    _driver = _name.removesuffix("_equal")
+    if _driver != _name:
+        _own["weights"] = str(shipped_weights(_name))
+    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
+    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
 # BITS chooses among its plans; moving them as well is its other composition
 METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
 METHODS["bits"] = dataclasses.replace(
     METHODS["bits"], ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "gradient_steps": 0}}
 )
+for _name in ("ccdiff", "ccdiff_equal", "ctg"):
+    _over = {"guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}}
+    METHODS[f"{_name}_over_speed"] = dataclasses.replace(
+        METHODS[_name],
+        label=f"{METHODS[_name].label}, over-speed",
+        ccdiff={**METHODS[_name].ccdiff, **_over},
+    )
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(

@@ -59,7 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
     play = parser.add_argument_group("playing a scene first")
-    play.add_argument("--traffic", help="who drives the others: ccdiff, idm, replay, ...")
+    play.add_argument(
+        "--traffic",
+        nargs="+",
+        help="who drives the others: ccdiff, ctg, idm, replay, ...; several are shown beside each "
+        "other",
+    )
     play.add_argument(
         "--driver",
         nargs="+",
@@ -143,25 +148,27 @@ def _played(args: argparse.Namespace) -> list[Titled]:
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
     levels = args.criticality
-    planned = {args.traffic, *drivers} & set(NETWORKS)
     for level in levels:
         if not 0.0 <= level <= MAX_CRITICALITY:
             raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
-    if any(levels) and not planned:
-        raise ConfigError(f"--criticality guides networks, but --traffic is {args.traffic}")
-    if args.save is not None and len(drivers) * len(levels) > 1:
-        raise ConfigError("--save keeps one episode: give one --driver and one --criticality")
+    for traffic in args.traffic:
+        if any(levels) and not {traffic, *drivers} & set(NETWORKS):
+            raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
+    if args.save is not None and len(args.traffic) * len(drivers) * len(levels) > 1:
+        raise ConfigError(
+            "--save keeps one episode: give one --traffic, one --driver and one --criticality"
+        )
     scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
     runs = []
-    for driver, level in product(drivers, levels):
+    for traffic, driver, level in product(args.traffic, drivers, levels):
         rollout = play_scene(
             scene,
-            traffic=args.traffic,
+            traffic=traffic,
             driver=driver,
             seed=args.seed,
             ccdiff={"num_samples": args.samples, "criticality": level},
         )
-        title = DRIVER_TITLES.get(args.traffic, args.traffic)
+        title = DRIVER_TITLES.get(traffic, traffic)
         if any(levels):
             title += f", criticality {level:g}"
         if len(drivers) > 1:
