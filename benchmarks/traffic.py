@@ -1,10 +1,14 @@
-"""Speed of CCDiff traffic: ``python benchmarks/traffic.py [--dataroot <nuscenes>]``.
+"""Speed of traffic of networks: ``python benchmarks/traffic.py [--dataroot <nuscenes>]``.
 
 - *ego steps per second* of the vector environment, reset and step through Python, resets included,
   a plan every 0.5 s, DDIM with five steps, one sample; the ego is driven by IDM.
 - *plans per second* (one world planned once) and milliseconds per vehicle and plan, per vehicle and
   simulated frame (five frames a plan), for both presets. The ``paper`` network has fresh weights:
   its speed does not depend on them.
+
+``--models all`` (or names, ``ctg,ccdiff``) compares the networks instead: plans per second of
+one world each in batches of E, and seconds for a guided scene of 10 s: K = 5, a plan every 0.5 s,
+five samples, two gradient steps in each of four denoising steps (elsewhere eight on the output).
 
 Seconds are of the clock and of the processor (all threads); the latter do not depend on what else
 the machine does. Scenes: ccdiff100 of the data set, else the embedded validation scenes.
@@ -21,8 +25,10 @@ import numpy as np
 import torch
 
 import ccdiff_env
+from ccdiff_env.bench.traffic import METHODS, episodes
 from ccdiff_env.models import Planner, require_networks, shipped_weights
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic import NETWORKS
 
 require_networks()
 from ccdiff_env import _models  # noqa: E402
@@ -69,22 +75,60 @@ def ego_steps(scenes: SceneSet, steps: int, **options: object) -> None:
         env.close()
 
 
-def plans(name: str, weights: Path, scenes: SceneSet, rounds: int, solver_steps: int) -> None:
+def plans(
+    name: str, weights: Path, scenes: SceneSet, rounds: int, solver_steps: int | None = None
+) -> None:
+    """Print the speed of plans; ``solver_steps`` for networks that denoise."""
     planner = Planner(weights)
+    options = {} if solver_steps is None else {"solver_steps": solver_steps}
     for envs in ENVS:
         part = [scenes[i % len(scenes)] for i in range(envs)]
         steps = [STEP] * envs
-        vehicles = sum(len(p.agents) for p in planner.plan(part, steps, solver_steps=solver_steps))
+        vehicles = sum(len(p.agents) for p in planner.plan(part, steps, **options))
         start, busy = time.perf_counter(), time.process_time()
         for _ in range(rounds):
-            planner.plan(part, steps, solver_steps=solver_steps)
+            planner.plan(part, steps, **options)
         clock = (time.perf_counter() - start) / rounds
         busy = (time.process_time() - busy) / rounds
         print(
-            f"  {name}, E = {envs:3d}, {vehicles:4d} vehicles: {envs / clock:7.1f} plans/s, "
-            f"{1e3 * busy / vehicles:7.2f} ms of processor per vehicle and plan, "
+            f"  {name}, E = {envs:3d}, {vehicles:4d} vehicles: {envs / clock:7.1f} plans/s of the "
+            f"clock, {envs / busy:7.1f} per second of one processor, "
+            f"{1e3 * busy / vehicles:7.2f} ms of it per vehicle and plan, "
             f"{1e3 * busy / vehicles / 5:6.3f} per vehicle and frame"
         )
+
+
+#: Seconds per guided scene on one RTX 4090 that RiskFlow's authors print (arXiv 2606.06423; K = 5,
+#: a plan every 0.5 s): the released code, all agents, rasters of 224 x 224, 100 denoising steps.
+PUBLISHED_S = {"ccdiff": 225.0, "ctgpp": 1090.0, "RiskFlow": 48.6}
+
+
+def guided_scenes(names: list[str], scenes: SceneSet, count: int) -> None:
+    """Print the seconds of a guided scene of 10 s, one scene at a time."""
+    chosen = [SceneSet([scene]) for scene in scenes[:count]]
+    for name in names:
+        start, busy = time.perf_counter(), time.process_time()
+        played = [episodes(scene, METHODS[name], num_controlled=5)[0] for scene in chosen]
+        clock = (time.perf_counter() - start) / count
+        busy = (time.process_time() - busy) / count
+        vehicles = np.mean([episode.controlled.sum() for episode in played])
+        published = (
+            f"; published, on an RTX 4090: {PUBLISHED_S[name]:g} s" if name in PUBLISHED_S else ""
+        )
+        print(
+            f"  {name:12s}: {busy:6.2f} s of processor, {clock:6.2f} of the clock per scene of "
+            f"{vehicles:.1f} driven vehicles{published}"
+        )
+    print(f"  published, on an RTX 4090: RiskFlow {PUBLISHED_S['RiskFlow']:g} s")
+
+
+def compare(names: list[str], scenes: SceneSet, rounds: int) -> None:
+    """Print the speed of networks beside each other."""
+    print("Plans, one sample, not guided:")
+    for name in names:
+        plans(name, shipped_weights(name), scenes, rounds)
+    print("Guided scenes of 10 s, K = 5, five samples (SimNet: one):")
+    guided_scenes(names, scenes, 4 * rounds)
 
 
 def main() -> None:
@@ -93,6 +137,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50, help="steps per measurement")
     parser.add_argument("--rounds", type=int, default=3, help="plans per measurement")
     parser.add_argument("--threads", type=int, default=1, help="threads of torch")
+    parser.add_argument("--models", help="names of networks, comma-separated, or all")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     scenes = scenes_of(args.dataroot)
@@ -100,6 +145,10 @@ def main() -> None:
     print(
         f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s) of torch"
     )
+    if args.models is not None:
+        known = [name for name in NETWORKS if shipped_weights(name).exists()]
+        compare(known if args.models == "all" else args.models.split(","), scenes, args.rounds)
+        return
     print("Ego-v0 in CCDiff traffic, not guided:")
     ego_steps(scenes, args.steps)
     print("Ego-v0 in CCDiff traffic, criticality 1, K = 5:")
