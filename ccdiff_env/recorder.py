@@ -70,7 +70,7 @@ class Recorder:
     >>> done = False
     >>> while not done:
     ...     _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-    ...     recorder.step()
+    ...     _ = recorder.step()
     ...     done = terminated or truncated
     >>> rollout = recorder.rollout()
     """
@@ -206,10 +206,14 @@ class Recorder:
         Raises
         ------
         ResetNeededError
-            Before :meth:`start`.
+            Before :meth:`start`, or if no step has been recorded since.
         """
         if self._episode is None:
             raise ResetNeededError("recorder: rollout before start")
+        if not self._columns:
+            raise ResetNeededError(
+                "recorder: no step is recorded; call its step() after each of the environment"
+            )
         stacked = {name: np.stack([s[name] for s in self._states], axis=1) for name in _STATES}
         columns = np.array(self._columns, np.float32).reshape(len(self._states) - 1, -1)
         names = self._worlds.column_names if columns.size else ()

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 import ccdiff_env
 from ccdiff_env.envs.rows import AgentVectorEnv
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, ResetNeededError
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +66,8 @@ def test_a_recorder_made_after_a_reset_has_started(scenes):
     env = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", driver="idm")
     env.reset(seed=0)
     recorder = ccdiff_env.Recorder(env)
+    with pytest.raises(ResetNeededError, match="no step is recorded"):
+        recorder.rollout()
     env.step(env.action_space.sample())
     recorder.step()
     assert recorder.rollout().num_steps == 2
