@@ -49,9 +49,8 @@ def _show_defaults(parser: argparse.ArgumentParser) -> None:
                 _show_defaults(verb)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a verb; return the exit status."""
-    words = sys.argv[1:] if argv is None else list(argv)
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Read a command line; ends the process as argparse does, where it is wrong."""
     parser = argparse.ArgumentParser(
         prog="ccdiff-env", description="Driving among learned traffic."
     )
@@ -59,12 +58,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     for verb, (help_text, module) in VERBS.items():
         arguments = verbs.add_parser(verb, help=help_text, description=help_text)
-        if words[:1] == [verb]:
+        if list(words[:1]) == [verb]:
             found = import_module(f"ccdiff_env.{module}")
             arguments.set_defaults(run=getattr(found, "run", None))
             found.add_arguments(arguments)
     _show_defaults(parser)
-    args = parser.parse_args(words)
+    return parser.parse_args(words)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb; return the exit status."""
+    args = parse(sys.argv[1:] if argv is None else argv)
     from ccdiff_env.errors import CcdiffError
 
     try:
