@@ -70,5 +70,6 @@ def traffic_policy(
     weights: Path,
     dt_s: float,
     history_steps: int,
+    num_threads: int,
     scenes: list[Scene],
 ) -> object: ...

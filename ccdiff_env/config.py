@@ -182,6 +182,9 @@ class WorldConfig:
     truncate_at_log_end: bool = True
     #: Consequence of a collision for a controlled agent.
     on_collision: Consequence = "terminate"
+    #: Consequence of a contact for agents without a slot, where a vehicle takes part in it that
+    #: does not follow its log: they stay where they touch, or go on through one another (paper).
+    on_traffic_collision: Literal["ignore", "stop"] = "stop"
     #: Consequence of a box corner off the road for a controlled agent.
     on_off_road: Consequence = "terminate"
     #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.

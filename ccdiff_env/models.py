@@ -72,8 +72,12 @@ def require_networks() -> None:
         ) from error
 
 
-def traffic_policies(config: WorldConfig, scenes: Sequence[Scene]) -> dict[str, object]:
+def traffic_policies(
+    config: WorldConfig, scenes: Sequence[Scene], num_threads: int
+) -> dict[str, object]:
     """Return the policies of a configuration that need a network, by name, for the native worlds.
+
+    They plan on ``num_threads`` threads; plans do not depend on their number.
 
     Raises
     ------
@@ -96,6 +100,7 @@ def traffic_policies(config: WorldConfig, scenes: Sequence[Scene]) -> dict[str, 
             weights_path(json.loads(options)["weights"], kind),
             config.dt_s,
             config.history_steps,
+            num_threads,
             list(scenes),
         )
         for name, kind, options in wanted

@@ -169,7 +169,15 @@ class Recorder:
                 samples=plan["samples"][..., :2].copy(),
                 **{
                     name: plan[name]
-                    for name in ("chosen", "executed", "graph", "ttc_s", "guided", "realism_cost")
+                    for name in (
+                        "chosen",
+                        "executed",
+                        "graph",
+                        "ttc_s",
+                        "guided",
+                        "realism_cost",
+                        "shift_sigmas",
+                    )
                 },
             )
         )

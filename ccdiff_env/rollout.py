@@ -54,6 +54,7 @@ _PLAN_ARRAYS: dict[str, Any] = {
     "ttc_s": np.float32,
     "guided": np.bool_,
     "realism_cost": np.float32,
+    "shift_sigmas": np.float32,
 }
 
 
@@ -107,6 +108,8 @@ class RolloutPlan:
         Agents [M] that were guided.
     realism_cost
         What the guidance cost in realism [M]: total variation between guided and unguided actions.
+    shift_sigmas
+        The same in standard deviations [M], which does not saturate; NaN where it was not recorded.
     """
 
     step: int
@@ -118,16 +121,19 @@ class RolloutPlan:
     ttc_s: F32
     guided: Bool
     realism_cost: F32
+    shift_sigmas: F32 | None = None
 
     def __post_init__(self) -> None:
         m = len(self.agent_ids)
+        if self.shift_sigmas is None:
+            object.__setattr__(self, "shift_sigmas", np.full(m, np.nan, np.float32))
         if self.samples.ndim != 4 or self.samples.shape[1] != m or self.samples.shape[3] != 2:
             raise ShapeError(
                 f"plan.samples has shape {self.samples.shape}, expected [N, {m}, H, 2]"
             )
         _expect("plan.graph", self.graph, (m, m))
         _expect("plan.ttc_s", self.ttc_s, (m, m))
-        for name in ("chosen", "executed", "guided", "realism_cost"):
+        for name in ("chosen", "executed", "guided", "realism_cost", "shift_sigmas"):
             _expect(f"plan.{name}", getattr(self, name), (m,))
         if m and not 0 <= self.chosen.min() <= self.chosen.max() < len(self.samples):
             raise ShapeError(
@@ -363,6 +369,8 @@ class Rollout:
                 **{
                     name: _typed(arrays, f"plans/{i}/{name}", kind)
                     for name, kind in _PLAN_ARRAYS.items()
+                    # files of before have none
+                    if name != "shift_sigmas" or f"plans/{i}/{name}" in arrays
                 },
             )
             for i, (step, ids) in enumerate(head["plans"])

@@ -442,7 +442,10 @@ def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
 
 def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
     def row(collision, cost):
-        parts = {"collision": collision, "realism_cost": cost, "at_fault": 0.0, "share_guided": 1.0}
+        parts = {
+            "collision": collision, "realism_cost": cost, "shift_sigmas": 4.0 * cost,
+            "at_fault": 0.0, "share_guided": 1.0,
+        }  # fmt: skip
         return [parts, parts]
 
     table = selection.selection_table(
@@ -454,7 +457,7 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
             ("choosers/ppo-1.zip", 1.0): row(0.3, 0.35),
         }
     )
-    assert "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 100 ± 0 |" in table
+    assert "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 1.20 ± 0.28 | 100 ± 0 |" in table
     assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
 
 

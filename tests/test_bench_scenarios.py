@@ -36,20 +36,21 @@ from ccdiff_env.rollout import RolloutEvent
 
 VAL = {"embedded": "val"}
 #: IDM collides in the first two, unavoidably in the first, and in none of the others.
-NAMES = ["tee-crossing-04", "double-left-03", "hard-brake-03"]
+NAMES = ["cut-in-03", "double-left-03", "hard-brake-03"]
+CRITICAL = "ccdiff-2"
 
 
 def make(folder, generator="idm"):
     return generate(
-        source=VAL, names=NAMES, generator=generator, traffic="ccdiff-1", seed=0,
+        source=VAL, names=NAMES, generator=generator, traffic=CRITICAL, seed=2,
         folder=str(folder), num_plans=128,
     )  # fmt: skip
 
 
 def manifest(folder, entries):
     return write_manifest(
-        folder, [entry["scenario"] for entry in entries], generator="idm", traffic="ccdiff-1",
-        seed=0, weights="w", source=VAL, settings={},
+        folder, [entry["scenario"] for entry in entries], generator="idm", traffic=CRITICAL,
+        seed=2, weights="w", source=VAL, settings={},
     )  # fmt: skip
 
 
@@ -129,6 +130,7 @@ def test_realism_is_that_of_the_vehicles_that_follow_plans():
     # agents 1 and 2 were moved by up to two metres on both axes; 2 is guided
     assert found["fde_m"] == pytest.approx(np.hypot(2.0, 2.0), rel=1e-3)
     assert found["realism_cost"] == pytest.approx(0.25)
+    assert found["shift_sigmas"] is None  # a rollout of before, which has none
     alone = realism(replace(rollout, plans=()))
     assert alone["fde_m"] is None
     assert alone["realism_cost"] is None
@@ -188,7 +190,7 @@ def scenario(scene, *, collision, avoidable):
     return Scenario(
         scene=scene, token="", file=f"{scene}.npz", sha256="", collision=collision, kind=None,
         partner=None, time_s=None, at_fault=False, avoidable=avoidable, realism_cost=0.5,
-        fde_m=1.0,
+        fde_m=1.0, shift_sigmas=1.5,
     )  # fmt: skip
 
 
@@ -216,7 +218,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
     cells = {("idm", "idm"): rows(1, 1, 0), ("idm", "pdm"): rows(1, 0, 0)}
     cells |= {(None, "idm"): rows(1, 1, 0), (None, "pdm"): rows(0, 0, 0)}
-    write_cross({"idm": made}, {"idm": Realism(0.5, 1.0, 2.0)}, cells, tmp_path)
+    write_cross({"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0)}, cells, tmp_path)
     with (tmp_path / "cross.csv").open(encoding="utf-8") as file:
         found = {
             (r["generator"], r["planner"], r["scenarios"]): (int(r["count"]), float(r["collision"]))
@@ -231,7 +233,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
         ("idm", "pdm", "avoidable"): (2, 0.0),
     }
     text = (tmp_path / "table.md").read_text(encoding="utf-8")
-    assert "| idm | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.0 | 2.0 |" in text
+    assert "| idm | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.50 | 1.0 | 2.0 |" in text
     assert (tmp_path / "cross.png").stat().st_size > 0
 
 

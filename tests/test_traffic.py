@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -95,6 +96,82 @@ def test_a_plan_tells_what_it_was_made_from(scenes):
     assert set(plan["ranking"]) == set(plan["agents"][plan["executed"]])
     assert (plan["realism_cost"][~plan["guided"]] == 0).all()
     assert (plan["realism_cost"] <= 1).all()
+    # two Gaussians whose means lie d standard deviations apart differ by erf(d / sqrt(8))
+    shift = plan["shift_sigmas"]
+    assert (shift[plan["guided"]] > 0).any()
+    expected = [math.erf(d / math.sqrt(8.0)) for d in shift]
+    np.testing.assert_allclose(plan["realism_cost"], expected, atol=1e-5)
+
+
+def test_the_shift_of_guidance_grows_where_its_cost_saturates(scenes):
+    found = []
+    for criticality in (0.5, 1.0, 2.0, 4.0):
+        play = Play(scenes[:1], ccdiff={"criticality": criticality, "partners": "all"})
+        play.step()
+        plan = play.native.explain(0)
+        found.append(float(plan["shift_sigmas"].max()))
+    assert sorted(found) == found
+    assert found[-1] > 1.5 * found[-2] > 0.0
+
+
+@pytest.mark.parametrize("criticality", [0.0, 1.0])
+def test_plans_do_not_depend_on_the_number_of_threads(scenes, criticality):
+    # 20 worlds are two batches of the network
+    many = [scenes[i % len(scenes)] for i in range(20)]
+    config = WorldConfig().with_options(
+        traffic="ccdiff", driver="replay", autoreset="disabled", terminate_at_goal=False,
+        on_collision="ignore", on_off_road="ignore", ccdiff={"criticality": criticality},
+    )  # fmt: skip
+    digests = []
+    for threads in (1, 2, 3):
+        worlds = Worlds(scenes, config, num_worlds=len(many), num_threads=threads)
+        out, native = worlds.arrays(), worlds.native
+        native.reset(list(range(20)), [i % len(scenes) for i in range(20)], None, out)
+        for _ in range(7):
+            native.step(np.zeros((20, 1, native.action_width), np.float32), out)
+        digests.append([native.digest(i) for i in range(20)])
+    assert digests[0] == digests[1] == digests[2]
+
+
+@pytest.mark.parametrize("ccdiff", [{}, {"num_samples": 3}, {"criticality": 1.0}])
+def test_one_denoising_step_plans_with_and_without_guidance(scenes, ccdiff):
+    play = Play(scenes[:1], ccdiff={"denoising_steps": 1, "partners": "all", **ccdiff})
+    play.step()
+    plan = play.native.explain(0)
+    assert np.isfinite(plan["samples"]).all()
+    assert (plan["shift_sigmas"].max() > 0.0) == ("criticality" in ccdiff)
+    assert (plan["shift_sigmas"][~plan["guided"]] == 0.0).all()
+
+
+def test_a_tied_plan_goes_on_with_the_motion_that_there_is(scenes):
+    changes = {}
+    for tied in (False, True):
+        play = Play(scenes[:1], ccdiff={"tie_first_knot": tied})
+        speeds = []
+        for _ in range(26):
+            play.step()
+            speeds.append(play.native.states(0)["speed"].copy())
+        plan = play.native.explain(0)
+        agents = plan["agents"][plan["executed"]]
+        acceleration = np.diff(np.array(speeds)[:, agents], axis=0) / 0.1
+        # the steps 5, 10, ... are the first ones of a plan
+        changes[tied] = np.abs(np.diff(acceleration, axis=0))[3::5]
+    assert changes[True].max() < 0.02
+    assert changes[False].max() > 0.1
+
+
+def test_kept_noise_is_an_agents_own_and_part_of_snapshots(scenes):
+    play = Play(scenes[:1], ccdiff={"keep_noise": True})
+    play.step(8)
+    snapshot = play.native.snapshot(0)
+    play.step(10)
+    digest = play.native.digest(0)
+    play.native.restore(0, snapshot)
+    play.step(10)
+    assert play.native.digest(0) == digest
+    fresh = Play(scenes[:1])
+    fresh.step(8)
+    assert fresh.native.digest(0) != play.native.digest(0)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +276,8 @@ def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
     def error(options):
         config = WorldConfig().with_options(
             driver="replay", on_collision="ignore", on_off_road="ignore", vanish_with_log=True,
-            terminate_at_goal=False, autoreset="disabled", late_arrivals=False, **options,
+            terminate_at_goal=False, autoreset="disabled", late_arrivals=False,
+            on_traffic_collision="ignore", **options,
         )  # fmt: skip
         worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
         out, count = worlds.arrays(), len(scenes)

@@ -53,6 +53,8 @@ class Realism:
     ----------
     realism_cost
         Mean total variation of guided plans in [0, 1], mean over scenarios.
+    shift_sigmas
+        The same in standard deviations, which does not saturate.
     fde_m
         Final displacement from the log, mean over vehicles, then scenarios.
     cfd
@@ -60,6 +62,7 @@ class Realism:
     """
 
     realism_cost: float
+    shift_sigmas: float
     fde_m: float
     cfd: float
 
@@ -169,7 +172,12 @@ def _realism(rows: Rows) -> Realism:
         return float(np.mean(known)) if known else float("nan")
 
     one, log = (np.mean([row[key] for row in rows], axis=0) for key in ("comfort", "comfort_log"))
-    return Realism(mean("realism_cost"), mean("fde_m"), 100 * comfort_distance(one, log).cfd)
+    return Realism(
+        mean("realism_cost"),
+        mean("shift_sigmas"),
+        mean("fde_m"),
+        100 * comfort_distance(one, log).cfd,
+    )
 
 
 def cross_jobs(

@@ -138,8 +138,8 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
         lines += [
             f"### Made against {short_name(generator)}",
             "",
-            "| scene | hit | time s | at fault | avoidable | C(tau) | FDE m |",
-            "|---|---|---|---|---|---|---|",
+            "| scene | hit | time s | at fault | avoidable | C(tau) | shift sigmas | FDE m |",
+            "|---|---|---|---|---|---|---|---|",
         ]
         for i, s in enumerate(s for s in made.scenarios if s.collision):
             scene = s.scene
@@ -148,11 +148,13 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
                 path = folder / "replays" / page
                 scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
             facts = ["yes" if fact else "no" for fact in (s.at_fault, s.avoidable)]
-            cost, fde = (np.nan if x is None else x for x in (s.realism_cost, s.fde_m))
+            cost, shift, fde = (
+                np.nan if x is None else x for x in (s.realism_cost, s.shift_sigmas, s.fde_m)
+            )
             kind = str(s.kind).removeprefix("collision_")
             lines.append(
                 f"| {scene} | {kind} | {s.time_s:.1f} | {' | '.join(facts)} | "
-                f"{_number(cost, 2)} | {_number(fde, 1)} |"
+                f"{_number(cost, 2)} | {_number(shift, 2)} | {_number(fde, 1)} |"
             )
         lines.append("")
     (folder / "collisions.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -185,8 +187,8 @@ def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism])
         f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}.",
         "",
         "| made against | scenarios | with a collision | of them at fault | of them avoidable | "
-        "C(tau) | FDE m | CFD |",
-        "|---|---|---|---|---|---|---|---|",
+        "C(tau) | shift sigmas | FDE m | CFD |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for generator, made in sets.items():
         total, hit, fault, avoidable = _sets_figures(made)
@@ -194,6 +196,7 @@ def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism])
         lines.append(
             f"| {short_name(generator)} | {total} | {_share(hit, total)} | {_share(fault, hit)} | "
             f"{_share(avoidable, hit)} | {_number(real.realism_cost, 2)} | "
+            f"{_number(real.shift_sigmas, 2)} | "
             f"{_number(real.fde_m, 1)} | {_number(real.cfd, 1)} |"
         )
     return [*lines, ""]
@@ -237,10 +240,10 @@ def _write_csv(
     with (folder / "sets.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         head = ["generator", "scenarios", "collision", "at_fault", "avoidable"]
-        writer.writerow([*head, "realism_cost", "fde_m", "cfd"])
+        writer.writerow([*head, "realism_cost", "shift_sigmas", "fde_m", "cfd"])
         for generator, made in sets.items():
             real = realism[generator]
-            figures = (real.realism_cost, real.fde_m, real.cfd)
+            figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd)
             writer.writerow([generator, *_sets_figures(made), *figures])
     with (folder / "cross.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

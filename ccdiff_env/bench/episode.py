@@ -114,7 +114,10 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
     known = bool(np.isfinite(limit))
-    cost = [p["realism_cost"][p["guided"]] for p in episode.plans if p["guided"].any()]
+    cost, shift = (
+        [p[name][p["guided"]] for p in episode.plans if p["guided"].any()]
+        for name in ("realism_cost", "shift_sigmas")
+    )
     cosine, conflict_share = _conflict(episode.plans)
     return {
         "scene": episode.scene.name,
@@ -137,6 +140,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "excess_mps": _number(_excess(episode, limit) if known else np.nan),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
+        "shift_sigmas": _number(np.concatenate(shift).mean() if shift else np.nan),
         "gradient_cosine": _number(cosine),
         "conflict_share": _number(conflict_share),
         "features": features(episode),

@@ -42,7 +42,7 @@ def _distance(condition: Condition) -> float:
 
 
 def _order(row: Row) -> tuple[bool, float, str]:
-    cost = row["realism_cost"]
+    cost = row["shift_sigmas"]
     return (
         not row["collision"]["controlled_new"],
         np.inf if cost is None else float(cost),
@@ -60,17 +60,20 @@ def examples_table(
             f"### {METHODS[condition.method].label}, K = {condition.k}, a plan every "
             f"{condition.replan_steps / 10:g} s",
             "",
-            "| scene | new collision | C(tau) | FDE m | off the road % |",
-            "|---|---|---|---|---|",
+            "| scene | new collision | C(tau) | shift sigmas | FDE m | off the road % |",
+            "|---|---|---|---|---|---|",
         ]
         for c, row in chosen:
             if c != condition:
                 continue
-            cost = "" if row["realism_cost"] is None else f"{row['realism_cost']:.2f}"
+            cost, shift = (
+                "" if row[name] is None else f"{row[name]:.2f}"
+                for name in ("realism_cost", "shift_sigmas")
+            )
             fde = "" if row["fde_m"] is None else f"{row['fde_m']:.1f}"
             road = "" if row["off_road"] is None else f"{100 * row['off_road']:.1f}"
             hit = "yes" if row["collision"]["controlled_new"] else "no"
             scene = f"[{row['scene']}]({pages[c, row['scene']]})"
-            lines.append(f"| {scene} | {hit} | {cost} | {fde} | {road} |")
+            lines.append(f"| {scene} | {hit} | {cost} | {shift} | {fde} | {road} |")
         lines.append("")
     return "\n".join(lines) + "\n"

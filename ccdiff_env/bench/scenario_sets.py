@@ -61,6 +61,8 @@ class Scenario:
         where it did. False means that none of the plans tried does.
     realism_cost
         Mean total variation of the guided plans in [0, 1], the paper's C(tau).
+    shift_sigmas
+        The same in standard deviations, which does not saturate; ``None`` in sets of before.
     fde_m
         Mean distance from the log at the last common step of the vehicles that CCDiff drives.
     """
@@ -77,6 +79,7 @@ class Scenario:
     avoidable: bool
     realism_cost: float | None
     fde_m: float | None
+    shift_sigmas: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +230,7 @@ def generate(
             avoidable=verdict is None or verdict.avoidable,
             realism_cost=figures["realism_cost"],
             fde_m=figures["fde_m"],
+            shift_sigmas=figures["shift_sigmas"],
         )
         histograms = {key: figures[key] for key in ("comfort", "comfort_log")}
         found.append({"scenario": asdict(scenario), **histograms})
@@ -248,7 +252,13 @@ def realism(rollout: Rollout) -> dict[str, Any]:
         if executed and name != "ego"
     }
     agents = np.array([i for i, name in enumerate(rollout.agent_ids) if name in ids], np.int64)
-    cost = [plan.realism_cost[plan.guided] for plan in rollout.plans if plan.guided.any()]
+    guided = [plan for plan in rollout.plans if plan.guided.any()]
+
+    def mean(name: str) -> float | None:
+        values = [getattr(plan, name)[plan.guided] for plan in guided]
+        found = np.concatenate(values).mean() if values else np.nan
+        return float(found) if np.isfinite(found) else None
+
     simulated = Motion(
         rollout.position[agents],
         rollout.heading[agents],
@@ -259,10 +269,9 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     log = logged(rollout.scene, agents, steps)
     fde = simulated.displacement(log).mean()[1]
-    mean = np.concatenate(cost).mean() if cost else np.nan
     return {
-        # not a number for networks that do not denoise
-        "realism_cost": float(mean) if np.isfinite(mean) else None,
+        "realism_cost": mean("realism_cost"),
+        "shift_sigmas": mean("shift_sigmas"),
         "fde_m": fde if np.isfinite(fde) else None,
         "comfort": simulated.comfort().tolist(),
         "comfort_log": log.comfort().tolist(),

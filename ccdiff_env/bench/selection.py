@@ -188,7 +188,8 @@ def choose(
     -------
     list of dict
         Per scene: ``collision`` of the ego with a vehicle that was an adversary, ``at_fault`` of
-        the ego, ``realism_cost`` mean over decisions, ``share_guided`` decisions with an adversary.
+        the ego, ``realism_cost`` and ``shift_sigmas`` means over decisions, ``share_guided``
+        decisions with an adversary.
     """
     from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 
@@ -221,6 +222,7 @@ def choose(
                     "collision": float(metrics["is_success"][i]),
                     "at_fault": float(at_fault[i]),
                     "realism_cost": float(metrics["mean_realism_cost"][i]),
+                    "shift_sigmas": float(metrics["mean_shift_sigmas"][i]),
                     "share_guided": float(metrics["mean_adversaries"][i]),
                 }
     env.close()
@@ -236,19 +238,21 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         One dictionary per scene (see :func:`choose`) of every chooser at every strength. Choosers
         ``.../ppo-<seed>.zip`` are shown as one, mean ± spread over seeds.
     """
-    keys = ("collision", "at_fault", "realism_cost", "share_guided")
+    keys = ("collision", "at_fault", "realism_cost", "shift_sigmas", "share_guided")
     means = {
         c: {k: float(np.mean([r[k] for r in found])) for k in keys} for c, found in rows.items()
     }
     learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
     lines = [
-        "| chooser | strength | ego collides % | at fault % | C(tau) | guided decisions % |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| chooser | strength | ego collides % | at fault % | C(tau) | shift sigmas | "
+        "guided decisions % |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     factors = (
         ("collision", 100.0, 1),
         ("at_fault", 100.0, 1),
         ("realism_cost", 1.0, 3),
+        ("shift_sigmas", 1.0, 2),
         ("share_guided", 100.0, 0),
     )
     for name, strength in means:
@@ -263,16 +267,16 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
         cells.append(f"{values.mean():.{digits}f}{spread}")
     lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
-    cost = float(np.mean([m["realism_cost"] for m in learned]))
-    lines += ["", f"At PPO's realism cost ({cost:.3f}), between measured strengths:", ""]
+    shift = float(np.mean([m["shift_sigmas"] for m in learned]))
+    lines += ["", f"At PPO's shift ({shift:.2f} sigmas), between measured strengths:", ""]
     lines += ["| chooser | ego collides % |", "|---|---:|", f"| PPO | {cells[0]} |"]
     floor = next((m for (name, _), m in means.items() if name == "none"), None)
     for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
         points = [m for (n, _), m in means.items() if n == name]
         points += [] if floor is None else [floor]
-        points.sort(key=lambda m: m["realism_cost"])
+        points.sort(key=lambda m: m["shift_sigmas"])
         share = np.interp(
-            cost, [m["realism_cost"] for m in points], [m["collision"] for m in points]
+            shift, [m["shift_sigmas"] for m in points], [m["collision"] for m in points]
         )
         lines.append(f"| {name} | {100.0 * share:.1f} |")
     return "\n".join(lines) + "\n"

@@ -41,6 +41,7 @@ FIGURES: dict[str, str] = {
     "sor_log": "... of the same vehicles in the log",
     "excess": "speed above the limit, mean over steps of controlled vehicles, m/s",
     "realism_cost": "total variation of guided vehicles, mean over plans",
+    "shift_sigmas": "the same in standard deviations, which does not saturate",
     "conflict_share": "share of guided denoising steps in which realism and guidance disagree",
     "gradient_cosine": "cosine of the gradients of realism and guidance",
     "graph_sparsity": "share of pairs that G does not join",
@@ -125,6 +126,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
         "sor_log": _column(rows, "over_speed_log"),
         "excess": _column(rows, "excess_mps"),
         "realism_cost": _column(rows, "realism_cost"),
+        "shift_sigmas": _column(rows, "shift_sigmas"),
         "conflict_share": _column(rows, "conflict_share"),
         "gradient_cosine": _column(rows, "gradient_cosine"),
         "graph_sparsity": _column(rows, "graph_sparsity"),
@@ -268,6 +270,7 @@ _LINES = (
     ("SOR of the log", "sor_log", 2),
     ("excess m/s", "excess", 2),
     ("C(tau)", "realism_cost", 2),
+    ("shift sigmas", "shift_sigmas", 2),
     ("gradients in conflict", "conflict_share", 2),
     ("gradient cosine", "gradient_cosine", 3),
 )

@@ -179,7 +179,7 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            traffic_policies(config, scenes),
+            traffic_policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
         if criticality is not None and not self.native.planners:

@@ -54,12 +54,17 @@ class CcdiffConfig:
     device: Literal["cpu", "cuda"] = "cpu"
     #: Steps from one plan to the next n, 1 to 52.
     replan_steps: int = 5
-    #: Network evaluations of the DDIM sampler, >= 1; DDPM with all 100 steps if ``None``.
+    #: Network evaluations of the DDIM sampler, >= 1 (one: guidance moves its only step); DDPM with
+    #: all 100 steps if ``None``.
     denoising_steps: int | None = 5
     #: Samples per plan N, >= 1.
     num_samples: int = 1
     #: Weight w of the conditional branch in classifier-free guidance, in [1, 2).
     cfg_weight: float = 1.0
+    #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
+    tie_first_knot: bool = False
+    #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+    keep_noise: bool = False
     #: The decision causal graph G that the network sees; ``"full"`` joins all pairs (ablation).
     graph: Literal["causal", "full"] = "causal"
     #: Vehicles that are guided K; all if ``None``.
@@ -124,6 +129,9 @@ class TrafficPlan:
     #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau), [M]; NaN for
     #: networks that do not denoise.
     realism_cost: npt.NDArray[np.float32]
+    #: Move of the guidance over all denoising steps in standard deviations of the process, [M]: the
+    #: same as the realism cost, which is erf(shift / sqrt(8)), but it does not saturate.
+    shift_sigmas: npt.NDArray[np.float32]
     #: Mean cosine of the gradients of two objectives, [J, J]; ``None`` unless ``explain`` is set.
     gradient_cosine: npt.NDArray[np.float32] | None
     #: Mean cosine of the gradients of realism and guidance, [M]; 0 for a vehicle without a
@@ -145,6 +153,7 @@ PAPER_PROTOCOL: Mapping[str, Any] = {
     "late_arrivals": False,
     "vanish_with_log": True,
     "on_collision": "ignore",
+    "on_traffic_collision": "ignore",
     "on_off_road": "ignore",
     "terminate_at_goal": False,
     "ccdiff": {

@@ -33,6 +33,7 @@ FIGURES: tuple[Column, ...] = (
     Column(
         "realism_cost", "", "total variation of guided from unguided actions, mean of guided agents"
     ),
+    Column("shift_sigmas", "", "the same in standard deviations, which does not saturate"),
     Column("off_road", "", "share of the adversaries' steps off the road"),
     Column("discomfort", "", "discomfort of the adversaries, mean over steps"),
     Column("num_adversaries", "", "adversaries of the decision"),
@@ -87,7 +88,8 @@ class Match:
         self._touching = {(i, j) for i, j, *_ in native.contacts(world_idx)}
         self._ever: set[int] = set()
         self.before: frozenset[int] = frozenset()
-        self.totals = {"collisions": 0.0, "realism_cost": 0.0, "decisions": 0.0, "adversaries": 0.0}
+        names = ("collisions", "realism_cost", "shift_sigmas", "decisions", "adversaries")
+        self.totals = dict.fromkeys(names, 0.0)
         self._history: deque[dict[str, Any]] = deque(maxlen=round(3.0 / worlds.config.dt_s) + 1)
         self._from_log(step)
         self._recorder: Recorder | None = None
@@ -232,10 +234,11 @@ class Match:
     def finish(self, terminated: bool, truncated: bool) -> Outcome:
         """End a decision."""
         plan = self.plan()
-        cost, sparsity = 0.0, 0.0
+        cost, shift, sparsity = 0.0, 0.0, 0.0
         if plan is not None:
             if plan["guided"].any():
                 cost = float(plan["realism_cost"][plan["guided"]].mean())
+                shift = float(plan["shift_sigmas"][plan["guided"]].mean())
             m = len(plan["agents"])
             sparsity = 1.0 - (float(plan["graph"].sum()) - m) / max(m * (m - 1), 1)
         off_road = float(np.mean(self._off_road)) if self._off_road else 0.0
@@ -252,6 +255,7 @@ class Match:
             **self._counts,
             "unavoidable": unavoidable,
             "realism_cost": cost,
+            "shift_sigmas": shift,
             "off_road": off_road,
             "discomfort": discomfort,
             "num_adversaries": float(len(self.before)),
@@ -260,6 +264,7 @@ class Match:
         }
         self.totals["collisions"] += self._counts["collisions"]
         self.totals["realism_cost"] += cost
+        self.totals["shift_sigmas"] += shift
         self.totals["decisions"] += 1.0
         self.totals["adversaries"] += len(self.before)
         return outcome
@@ -271,6 +276,7 @@ class Match:
             "is_success": float(self.totals["collisions"] > 0),
             "collisions": self.totals["collisions"],
             "mean_realism_cost": self.totals["realism_cost"] / decisions,
+            "mean_shift_sigmas": self.totals["shift_sigmas"] / decisions,
             "mean_adversaries": self.totals["adversaries"] / decisions,
             "decisions": self.totals["decisions"],
         }

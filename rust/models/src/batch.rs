@@ -24,6 +24,10 @@ pub struct Batch {
     pub edges: Tensor,
     /// Rasters [R, channels, size, size], bytes; `None` for a map-blind network.
     pub image: Option<Tensor>,
+    /// Physical first knots [R, 2] and whether a row's plan starts with it [R, 1] (bool); `None` where no plan does.
+    pub first_knots: Option<(Tensor, Tensor)>,
+    /// Seed of each row's own noise, [R]; `None`: noise of the world's seed.
+    pub noise_seeds: Vec<Option<u64>>,
 }
 
 /// Logged futures of the rows of a batch.
@@ -98,8 +102,17 @@ impl Batch {
             let size = [r, map.num_channels(config.history_steps) as i64, side, side];
             put(Tensor::from_slice(&image), &size)
         });
+        let first: Vec<Option<[f32; 2]>> =
+            scenes.iter().flat_map(|s| s.first_action.iter().copied()).collect();
+        let first_knots = first.iter().any(Option::is_some).then(|| {
+            let values: Vec<f32> = first.iter().flat_map(|f| f.unwrap_or_default()).collect();
+            let tied: Vec<bool> = first.iter().map(Option::is_some).collect();
+            (put(Tensor::from_slice(&values), &[r, 2]), put(Tensor::from_slice(&tied), &[r, 1]))
+        });
         Ok(Self {
             scene_sizes,
+            first_knots,
+            noise_seeds: scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect(),
             history: put(
                 Tensor::from_slice(&history),
                 &[r, config.history_steps as i64, HISTORY_FEATURES as i64],
@@ -135,6 +148,8 @@ impl Batch {
         });
         Self {
             scene_sizes: self.scene_sizes.clone(),
+            first_knots: self.first_knots.as_ref().map(|(v, t)| (v.shallow_clone(), t.shallow_clone())),
+            noise_seeds: self.noise_seeds.clone(),
             history: self.history.shallow_clone(),
             poses: self.poses.shallow_clone(),
             speed_mps: self.speed_mps.shallow_clone(),

@@ -151,6 +151,8 @@ mod tests {
             joined: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
             edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
             image: None,
+            first_knots: None,
+            noise_seeds: vec![None; 2],
         };
         let states = Tensor::from_slice(&[drive(10.0), drive(speed_mps)].concat()).view([2, STEPS, 6]);
         (batch, Targets { states, valid: Tensor::ones([2, STEPS], (Kind::Float, Device::Cpu)) })

@@ -44,6 +44,10 @@ pub struct Window {
     pub length_m: Vec<f32>,
     /// Width, metres, [A].
     pub width_m: Vec<f32>,
+    /// Acceleration (m/s²) and yaw rate (rad/s) that an agent's plan starts with, [A]; empty, or `None`: any.
+    pub first_action: Vec<Option<[f32; 2]>>,
+    /// Seed of each agent's own noise, [A]; empty: noise of the world's seed.
+    pub noise_seed: Vec<u64>,
 }
 
 impl Window {
@@ -90,6 +94,8 @@ impl Window {
             ("window speed_mps", self.speed_mps.len(), entries),
             ("window valid", self.valid.len(), entries),
             ("window width_m", self.width_m.len(), agents),
+            ("window first_action", self.first_action.len().max(agents), agents),
+            ("window noise_seed", self.noise_seed.len().max(agents), agents),
         ] {
             if got != expected {
                 return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
@@ -158,6 +164,10 @@ pub struct SceneFeatures {
     pub graph: CausalGraph,
     /// Times to contact now, seconds, [M, M].
     pub ttc_s: Vec<f32>,
+    /// Action that the plan starts with, [M].
+    pub first_action: Vec<Option<[f32; 2]>>,
+    /// Seed of the agent's own noise, [M].
+    pub noise_seed: Vec<Option<u64>>,
 }
 
 /// Logged futures of the M agents of a [`SceneFeatures`], in their agent frames.
@@ -213,6 +223,8 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         }
     }
     let mut features = SceneFeatures {
+        first_action: agents.iter().map(|a| window.first_action.get(*a).copied().flatten()).collect(),
+        noise_seed: agents.iter().map(|a| window.noise_seed.get(*a).copied()).collect(),
         agents,
         poses,
         speed_mps,
@@ -447,6 +459,7 @@ mod tests {
             valid: vec![true; cars.len() * steps],
             length_m: vec![4.0; cars.len()],
             width_m: vec![2.0; cars.len()],
+            ..Window::default()
         }
     }
 

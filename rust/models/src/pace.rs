@@ -206,6 +206,7 @@ mod tests {
             valid: vec![true; 15],
             length_m: vec![4.0],
             width_m: vec![2.0],
+            ..Window::default()
         };
         Pace { along_m: -2.0, scale: 0.9, speed_mps: 8.0 }.move_history(&mut window, 0, &trail);
         assert_eq!(window.valid.iter().filter(|v| **v).count(), 11);

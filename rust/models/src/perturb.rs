@@ -104,6 +104,7 @@ mod tests {
             valid: vec![true; 3],
             length_m: vec![4.0],
             width_m: vec![2.0],
+            ..Window::default()
         };
         Push { lateral_m: 0.5, heading_rad: 0.1 }.move_history(&mut window, 0);
         assert!((window.x_m[2] - 2.0).abs() < 1e-6 && (window.y_m[2] - 0.5).abs() < 1e-6);

@@ -30,6 +30,12 @@ impl PlanSpace {
         self.knots.spread(&(knots * row(&n.action_std) + row(&n.action_mean)))
     }
 
+    /// Normalised actions [R, 2] of physical ones.
+    pub fn normalised(&self, actions: &Tensor) -> Tensor {
+        let n = &self.config.normalisation;
+        standardise(actions, &n.action_mean, &n.action_std)
+    }
+
     /// Normalised knots [R, knots, 2] that fit physical actions [R, T, 2] best.
     pub fn knots_of(&self, actions: &Tensor) -> Tensor {
         let n = &self.config.normalisation;

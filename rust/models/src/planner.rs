@@ -56,10 +56,6 @@ impl PlanOptions {
     pub fn validated(self) -> Result<Self> {
         let sampling = self.sampling.validated()?;
         let guidance = self.guidance.map(GuidanceConfig::validated).transpose()?;
-        if guidance.is_some() && sampling.solver == (Solver::Ddim { steps: 1 }) {
-            let expected = "at least 2 with guidance, which acts on all denoising steps but the last";
-            return Err(ModelError::Config { field: "solver.steps", got: "1".into(), expected });
-        }
         Ok(Self { sampling, guidance, ..self })
     }
 }

@@ -75,7 +75,7 @@ pub(crate) fn check_seeds(batch: &Batch, seeds: &[u64]) -> Result<()> {
 }
 
 /// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
-/// its own agents alone, not on the worlds beside it.
+/// its own agents alone, not on the worlds beside it. Rows with a seed of their own take theirs instead.
 pub(crate) fn noise(batch: &Batch, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
     let rows: usize = batch.scene_sizes.iter().sum();
     let mut out = vec![0.0; samples * rows * per_row];
@@ -84,6 +84,13 @@ pub(crate) fn noise(batch: &Batch, seeds: &[u64], stream: u64, samples: usize, p
         for (sample, part) in numbers.chunks_exact((size * per_row).max(1)).enumerate() {
             let at = (sample * rows + offset) * per_row;
             out[at..at + part.len()].copy_from_slice(part);
+        }
+    }
+    for (row, seed) in batch.noise_seeds.iter().enumerate().filter_map(|(row, seed)| Some((row, (*seed)?))) {
+        let numbers = Noise::new(seed, stream).normals(samples * per_row);
+        for (sample, part) in numbers.chunks_exact(per_row).enumerate() {
+            let at = (sample * rows + row) * per_row;
+            out[at..at + per_row].copy_from_slice(part);
         }
     }
     out
@@ -109,7 +116,7 @@ struct Update {
 }
 
 /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves plans in every step but the last, whose
-/// standard deviation is zero (as released, reference.md#sampling).
+/// standard deviation is zero (as released, reference.md#sampling), or in the only one.
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
 ///
@@ -140,14 +147,25 @@ pub fn sample<D: Denoiser>(
     let w = options.guidance_weight;
     let uncond = (w > 1.0).then(|| repeat(&batch.with_identity_graph(network.space().config())));
     let mut attention = None;
+    let first = batch.first_knots.as_ref().map(|(values, tied)| {
+        let n = options.num_samples as i64;
+        (network.space().normalised(values).repeat([n, 1]), tied.repeat([n, 1]))
+    });
+    let tied = |x0: Tensor| match &first {
+        Some((values, tied)) => {
+            let start = values.where_self(tied, &x0.select(1, 0)).unsqueeze(1);
+            Tensor::cat(&[start, x0.narrow(1, 1, knots as i64 - 1)], 1)
+        }
+        None => x0,
+    };
     let mut clean = |x: &Tensor, k: usize| {
         let steps = Tensor::full([rows], k as i64, (Kind::Int64, device));
         let (x0, weights) = network.predict(&cond, x, &steps);
         attention = weights;
-        match &uncond {
+        tied(match &uncond {
             Some(context) => network.predict(context, x, &steps).0 * (1.0 - w) + x0 * w,
             None => x0,
-        }
+        })
     };
     let mut mean = |x: &Tensor, update: &Update| -> Result<Tensor> {
         let x0 = clean(x, update.k);
@@ -172,7 +190,9 @@ pub fn sample<D: Denoiser>(
             for (i, &k) in ks.iter().enumerate() {
                 let to = ks.get(i + 1).copied();
                 let (from_x0, from_xk) = schedule.ddim(k, to);
-                x = mean(&x, &Update { k, from_x0, from_xk, sigma: schedule.jump_sigma(k, to) })?;
+                // a single step is guided as one that leads next to the clean end
+                let spread_to = if steps == 1 { Some(0) } else { to };
+                x = mean(&x, &Update { k, from_x0, from_xk, sigma: schedule.jump_sigma(k, spread_to) })?;
             }
         }
     }

@@ -24,7 +24,8 @@ fn default_policies() -> String {
     serde_json::json!(kinds).to_string()
 }
 
-/// A policy of worlds with this step and history over these scenes; `options` is a `CcdiffConfig` as JSON.
+/// A policy of worlds with this step and history over these scenes, which plans on this many threads; `options` is a
+/// `CcdiffConfig` as JSON.
 #[pyfunction]
 fn traffic_policy<'py>(
     py: Python<'py>,
@@ -34,13 +35,14 @@ fn traffic_policy<'py>(
     weights: PathBuf,
     dt_s: f32,
     history_steps: usize,
+    num_threads: usize,
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     let fail = |what: String| py::ConfigError::new_err(format!("config: policies: {name}: {what}"));
     let config: CcdiffConfig = serde_json::from_str(options).map_err(|e| fail(e.to_string()))?;
     let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
     let policy = py.detach(|| {
-        let policy = PlannedTraffic::new(config, &weights)?;
+        let policy = PlannedTraffic::new(config, &weights, num_threads)?;
         policy.check(dt_s, history_steps, &scenes).map(|()| policy)
     });
     let policy = policy.map_err(from_model)?;

@@ -29,6 +29,7 @@ pub(crate) fn dict<'py>(py: Python<'py>, plan: &PlanRecord) -> PyResult<Bound<'p
     dict.set_item("objectives", &plan.objectives)?;
     dict.set_item("losses", PyArray1::from_slice(py, &plan.losses).reshape([j, n, m])?)?;
     dict.set_item("realism_cost", PyArray1::from_slice(py, &plan.realism_cost))?;
+    dict.set_item("shift_sigmas", PyArray1::from_slice(py, &plan.shift_sigmas))?;
     let cosine = if plan.gradient_cosine.is_empty() {
         None
     } else {

@@ -88,6 +88,10 @@ pub struct CcdiffConfig {
     pub num_samples: usize,
     /// Weight w of the conditional branch in classifier-free guidance, in [1, 2).
     pub cfg_weight: f64,
+    /// Whether a plan starts with the acceleration and the yaw rate that its vehicle has now.
+    pub tie_first_knot: bool,
+    /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+    pub keep_noise: bool,
     /// The graph G that the network sees.
     pub graph: GraphMode,
     /// Vehicles that are guided K; all if absent.
@@ -122,6 +126,8 @@ impl Default for CcdiffConfig {
             denoising_steps: Some(5),
             num_samples: 1,
             cfg_weight: 1.0,
+            tie_first_knot: false,
+            keep_noise: false,
             graph: GraphMode::Causal,
             num_guided: Some(5),
             ranking: Ranking::Cliques,
@@ -218,7 +224,7 @@ impl CcdiffConfig {
         };
         PlanOptions {
             sampling: self.sampling(),
-            guidance: (self.num_samples > 1 && self.denoising_steps != Some(1)).then_some(filter),
+            guidance: (self.num_samples > 1).then_some(filter),
             attention: self.explain,
             gradient_statistics: false,
         }

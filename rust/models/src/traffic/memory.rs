@@ -6,13 +6,16 @@ use ccdiff_sim::{Result, SimError};
 const FROZEN: u8 = 1;
 const LEFT_LOG: u8 = 2;
 
-/// What is remembered of an episode. As bytes: a byte of flags for each agent, then the ranking, 32 bits each.
+/// What is remembered of an episode. As bytes: a byte of flags for each agent, the seed in 64 bits, then the
+/// ranking, 32 bits each.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Memory {
     /// Agents of the scene that stand still for the whole episode, [A].
     pub(super) frozen: Vec<bool>,
     /// Agents of the scene that have left their log by following a plan, [A].
     pub(super) left_log: Vec<bool>,
+    /// Seed of the noise of the first plan.
+    pub(super) noise_seed: u64,
     /// Ranking of the first plan.
     pub(super) first_ranking: Vec<usize>,
 }
@@ -27,6 +30,7 @@ impl Memory {
         let flag = |on: bool, flag: u8| if on { flag } else { 0 };
         let flags = self.frozen.iter().zip(&self.left_log);
         let flags = flags.map(|(frozen, left)| flag(*frozen, FROZEN) | flag(*left, LEFT_LOG));
+        let flags = flags.chain(self.noise_seed.to_le_bytes());
         flags.chain(self.first_ranking.iter().flat_map(|a| (*a as u32).to_le_bytes())).collect()
     }
 
@@ -35,8 +39,12 @@ impl Memory {
     /// # Errors
     /// [`SimError::Snapshot`] where the bytes are none of this policy.
     pub(super) fn of(plan: &PlanState, num_agents: usize) -> Result<Self> {
-        let whole = plan.memory.split_at_checked(num_agents).filter(|(_, ranking)| ranking.len() % 4 == 0);
-        let read = whole.map(|(flags, ranking)| Self {
+        let whole = plan.memory.split_at_checked(num_agents).and_then(|(flags, rest)| {
+            let (seed, ranking) = rest.split_first_chunk::<8>()?;
+            (ranking.len() % 4 == 0).then_some((flags, *seed, ranking))
+        });
+        let read = whole.map(|(flags, seed, ranking)| Self {
+            noise_seed: u64::from_le_bytes(seed),
             frozen: flags.iter().map(|f| f & FROZEN != 0).collect(),
             left_log: flags.iter().map(|f| f & LEFT_LOG != 0).collect(),
             first_ranking: ranking

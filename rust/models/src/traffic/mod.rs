@@ -23,14 +23,18 @@ use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{Idm, Motion, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
 use ccdiff_sim::scene::Scene;
 use memory::Memory;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::path::Path;
 use std::sync::Arc;
 use sync_wrapper::SyncWrapper;
 
 /// Traffic of a batch of worlds that follows the plans of a network.
 pub struct PlannedTraffic {
-    /// Used by `plan` alone, which nobody else can enter meanwhile.
-    planner: SyncWrapper<Planner>,
+    /// A network for each thread of the pool; used by `plan` alone, which nobody else can enter meanwhile.
+    planners: SyncWrapper<Vec<Planner>>,
+    /// Threads that plan, in each of which torch uses one thread: operations of torch never wait for one another.
+    /// `None` on another device than the processor: the caller's thread plans.
+    pool: Option<ThreadPool>,
     /// Step and history of the weights.
     model: ModelConfig,
     config: CcdiffConfig,
@@ -43,20 +47,28 @@ pub struct PlannedTraffic {
 
 impl PlannedTraffic {
     /// Loads a weight file, of whatever kind of network; the name of the weights in the configuration is for the reader.
+    /// Worlds are planned for on `num_threads` threads; results do not depend on their number.
     ///
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
-    pub fn new(config: CcdiffConfig, weights: &Path) -> Result<Self> {
-        let mut planner = Planner::load(weights, crate::device_named(&config.device)?)?;
-        config.validate(planner.config().horizon_steps)?;
-        config.check_kind(planner.config().kind)?;
-        if config.graph == GraphMode::Full {
-            planner.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
-        }
-        let model = planner.config().clone();
+    pub fn new(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<Self> {
+        let device = crate::device_named(&config.device)?;
+        let num_threads = (device == tch::Device::Cpu).then_some(num_threads.max(1));
+        let load = |_| {
+            let mut planner = Planner::load(weights, device)?;
+            if config.graph == GraphMode::Full {
+                planner.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
+            }
+            Ok(planner)
+        };
+        let planners = (0..num_threads.unwrap_or(1)).map(load).collect::<Result<Vec<_>>>()?;
+        let model = planners[0].config().clone();
+        config.validate(model.horizon_steps)?;
+        config.check_kind(model.kind)?;
         let (guided, unguided) = (config.guided()?, config.unguided());
-        let planner = SyncWrapper::new(planner);
-        Ok(Self { planner, model, config, guided, unguided, bitmaps: Vec::new() })
+        let planners = SyncWrapper::new(planners);
+        let pool = num_threads.map(planning_pool).transpose()?;
+        Ok(Self { planners, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }
 
     /// Kind of the network.
@@ -111,6 +123,20 @@ impl PlannedTraffic {
         let bitmap = self.bitmaps.iter().find(|(s, _)| Arc::ptr_eq(s, scene));
         bitmap.is_none_or(|(_, b)| b.covers(pose.position))
     }
+}
+
+/// Threads whose torch operations stay on the thread. The caller's own setting of torch is as before.
+fn planning_pool(num_threads: usize) -> Result<ThreadPool> {
+    let callers = tch::get_num_threads();
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(num_threads)
+        .thread_name(|i| format!("ccdiff-plan-{i}"))
+        .build()
+        .map_err(|e| ModelError::Config { field: "num_threads", got: e.to_string(), expected: "threads" })?;
+    // torch keeps this by thread, and for threads that it does not know yet
+    pool.broadcast(|_| tch::set_num_threads(1));
+    tch::set_num_threads(callers);
+    Ok(pool)
 }
 
 /// The error of this crate as the simulator passes it on.

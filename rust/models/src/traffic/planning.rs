@@ -4,13 +4,18 @@ use super::config::{Others, Partners, Ranking};
 use super::roster::{self, Hints, Roster};
 use super::{Memory, PlannedTraffic};
 use crate::error::Result;
-use crate::guidance::{GradientStatistics, WorldGuide};
-use crate::planner::{Plan, PlanOptions, WorldView as PlannerView};
+use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuide};
+use crate::noise::Noise;
+use crate::planner::{Plan, PlanOptions, Planner, WorldView as PlannerView};
 use crate::raster::MapBitmap;
 use crate::sampler::{SampleOptions, Solver};
 use ccdiff_sim::geom::{Real, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
+use rayon::prelude::*;
 use std::sync::Arc;
+
+/// Worlds that share a batch of the network: fixed, so that plans do not depend on the number of threads.
+const SHARD_WORLDS: usize = 16;
 
 /// A world that is planned for.
 struct Due<'a> {
@@ -64,10 +69,14 @@ impl PlannedTraffic {
             None => Memory {
                 frozen: roster::frozen(world, self.config.frozen),
                 left_log: vec![false; world.states.len()],
+                noise_seed: world.noise_seed,
                 first_ranking: Vec::new(),
             },
         };
-        let roster = Roster::new(request, &memory.frozen, self.model.history_steps)?;
+        let stands = |(frozen, halted): (&bool, &bool)| *frozen || *halted;
+        let still: Vec<bool> = memory.frozen.iter().zip(world.halted).map(stands).collect();
+        let mut roster = Roster::new(request, &still, self.model.history_steps)?;
+        self.tie(request, &memory, &mut roster);
         let bitmap = self.bitmap(&world.scene.scene);
         let partners = match self.config.partners {
             Partners::All => vec![true; roster.agents.len()],
@@ -85,6 +94,24 @@ impl PlannedTraffic {
             guided,
             partners,
         })
+    }
+
+    /// Tells the plans of vehicles where they go on from: the noise of the plan before, and its motion now.
+    fn tie(&self, request: &PlanRequest<'_>, memory: &Memory, roster: &mut Roster) {
+        let (states, window) = (request.world.states, &mut roster.window);
+        if self.config.keep_noise {
+            let of = |a: &usize| Noise::new(memory.noise_seed, *a as u64).block(0);
+            let seeds = roster.agents.iter().map(of).map(|w| u64::from(w[0]) << 32 | u64::from(w[1]));
+            window.noise_seed = seeds.collect();
+        }
+        let followed = |a: &usize| {
+            let record = &request.plan?.record;
+            let row = record.agents.iter().position(|b| b == a).filter(|row| record.executed[*row]);
+            row.map(|_| [states.acceleration_mps2[*a], states.yaw_rate_radps[*a]])
+        };
+        if self.config.tie_first_knot {
+            window.first_action = roster.agents.iter().map(followed).collect();
+        }
     }
 
     /// Fills in rankings and who is guided.
@@ -149,7 +176,23 @@ impl PlannedTraffic {
                 }),
             })
             .collect();
-        self.planner.get_mut().plan(&views, options)
+        let planners = self.planners.get_mut();
+        let shards: Vec<&[PlannerView<'_>]> = views.chunks(SHARD_WORLDS).collect();
+        let num = planners.len();
+        let of_planner = |(first, planner): (usize, &mut Planner)| {
+            let own = shards.iter().skip(first).step_by(num);
+            own.map(|shard| planner.plan(shard, options)).collect::<Vec<_>>()
+        };
+        let made: Vec<_> = match &self.pool {
+            Some(pool) => pool.install(|| planners.par_iter_mut().enumerate().map(of_planner).collect()),
+            None => planners.iter_mut().enumerate().map(of_planner).collect(),
+        };
+        let mut made: Vec<_> = made.into_iter().map(Vec::into_iter).collect();
+        let mut plans = Vec::with_capacity(views.len());
+        for shard in 0..shards.len() {
+            plans.extend(made[shard % num].next().transpose()?.unwrap_or_default());
+        }
+        Ok(plans)
     }
 
     /// The plan that a world follows from now on.
@@ -177,6 +220,12 @@ impl PlannedTraffic {
         }
         let guided = |row: &usize| due.is_guided() && due.guided[*row];
         let report = plan.guidance.as_ref();
+        // networks that do not denoise have no such cost
+        let cost = |of: fn(&GuidanceReport) -> &Vec<Real>| match report.map(of) {
+            Some(values) if values.len() == m => values.clone(),
+            Some(_) => vec![Real::NAN; m],
+            None => vec![0.0; m],
+        };
         let objectives = options.guidance.as_ref().filter(|_| report.is_some());
         let gradients = report.and_then(|r| r.conflict.as_ref());
         let kept = |of: fn(&GradientStatistics) -> &Vec<Real>| gradients.map(of).cloned().unwrap_or_default();
@@ -196,7 +245,8 @@ impl PlannedTraffic {
                 .map(|g| g.objectives.iter().map(|o| o.name().into()).collect())
                 .unwrap_or_default(),
             losses: report.map(|r| r.losses.clone()).unwrap_or_default(),
-            realism_cost: report.map_or_else(|| vec![0.0; m], |r| r.realism_cost.clone()),
+            realism_cost: cost(|r| &r.realism_cost),
+            shift_sigmas: cost(|r| &r.shift_sigmas),
             gradient_cosine: kept(|g| &g.objective_cosine),
             realism_cosine: kept(|g| &g.cosine),
             conflict_share: kept(|g| &g.conflict_share),

@@ -39,6 +39,8 @@ pub struct WorldView<'a> {
     pub route_s_m: &'a [f32],
     /// Who drives each agent.
     pub drivers: &'a [Driver],
+    /// Whether a contact has stopped an agent for the rest of the episode.
+    pub halted: &'a [bool],
     /// Past states, where a policy of the batch asked for them: as many as the one that looks back farthest wants.
     pub history: Option<&'a History>,
     /// Step of the log that the states stand at.

@@ -59,7 +59,8 @@ impl PlanState {
         let p = &self.record;
         let m = p.agents.len();
         let (j, n) = (p.objectives.len(), p.num_samples);
-        let rows = [p.executed.len(), p.guided.len(), p.chosen.len(), p.realism_cost.len()];
+        let rows =
+            [p.executed.len(), p.guided.len(), p.chosen.len(), p.realism_cost.len(), p.shift_sigmas.len()];
         let either = |got: usize, full: usize| got == 0 || got == full;
         p.agents.iter().chain(&p.ranking).all(|a| *a < num_agents)
             && [p.graph.len(), p.ttc_s.len()] == [m * m; 2]
@@ -118,6 +119,8 @@ pub struct PlanRecord {
     pub losses: Vec<Real>,
     /// Total variation between guided and unguided actions, [M]; 0 without guidance (paper, cost C).
     pub realism_cost: Vec<Real>,
+    /// The same in standard deviations of the process, [M]: it does not saturate.
+    pub shift_sigmas: Vec<Real>,
     /// Mean cosine between the gradients of objectives j and k over guided agents, [J, J]; empty where not kept.
     pub gradient_cosine: Vec<Real>,
     /// Mean cosine between the gradients of realism and guidance, [M]; 0 without a gradient, empty where not kept.

@@ -197,6 +197,9 @@ pub struct WorldConfig {
     pub truncate_at_log_end: bool,
     /// Consequence of a collision for a controlled agent.
     pub on_collision: Consequence,
+    /// Consequence of a contact for agents without a slot, where a vehicle takes part in it that does not follow its log:
+    /// ignore or stop.
+    pub on_traffic_collision: Consequence,
     /// Consequence of a box corner off the road for a controlled agent.
     pub on_off_road: Consequence,
     /// The episode of an agent ends when it reaches its goal, the logged position at the episode's last step.
@@ -236,6 +239,7 @@ impl Default for WorldConfig {
             vanish_with_log: false,
             truncate_at_log_end: true,
             on_collision: Consequence::Terminate,
+            on_traffic_collision: Consequence::Stop,
             on_off_road: Consequence::Terminate,
             terminate_at_goal: true,
             speed_limit_mps: 15.0,
@@ -301,6 +305,9 @@ impl WorldConfig {
             let good = shares.values().all(|s| *s >= 0.0) && (sum - 1.0).abs() < 1e-3;
             check(good, "traffic", format!("{shares:?}"), "shares of at least 0 that sum to 1")?;
         }
+        let stop = matches!(self.on_traffic_collision, Consequence::Ignore | Consequence::Stop);
+        let got = format!("{:?}", self.on_traffic_collision);
+        check(stop, "on_traffic_collision", got.to_lowercase(), "ignore or stop")?;
         check(positive(self.speed_limit_mps), "speed_limit_mps", self.speed_limit_mps, "a positive speed")?;
         let r = &self.reward;
         for (field, value) in [

@@ -79,6 +79,10 @@ pub(crate) struct Episode {
     pub(crate) entered: Vec<bool>,
     /// Pairs that touch since the start and are no collisions until they have parted.
     pub(crate) initial_contacts: Vec<(u32, u32)>,
+    /// The same for all agents, where contacts stop the traffic.
+    pub(crate) given_contacts: Vec<(u32, u32)>,
+    /// Whether a contact has stopped an agent without a slot.
+    pub(crate) halted: Vec<bool>,
     pub(crate) slots: Vec<Slot>,
     pub(crate) history: Option<History>,
     /// The plan of each policy of the batch's table.
@@ -103,6 +107,8 @@ impl Episode {
             drivers: Vec::new(),
             entered: Vec::new(),
             initial_contacts: Vec::new(),
+            given_contacts: Vec::new(),
+            halted: Vec::new(),
             slots: Vec::new(),
             history: None,
             plans: Vec::new(),
@@ -176,10 +182,23 @@ impl Episode {
         let at = log.at(agent_idx, self.step_idx);
         let p = log.tracks.position[at];
         let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-        self.states.place(agent_idx, pose, log.tracks.velocity[at]);
+        self.states.place(agent_idx, pose, self.velocity_at_entry(log, agent_idx));
         self.states.active[agent_idx] = true;
         self.entered[agent_idx] = true;
         self.route_s_m[agent_idx] = scene.routes[agent_idx].path.project(p).s_m;
+    }
+
+    /// Velocity of an agent that enters: the logged one; of a late arrival that does not follow its log, the mean over
+    /// its first logged second, because velocities at the end of a track come from two annotations alone.
+    fn velocity_at_entry(&self, log: &Scene, agent_idx: usize) -> Vector2 {
+        let at = log.at(agent_idx, self.step_idx);
+        let replays = self.elapsed_steps == 0 || self.drivers[agent_idx] == Driver::REPLAY;
+        let second = (1.0 / log.dt_s).round() as usize;
+        let steps = (1..=second).take_while(|k| log.is_valid(agent_idx, self.step_idx + k)).last();
+        match steps.filter(|_| !replays) {
+            Some(k) => (log.tracks.position[at + k] - log.tracks.position[at]) / (k as Real * log.dt_s),
+            None => log.tracks.velocity[at],
+        }
     }
 
     fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig, driver: Driver) {
@@ -291,6 +310,7 @@ impl Episode {
             && self.drivers.len() == n
             && self.drivers.iter().all(|d| policies.has(*d))
             && self.entered.len() == n
+            && self.halted.len() == n
             && self.slots.len() == num_slots
             && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range))
             && self.initial_contacts.iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))

@@ -12,6 +12,7 @@ mod buffers;
 mod columns;
 mod config;
 mod episode;
+mod halt;
 mod history;
 mod inspect;
 mod policies;

@@ -17,6 +17,8 @@ const CURVE_MPS2: Real = 3.0;
 const APPROACH_MPS2: Real = 2.0;
 /// A vehicle whose log never exceeds this speed is parked, m/s.
 const PARKED_MPS: Real = 0.5;
+/// So is one that is never logged farther than this from where it is logged first, metres: boxes jitter.
+const PARKED_REACH_M: Real = 1.0;
 
 /// An agent's path with the speed its curves allow.
 #[derive(Debug, Clone)]
@@ -27,6 +29,8 @@ pub struct Route {
     curve_speed_mps: Vec<Real>,
     /// Greatest logged speed, m/s.
     pub logged_speed_mps: Real,
+    /// Greatest logged distance from the first logged position, metres.
+    logged_reach_m: Real,
     /// Whether the path follows map lanes past the end of the log (else it goes straight on).
     pub on_lanes: bool,
 }
@@ -37,7 +41,7 @@ impl Route {
         let steps = (0..scene.num_steps).filter(|t| scene.is_valid(agent_idx, *t));
         let mut points: Vec<Point2> = Vec::new();
         let mut pose = Pose2::new(0.0, 0.0, 0.0);
-        let mut logged_speed_mps: Real = 0.0;
+        let (mut logged_speed_mps, mut logged_reach_m): (Real, Real) = (0.0, 0.0);
         for t in steps {
             let at = scene.at(agent_idx, t);
             let p = scene.tracks.position[at];
@@ -47,6 +51,7 @@ impl Route {
                 None => points.push(p),
                 Some(last) => {
                     let step = p - last;
+                    logged_reach_m = logged_reach_m.max((p - points[0]).norm());
                     // what is driven backwards is not part of the route
                     if step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0 {
                         points.push(p);
@@ -58,12 +63,12 @@ impl Route {
         let straight = || Polyline::straight(&pose, EXTENSION_M);
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
-        Self { path, curve_speed_mps, logged_speed_mps, on_lanes }
+        Self { path, curve_speed_mps, logged_speed_mps, logged_reach_m, on_lanes }
     }
 
     /// Whether the vehicle never moves in the log.
     pub fn is_parked(&self) -> bool {
-        self.logged_speed_mps <= PARKED_MPS
+        self.logged_speed_mps <= PARKED_MPS || self.logged_reach_m <= PARKED_REACH_M
     }
 
     /// Greatest speed the curves at and ahead of a position allow, m/s.

@@ -3,7 +3,7 @@
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, ContactKind, LeastTimes};
-use crate::geom::{Real, Vector2};
+use crate::geom::{Pose2, Real, Vector2};
 use crate::observe::{EgoFacts, Observer, View};
 use crate::policy::{Driver, Motion, PlanRequest, WorldView};
 use crate::scene::AgentKind;
@@ -13,6 +13,7 @@ use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, WorldConfig};
 use crate::world::episode::{Episode, Phase};
+use crate::world::halt;
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::reward;
@@ -51,6 +52,8 @@ pub(crate) struct World {
     pub(crate) scene: Arc<PreparedScene>,
     pub(crate) episode: Episode,
     motions: Vec<(u32, Motion)>,
+    /// Poses before the step, where contacts stop the traffic.
+    before: Vec<Pose2>,
     /// Physical actions of the slots.
     actions: Vec<Action>,
     contacts: Vec<Option<Contact>>,
@@ -77,6 +80,7 @@ impl World {
             scene,
             episode,
             motions: Vec::new(),
+            before: Vec::new(),
             actions: Vec::new(),
             contacts: Vec::new(),
             ended: Vec::new(),
@@ -95,6 +99,7 @@ impl World {
             states: &e.states,
             route_s_m: &e.route_s_m,
             drivers: &e.drivers,
+            halted: &e.halted,
             history: e.history.as_ref(),
             step_idx: e.step_idx,
             elapsed_steps: e.elapsed_steps,
@@ -117,6 +122,7 @@ impl World {
     pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
         self.scene = scene;
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
+        halt::begin(&mut self.episode, &self.scene, &mut self.collisions);
         self.find_events(shared.config, true);
     }
 
@@ -196,6 +202,11 @@ impl World {
         let e = &mut self.episode;
         e.step_idx += 1;
         e.elapsed_steps += 1;
+        let stops = config.on_traffic_collision == Consequence::Stop;
+        self.before.clear();
+        if stops {
+            self.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
+        }
         for (c, slot) in e.slots.iter().enumerate() {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
             if slot.stopped {
@@ -218,11 +229,18 @@ impl World {
                     let pose = e.states.pose(a);
                     e.place(a, pose, Vector2::zeros(), config.dt_s);
                 }
+                (_, None) if e.halted[a] && !log_ended => {
+                    let pose = e.states.pose(a);
+                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                }
                 (Motion::Place(pose, velocity), None) if !log_ended => {
                     e.place(a, pose, velocity, config.dt_s);
                 }
                 _ => e.states.active[a] = false,
             }
+        }
+        if stops && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY)) {
+            halt::halt(e, &self.scene, &mut self.collisions, &self.before);
         }
         for a in 0..e.states.len() {
             let follows_route = e.drivers[a] != Driver::REPLAY || e.has_slot(a);

@@ -1,0 +1,128 @@
+"""Background vehicles: contacts stop them, parked ones stay, all leave where the map ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.scenes import Scene, SceneSet
+
+STEPS = 131
+CORNERS = [[-40.0, -30.0], [100.0, -30.0], [100.0, 30.0], [-40.0, 30.0]]
+ROAD = {"exterior": np.array(CORNERS, np.float32), "holes": []}
+
+
+def scene_of(tracks, valid=None, road=ROAD):
+    """A scene of cars: an ego that stands aside, and others by positions [T, 2] and headings."""
+    position = np.zeros((len(tracks) + 1, STEPS, 2), np.float32)
+    heading = np.zeros((len(tracks) + 1, STEPS), np.float32)
+    position[0] = (-35.0, -25.0)
+    for i, (path, yaw) in enumerate(tracks, 1):
+        position[i], heading[i] = path, yaw
+    velocity = np.zeros_like(position)
+    there = np.ones((len(tracks) + 1, STEPS), bool)
+    for i, steps in (valid or {}).items():
+        there[i] = False
+        there[i, steps] = True
+    for i, at in enumerate(there):
+        velocity[i, at] = np.gradient(position[i, at], 0.1, axis=0)
+    names = ["ego", *(f"car-{i}" for i in range(len(tracks)))]
+    return Scene.from_arrays(
+        "background",
+        agent_ids=names,
+        agent_types=["vehicle"] * len(names),
+        agent_categories=["vehicle.car"] * len(names),
+        sizes=np.tile(np.array([4.5, 2.0, 1.5], np.float32), (len(names), 1)),
+        position=position,
+        heading=heading,
+        velocity=velocity,
+        valid=there,
+        dt=0.1,
+        map_layers={"drivable_area": [road]},
+    )
+
+
+def straight(start, velocity):
+    time_s = 0.1 * np.arange(STEPS)[:, None]
+    yaw = np.arctan2(velocity[1], velocity[0])
+    return np.array(start) + time_s * np.array(velocity), yaw
+
+
+def play(scene, steps=90, **options):
+    config = WorldConfig().with_options(driver="replay", terminate_at_goal=False, **options)
+    worlds = Worlds(SceneSet([scene]), config, num_worlds=1, num_threads=1)
+    out, native = worlds.arrays(), worlds.native
+    native.reset([0], [0], None, out)
+    states = [native.states(0)]
+    for _ in range(steps):
+        native.step(np.zeros((1, 1, native.action_width), np.float32), out)
+        states.append(native.states(0))
+    return {n: np.stack([s[n] for s in states], 1) for n in ("position", "speed", "active")}
+
+
+def test_vehicles_that_touch_stop_there_unless_contacts_are_ignored():
+    # two cars meet head on at x = 0, 8 m/s each, 1.2 s after the start
+    pair = scene_of([straight((-36.0, 0.0), (8.0, 0.0)), straight((36.0, 0.0), (-8.0, 0.0))])
+    stopped = play(pair, traffic="constant_velocity")
+    gap = np.diff(stopped["position"][1:, :, 0], axis=0)[0]
+    touch = int((gap <= 4.5).argmax())
+    assert touch > 0
+    # they overlap by less than a 32nd of the way of a step, and stand from the next step on
+    assert (gap[touch:] > 4.5 - 0.06).all()
+    assert (stopped["speed"][1:, touch] > 7.9).all()
+    assert (stopped["speed"][1:, touch + 1 :] == 0.0).all()
+    through = play(pair, traffic="constant_velocity", on_traffic_collision="ignore")
+    assert np.allclose(through["speed"][1:], 8.0, atol=1e-3)
+    # who follows the log goes on through whom it logs
+    logged = play(pair, traffic="replay")
+    assert np.allclose(logged["speed"][1:], 8.0, atol=1e-3)
+
+
+def test_contacts_at_the_start_stop_nobody():
+    pair = scene_of([straight((0.0, 0.0), (4.0, 0.0)), straight((2.0, 1.0), (4.0, 0.0))])
+    played = play(pair, steps=30, traffic="constant_velocity")
+    assert np.allclose(played["speed"][1:], 4.0, atol=1e-3)
+
+
+def test_other_consequences_of_contacts_of_the_traffic_are_refused():
+    with pytest.raises(ConfigError, match="on_traffic_collision"):
+        WorldConfig().with_options(on_traffic_collision="remove")
+
+
+def test_boxes_that_jitter_are_parked():
+    time_s = 0.1 * np.arange(STEPS)
+    jitter = np.stack([0.4 * np.sin(2.5 * time_s), np.zeros(STEPS)], axis=1)
+    scene = scene_of([(jitter, 0.0), straight((-30.0, 10.0), (5.0, 0.0))])
+    assert np.abs(np.gradient(jitter[:, 0], 0.1)).max() > 0.9
+    played = play(scene, traffic="idm")
+    assert np.ptp(played["position"][1], axis=0).max() == 0.0
+    assert np.ptp(played["position"][2], axis=0).max() > 10.0
+
+
+def test_late_arrivals_take_their_velocity_from_their_path():
+    path, yaw = straight((0.0, 0.0), (6.0, 0.0))
+    # the first pair of annotations steps backwards
+    path[40] = path[41] + (0.5, 0.0)
+    scene = scene_of([(path, yaw)], valid={1: slice(40, STEPS)})
+    assert scene.tracks()["velocity"][1, 40, 0] < 0.0
+    played = play(scene, traffic="constant_velocity")
+    entered = int(played["active"][1].argmax())
+    assert entered == 10
+    assert np.allclose(played["speed"][1, entered:], 4.9, atol=0.01)
+    # replay has the log's own
+    assert play(scene, traffic="replay")["speed"][1, entered] < 0.0
+
+
+def test_ccdiff_traffic_leaves_where_the_map_ends():
+    # logged up to x = 50; the map ends at 62, the raster of the network at 50 + 113
+    path, yaw = straight((-20.0, 0.0), (14.0, 0.0))
+    corners = np.array([[min(x, 62.0), y] for x, y in CORNERS], np.float32)
+    road = {"exterior": corners, "holes": []}
+    played = play(scene_of([(path, yaw)], {1: slice(0, 51)}, road), traffic="ccdiff")
+    there = played["active"][1]
+    assert not there.all()
+    last = played["position"][1, there][-1]
+    assert 60.0 < last[0] <= 62.0, last
