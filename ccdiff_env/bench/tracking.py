@@ -67,7 +67,9 @@ def evaluate(
 
 
 def _track(scene: Scene, model: str) -> list[dict[str, Any]]:
-    valid = np.asarray(scene.tracks()["valid"])[:, HISTORY_STEPS:].all(axis=1)
+    steps = min(WorldConfig().horizon_steps, scene.num_steps - HISTORY_STEPS - 1)
+    logged = slice(HISTORY_STEPS, HISTORY_STEPS + steps + 1)
+    valid = np.asarray(scene.tracks()["valid"])[:, logged].all(axis=1)
     ids = tuple(
         name
         for name, kind, there in zip(scene.agent_ids, scene.agent_types, valid, strict=True)
@@ -75,7 +77,7 @@ def _track(scene: Scene, model: str) -> list[dict[str, Any]]:
     )
     if not ids:
         return []
-    driven, replayed = _drive(scene, ids, model), _drive(scene, ids, None)
+    driven, replayed = _drive(scene, ids, steps, model), _drive(scene, ids, steps, None)
     return [
         {
             "scene": scene.name,
@@ -91,9 +93,8 @@ def _track(scene: Scene, model: str) -> list[dict[str, Any]]:
     ]
 
 
-def _drive(scene: Scene, ids: tuple[str, ...], model: str | None) -> dict[str, Any]:
+def _drive(scene: Scene, ids: tuple[str, ...], steps: int, model: str | None) -> dict[str, Any]:
     """Figures [T, C] of vehicles that follow their log by actions, or are replayed."""
-    steps = scene.num_steps - HISTORY_STEPS - 1
     config = WorldConfig().with_options(
         history_steps=HISTORY_STEPS,
         horizon_steps=steps,
