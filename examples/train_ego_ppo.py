@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -22,20 +23,22 @@ from ccdiff_env.bank import load_bank
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.spaces import Layout
 
-ROLLOUT = 32  # decisions of each world between updates
-EPOCHS, MINIBATCH = 3, 8192
-GAMMA, LAMBDA = 0.98, 0.95  # per decision
-CLIP, ENTROPY = 0.2, 0.001
+ROLLOUT = 16  # decisions of each world between updates
+EPOCHS, MINIBATCH = 3, 2048
+GAMMA, LAMBDA, CLIP = 0.98, 0.95, 0.2  # per decision
 WIDTH_ROWS, WIDTH = 64, 128
 REWARD = {
     "progress": 0.02,
-    "collision": -2.0,
-    "off_road": -1.0,
-    "comfort": -0.003,
+    "collision": -1.5,
+    "off_road": -3.0,
+    "comfort": -0.004,
     "speed_limit": -0.01,
     "lane_keeping": -0.004,
     "goal": 0.4,
 }
+#: What a collision costs more where it is the ego's fault, and a decision after which contact is
+#: less than a second away; the latter grows from 0 at 1.6 s.
+AT_FAULT, CLOSE = -1.5, -0.2
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -56,7 +59,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
     parser.add_argument("--minutes", type=float, default=5.0, help="of training, resumed ones too")
     parser.add_argument("--learning-rate", type=float, default=5e-4)
-    parser.add_argument("--noise", type=float, default=0.5, help="first standard deviation")
+    parser.add_argument(
+        "--noise", type=float, nargs=2, default=(0.2, 0.12), help="first standard deviations"
+    )
     parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--start", type=Path, help="checkpoint whose networks to begin with")
@@ -75,12 +80,13 @@ class Worlds:
         else:
             scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split.split("+"))
         recorded = [scene for path in args.bank for scene in load_bank(path)]
-        each = args.worlds // len(args.traffic)
+        each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         self.envs = [
             ccdiff_env.make_vec(
-                each,
+                each * count,
                 scenes=ccdiff_env.SceneSet(recorded) if traffic == "bank" else scenes,
-                config=config,
+                # the others of a bank met an ego that started where the log does
+                config=config.with_options(start_spread_steps=10) if traffic == "bank" else config,
                 traffic="replay" if traffic == "bank" else traffic,
                 autoreset_mode="same_step",
                 info="end",
@@ -88,29 +94,42 @@ class Worlds:
                 num_threads=args.threads,
                 **({"criticality": (0.0, args.criticality)} if traffic == "ccdiff" else {}),
             )
-            for traffic in args.traffic
+            for traffic, count in shares.items()
         ]
-        self.size = each
+        ends = np.cumsum([env.num_envs for env in self.envs])
+        self.parts = [
+            slice(end - env.num_envs, end) for env, end in zip(self.envs, ends, strict=True)
+        ]
+        entries = {entry.name: entry for entry in self.envs[0].worlds.layout.entries}
+        rows, mask = entries["agents"], entries["agents_mask"]
+        self.mask = slice(mask.offset, mask.offset + mask.size)
+        ttc = OBSERVATION["agent_columns"].index("ttc")
+        self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
         self.episodes: list[np.ndarray] = []
         self.obs = np.concatenate(
-            [env.reset(seed=seed + i * each)[0] for i, env in enumerate(self.envs)]
+            [
+                env.reset(seed=seed + part.start)[0]
+                for env, part in zip(self.envs, self.parts, strict=True)
+            ]
         )
-        self.action_width = self.envs[0].single_action_space.shape[0]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
-        for i, env in enumerate(self.envs):
-            part = slice(i * self.size, (i + 1) * self.size)
+        for env, part in zip(self.envs, self.parts, strict=True):
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
-            rewards.append(reward.copy())
-            ends.append(terminated | truncated)
+            end, seen = terminated | truncated, self.obs[part]
+            ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
+            reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
             if truncated.any():
-                cut.append(np.flatnonzero(truncated) + i * self.size)
+                cut.append(np.flatnonzero(truncated) + part.start)
                 last.append(np.stack(info["final_obs"][truncated]))
-            if ends[-1].any():
+            if end.any():
                 metrics = info["final_info"]["metrics"]
-                self.episodes.append(np.stack([metrics[k][ends[-1]] for k in SHOWN], axis=1))
+                reward[end] += AT_FAULT * metrics["at_fault"][end]
+                self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
+            rewards.append(reward)
+            ends.append(end)
         found = np.concatenate(cut) if cut else np.empty(0, np.int64)
         return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
 
@@ -118,7 +137,7 @@ class Worlds:
 class Agent(nn.Module):
     """Policy and value: all agents pass one network, the greatest of each feature stays."""
 
-    def __init__(self, layout: Layout, action_width: int, noise: float) -> None:
+    def __init__(self, layout: Layout, noise: tuple[float, ...]) -> None:
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
         rows, mask = entries["agents"], entries["agents_mask"]
@@ -139,11 +158,11 @@ class Agent(nn.Module):
                 nn.ReLU(),
                 nn.Linear(WIDTH, out),
             )
-            for out in (action_width, 1)
+            for out in (len(noise), 1)
         )
         nn.init.orthogonal_(self.policy[-1].weight, 0.01)
         nn.init.zeros_(self.policy[-1].bias)
-        self.log_std = nn.Parameter(torch.full((action_width,), float(np.log(noise))))
+        self.log_std = nn.Parameter(torch.tensor(noise).log())
         for name, value in (("mean", 0.0), ("var", 1.0)):
             self.register_buffer(name, torch.full((layout.size,), value))
         self.register_buffer("count", torch.tensor(1e-4))
@@ -185,7 +204,7 @@ class Agent(nn.Module):
 
 def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, torch.Tensor]:
     """Let all worlds decide ROLLOUT times; tensors [T, E, ...]."""
-    size, width = worlds.obs.shape[0], worlds.action_width
+    size, width = worlds.obs.shape[0], len(agent.log_std)
     x = torch.empty(ROLLOUT, *worlds.obs.shape)
     actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
@@ -222,12 +241,13 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     moved = 0.0
     for _ in range(EPOCHS):
         for index in torch.randperm(len(advantage)).split(MINIBATCH):
-            mean, values = agent(data["x"][index])
+            with torch.autocast("cpu", torch.bfloat16):  # half the time of an update
+                mean, values = (out.float() for out in agent(data["x"][index]))
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
             ratio, gain = change.exp(), data["advantage"][index]
             policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()
             value = (values - data["returns"][index]).pow(2).mean()
-            loss = policy + 0.5 * value - ENTROPY * agent.log_std.sum()
+            loss = policy + 0.5 * value
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
@@ -254,13 +274,14 @@ def main() -> None:
     torch.manual_seed(args.seed + done["updates"])
     config = ccdiff_env.WorldConfig().with_options(**fitting, **training)
     worlds = Worlds(args, config, args.seed + done["decisions"])
-    agent = Agent(worlds.envs[0].worlds.layout, worlds.action_width, args.noise)
-    optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5)
+    agent = Agent(worlds.envs[0].worlds.layout, tuple(args.noise))
+    optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
     if saved:
         agent.load_state_dict(saved["agent"])
         optimiser.load_state_dict(saved["optimiser"])
     elif args.start:
         agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
+        agent.log_std.data = torch.tensor(args.noise).log()
 
     def keep() -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
