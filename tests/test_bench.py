@@ -432,11 +432,12 @@ def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     choice = {"source": VAL, "names": names, "ego": "replay", "seed": 0}
     rows = {
         (chooser, strength): selection.choose(chooser=chooser, strength=strength, **choice)
-        for chooser, strength in (("none", 0.0), ("distance", 1.0), (policy, 1.0))
+        for chooser, strength in (("none", 0.0), ("distance", 1.0), ("fork", 1.0), (policy, 1.0))
     }
     assert all([row["scene"] for row in found] == names for found in rows.values())
     assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
     assert min(row["realism_cost"] for row in rows["distance", 1.0]) > 0.0
+    assert min(row["share_guided"] for row in rows["fork", 1.0]) > 0.0
     assert rows["distance", 1.0] == selection.choose(chooser="distance", strength=1.0, **choice)
 
 
@@ -459,6 +460,24 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
     )
     assert "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 1.20 ± 0.28 | 100 ± 0 |" in table
     assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
+
+
+def test_choosers_are_compared_with_the_causal_ranking_scene_by_scene():
+    def rows(hits, shift):
+        parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "share_guided": 1.0}
+        return [{"collision": hit, **parts} for hit in hits]
+
+    table = selection.selection_table(
+        {
+            ("none", 0.0): rows([0.0, 0.0, 0.0, 0.0], 0.0),
+            ("causal", 1.0): rows([0.0, 0.0, 1.0, 0.0], 0.4),
+            ("fork", 1.0): rows([1.0, 0.0, 1.0, 0.0], 0.3),
+        }
+    )
+    # differences 1, 0, 0, 0: mean 0.25, standard deviation 0.5, over the root of 4
+    assert "| fork | +25.0 ± 25.0 | -0.10 ± 0.00 |" in table
+    assert "At the shift of fork (0.30 sigmas)" in table
+    assert "| causal | 18.7 |" in table or "| causal | 18.8 |" in table
 
 
 def test_rankings_that_ask_the_network_find_their_own_control_set():

@@ -214,6 +214,34 @@ def test_baselines_choose_what_their_names_say(scenes):
         env.baseline("crystal ball")
 
 
+def test_forks_foresee_what_each_choice_leads_to_and_change_nothing(scenes):
+    options = {"scenes": scenes[:2], "ego": "replay", "action_mode": "discrete", "max_agents": 3}
+    env = AdversarySelectionVectorEnv(2, **options, **QUICK)
+    env.reset(seed=0, options={"scene": [0, 1]})
+    native = env.worlds.native
+    before = [native.snapshot(e) for e in range(2)]
+    steps = env.worlds.config.ccdiff.replan_steps
+    gaps = env.fork_gaps(steps)
+    assert [native.snapshot(e) for e in range(2)] == before
+    assert (np.isfinite(gaps) == env.action_masks()[:, :-1]).all()
+    # what a choice leads to when it is made: the least distance over the steps of the decision
+    chosen = gaps.argmin(axis=1)
+    agents = [env._batch.match(e).view(3).rows[row] for e, row in enumerate(chosen)]
+    egos = [env._batch.match(e).ego for e in range(2)]
+    seen = []
+
+    def look():
+        states = [native.states(e)["position"] for e in range(2)]
+        seen.append([np.linalg.norm(states[e][egos[e]] - states[e][agents[e]]) for e in range(2)])
+
+    env._batch.on_step = look
+    env.step(chosen)
+    assert len(seen) == steps
+    assert np.allclose(np.min(seen, axis=0), gaps.min(axis=1))
+    with pytest.raises(ConfigError, match="guided"):
+        AdversarySelectionVectorEnv(1, scenes=scenes[:1], ego="replay", **PLAIN).fork_gaps(5)
+
+
 @pytest.mark.parametrize("rules", [PLAIN, QUICK], ids=["idm", "ccdiff"])
 def test_worlds_of_the_vector_form_run_as_single_ones(scenes, rules):
     exact = rules is PLAIN  # a network's last bits depend on the size of its batch

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -28,8 +29,9 @@ __all__ = [
     "trial_jobs",
 ]
 
-#: The simple choosers, see :meth:`AdversarySelectionVectorEnv.baseline`.
-CHOOSERS = ("none", "random", "distance", "ttc", "causal")
+#: The simple choosers, see :meth:`AdversarySelectionVectorEnv.baseline`; ``fork`` tries every
+#: candidate in forks of the world and takes the one that comes nearest to the ego.
+CHOOSERS = ("none", "random", "distance", "ttc", "causal", "fork")
 #: Strengths of the guidance at which the simple choosers are measured; PPO chooses at 1.
 STRENGTHS = (0.25, 0.5, 0.75, 1.0)
 NUM_ENVS = 32
@@ -45,6 +47,8 @@ REWARD = SelectionReward(
 CHUNK = 12
 #: Steps from one decision to the next: 2 s, in which who was chosen can come near the ego.
 REPLAN_STEPS = 20
+#: Steps of a fork: this decision and the next one.
+FORK_STEPS = 40
 
 
 def _options(ego: str, strength: float) -> dict[str, Any]:
@@ -206,7 +210,11 @@ def choose(
     for decision in range(env.worlds.config.horizon_steps):
         if all(rows):
             break
-        if policy is None:
+        if chooser == "fork":
+            gaps = env.fork_gaps(FORK_STEPS)
+            # the last action is nobody
+            actions = np.where(np.isfinite(gaps).any(axis=1), gaps.argmin(axis=1), gaps.shape[1])
+        elif policy is None:
             actions = env.baseline(chooser, seed=1000 * decision)
         else:
             masks = env.action_masks()
@@ -259,17 +267,21 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         if not name.endswith(".zip"):
             cells = [f"{f * means[name, strength][k]:.{d}f}" for k, f, d in factors]
             lines.append(f"| {name} | {strength:g} | " + " | ".join(cells) + " |")
-    if not learned:
+    if learned:
+        cells = []
+        for key, factor, digits in factors:
+            values = factor * np.array([m[key] for m in learned])
+            spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
+            cells.append(f"{values.mean():.{digits}f}{spread}")
+        lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
+        shift = float(np.mean([m["shift_sigmas"] for m in learned]))
+        head, first = "PPO", [f"| PPO | {cells[0]} |"]
+    elif ("fork", 1.0) in means:
+        shift, head, first = means["fork", 1.0]["shift_sigmas"], "fork", []
+    else:
         return "\n".join(lines) + "\n"
-    cells = []
-    for key, factor, digits in factors:
-        values = factor * np.array([m[key] for m in learned])
-        spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-        cells.append(f"{values.mean():.{digits}f}{spread}")
-    lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
-    shift = float(np.mean([m["shift_sigmas"] for m in learned]))
-    lines += ["", f"At PPO's shift ({shift:.2f} sigmas), between measured strengths:", ""]
-    lines += ["| chooser | ego collides % |", "|---|---:|", f"| PPO | {cells[0]} |"]
+    lines += ["", f"At the shift of {head} ({shift:.2f} sigmas), between measured strengths:", ""]
+    lines += ["| chooser | ego collides % |", "|---|---:|", *first]
     floor = next((m for (name, _), m in means.items() if name == "none"), None)
     for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
         points = [m for (n, _), m in means.items() if n == name]
@@ -279,4 +291,24 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
             shift, [m["shift_sigmas"] for m in points], [m["collision"] for m in points]
         )
         lines.append(f"| {name} | {100.0 * share:.1f} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + _less_causal(rows)) + "\n"
+
+
+def _less_causal(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Paired differences to the causal ranking at full strength ± standard errors over scenes."""
+    if ("causal", 1.0) not in rows:
+        return []
+
+    def column(name: str, key: str) -> npt.NDArray[np.float64]:
+        return np.array([row[key] for row in rows[name, 1.0]], np.float64)
+
+    lines = ["", "Less the causal ranking, both at strength 1, ± standard error over scenes:", ""]
+    lines += ["| chooser | ego collides % | shift, sigmas |", "|---|---:|---:|"]
+    for name in (n for n, strength in rows if strength == 1.0 and n != "causal"):
+        cells = []
+        for key, factor, digits in (("collision", 100.0, 1), ("shift_sigmas", 1.0, 2)):
+            less = factor * (column(name, key) - column("causal", key))
+            error = less.std(ddof=1) / np.sqrt(len(less)) if len(less) > 1 else np.nan
+            cells.append(f"{less.mean():+.{digits}f} ± {error:.{digits}f}")
+        lines.append(f"| {Path(name).stem} | " + " | ".join(cells) + " |")
+    return lines

@@ -149,6 +149,50 @@ class SelectionBatch:
         rows = [place[agent] for agent in ranked if agent in place]
         return self.actions.action(rows[: self.actions.budget])
 
+    def fork_gaps(self, steps: int) -> npt.NDArray[np.float32]:
+        """Try every candidate in forks of the worlds; the worlds stay where they are.
+
+        Parameters
+        ----------
+        steps
+            Steps of the world that a fork lasts.
+
+        Returns
+        -------
+        gaps
+            Least distance of centres of the ego and a candidate while that one alone is guided, m;
+            -1 where the two come into contact, infinite for rows without an agent, [E, M].
+
+        Raises
+        ------
+        ConfigError
+            If the ego is a policy, whose memory a fork does not hold; if nothing can be guided.
+        """
+        if self._act is not None:
+            raise ConfigError("forks need an ego that worlds drive themselves, such as idm")
+        if not self.worlds.native.planners:
+            raise ConfigError("forks need traffic that can be guided, such as ccdiff")
+        native, num_worlds = self.worlds.native, self.worlds.num_worlds
+        saved = [native.snapshot(e) for e in range(num_worlds)]
+        matches = [self.match(e) for e in range(num_worlds)]
+        rows = [match.view(self.actions.num_rows).rows for match in matches]
+        gaps = np.full((num_worlds, self.actions.num_rows), np.inf, np.float32)
+        for row in range(max(len(found) for found in rows)):
+            for e in range(num_worlds):
+                native.restore(e, saved[e])
+                native.command(e, guided=rows[e][row : row + 1], criticality=None)
+            running = [e for e in range(num_worlds) if row < len(rows[e])]
+            for _ in range(steps):
+                out = self.worlds.arrays()
+                native.step(self._ego_actions(), out)
+                for e in running:
+                    gap = _gap(native, e, matches[e].ego, rows[e][row])
+                    gaps[e, row] = min(gaps[e, row], gap)
+                running = [e for e in running if not out.done[e]]
+        for e in range(num_worlds):
+            native.restore(e, saved[e])
+        return gaps
+
     def decide(self, actions: Sequence[Any]) -> list[Outcome]:
         """Advance all worlds by one decision.
 
@@ -219,3 +263,13 @@ class SelectionBatch:
             width = self.worlds.native.action_width
             return np.zeros((self.worlds.num_worlds, 1, width), np.float32)
         return self.worlds.actions(self._act(self._obs), shape)
+
+
+def _gap(native: Any, world_idx: int, ego: int, agent: int) -> float:
+    """Distance of two agents' centres, m; -1 in contact, infinite where one is not there."""
+    if any((i, j) == (ego, agent) for i, j, *_ in native.contacts(world_idx)):
+        return -1.0
+    states = native.states(world_idx)
+    if not (states["active"][ego] and states["active"][agent]):
+        return float("inf")
+    return float(np.linalg.norm(states["position"][ego] - states["position"][agent]))

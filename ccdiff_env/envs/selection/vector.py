@@ -220,6 +220,27 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         """Return what a simple chooser would do now in each world [E, ...]; seeds are seed + i."""
         return np.stack([self._batch.baseline(i, name, seed + i) for i in range(self.num_envs)])
 
+    def fork_gaps(self, steps: int) -> F32:
+        """Return how near each candidate comes to the ego in forks where it alone is guided.
+
+        Parameters
+        ----------
+        steps
+            Steps of the world that a fork lasts.
+
+        Returns
+        -------
+        gaps
+            Least distance of centres [E, M], m; -1 in contact, infinite for rows without an agent.
+            The worlds do not change.
+
+        Raises
+        ------
+        ConfigError
+            If the ego is a policy; if the traffic cannot be guided.
+        """
+        return self._batch.fork_gaps(steps)
+
     def render(self) -> tuple[Image, ...] | None:
         """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
