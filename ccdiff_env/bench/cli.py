@@ -15,7 +15,7 @@ from ccdiff_env.bench.arguments import (
 )
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.terminal import align
+from ccdiff_env.terminal import align, say_page
 
 __all__ = ["add_arguments"]
 
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_selection(kinds)
     _add_reactivity(kinds)
     _add_tracking(kinds)
+    _add_leaderboard(kinds)
 
 
 def _counts(text: str) -> list[int | None]:
@@ -416,3 +417,20 @@ def _tracking(args: argparse.Namespace) -> int:
     rows = run.rows(tracking_jobs(run.source, args.dynamics.split(",")), "model")
     write_tracking({model: found for (model,), found in rows.items()}, run.folder)
     return run.report("Tracking", plots=[], parts={"The log through models of motion": "table.md"})
+
+
+def _add_leaderboard(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("leaderboard", help="planners of several runs in one page")
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders of bench planners")
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.html"), help="page to write")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+    parser.set_defaults(run=_leaderboard)
+
+
+def _leaderboard(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.leaderboard import write_leaderboard
+
+    for heading, text in write_leaderboard(args.runs, args.out).items():
+        print(f"{heading}\n\n{align(text)}")
+    say_page(args.out, open_it=args.open)
+    return 0

@@ -15,6 +15,7 @@ from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 __all__ = [
     "mean_interval",
     "short_name",
+    "summary",
     "verdict",
     "worst_scenes",
     "worst_table",
@@ -84,7 +85,7 @@ def write_report(
             for row in rows:
                 parts = [row[part] for part in (*_PARTS, "min_ttc_s")]
                 writer.writerow([planner, name, row["scene"], *parts])
-    lines = [verdict(found, planners, traffic), "", *_summary(found, planners, traffic), ""]
+    lines = [verdict(found, planners, traffic), "", *summary(found, planners, traffic), ""]
     for name in traffic:
         lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
         lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
@@ -212,8 +213,8 @@ def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
     return ". ".join([*sentences, f"{count} scenes"]) + "."
 
 
-def _summary(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> list[str]:
-    """Matrix of planners and traffic, the best of each traffic emphasised."""
+def summary(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> list[str]:
+    """Return the lines of a matrix of planners and traffic, the best of each emphasised."""
     mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
     lines = ["| score | " + " | ".join(TRAFFIC[t].label for t in traffic) + " | mean |"]
     lines.append("|---|" + "---:|" * (len(traffic) + 1))
