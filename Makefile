@@ -64,6 +64,7 @@ wheel: $(STAMP)  ## wheel and source distribution in dist/, tried in empty envir
 docs: $(SO)  ## the site of the documentation: docs/site
 	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/site
+	$(BIN)/python -m tools.gallery docs/site/gallery
 
 bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world

@@ -1,4 +1,4 @@
-"""The README's moving picture: small, and of what its titles say."""
+"""Pictures that tools make: the README's film is small and shows what its titles say; the gallery."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from ccdiff_env.view.outcome import outcome
-from tools import readme_film
+from tools import gallery, readme_film
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs/hero.gif"
 
@@ -30,3 +30,12 @@ def test_criticality_alone_makes_the_collision_of_the_picture():
     # the ego is on its recorded path in all three
     for run in (realistic, critical):
         assert np.allclose(run.position[0, :last], log.position[0, :last], atol=0.01)
+
+
+def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):
+    index = gallery.write_gallery(tmp_path / "gallery", num_pages=2).read_text(encoding="utf-8")
+    pages = sorted((tmp_path / "gallery").glob("*-*.html"))
+    assert len(pages) == 2
+    for page in pages:
+        assert f'href="{page.name}' in index
+        assert page.read_text(encoding="utf-8").count('class="run"') == 2

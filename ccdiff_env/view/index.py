@@ -75,21 +75,24 @@ def write_pages(
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         titles = (name,) if log is None else (name, "log")
         write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
-        fate = outcome(rollout)
-        moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-        entries.append(
-            Entry(
-                href=address(page.name, time_s=moment, play=True),
-                title=name,
-                line=subtitle(rollout),
-                outcome=fate,
-                picture=_data_address(thumbnail(rollout, moment)) if thumbnails else "",
-            )
-        )
+        entries.append(entry(rollout, name, page.name, picture=thumbnails))
         pages.append(page)
     index = out / "index.html"
     index.write_text(index_page(folder.name or "replays", entries), encoding="utf-8")
     return [index, *pages]
+
+
+def entry(rollout: Rollout, title: str, page: str, *, picture: bool = True) -> Entry:
+    """Return the entry of a rollout, whose page has a name beside the index."""
+    fate = outcome(rollout)
+    moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
+    return Entry(
+        href=address(page, time_s=moment, play=True),
+        title=title,
+        line=subtitle(rollout),
+        outcome=fate,
+        picture=_data_address(thumbnail(rollout, moment)) if picture else "",
+    )
 
 
 def thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
