@@ -1,4 +1,4 @@
-"""Pictures that tools make: the README's film is small and shows what its titles say; the gallery."""
+"""Pictures made by tools: the README film is small and shows what its titles say; the gallery."""
 
 from __future__ import annotations
 
