@@ -1,6 +1,7 @@
 """Everything that can be chosen about a world, as frozen dataclasses.
 
-Rust checks the ranges; a test holds that the defaults here and there are the same.
+Fields, defaults and what is said of them come from Rust (``ccdiff_env.options``), which checks the
+ranges; here is what keywords and JSON need.
 """
 
 from __future__ import annotations
@@ -15,24 +16,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from ccdiff_env.actions import (
+from ccdiff_env.errors import ConfigError, UnknownOptionError
+from ccdiff_env.files import parsed_object
+from ccdiff_env.options import (
     DYNAMICS,
     ActionConfig,
     ActionGrid,
     AssistedLimits,
+    BevConfig,
     BicycleLimits,
+    CcdiffConfig,
+    Controlled,
     DeltaPoseLimits,
     Dynamics,
+    IdmConfig,
+    ObservationConfig,
+    Ranking,
+    RewardConfig,
     UnicycleLimits,
+    WorldOptions,
 )
-from ccdiff_env.errors import ConfigError, UnknownOptionError
-from ccdiff_env.files import parsed_object
 from ccdiff_env.traffic import (
     KINDS,
     NETWORKS,
-    CcdiffConfig,
-    IdmConfig,
-    ListedRanking,
     Policy,
     PythonTraffic,
     driver_names,
@@ -56,91 +62,10 @@ __all__ = [
 
 #: A driver by name, or shares of drivers by name.
 Traffic: TypeAlias = str | Mapping[str, float]
-Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
-Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
-Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
-SceneOrder: TypeAlias = Literal["random", "sequential"]
-RewardForm: TypeAlias = Literal["sum", "product"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class BevConfig:
-    """Choice of the bird's-eye raster, uint8 [channels, S, S]."""
-
-    #: Rows and columns S, 8 to 1024.
-    size_px: int = 84
-    #: Side of a pixel, m, in [0.05, 10].
-    metres_per_px: float = 0.6
-    #: Share of the rows that lies behind the observing agent's centre, 0 to 1.
-    behind_share: float = 0.25
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObservationConfig:
-    """Choice of rows and columns of the observation."""
-
-    #: Nearest agents, K rows, at most 512.
-    num_agents: int = 16
-    #: Points of the route ahead, P rows, at most 256.
-    num_route_points: int = 20
-    #: Metres from one route point to the next, in (0, 1000].
-    route_spacing_m: float = 2.0
-    #: Nearest pieces of map lines, N rows.
-    num_map_pieces: int = 64
-    #: Agents farther than this are not seen, metres, in (0, 1000].
-    radius_m: float = 60.0
-    #: Whether masks are part of the row.
-    masks: bool = True
-    #: Columns of ``ego``; all if ``None``.
-    ego_columns: tuple[str, ...] | None = None
-    #: Columns of ``agents``; all if ``None``.
-    agent_columns: tuple[str, ...] | None = None
-    #: Columns of ``map``; all if ``None``.
-    map_columns: tuple[str, ...] | None = None
-    #: Bird's-eye raster beside the row; none if ``None``.
-    bev: BevConfig | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class RewardConfig:
-    """Weights of the reward components; the reward is their sum. Finite, at most 1e6.
-
-    Also by the name of a form: ``reward="product"``.
-    """
-
-    #: ``"sum"``: of the weighted components. ``"product"``: new progress times factors for comfort,
-    #: speed, time to contact and distance from the route, as in CaRL; collisions count where they
-    #: are the agent's fault, and the weights of the factors are unused.
-    form: RewardForm = "sum"
-
-    #: Per metre of new progress along the route.
-    progress: float = 0.1
-    #: At the step of a collision.
-    collision: float = -10.0
-    #: At each step with a corner off the road.
-    off_road: float = -5.0
-    #: Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most
-    #: 3, per step.
-    comfort: float = -0.004
-    #: Per m/s above the speed limit, per step.
-    speed_limit: float = -0.05
-    #: Per metre of distance from the route, at most 3, per step.
-    lane_keeping: float = -0.02
-    #: When the goal is reached.
-    goal: float = 2.0
-
-    def scaled(self, factor: float) -> RewardConfig:
-        """Return all weights times a factor.
-
-        Learners whose value function shares features with the policy learn better from small
-        rewards: the loss of the value function grows with their square.
-        """
-        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
-        return RewardConfig(form=self.form, **weights)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorldConfig:
+class WorldConfig(WorldOptions):
     """Configuration of worlds.
 
     Examples
@@ -149,66 +74,11 @@ class WorldConfig:
     near-miss messages: ``WorldConfig().with_options(traffic="idm", reward={"goal": 5.0})``.
     """
 
-    #: Step, s, in (0, 1]; must equal the scenes' own.
-    dt_s: float = 0.1
-    #: Logged steps before the first free one; episodes start at this step of the log.
-    history_steps: int = 30
-    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
-    start_spread_steps: int = 0
-    #: Steps of an episode at most, >= 1.
-    horizon_steps: int = 100
-    #: Steps for which an action is held, >= 1: a call of ``step`` advances by so many, or up to the
-    #: end of the episode. Rewards are summed up; a learner's discount per call is that of a step to
-    #: this power.
-    decision_steps: int = 1
-    #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), ids, or
-    #: ids by the name of the scene.
-    controlled: Controlled = "ego"
-    #: Slots per world, 1 to 512.
-    num_slots: int = 1
-    #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
-    driver: str = "external"
-    #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
-    #: each vehicle and episode from the world's seed. Pedestrians, cyclists, motorcycles and
-    #: obstacles follow the log. A :class:`~ccdiff_env.traffic.PythonTraffic` stands for itself.
-    traffic: Traffic = "replay"
-    #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
-    drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
-    #: Whether agents that the log brings later enter (once their place is free).
-    late_arrivals: bool = True
-    #: Whether background agents leave when the log has them no more; else they drive on.
-    vanish_with_log: bool = False
-    #: Whether the episode is truncated where the log ends.
-    truncate_at_log_end: bool = True
-    #: Consequence of a collision for a controlled agent.
-    on_collision: Consequence = "terminate"
-    #: Consequence of a contact for agents without a slot, where a vehicle takes part in it that
-    #: does not follow its log: they stay where they touch, or go on through one another (paper).
-    on_traffic_collision: Literal["ignore", "stop"] = "stop"
-    #: Consequence of a box corner off the road for a controlled agent.
-    on_off_road: Consequence = "terminate"
-    #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.
-    terminate_at_goal: bool = True
-    #: Speed limit where the map has none, m/s, > 0.
-    speed_limit_mps: float = 15.0
-    #: Actions.
-    action: ActionConfig = field(default_factory=ActionConfig)
-    #: Observations.
-    observation: ObservationConfig = field(default_factory=ObservationConfig)
-    #: Rewards.
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    #: Options of the driver ``"idm"``.
-    idm: IdmConfig = field(default_factory=IdmConfig)
     #: Options of the drivers that are networks, ``"ccdiff"`` above all.
     ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
     #: Further drivers by names of one's own, as options of their kind: two styles of IDM are
     #: ``{"calm": IdmConfig(headway_s=2.0), "hasty": IdmConfig(headway_s=0.6)}``.
     policies: Mapping[str, Policy] = field(default_factory=dict, hash=False)
-    #: What happens to a world whose episode has ended.
-    autoreset: Autoreset = "next_step"
-    #: How the scene of an episode is chosen when the reset names none; sequential: world i of E
-    #: plays scenes i, i + E, i + 2E ... and round again.
-    scene_order: SceneOrder = "random"
 
     def __post_init__(self) -> None:
         own = {
@@ -334,7 +204,7 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if origin is types.UnionType or origin is typing.Union:
         if value is None and type(None) in args:
             return None
-        if hint == ListedRanking and str(value).endswith(".json"):
+        if hint == Ranking and str(value).endswith(".json"):
             return read_ranking(value)
         if isinstance(value, Mapping) and set(value) == {"list"}:
             value = value["list"]

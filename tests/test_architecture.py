@@ -22,6 +22,7 @@ SIM_ROOMS = [
     "wide",
     "error",
     "geom",
+    "options",
     "scene",
     "state",
     "dynamics",

@@ -303,7 +303,7 @@ def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
         ({"ccdiff": {"replan_steps": 0}}, "replan_steps"),
         ({"ccdiff": {"replan_steps": 53}}, "replan_steps"),
         ({"ccdiff": {"num_samples": 0}}, "num_samples"),
-        ({"ccdiff": {"cfg_weight": 2.0}}, "guidance_weight"),
+        ({"ccdiff": {"cfg_weight": 2.0}}, "cfg_weight"),
         ({"ccdiff": {"criticality": -1.0}}, "criticality"),
         ({"ccdiff": {"guidance": "hard"}}, "preset"),
         ({"ccdiff": {"guidance": {"discount": 2.0}}}, "discount"),

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from ccdiff_env.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.ccdiff import (
     NETWORKS,
     PAPER_PROTOCOL,
-    CcdiffConfig,
-    ListedRanking,
     TrafficPlan,
     read_ranking,
 )
-from ccdiff_env.traffic.idm import IdmConfig
 from ccdiff_env.traffic.kinds import KINDS, Policy, driver_names, driver_titles
 from ccdiff_env.traffic.python import PythonTraffic, TrafficBatch
 
@@ -20,7 +18,6 @@ __all__ = [
     "PAPER_PROTOCOL",
     "CcdiffConfig",
     "IdmConfig",
-    "ListedRanking",
     "Policy",
     "PythonTraffic",
     "TrafficBatch",

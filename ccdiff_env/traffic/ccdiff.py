@@ -1,4 +1,4 @@
-"""CCDiff traffic: what can be chosen about it, and what its plans say."""
+"""Traffic of planning networks: their names, the paper's protocol, and what their plans say."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,6 @@ from ccdiff_env.files import parsed_object
 __all__ = [
     "NETWORKS",
     "PAPER_PROTOCOL",
-    "CcdiffConfig",
-    "ListedRanking",
     "TrafficPlan",
     "read_ranking",
 ]
@@ -34,65 +32,6 @@ NETWORKS = (
     "ctg",
     "ctgpp",
 )
-
-Ranking: TypeAlias = Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
-ListedRanking: TypeAlias = Ranking | Mapping[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CcdiffConfig:
-    """CCDiff as a driver: of the traffic (``traffic="ccdiff"``), or of the controlled agents.
-
-    The options of its rivals as well, :data:`NETWORKS` (``traffic="ctg"``, docs/rivals.md): what
-    means nothing to a network must have its default. Plans are made for all worlds of a batch at
-    once, anew every ``replan_steps``, and followed in between.
-    """
-
-    #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
-    weights: str = "fast"
-    #: Where the network runs.
-    device: Literal["cpu", "cuda"] = "cpu"
-    #: Steps from one plan to the next n, 1 to 52.
-    replan_steps: int = 5
-    #: Network evaluations of the DDIM sampler, >= 1 (one: guidance moves its only step); DDPM with
-    #: all 100 steps if ``None``.
-    denoising_steps: int | None = 5
-    #: Samples per plan N, >= 1.
-    num_samples: int = 1
-    #: Weight w of the conditional branch in classifier-free guidance, in [1, 2).
-    cfg_weight: float = 1.0
-    #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
-    tie_first_knot: bool = False
-    #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
-    keep_noise: bool = False
-    #: The decision causal graph G that the network sees; ``"full"`` joins all pairs (ablation).
-    graph: Literal["causal", "full"] = "causal"
-    #: Vehicles that are guided K; all if ``None``.
-    num_guided: int | None = 5
-    #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
-    #: attention, cliques of the distance graph, the scene's order, a shuffle, agreement of the
-    #: gradients of realism and guidance, or agent ids by scene name, most important first (a
-    #: mapping, or the path of a JSON file, see :func:`read_ranking`).
-    ranking: ListedRanking = "cliques"
-    #: Whether they are found anew at every plan, not only at the first one.
-    rerank: bool = True
-    #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
-    others: Literal["ccdiff", "idm", "replay"] = "ccdiff"
-    #: Share of each move of the guidance that is made, >= 0: 0 is realistic traffic, 1 the guidance
-    #: as configured. Worlds may be told another one at any time.
-    criticality: float = 0.0
-    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings, see
-    #: :func:`ccdiff_env.models.guidance_preset`.
-    guidance: str | Mapping[str, Any] = "rl"
-    #: Whether only the K vehicles are moved by guidance; else all (ablation).
-    mask_guidance: bool = True
-    #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from
-    #: outside, or with anybody (paper).
-    partners: Literal["ego", "all"] = "ego"
-    #: Whether plans keep attention and gradient statistics, at some cost.
-    explain: bool = False
-    #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
-    frozen: Literal["parked", "standing"] = "parked"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,12 @@
 //! Networks as drivers of traffic, made here and handed to the worlds of `_native`.
 
 use crate::models::from_model;
-use ccdiff_bridge::{Handed, contained, errors::py, policy_capsule};
+use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_bridge::{Handed, contained, policy_capsule};
 use ccdiff_models::ModelKind;
+use ccdiff_models::guidance::TABLES;
 use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_sim::options::read;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::collections::BTreeMap;
@@ -11,8 +14,16 @@ use std::path::PathBuf;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(config_tables, module)?)?;
     module.add_function(wrap_pyfunction!(default_policies, module)?)?;
     module.add_function(wrap_pyfunction!(traffic_policy, module)?)
+}
+
+/// The tables of the options of networks and of guidance as JSON: names, defaults, units, ranges, meanings.
+#[pyfunction]
+fn config_tables() -> PyResult<String> {
+    let tables: Vec<_> = [&CcdiffConfig::TABLE].into_iter().chain(TABLES.iter().copied()).collect();
+    serde_json::to_string(&tables).map_err(|e| py::ConfigError::new_err(e.to_string()))
 }
 
 /// Default options of the kinds that are policies by their own name, as JSON in the form of `WorldConfig::policies`.
@@ -39,7 +50,9 @@ fn traffic_policy<'py>(
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     let fail = |what: String| py::ConfigError::new_err(format!("config: policies: {name}: {what}"));
-    let config: CcdiffConfig = serde_json::from_str(options).map_err(|e| fail(e.to_string()))?;
+    // as the user has written it
+    let path = if name == kind { name.to_owned() } else { format!("policies.{name}.{kind}") };
+    let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
     let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
     let policy = py.detach(|| {
         let policy = PlannedTraffic::new(config, &weights, num_threads)?;

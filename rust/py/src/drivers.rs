@@ -4,9 +4,9 @@ use crate::python_policy::PythonPolicy;
 use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::Driver;
-use ccdiff_sim::SimError;
+use ccdiff_sim::options::{self, Setting};
 use ccdiff_sim::policy::Idm;
-use ccdiff_sim::world::{IdmConfig, WorldConfig};
+use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use serde::de::DeserializeOwned;
@@ -82,12 +82,7 @@ fn drivers() -> Vec<Row> {
 }
 
 fn idm(recipe: &Recipe<'_>) -> PyResult<Policy> {
-    let config: IdmConfig = recipe.options()?;
-    if let Some((field, got, expected)) = config.first_fault() {
-        let error = SimError::Config { field, got: got.to_string(), expected: expected.into() };
-        return Err(from_sim(error));
-    }
-    Ok(Box::new(Idm { config }))
+    Ok(Box::new(Idm { config: recipe.options("idm")? }))
 }
 
 /// Traffic of a model of the user's own.
@@ -97,13 +92,14 @@ fn python(recipe: &Recipe<'_>) -> PyResult<Policy> {
         py::ConfigError::new_err(message)
     })?;
     let model = Python::attach(|py| model.clone_ref(py));
-    Ok(Box::new(PythonPolicy::new(recipe.name, recipe.options()?, model)))
+    Ok(Box::new(PythonPolicy::new(recipe.name, recipe.options("python")?, model)))
 }
 
 impl Recipe<'_> {
-    fn options<T: DeserializeOwned>(&self) -> PyResult<T> {
-        T::deserialize(self.options)
-            .map_err(|e| py::ConfigError::new_err(format!("config: policies: {}: {e}", self.name)))
+    fn options<T: Setting + DeserializeOwned>(&self, kind: &str) -> PyResult<T> {
+        let own = self.name != kind;
+        let path = if own { format!("policies.{}.{kind}", self.name) } else { kind.to_owned() };
+        options::read(&path, &self.options.to_string()).map_err(from_sim)
     }
 }
 

@@ -1,19 +1,27 @@
 //! A traffic model written in Python, as a policy of a batch: one call per plan phase for all worlds that are due.
 
 use ccdiff_sim::SimError;
-use ccdiff_sim::dynamics::{Dynamics, UnicycleLimits};
+use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::{Pose2, Vector2};
+use ccdiff_sim::options;
+use ccdiff_sim::options::within;
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, TrafficPolicy};
 use numpy::{Element, PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use serde::Deserialize;
 
-/// Options of a Python model; what else a configuration says of it is for the reader.
-#[derive(Debug, Deserialize)]
-pub(crate) struct PythonOptions {
-    replan_steps: usize,
-    history_states: usize,
+options! {
+    /// Options of a traffic model of one's own, written in Python: `ccdiff_env.traffic.PythonTraffic`.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct PythonOptions {
+        /// The model; in files its path, `"module:name"`, for the reader.
+        model: String = String::new();
+        /// Steps from one plan to the next.
+        replan_steps: usize = 5, range within(1.0, 10_000.0);
+        /// Past states of each agent, the present one included.
+        history_states: usize = 31, range within(1.0, 1000.0);
+    }
 }
 
 /// Traffic that follows the plans of a Python object.
@@ -30,9 +38,7 @@ type Rows = Vec<(usize, usize)>;
 
 impl PythonPolicy {
     pub(crate) fn new(name: &str, options: PythonOptions, model: Py<PyAny>) -> Self {
-        // as agents that are driven from outside: no reverse gear
-        let limits = UnicycleLimits { speed_mps: [0.0, 30.0], ..UnicycleLimits::default() };
-        Self { name: name.into(), options, model, dynamics: Dynamics::Unicycle(limits) }
+        Self { name: name.into(), options, model, dynamics: Dynamics::default() }
     }
 
     /// What the model is told: M agents of W worlds, H states each.

@@ -2,6 +2,7 @@
 
 use crate::drivers;
 use crate::enter::{Home, enter};
+use crate::python_policy::PythonOptions;
 use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::world_picture::{self, Shot, Trails};
@@ -10,7 +11,7 @@ use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
-    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig,
+    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, TABLES, VecWorld, WorldConfig,
 };
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
@@ -25,12 +26,19 @@ use std::sync::Arc;
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVecWorld>()?;
     module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
+    module.add_function(wrap_pyfunction!(config_tables, module)?)?;
     module.add_function(wrap_pyfunction!(columns_json, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_json, module)?)
 }
 
 fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
     serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
+}
+
+/// The tables of the configuration of worlds as JSON: names, defaults, units, ranges, meanings.
+#[pyfunction]
+fn config_tables() -> PyResult<String> {
+    to_json(&TABLES.iter().copied().chain([&PythonOptions::TABLE]).collect::<Vec<_>>())
 }
 
 /// The default configuration as JSON.

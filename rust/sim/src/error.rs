@@ -1,5 +1,7 @@
 //! What can go wrong when scenes, configurations or actions are handed to the simulator.
 
+use std::borrow::Cow;
+
 /// Everything the simulator refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -20,7 +22,7 @@ pub enum SimError {
     #[error("config: {field} is {got}, expected {expected}")]
     Config {
         /// Path of the field.
-        field: &'static str,
+        field: Cow<'static, str>,
         /// The value found.
         got: String,
         /// The rule it breaks.

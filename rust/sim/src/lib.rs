@@ -7,6 +7,7 @@ pub mod events;
 pub mod geom;
 pub mod metrics;
 pub mod observe;
+pub mod options;
 pub mod policy;
 pub mod scene;
 pub mod state;

@@ -1,8 +1,11 @@
 //! Motion models against test vectors, closed forms and their inverses.
 
-use ccdiff_sim::dynamics::{ActionGrid, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits};
+use ccdiff_sim::dynamics::{
+    ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits,
+};
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::state::{AgentStates, Body};
+use ccdiff_sim::world::{ActionConfig, WorldConfig};
 use proptest::prelude::*;
 
 const DT_S: f32 = 0.1;
@@ -115,13 +118,28 @@ fn default_grids_have_63_distinct_actions_within_the_bounds_and_straight_on_in_t
 
 #[test]
 fn limits_out_of_order_or_not_finite_are_named() {
-    let wrong = UnicycleLimits { speed_mps: [5.0, -5.0], ..UnicycleLimits::default() };
-    assert_eq!(Dynamics::Unicycle(wrong).first_fault(), Some("speed_mps"));
-    let wrong = BicycleLimits { max_steering_rad: 2.0, ..BicycleLimits::default() };
-    assert_eq!(Dynamics::Bicycle(wrong).first_fault(), Some("max_steering_rad"));
-    let wrong = DeltaPoseLimits { dx_m: [f32::NAN, 1.0], ..DeltaPoseLimits::default() };
-    assert_eq!(Dynamics::DeltaPose(wrong).first_fault(), Some("dx_m"));
-    assert!(models().iter().all(|m| m.first_fault().is_none()));
+    for (wrong, named) in [
+        (
+            Dynamics::Unicycle(UnicycleLimits { speed_mps: [5.0, -5.0], ..UnicycleLimits::default() }),
+            "unicycle.speed_mps",
+        ),
+        (
+            Dynamics::Bicycle(BicycleLimits { max_steering_rad: 2.0, ..BicycleLimits::default() }),
+            "bicycle.max_steering_rad",
+        ),
+        (
+            Dynamics::DeltaPose(DeltaPoseLimits { dx_m: [f32::NAN, 1.0], ..DeltaPoseLimits::default() }),
+            "delta_pose.dx_m",
+        ),
+        (
+            Dynamics::Assisted(AssistedLimits { offset_m: [0.5, 1.0], ..AssistedLimits::default() }),
+            "assisted",
+        ),
+    ] {
+        let action = ActionConfig { dynamics: wrong, ..ActionConfig::default() };
+        let error = WorldConfig { action, ..WorldConfig::default() }.validate().unwrap_err();
+        assert!(error.to_string().starts_with(&format!("config: action.dynamics.{named} ")), "{error}");
+    }
 }
 
 #[test]
@@ -171,7 +189,7 @@ proptest! {
         for [a, w] in actions {
             let before = state;
             unicycle.step(&mut state, [a, w, 0.0], DT_S, &car());
-            prop_assert!(state.speed_mps >= -10.0 && state.speed_mps <= 30.0);
+            prop_assert!(state.speed_mps >= 0.0 && state.speed_mps <= 30.0);
             let yaw_rate = (state.heading_rad - before.heading_rad).abs() / DT_S;
             prop_assert!(yaw_rate <= limits.yaw_rate_bound(before.speed_mps) + 1e-4);
         }

@@ -22,7 +22,7 @@ mod report;
 mod rollout;
 mod situation;
 
-pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, Target};
+pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABLES, Target};
 pub use guide::{Guide, GuideStep};
 pub use knots::KnotMap;
 pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};

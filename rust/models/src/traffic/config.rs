@@ -7,139 +7,154 @@ use crate::planner::PlanOptions;
 use crate::sampler::{SampleOptions, Solver};
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
+use ccdiff_sim::options::{Form, Setting, at_least, within};
+use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Who drives the vehicles outside the guided set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Others {
-    /// CCDiff without guidance.
-    Ccdiff,
-    /// The intelligent driver model along their routes.
-    Idm,
-    /// The log (paper, as released). Who has left the log by being guided once never returns to it.
-    Replay,
+choices! {
+    /// Who drives the vehicles outside the guided set.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Others {
+        /// The network, without guidance.
+        Ccdiff = "ccdiff",
+        /// The intelligent driver model along their routes.
+        Idm = "idm",
+        /// The log (paper, as released). Who has left the log by being guided once never returns to it.
+        Replay = "replay",
+    }
 }
 
-/// How the vehicles to be guided are found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Ranking {
-    /// Occurrence in heavy cliques of the time-to-contact graph over the history (as the released lists).
-    Cliques,
-    /// The paper's greedy cliques on G times attention.
-    Greedy,
-    /// Occurrence in heavy cliques of the distance graph.
-    Distance,
-    /// The order of the scene, the ego first: what the release calls random.
-    First,
-    /// A shuffle from the world's own seed.
-    Random,
-    /// Alignment of the gradients of realism and guidance (the paper's ideal definition).
-    Gradient,
-    /// Lists of agent ids by scene name, as of a human; scenes without a list are filled by nearness.
-    List(BTreeMap<String, Vec<String>>),
+choices! {
+    /// How the vehicles to be guided are found.
+    #[derive(Clone)]
+    pub enum Ranking {
+        /// Occurrence in heavy cliques of the time-to-contact graph over the history (as the released lists).
+        Cliques = "cliques",
+        /// The paper's greedy cliques on G times attention.
+        Greedy = "greedy",
+        /// Occurrence in heavy cliques of the distance graph.
+        Distance = "distance",
+        /// The order of the scene, the ego first: what the release calls random.
+        First = "first",
+        /// A shuffle from the world's own seed.
+        Random = "random",
+        /// Alignment of the gradients of realism and guidance (the paper's ideal definition).
+        Gradient = "gradient",
+        /// Lists of agent ids by scene name, as of a human; scenes without a list are filled by nearness.
+        List(BTreeMap<String, Vec<String>>) = "list",
+    }
 }
 
-/// The decision causal graph that the network sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum GraphMode {
-    /// Edges within the thresholds of the weights: 3 s to contact, 50 m.
-    Causal,
-    /// An edge between all pairs (ablation "Enc" off), as far as the network has slots.
-    Full,
+choices! {
+    /// The decision causal graph that the network sees.
+    #[derive(Clone, Copy, Eq)]
+    pub enum GraphMode {
+        /// Edges within the thresholds of the weights: 3 s to contact, 50 m.
+        Causal = "causal",
+        /// An edge between all pairs (ablation "Enc" off), as far as the network has slots.
+        Full = "full",
+    }
 }
 
-/// Contacts with whom count in the collision objectives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Partners {
-    /// The ego, and every vehicle that is driven from outside.
-    Ego,
-    /// Every vehicle (paper).
-    All,
-}
-
-/// Which vehicles stand still for the whole episode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Frozen {
-    /// Those that never move in the log.
-    Parked,
-    /// Those slower than 0.5 m/s in the log at the start (as released).
-    Standing,
-}
-
-/// Configuration of CCDiff traffic.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CcdiffConfig {
-    /// Weights: a name of shipped ones, or a file.
-    pub weights: String,
-    /// `cpu` or `cuda`.
-    pub device: String,
-    /// Steps from one plan to the next n.
-    pub replan_steps: usize,
-    /// Network evaluations of the DDIM sampler; DDPM with all steps if absent.
-    pub denoising_steps: Option<usize>,
-    /// Samples per plan N.
-    pub num_samples: usize,
-    /// Weight w of the conditional branch in classifier-free guidance, in [1, 2).
-    pub cfg_weight: f64,
-    /// Whether a plan starts with the acceleration and the yaw rate that its vehicle has now.
-    pub tie_first_knot: bool,
-    /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
-    pub keep_noise: bool,
-    /// The graph G that the network sees.
-    pub graph: GraphMode,
-    /// Vehicles that are guided K; all if absent.
-    pub num_guided: Option<usize>,
-    /// How they are found.
-    pub ranking: Ranking,
-    /// Whether they are found anew at every plan, not only at the first one.
-    pub rerank: bool,
-    /// Who drives the other vehicles.
-    pub others: Others,
-    /// Share of each move of the guidance that is made, at least 0: 0 is traffic without guidance, 1 the guidance as
-    /// configured. Worlds may be told another one.
-    pub criticality: Real,
-    /// Name of a guidance preset, or a [`GuidanceConfig`].
-    pub guidance: serde_json::Value,
-    /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation "Guide" off).
-    pub mask_guidance: bool,
+choices! {
     /// Contacts with whom count in the collision objectives.
-    pub partners: Partners,
-    /// Whether plans keep attention and gradient statistics, at some cost.
-    pub explain: bool,
-    /// Which vehicles do not move at all.
-    pub frozen: Frozen,
+    #[derive(Clone, Copy, Eq)]
+    pub enum Partners {
+        /// The ego, and every vehicle that is driven from outside.
+        Ego = "ego",
+        /// Every vehicle (paper).
+        All = "all",
+    }
 }
 
-impl Default for CcdiffConfig {
-    fn default() -> Self {
-        Self {
-            weights: "fast".into(),
-            device: "cpu".into(),
-            replan_steps: 5,
-            denoising_steps: Some(5),
-            num_samples: 1,
-            cfg_weight: 1.0,
-            tie_first_knot: false,
-            keep_noise: false,
-            graph: GraphMode::Causal,
-            num_guided: Some(5),
-            ranking: Ranking::Cliques,
-            rerank: true,
-            others: Others::Ccdiff,
-            criticality: 0.0,
-            guidance: "rl".into(),
-            mask_guidance: true,
-            partners: Partners::Ego,
-            explain: false,
-            frozen: Frozen::Parked,
-        }
+choices! {
+    /// Which vehicles stand still for the whole episode.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Frozen {
+        /// Those that never move in the log.
+        Parked = "parked",
+        /// Those slower than 0.5 m/s in the log at the start (as released).
+        Standing = "standing",
+    }
+}
+
+choices! {
+    /// Where a network runs.
+    #[derive(Clone, Copy, Eq)]
+    pub enum DeviceName {
+        /// The processor.
+        Cpu = "cpu",
+        /// A graphics card.
+        Cuda = "cuda",
+    }
+}
+
+/// Guidance by the name of a preset, or as settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Guidance {
+    /// Name of a preset.
+    Preset(String),
+    /// Settings.
+    Settings(Box<GuidanceConfig>),
+}
+
+impl Setting for Guidance {
+    const FORM: Form = Form::Named(&GuidanceConfig::FORM);
+}
+
+options! {
+    /// CCDiff as a driver: of the traffic (`traffic="ccdiff"`), or of the controlled agents.
+    ///
+    /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): what means nothing
+    /// to a network must have its default. Plans are made for all worlds of a batch at once, anew every `replan_steps`, and
+    /// followed in between.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct CcdiffConfig {
+        /// Weights: `"fast"` (the shipped ones of the network), or a safetensors file.
+        weights: String = "fast".into();
+        /// Where the network runs.
+        device: DeviceName = DeviceName::Cpu;
+        /// Steps from one plan to the next n, at most the horizon of the plans.
+        replan_steps: usize = 5, range at_least(1.0);
+        /// Network evaluations of the DDIM sampler (one: guidance moves its only step); `None`: DDPM with all 100 steps.
+        denoising_steps: Option<usize> = Some(5), range at_least(1.0);
+        /// Samples per plan N.
+        num_samples: usize = 1, range at_least(1.0);
+        /// Weight w of the conditional branch in classifier-free guidance.
+        cfg_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
+        /// Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
+        tie_first_knot: bool = false;
+        /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+        keep_noise: bool = false;
+        /// The decision causal graph G that the network sees; `"full"` joins all pairs (ablation).
+        graph: GraphMode = GraphMode::Causal;
+        /// Vehicles that are guided K; `None`: all.
+        num_guided: Option<usize> = Some(5);
+        /// How they are found: cliques of the time-to-contact graph, greedy cliques on G times attention, cliques of the
+        /// distance graph, the scene's order, a shuffle, agreement of the gradients of realism and guidance, or agent ids by
+        /// scene name, most important first (a mapping, or the path of a JSON file, see `ccdiff_env.traffic.read_ranking`).
+        ranking: Ranking = Ranking::Cliques;
+        /// Whether they are found anew at every plan, not only at the first one.
+        rerank: bool = true;
+        /// Who drives the vehicles that are not guided; `"ccdiff"`: the network itself.
+        others: Others = Others::Ccdiff;
+        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured. Worlds may
+        /// be told another one at any time.
+        criticality: Real = 0.0, range at_least(0.0);
+        /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings, see `ccdiff_env.models.guidance_preset`.
+        guidance: Guidance = Guidance::Preset("rl".into());
+        /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
+        mask_guidance: bool = true;
+        /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
+        /// anybody (paper).
+        partners: Partners = Partners::Ego;
+        /// Whether plans keep attention and gradient statistics, at some cost.
+        explain: bool = false;
+        /// Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
+        frozen: Frozen = Frozen::Parked;
     }
 }
 
@@ -147,20 +162,14 @@ impl CcdiffConfig {
     /// Checks every range against the horizon of the weights, steps.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the field.
+    /// [`ModelError::Config`] and [`ModelError::Sim`] name the field.
     pub fn validate(&self, horizon_steps: usize) -> Result<()> {
-        if !(1..=horizon_steps).contains(&self.replan_steps) {
+        options::check("ccdiff", self)?;
+        if self.replan_steps > horizon_steps {
             return Err(ModelError::Config {
                 field: "ccdiff.replan_steps",
                 got: self.replan_steps.to_string(),
                 expected: "1 up to the horizon of the plans",
-            });
-        }
-        if !(self.criticality >= 0.0 && self.criticality.is_finite()) {
-            return Err(ModelError::Config {
-                field: "ccdiff.criticality",
-                got: self.criticality.to_string(),
-                expected: "a finite number of at least 0",
             });
         }
         self.guided()?.validated()?;
@@ -196,12 +205,8 @@ impl CcdiffConfig {
     /// [`ModelError::Config`] for an unknown preset or settings of another form.
     pub fn guided(&self) -> Result<PlanOptions> {
         let guidance = match &self.guidance {
-            serde_json::Value::String(name) => GuidanceConfig::preset(name)?,
-            settings => serde_json::from_value(settings.clone()).map_err(|e| ModelError::Config {
-                field: "ccdiff.guidance",
-                got: e.to_string(),
-                expected: "the name of a preset, or settings of guidance",
-            })?,
+            Guidance::Preset(name) => GuidanceConfig::preset(name)?,
+            Guidance::Settings(settings) => (**settings).clone(),
         };
         Ok(PlanOptions {
             sampling: self.sampling(),

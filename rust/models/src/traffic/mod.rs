@@ -12,7 +12,7 @@ mod memory;
 mod planning;
 mod roster;
 
-pub use config::{CcdiffConfig, Frozen, GraphMode, Others, Partners, Ranking};
+pub use config::{CcdiffConfig, DeviceName, Frozen, GraphMode, Guidance, Others, Partners, Ranking};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
@@ -52,7 +52,7 @@ impl PlannedTraffic {
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
     pub fn new(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<Self> {
-        let device = crate::device_named(&config.device)?;
+        let device = crate::device_named(config.device.name())?;
         let num_threads = (device == tch::Device::Cpu).then_some(num_threads.max(1));
         let load = |_| {
             let mut planner = Planner::load(weights, device)?;

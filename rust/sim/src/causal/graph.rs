@@ -54,7 +54,7 @@ impl CausalGraph {
         {
             if value.is_nan() || value < 0.0 {
                 return Err(SimError::Config {
-                    field,
+                    field: field.into(),
                     got: value.to_string(),
                     expected: "at least 0".into(),
                 });

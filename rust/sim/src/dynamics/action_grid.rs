@@ -2,19 +2,21 @@
 
 use super::{Action, Dynamics};
 use crate::geom::Real;
-use serde::{Deserialize, Serialize};
+use crate::options;
 
-/// Grid of actions: every value of the first axis with every value of the second.
-///
-/// The action of an index is `first[index / num_second]`, `second[index % num_second]`. The first axis is column 0
-/// (acceleration, its change, or dx). The second is the turning column: 2 (dψ) for delta pose, whose dy is 0, else 1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ActionGrid {
-    /// Values of column 0, F of them.
-    pub first: Vec<Real>,
-    /// Values of the turning column, S of them.
-    pub second: Vec<Real>,
+options! {
+    /// Physical actions to choose from: every value of one axis with every value of the other.
+    ///
+    /// The action of an index is `first[index // len(second)]`, `second[index % len(second)]`. The first axis is column 0
+    /// (acceleration, its change, or dx). The second is the turning column: 2 (dψ) for delta pose, whose dy is 0, else 1.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields)]
+    pub struct ActionGrid {
+        /// Accelerations, m/s² (delta pose: dx, m).
+        first: Vec<Real>;
+        /// Yaw rates, rad/s (bicycle: steering angles, rad; delta pose: turns, rad; assisted: distances, m).
+        second: Vec<Real>;
+    }
 }
 
 impl ActionGrid {

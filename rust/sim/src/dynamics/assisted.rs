@@ -1,8 +1,9 @@
 //! Assisted driving: a change of IDM's acceleration and a distance from the route.
 
-use super::{Action, UnicycleLimits, is_positive, is_range};
+use super::{Action, UnicycleLimits};
 use crate::geom::Real;
-use serde::{Deserialize, Serialize};
+use crate::options;
+use crate::options::above;
 
 /// Natural frequency of the return to the wanted distance from the route, rad/s; critically damped.
 const FREQUENCY_RADPS: Real = 1.5;
@@ -11,31 +12,24 @@ const MAX_CORRECTION_MPS2: Real = 2.5;
 /// Speeds below this count as this where the yaw rate follows from a lateral acceleration, m/s.
 const LEAST_SPEED_MPS: Real = 2.0;
 
-/// Limits of assisted driving.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AssistedLimits {
-    /// Change of IDM's acceleration at −1 and +1, metres per second squared.
-    pub delta_mps2: [Real; 2],
-    /// Distance from the route at −1 and +1, metres, left positive.
-    pub offset_m: [Real; 2],
-    /// Lowest and highest acceleration, metres per second squared.
-    pub acceleration_mps2: [Real; 2],
-    /// The acceleration changes no faster than this, except where IDM brakes, metres per second cubed.
-    pub max_jerk_mps3: Real,
-    /// Lowest and highest speed, metres per second.
-    pub speed_mps: [Real; 2],
-}
-
-impl Default for AssistedLimits {
-    fn default() -> Self {
-        Self {
-            delta_mps2: [-6.0, 2.0],
-            offset_m: [-1.5, 1.5],
-            acceleration_mps2: [-8.0, 2.4],
-            max_jerk_mps3: 8.0,
-            speed_mps: [0.0, 30.0],
-        }
+options! {
+    /// Limits of assisted driving: actions change what IDM would do on the route.
+    ///
+    /// The vehicle is a unicycle with IDM's acceleration plus a change, steered to a distance from its route; the action zero
+    /// is IDM on the route.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct AssistedLimits {
+        /// Change of IDM's acceleration at -1 and +1, about zero.
+        delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²";
+        /// Distance from the route at -1 and +1, left positive, about zero.
+        offset_m: [Real; 2] = [-1.5, 1.5], unit "m";
+        /// Lowest and highest acceleration, about zero.
+        acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²";
+        /// The acceleration changes no faster than this, except where IDM brakes.
+        max_jerk_mps3: Real = 8.0, unit "m/s³", range above(0.0);
+        /// Lowest and highest speed.
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
     }
 }
 
@@ -64,17 +58,14 @@ impl AssistedLimits {
         ([self.delta_mps2[0], self.offset_m[0], 0.0], [self.delta_mps2[1], self.offset_m[1], 0.0])
     }
 
-    pub(super) fn first_fault(&self) -> Option<&'static str> {
-        let about_zero = |range: [Real; 2]| is_range(range) && range[0] <= 0.0 && range[1] >= 0.0;
-        [
-            ("delta_mps2", about_zero(self.delta_mps2)),
-            ("offset_m", about_zero(self.offset_m)),
-            ("acceleration_mps2", about_zero(self.acceleration_mps2)),
-            ("max_jerk_mps3", is_positive(self.max_jerk_mps3)),
-            ("speed_mps", is_range(self.speed_mps)),
-        ]
-        .into_iter()
-        .find_map(|(name, ok)| (!ok).then_some(name))
+    /// The first of the ranges about zero that is not, by its name.
+    pub(crate) fn off_zero(&self) -> Option<(&'static str, [Real; 2])> {
+        let ranges = [
+            ("delta_mps2", self.delta_mps2),
+            ("offset_m", self.offset_m),
+            ("acceleration_mps2", self.acceleration_mps2),
+        ];
+        ranges.into_iter().find(|(_, [low, high])| *low > 0.0 || *high < 0.0)
     }
 
     /// Acceleration of a step: IDM's and the wanted change, as far as the jerk allows. IDM's own braking is not held back.

@@ -1,39 +1,30 @@
 //! Kinematic bicycle: acceleration and steering angle.
 
-use super::{Action, KinState, Motion, is_positive, is_range};
+use super::{Action, KinState, Motion};
 use crate::geom::{Real, math};
+use crate::options;
+use crate::options::{above, within};
 use crate::state::Body;
-use serde::{Deserialize, Serialize};
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::TAU;
 
 /// Below this speed the heading says nothing about the steering angle, metres per second.
 const MIN_STEERED_SPEED_MPS: Real = 1e-3;
 
-/// Limits and proportions of the bicycle.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BicycleLimits {
-    /// Lowest and highest acceleration, metres per second squared.
-    pub acceleration_mps2: [Real; 2],
-    /// Lowest and highest speed along the heading, metres per second.
-    pub speed_mps: [Real; 2],
-    /// Largest steering angle of the front wheel, radians, below π/2.
-    pub max_steering_rad: Real,
-    /// Highest yaw rate times speed, metres per second squared.
-    pub max_lateral_acceleration_mps2: Real,
-    /// Wheelbase as a share of the length. 0.6 fits passenger cars: nuPlan's Pacifica has 3.089 m of 5.176 m.
-    pub wheelbase_share: Real,
-}
-
-impl Default for BicycleLimits {
-    fn default() -> Self {
-        Self {
-            acceleration_mps2: [-10.0, 8.0],
-            speed_mps: [-10.0, 30.0],
-            max_steering_rad: 0.6,
-            max_lateral_acceleration_mps2: TAU,
-            wheelbase_share: 0.6,
-        }
+options! {
+    /// Limits of the kinematic bicycle: actions are acceleration (m/s²) and steering angle (rad).
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct BicycleLimits {
+        /// Lowest and highest acceleration.
+        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²";
+        /// Lowest and highest speed along the heading. Vehicles brake to a stop and do not reverse.
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
+        /// Largest steering angle of the front wheel, below π/2.
+        max_steering_rad: Real = 0.6, unit "rad", range within(0.0, 1.57).open_below();
+        /// Highest yaw rate times speed.
+        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range above(0.0);
+        /// Wheelbase as a share of the length. 0.6 fits passenger cars: nuPlan's Pacifica has 3.089 m of 5.176 m.
+        wheelbase_share: Real = 0.6, range above(0.0);
     }
 }
 
@@ -49,19 +40,6 @@ impl BicycleLimits {
             [self.acceleration_mps2[0], -self.max_steering_rad, 0.0],
             [self.acceleration_mps2[1], self.max_steering_rad, 0.0],
         )
-    }
-
-    pub(super) fn first_fault(&self) -> Option<&'static str> {
-        let steering_ok = is_positive(self.max_steering_rad) && self.max_steering_rad < FRAC_PI_2;
-        [
-            ("acceleration_mps2", is_range(self.acceleration_mps2)),
-            ("speed_mps", is_range(self.speed_mps)),
-            ("max_steering_rad", steering_ok),
-            ("max_lateral_acceleration_mps2", is_positive(self.max_lateral_acceleration_mps2)),
-            ("wheelbase_share", is_positive(self.wheelbase_share)),
-        ]
-        .into_iter()
-        .find_map(|(name, ok)| (!ok).then_some(name))
     }
 
     /// Yaw rate at a speed and steering angle, within the lateral limit, radians per second.

@@ -28,6 +28,7 @@ pub use bicycle::BicycleLimits;
 pub use delta_pose::DeltaPoseLimits;
 pub use unicycle::UnicycleLimits;
 
+use crate::choices;
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::state::{AgentStates, Body};
 use serde::{Deserialize, Serialize};
@@ -48,18 +49,19 @@ pub struct KinState {
     pub speed_mps: Real,
 }
 
-/// A motion model and its limits. As JSON: `{"unicycle": {…limits…}}`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Dynamics {
-    /// Action (acceleration m/s², yaw rate rad/s).
-    Unicycle(UnicycleLimits),
-    /// Action (acceleration m/s², steering angle rad).
-    Bicycle(BicycleLimits),
-    /// Action (dx m, dy m, dψ rad) in the agent's own frame.
-    DeltaPose(DeltaPoseLimits),
-    /// Action (change of IDM's acceleration m/s², distance from the route m).
-    Assisted(AssistedLimits),
+choices! {
+    /// Model of motion with its limits.
+    #[derive(Clone, Copy)]
+    pub enum Dynamics {
+        /// Action (acceleration m/s², yaw rate rad/s).
+        Unicycle(UnicycleLimits) = "unicycle",
+        /// Action (acceleration m/s², steering angle rad).
+        Bicycle(BicycleLimits) = "bicycle",
+        /// Action (dx m, dy m, dψ rad) in the agent's own frame.
+        DeltaPose(DeltaPoseLimits) = "delta_pose",
+        /// Action (change of IDM's acceleration m/s², distance from the route m).
+        Assisted(AssistedLimits) = "assisted",
+    }
 }
 
 impl Default for Dynamics {
@@ -75,16 +77,6 @@ struct Motion {
 }
 
 impl Dynamics {
-    /// Name of the model in Python and in files.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Unicycle(_) => "unicycle",
-            Self::Bicycle(_) => "bicycle",
-            Self::DeltaPose(_) => "delta_pose",
-            Self::Assisted(_) => "assisted",
-        }
-    }
-
     /// Number of columns of an action: 2, or 3 for delta pose.
     pub fn num_columns(&self) -> usize {
         match self {
@@ -187,26 +179,6 @@ impl Dynamics {
             }
         }
     }
-
-    /// Name of the first limit that is not finite, out of order or out of range.
-    pub fn first_fault(&self) -> Option<&'static str> {
-        match self {
-            Self::Unicycle(limits) => limits.first_fault(),
-            Self::Bicycle(limits) => limits.first_fault(),
-            Self::DeltaPose(limits) => limits.first_fault(),
-            Self::Assisted(limits) => limits.first_fault(),
-        }
-    }
-}
-
-/// Whether (low, high) are finite and in order.
-fn is_range(range: [Real; 2]) -> bool {
-    range[0].is_finite() && range[1].is_finite() && range[0] <= range[1]
-}
-
-/// Whether a limit is finite and positive.
-fn is_positive(value: Real) -> bool {
-    value.is_finite() && value > 0.0
 }
 
 impl AgentStates {

@@ -1,35 +1,27 @@
 //! Unicycle: acceleration and yaw rate.
 
-use super::{Action, KinState, Motion, is_positive, is_range};
+use super::{Action, KinState, Motion};
 use crate::geom::Real;
-use serde::{Deserialize, Serialize};
+use crate::options;
+use crate::options::above;
 use std::f32::consts::TAU;
 
-/// Limits of the unicycle; the defaults are those of the released models of traffic (reference.md, dynamics).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct UnicycleLimits {
-    /// Lowest and highest acceleration, metres per second squared.
-    pub acceleration_mps2: [Real; 2],
-    /// Lowest and highest speed, metres per second.
-    pub speed_mps: [Real; 2],
-    /// Yaw rate that is allowed at any speed, radians per second.
-    pub min_yaw_rate_radps: Real,
-    /// Highest yaw rate per speed, 1/metres (a curvature).
-    pub max_curvature_1pm: Real,
-    /// Highest yaw rate times speed, metres per second squared.
-    pub max_lateral_acceleration_mps2: Real,
-}
-
-impl Default for UnicycleLimits {
-    fn default() -> Self {
-        Self {
-            acceleration_mps2: [-10.0, 8.0],
-            speed_mps: [-10.0, 30.0],
-            min_yaw_rate_radps: 0.1,
-            max_curvature_1pm: 0.5,
-            max_lateral_acceleration_mps2: TAU,
-        }
+options! {
+    /// Limits of the unicycle: actions are acceleration (m/s²) and yaw rate (rad/s). The defaults are those of the released
+    /// models of traffic (reference.md, dynamics), but for the reverse gear.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct UnicycleLimits {
+        /// Lowest and highest acceleration.
+        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²";
+        /// Lowest and highest speed. Vehicles brake to a stop and do not reverse.
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
+        /// Yaw rate that is allowed at any speed.
+        min_yaw_rate_radps: Real = 0.1, unit "rad/s", range above(0.0);
+        /// Highest yaw rate per speed, a curvature.
+        max_curvature_1pm: Real = 0.5, unit "1/m", range above(0.0);
+        /// Highest yaw rate times speed.
+        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range above(0.0);
     }
 }
 
@@ -48,18 +40,6 @@ impl UnicycleLimits {
         let yaw_rate =
             (self.max_curvature_1pm * self.max_lateral_acceleration_mps2).sqrt().max(self.min_yaw_rate_radps);
         ([self.acceleration_mps2[0], -yaw_rate, 0.0], [self.acceleration_mps2[1], yaw_rate, 0.0])
-    }
-
-    pub(super) fn first_fault(&self) -> Option<&'static str> {
-        [
-            ("acceleration_mps2", is_range(self.acceleration_mps2)),
-            ("speed_mps", is_range(self.speed_mps)),
-            ("min_yaw_rate_radps", is_positive(self.min_yaw_rate_radps)),
-            ("max_curvature_1pm", is_positive(self.max_curvature_1pm)),
-            ("max_lateral_acceleration_mps2", is_positive(self.max_lateral_acceleration_mps2)),
-        ]
-        .into_iter()
-        .find_map(|(name, ok)| (!ok).then_some(name))
     }
 
     #[inline]

@@ -44,12 +44,12 @@ impl<'a> Motion<'a> {
         }
         if !(dt_s.is_finite() && dt_s > 0.0) {
             let expected = "a positive number of seconds".into();
-            return Err(SimError::Config { field: "dt_s", got: dt_s.to_string(), expected });
+            return Err(SimError::Config { field: "dt_s".into(), got: dt_s.to_string(), expected });
         }
         let finite = |k: usize| x_m[k].is_finite() && y_m[k].is_finite() && heading_rad[k].is_finite();
         if let Some(k) = (0..expected).find(|&k| valid[k] && !finite(k)) {
             return Err(SimError::Config {
-                field: "motion",
+                field: "motion".into(),
                 got: format!("a state that is not finite at agent {}, step {}", k / num_steps, k % num_steps),
                 expected: "finite states wherever an agent is valid".into(),
             });

@@ -137,7 +137,7 @@ pub fn generational_distance(num_methods: usize, cs: &[f64], rs: &[f64]) -> Resu
     }
     if let Some(bad) = cs.iter().chain(rs).find(|v| !v.is_finite()) {
         let expected = "finite scores".into();
-        return Err(SimError::Config { field: "scores", got: bad.to_string(), expected });
+        return Err(SimError::Config { field: "scores".into(), got: bad.to_string(), expected });
     }
     let points: Vec<Point> = cs.iter().zip(rs).map(|(&c, &r)| [c, r]).collect();
     let front = pareto_front(&points);

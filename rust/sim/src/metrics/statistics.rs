@@ -18,7 +18,7 @@ pub fn total_variation(mean_one: &[Real], mean_other: &[Real], std_dev: &[Real])
     }
     if let Some(bad) = std_dev.iter().find(|s| !s.is_finite() || **s <= 0.0) {
         let expected = "positive and finite".into();
-        return Err(SimError::Config { field: "std_dev", got: bad.to_string(), expected });
+        return Err(SimError::Config { field: "std_dev".into(), got: bad.to_string(), expected });
     }
     let squared: f64 = (0..mean_one.len())
         .map(|k| (f64::from(mean_one[k]) - f64::from(mean_other[k])) / f64::from(std_dev[k]))
@@ -96,7 +96,7 @@ pub fn pearson(x: &[f64], y: &[f64]) -> Result<(f64, f64)> {
     let lengths = (dot(&dx, &dx) * dot(&dy, &dy)).sqrt();
     if !(lengths.is_finite() && lengths > 0.0) {
         let expected = "finite samples that vary".into();
-        return Err(SimError::Config { field: "samples", got: "no variance".into(), expected });
+        return Err(SimError::Config { field: "samples".into(), got: "no variance".into(), expected });
     }
     let r = (dot(&dx, &dy) / lengths).clamp(-1.0, 1.0);
     let degrees = (x.len() - 2) as f64;

@@ -4,26 +4,23 @@
 //! raster, and cut out of it turned; the rest is drawn for each raster.
 
 use super::view::View;
-use crate::error::{Result, SimError};
 use crate::geom::{Bitmap, Point2, Pose2, Real, visit_band};
+use crate::options;
+use crate::options::within;
 use crate::scene::{AgentKind, Map};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-/// Choice of the bird's-eye raster.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BevConfig {
-    /// Rows and columns S.
-    pub size_px: usize,
-    /// Side of a pixel, metres.
-    pub metres_per_px: Real,
-    /// Share of the rows that lies behind the observing agent's centre.
-    pub behind_share: Real,
-}
-
-impl Default for BevConfig {
-    fn default() -> Self {
-        Self { size_px: 84, metres_per_px: 0.6, behind_share: 0.25 }
+options! {
+    /// Choice of the bird's-eye raster, uint8 [channels, S, S].
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct BevConfig {
+        /// Rows and columns S.
+        size_px: usize = 84, range within(8.0, 1024.0);
+        /// Side of a pixel.
+        metres_per_px: Real = 0.6, unit "m", range within(0.05, 10.0);
+        /// Share of the rows that lies behind the observing agent's centre.
+        behind_share: Real = 0.25, range within(0.0, 1.0);
     }
 }
 
@@ -65,27 +62,6 @@ impl BevConfig {
     /// Bytes of a raster.
     pub fn num_bytes(&self) -> usize {
         BEV_CHANNELS.len() * self.size_px * self.size_px
-    }
-
-    /// Checks every range.
-    ///
-    /// # Errors
-    /// [`SimError::Config`] names the first field that is out of its range.
-    pub fn validate(&self) -> Result<()> {
-        let fail = |field, got: String, expected: &str| {
-            Err(SimError::Config { field, got, expected: expected.into() })
-        };
-        if !(8..=1024).contains(&self.size_px) {
-            return fail("observation.bev.size_px", self.size_px.to_string(), "8 to 1024");
-        }
-        if !(self.metres_per_px >= 0.05 && self.metres_per_px <= 10.0) {
-            let got = self.metres_per_px.to_string();
-            return fail("observation.bev.metres_per_px", got, "metres in [0.05, 10]");
-        }
-        if !(0.0..=1.0).contains(&self.behind_share) {
-            return fail("observation.bev.behind_share", self.behind_share.to_string(), "0 to 1");
-        }
-        Ok(())
     }
 
     /// What does not move on a map.

@@ -4,49 +4,36 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::bev::{BEV_CHANNELS, BevChannel, BevConfig};
 use crate::observe::map_pieces::MAX_PIECES;
-use serde::{Deserialize, Serialize};
+use crate::options;
+use crate::options::within;
+use serde::Serialize;
 use std::fmt::Write as _;
 
-/// Choice of rows and columns.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ObservationConfig {
-    /// Nearest agents, K rows.
-    pub num_agents: usize,
-    /// Points of the route ahead, P rows.
-    pub num_route_points: usize,
-    /// Metres from one route point to the next.
-    pub route_spacing_m: Real,
-    /// Nearest pieces of map lines, N rows.
-    pub num_map_pieces: usize,
-    /// Agents farther than this are not seen, metres.
-    pub radius_m: Real,
-    /// Whether masks are part of the row.
-    pub masks: bool,
-    /// Columns of `ego`; all if absent.
-    pub ego_columns: Option<Vec<String>>,
-    /// Columns of `agents`; all if absent.
-    pub agent_columns: Option<Vec<String>>,
-    /// Columns of `map`; all if absent.
-    pub map_columns: Option<Vec<String>>,
-    /// Bird's-eye raster beside the row; none if absent.
-    pub bev: Option<BevConfig>,
-}
-
-impl Default for ObservationConfig {
-    fn default() -> Self {
-        Self {
-            num_agents: 16,
-            num_route_points: 20,
-            route_spacing_m: 2.0,
-            num_map_pieces: 64,
-            radius_m: 60.0,
-            masks: true,
-            ego_columns: None,
-            agent_columns: None,
-            map_columns: None,
-            bev: None,
-        }
+options! {
+    /// Choice of rows and columns of the observation.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ObservationConfig {
+        /// Nearest agents, K rows.
+        num_agents: usize = 16, range within(0.0, 512.0);
+        /// Points of the route ahead, P rows.
+        num_route_points: usize = 20, range within(0.0, 256.0);
+        /// Distance from one route point to the next.
+        route_spacing_m: Real = 2.0, unit "m", range within(0.0, 1000.0).open_below();
+        /// Nearest pieces of map lines, N rows.
+        num_map_pieces: usize = 64, range within(0.0, MAX_PIECES as f64);
+        /// Agents farther than this are not seen.
+        radius_m: Real = 60.0, unit "m", range within(0.0, 1000.0).open_below();
+        /// Whether masks are part of the row.
+        masks: bool = true;
+        /// Columns of `ego`; `None`: all.
+        ego_columns: Option<Vec<String>> = None;
+        /// Columns of `agents`; `None`: all.
+        agent_columns: Option<Vec<String>> = None;
+        /// Columns of `map`; `None`: all.
+        map_columns: Option<Vec<String>> = None;
+        /// Bird's-eye raster beside the row; `None`: none.
+        bev: Option<BevConfig> = None;
     }
 }
 
@@ -216,7 +203,7 @@ fn choose(field: &'static str, all: &[Column], names: Option<&Vec<String>>) -> R
     let Some(names) = names else { return Ok((0..all.len()).collect()) };
     let index = |name: &String| {
         all.iter().position(|c| c.name == name).ok_or_else(|| SimError::Config {
-            field,
+            field: field.into(),
             got: format!("{name:?}"),
             expected: format!("some of {:?}", all.iter().map(|c| c.name).collect::<Vec<_>>()),
         })
@@ -231,24 +218,7 @@ impl Layout {
     /// [`SimError::Config`] for counts, distances and column names out of range.
     pub fn new(config: &ObservationConfig) -> Result<Self> {
         let c = config;
-        let limit = |field, got: usize, most: usize| {
-            let expected = format!("at most {most}");
-            if got <= most { Ok(()) } else { Err(SimError::Config { field, got: got.to_string(), expected }) }
-        };
-        limit("observation.num_agents", c.num_agents, 512)?;
-        limit("observation.num_route_points", c.num_route_points, 256)?;
-        limit("observation.num_map_pieces", c.num_map_pieces, MAX_PIECES)?;
-        for (field, value) in
-            [("observation.route_spacing_m", c.route_spacing_m), ("observation.radius_m", c.radius_m)]
-        {
-            if !(value > 0.0 && value <= 1000.0) {
-                let expected = "metres in (0, 1000]".into();
-                return Err(SimError::Config { field, got: value.to_string(), expected });
-            }
-        }
-        if let Some(bev) = &c.bev {
-            bev.validate()?;
-        }
+        options::check("observation", config)?;
         let raster = |b: BevConfig| Raster {
             shape: [BEV_CHANNELS.len(), b.size_px, b.size_px],
             channels: BEV_CHANNELS,
@@ -272,7 +242,7 @@ impl Layout {
         layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&MAP, &chosen[2]));
         if layout.size == 0 {
             let expected = "at least one number".into();
-            return Err(SimError::Config { field: "observation", got: "nothing".into(), expected });
+            return Err(SimError::Config { field: "observation".into(), got: "nothing".into(), expected });
         }
         Ok(layout)
     }

@@ -1,26 +1,29 @@
 //! Everything that can be chosen about a world, checked once.
 
-use crate::dynamics::{ActionGrid, Dynamics, UnicycleLimits};
+use crate::choices;
+use crate::dynamics::{ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::observe::ObservationConfig;
+use crate::observe::{BevConfig, ObservationConfig};
+use crate::options;
+use crate::options::{Range, Table, above, at_least, within};
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::world::traffic::{EXTERNAL, IdmConfig, Traffic};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Which agents have a slot: they are observed, rewarded and, by default, driven from outside.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Controlled {
-    /// The ego.
-    Ego,
-    /// Vehicles present at the start, in the scene's order (the ego first), as many as there are slots.
-    Vehicles,
-    /// Agents by id; those a scene does not have leave their slot empty.
-    Ids(Vec<String>),
-    /// Agents by id, chosen for each scene by its name; slots beyond a scene's list stay empty.
-    PerScene(BTreeMap<String, Vec<String>>),
+choices! {
+    /// Agents with a slot: they are observed, rewarded and, by default, driven from outside.
+    #[derive(Clone, Eq)]
+    pub enum Controlled {
+        /// The ego.
+        Ego = "ego",
+        /// Vehicles present at the start, in the scene's order (the ego first), as many as there are slots.
+        Vehicles = "vehicles",
+        /// Agents by id; those a scene does not have leave their slot empty.
+        Ids(Vec<String>) = "ids",
+        /// Agents by id, chosen for each scene by its name; slots beyond a scene's list stay empty.
+        PerScene(BTreeMap<String, Vec<String>>) = "per_scene",
+    }
 }
 
 impl Controlled {
@@ -37,225 +40,209 @@ impl Controlled {
     }
 }
 
-/// What follows when a controlled agent touches another one, or leaves the road.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Consequence {
-    /// Nothing; the event is reported.
-    Ignore,
-    /// The agent stands still from then on, and its episode goes on.
-    Stop,
-    /// The agent leaves the world, and its episode ends.
-    Remove,
-    /// The agent's episode ends.
-    Terminate,
+choices! {
+    /// What follows when a controlled agent touches another one, or leaves the road.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Consequence {
+        /// Nothing; the event is reported.
+        Ignore = "ignore",
+        /// The agent stands still from then on, and its episode goes on.
+        Stop = "stop",
+        /// The agent leaves the world, and its episode ends.
+        Remove = "remove",
+        /// The agent's episode ends.
+        Terminate = "terminate",
+    }
 }
 
-/// What happens to a world whose episode has ended (Gymnasium's autoreset modes).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Autoreset {
-    /// The next step resets it; the action of that step is ignored and its reward is zero.
-    NextStep,
-    /// It is reset within the step; the last observation goes to `final_obs`.
-    SameStep,
-    /// It waits for a reset; stepping it is an error.
-    Disabled,
+choices! {
+    /// What follows when agents without a slot touch.
+    #[derive(Clone, Copy, Eq)]
+    pub enum TrafficCollision {
+        /// They go on through one another (paper).
+        Ignore = "ignore",
+        /// They stay where they touch.
+        Stop = "stop",
+    }
 }
 
-/// How the scene of an episode is chosen when the reset names none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneOrder {
-    /// Uniformly, from the world's generator.
-    Random,
-    /// World i of E plays scenes i, i + E, i + 2E … in the order of the scene list, and round again.
-    Sequential,
+choices! {
+    /// What happens to a world whose episode has ended (Gymnasium's autoreset modes).
+    #[derive(Clone, Copy, Eq)]
+    pub enum Autoreset {
+        /// The next step resets it; the action of that step is ignored and its reward is zero.
+        NextStep = "next_step",
+        /// It is reset within the step; the last observation goes to `final_obs`.
+        SameStep = "same_step",
+        /// It waits for a reset; stepping it is an error.
+        Disabled = "disabled",
+    }
 }
 
-/// How the reward is made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RewardForm {
-    /// Weighted sum of the components.
-    Sum,
-    /// New progress times factors for comfort, speed, time to contact and distance from the route, as in CaRL (Jaeger
-    /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
-    Product,
+choices! {
+    /// How the scene of an episode is chosen when the reset names none.
+    #[derive(Clone, Copy, Eq)]
+    pub enum SceneOrder {
+        /// Uniformly, from the world's generator.
+        Random = "random",
+        /// World i of E plays scenes i, i + E, i + 2E … in the order of the scene list, and round again.
+        Sequential = "sequential",
+    }
 }
 
-/// Weights of the reward components; the reward is their sum.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RewardConfig {
+choices! {
     /// How the reward is made.
-    pub form: RewardForm,
-    /// Per metre of new progress along the route.
-    pub progress: Real,
-    /// At the step of a collision.
-    pub collision: Real,
-    /// At each step with a corner off the road.
-    pub off_road: Real,
-    /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
-    pub comfort: Real,
-    /// Per m/s above the speed limit, per step.
-    pub speed_limit: Real,
-    /// Per metre of distance from the route, at most 3, per step.
-    pub lane_keeping: Real,
-    /// When the goal is reached.
-    pub goal: Real,
-}
-
-impl Default for RewardConfig {
-    fn default() -> Self {
-        Self {
-            form: RewardForm::Sum,
-            progress: 0.1,
-            collision: -10.0,
-            off_road: -5.0,
-            comfort: -0.004,
-            speed_limit: -0.05,
-            lane_keeping: -0.02,
-            goal: 2.0,
-        }
+    #[derive(Clone, Copy, Eq)]
+    pub enum RewardForm {
+        /// Weighted sum of the components.
+        Sum = "sum",
+        /// New progress times factors for comfort, speed, time to contact and distance from the route, as in CaRL (Jaeger
+        /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
+        Product = "product",
     }
 }
 
-/// Actions. Continuous ones are normalised: each column lies in [-1, 1], zero means zero, and +1 and −1 mean the
-/// figures below, or less where the dynamics' own limits are narrower.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ActionConfig {
-    /// Model of motion with its limits. By default vehicles brake to a stop and do not reverse.
-    pub dynamics: Dynamics,
-    /// Actions are indices of `grid`, not numbers.
-    pub discrete: bool,
-    /// Physical actions to choose from; the dynamics' default grid if absent.
-    pub grid: Option<ActionGrid>,
-    /// Acceleration at +1, m/s².
-    pub max_acceleration_mps2: Real,
-    /// Deceleration at −1, m/s².
-    pub max_deceleration_mps2: Real,
-    /// Unicycle: yaw rate at +1, rad/s.
-    pub max_yaw_rate_radps: Real,
-    /// Bicycle: front wheel angle at +1, rad.
-    pub max_steering_rad: Real,
-    /// Delta pose: displacement at +1, metres per step.
-    pub max_displacement_m: Real,
-    /// Delta pose: turn at +1, rad per step.
-    pub max_turn_rad: Real,
-}
+/// Weights of the reward.
+const WEIGHT: Range = within(-1e6, 1e6);
 
-impl Default for ActionConfig {
-    fn default() -> Self {
-        Self {
-            dynamics: Dynamics::Unicycle(UnicycleLimits {
-                speed_mps: [0.0, 30.0],
-                ..UnicycleLimits::default()
-            }),
-            discrete: false,
-            grid: None,
-            max_acceleration_mps2: 4.0,
-            max_deceleration_mps2: 8.0,
-            max_yaw_rate_radps: 1.0,
-            max_steering_rad: 0.5,
-            max_displacement_m: 3.0,
-            max_turn_rad: 0.1,
-        }
+options! {
+    /// Weights of the reward components; the reward is their sum, or a product of factors.
+    ///
+    /// Also by the name of a form: `reward="product"`.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct RewardConfig {
+        /// How the reward is made.
+        form: RewardForm = RewardForm::Sum;
+        /// Per metre of new progress along the route.
+        progress: Real = 0.1, range WEIGHT;
+        /// At the step of a collision.
+        collision: Real = -10.0, range WEIGHT;
+        /// At each step with a corner off the road.
+        off_road: Real = -5.0, range WEIGHT;
+        /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
+        comfort: Real = -0.004, range WEIGHT;
+        /// Per m/s above the speed limit, per step.
+        speed_limit: Real = -0.05, range WEIGHT;
+        /// Per metre of distance from the route, at most 3, per step.
+        lane_keeping: Real = -0.02, range WEIGHT;
+        /// When the goal is reached.
+        goal: Real = 2.0, range WEIGHT;
     }
 }
 
-/// Configuration of a [`super::VecWorld`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WorldConfig {
-    /// Step, seconds; must equal the scenes' own.
-    pub dt_s: Real,
-    /// Logged steps before the first free one; episodes start at this step of the log.
-    pub history_steps: usize,
-    /// Episodes start up to this many steps later, drawn anew for each; 0: always at the same step.
-    pub start_spread_steps: usize,
-    /// Steps of an episode at most.
-    pub horizon_steps: usize,
-    /// Steps for which an action is held: a call of `step` advances by so many, or up to the episode's end.
-    pub decision_steps: usize,
-    /// Agents with a slot.
-    pub controlled: Controlled,
-    /// Slots per world, C.
-    pub num_slots: usize,
-    /// Who drives the agents that have a slot: actions from outside ([`EXTERNAL`]), or a policy by name.
-    pub driver: String,
-    /// Who drives the other vehicles; pedestrians, cyclists, motorcycles and static obstacles follow the log.
-    pub traffic: Traffic,
-    /// Who drives single vehicles, by their ids, whatever `driver` and `traffic` say.
-    pub drivers: BTreeMap<String, String>,
-    /// Agents that the log brings later enter (once their place is free).
-    pub late_arrivals: bool,
-    /// Background agents leave when the log has them no more; otherwise they drive on to the end of their route.
-    pub vanish_with_log: bool,
-    /// The episode is truncated where the log ends.
-    pub truncate_at_log_end: bool,
-    /// Consequence of a collision for a controlled agent.
-    pub on_collision: Consequence,
-    /// Consequence of a contact for agents without a slot, where a vehicle takes part in it that does not follow its log:
-    /// ignore or stop.
-    pub on_traffic_collision: Consequence,
-    /// Consequence of a box corner off the road for a controlled agent.
-    pub on_off_road: Consequence,
-    /// The episode of an agent ends when it reaches its goal, the logged position at the episode's last step.
-    pub terminate_at_goal: bool,
-    /// Speed limit where the map has none, m/s.
-    pub speed_limit_mps: Real,
-    /// Actions.
-    pub action: ActionConfig,
-    /// Observations.
-    pub observation: ObservationConfig,
-    /// Rewards.
-    pub reward: RewardConfig,
-    /// Intelligent driver model.
-    pub idm: IdmConfig,
-    /// Options of further policies by name, unread here; part of what snapshots are checked against.
-    pub policies: BTreeMap<String, serde_json::Value>,
-    /// Autoreset mode.
-    pub autoreset: Autoreset,
-    /// Choice of scenes.
-    pub scene_order: SceneOrder,
-}
-
-impl Default for WorldConfig {
-    fn default() -> Self {
-        Self {
-            dt_s: 0.1,
-            history_steps: 30,
-            start_spread_steps: 0,
-            horizon_steps: 100,
-            decision_steps: 1,
-            controlled: Controlled::Ego,
-            num_slots: 1,
-            driver: EXTERNAL.into(),
-            traffic: "replay".into(),
-            drivers: BTreeMap::new(),
-            late_arrivals: true,
-            vanish_with_log: false,
-            truncate_at_log_end: true,
-            on_collision: Consequence::Terminate,
-            on_traffic_collision: Consequence::Stop,
-            on_off_road: Consequence::Terminate,
-            terminate_at_goal: true,
-            speed_limit_mps: 15.0,
-            action: ActionConfig::default(),
-            observation: ObservationConfig::default(),
-            reward: RewardConfig::default(),
-            idm: IdmConfig::default(),
-            policies: BTreeMap::new(),
-            autoreset: Autoreset::NextStep,
-            scene_order: SceneOrder::Random,
-        }
+options! {
+    /// Actions. Continuous ones are normalised: each column lies in [-1, 1], zero means zero, and +1 and -1 mean the
+    /// figures below, or less where the dynamics' own limits are narrower.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ActionConfig {
+        /// Model of motion with its limits; also by name or as `{name: limits}`.
+        dynamics: Dynamics = Dynamics::default();
+        /// Whether actions are indices of `grid`, not numbers.
+        discrete: bool = false;
+        /// Physical actions to choose from; `None`: the dynamics' default 7 x 9 grid.
+        grid: Option<ActionGrid> = None;
+        /// Acceleration at +1.
+        max_acceleration_mps2: Real = 4.0, unit "m/s²", range above(0.0);
+        /// Deceleration at -1.
+        max_deceleration_mps2: Real = 8.0, unit "m/s²", range above(0.0);
+        /// Unicycle: yaw rate at +1.
+        max_yaw_rate_radps: Real = 1.0, unit "rad/s", range above(0.0);
+        /// Bicycle: front wheel angle at +1.
+        max_steering_rad: Real = 0.5, unit "rad", range within(0.0, 1.5).open_below().open_above();
+        /// Delta pose: displacement at +1, per step.
+        max_displacement_m: Real = 3.0, unit "m", range above(0.0);
+        /// Delta pose: turn at +1, per step.
+        max_turn_rad: Real = 0.1, unit "rad", range above(0.0);
     }
 }
+
+options! {
+    /// Configuration of worlds.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct WorldConfig {
+        /// Step; must equal the scenes' own.
+        dt_s: Real = 0.1, unit "s", range within(0.0, 1.0).open_below();
+        /// Logged steps before the first free one; episodes start at this step of the log.
+        history_steps: usize = 30;
+        /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
+        start_spread_steps: usize = 0;
+        /// Steps of an episode at most.
+        horizon_steps: usize = 100, range at_least(1.0);
+        /// Steps for which an action is held: a call of `step` advances by so many, or up to the end of the episode.
+        /// Rewards are summed up; a learner's discount per call is that of a step to this power.
+        decision_steps: usize = 1, range at_least(1.0);
+        /// Agents with a slot: `"ego"`, `"vehicles"` (present at the start, the ego first), ids, or ids by the name of the
+        /// scene.
+        controlled: Controlled = Controlled::Ego;
+        /// Slots per world.
+        num_slots: usize = 1, range within(1.0, 512.0);
+        /// Who drives the agents that have a slot: `"external"` (actions), or a driver by name.
+        driver: String = EXTERNAL.into();
+        /// Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for each vehicle and
+        /// episode from the world's seed. Pedestrians, cyclists, motorcycles and obstacles follow the log. A
+        /// `PythonTraffic` stands for itself.
+        traffic: Traffic = "replay".into();
+        /// Drivers of single vehicles by id, whatever `driver` and `traffic` say.
+        drivers: BTreeMap<String, String> = BTreeMap::new();
+        /// Whether agents that the log brings later enter (once their place is free).
+        late_arrivals: bool = true;
+        /// Whether background agents leave when the log has them no more; else they drive on.
+        vanish_with_log: bool = false;
+        /// Whether the episode is truncated where the log ends.
+        truncate_at_log_end: bool = true;
+        /// Consequence of a collision for a controlled agent.
+        on_collision: Consequence = Consequence::Terminate;
+        /// Consequence of a contact for agents without a slot, where a vehicle takes part in it that does not follow its
+        /// log.
+        on_traffic_collision: TrafficCollision = TrafficCollision::Stop;
+        /// Consequence of a box corner off the road for a controlled agent.
+        on_off_road: Consequence = Consequence::Terminate;
+        /// Whether an agent's episode ends at its goal, the logged position at the episode's last step.
+        terminate_at_goal: bool = true;
+        /// Speed limit where the map has none.
+        speed_limit_mps: Real = 15.0, unit "m/s", range above(0.0);
+        /// Actions.
+        action: ActionConfig = ActionConfig::default();
+        /// Observations.
+        observation: ObservationConfig = ObservationConfig::default();
+        /// Rewards.
+        reward: RewardConfig = RewardConfig::default();
+        /// Options of the driver `"idm"`.
+        idm: IdmConfig = IdmConfig::default();
+        /// Further drivers by names of one's own, as `{kind: options}`; part of what snapshots are checked against. In Python
+        /// `ccdiff` holds the options of networks, [CcdiffConfig](#ccdiffconfig).
+        policies: BTreeMap<String, serde_json::Value> = BTreeMap::new();
+        /// What happens to a world whose episode has ended.
+        autoreset: Autoreset = Autoreset::NextStep;
+        /// How the scene of an episode is chosen when the reset names none.
+        scene_order: SceneOrder = SceneOrder::Random;
+    }
+}
+
+/// All tables of a configuration of worlds.
+pub const TABLES: &[&Table] = &[
+    &WorldConfig::TABLE,
+    &ActionConfig::TABLE,
+    &UnicycleLimits::TABLE,
+    &BicycleLimits::TABLE,
+    &DeltaPoseLimits::TABLE,
+    &AssistedLimits::TABLE,
+    &ActionGrid::TABLE,
+    &ObservationConfig::TABLE,
+    &BevConfig::TABLE,
+    &RewardConfig::TABLE,
+    &IdmConfig::TABLE,
+];
 
 fn check(ok: bool, field: &'static str, got: impl ToString, expected: &str) -> Result<()> {
-    if ok { Ok(()) } else { Err(SimError::Config { field, got: got.to_string(), expected: expected.into() }) }
+    if ok {
+        Ok(())
+    } else {
+        Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
+    }
 }
 
 impl WorldConfig {
@@ -264,25 +251,21 @@ impl WorldConfig {
     /// # Errors
     /// [`SimError::Config`] for unknown fields, wrong types and values out of range.
     pub fn from_json(text: &str) -> Result<Self> {
-        let config: Self = serde_json::from_str(text).map_err(|e| SimError::Config {
-            field: "json",
-            got: e.to_string(),
-            expected: "the fields of WorldConfig".into(),
-        })?;
-        config.validate()?;
+        let config: Self = options::read("", text)?;
+        config.check_together()?;
         Ok(config)
     }
 
-    /// Checks every range.
+    /// Checks every range, and that the fields do not contradict each other.
     ///
     /// # Errors
-    /// [`SimError::Config`] names the first field that is out of its range.
+    /// [`SimError::Config`] names the first field that is wrong.
     pub fn validate(&self) -> Result<()> {
-        let positive = |x: Real| x.is_finite() && x > 0.0;
-        check(positive(self.dt_s) && self.dt_s <= 1.0, "dt_s", self.dt_s, "seconds in (0, 1]")?;
-        check(self.horizon_steps >= 1, "horizon_steps", self.horizon_steps, "at least 1")?;
-        check(self.decision_steps >= 1, "decision_steps", self.decision_steps, "at least 1")?;
-        check((1..=512).contains(&self.num_slots), "num_slots", self.num_slots, "1 to 512")?;
+        options::check("", self)?;
+        self.check_together()
+    }
+
+    fn check_together(&self) -> Result<()> {
         check(
             self.controlled != Controlled::Ego || self.num_slots == 1,
             "num_slots",
@@ -305,51 +288,17 @@ impl WorldConfig {
             let good = shares.values().all(|s| *s >= 0.0) && (sum - 1.0).abs() < 1e-3;
             check(good, "traffic", format!("{shares:?}"), "shares of at least 0 that sum to 1")?;
         }
-        let stop = matches!(self.on_traffic_collision, Consequence::Ignore | Consequence::Stop);
-        let got = format!("{:?}", self.on_traffic_collision);
-        check(stop, "on_traffic_collision", got.to_lowercase(), "ignore or stop")?;
-        check(positive(self.speed_limit_mps), "speed_limit_mps", self.speed_limit_mps, "a positive speed")?;
-        let r = &self.reward;
-        for (field, value) in [
-            ("reward.progress", r.progress),
-            ("reward.collision", r.collision),
-            ("reward.off_road", r.off_road),
-            ("reward.comfort", r.comfort),
-            ("reward.speed_limit", r.speed_limit),
-            ("reward.lane_keeping", r.lane_keeping),
-            ("reward.goal", r.goal),
-        ] {
-            check(value.is_finite() && value.abs() <= 1e6, field, value, "a finite weight")?;
+        if let Dynamics::Assisted(limits) = &self.action.dynamics
+            && let Some((name, range)) = limits.off_zero()
+        {
+            let got = format!("{name} = {range:?}");
+            check(false, "action.dynamics.assisted", got, "a range about zero")?;
         }
-        let a = &self.action;
-        for (field, value) in [
-            ("action.max_acceleration_mps2", a.max_acceleration_mps2),
-            ("action.max_deceleration_mps2", a.max_deceleration_mps2),
-            ("action.max_yaw_rate_radps", a.max_yaw_rate_radps),
-            ("action.max_steering_rad", a.max_steering_rad),
-            ("action.max_displacement_m", a.max_displacement_m),
-            ("action.max_turn_rad", a.max_turn_rad),
-        ] {
-            check(positive(value), field, value, "a positive number")?;
-        }
-        check(a.max_steering_rad < 1.5, "action.max_steering_rad", a.max_steering_rad, "below 1.5 rad")?;
-        if let Some(fault) = a.dynamics.first_fault() {
-            check(false, "action.dynamics", format!("bad {fault}"), "finite limits in order")?;
-        }
-        if let Some(grid) = &a.grid {
-            let finite = grid.first.iter().chain(&grid.second).all(|v| v.is_finite());
+        if let Some(grid) = &self.action.grid {
             let got = format!("{} x {}", grid.first.len(), grid.second.len());
-            check(
-                finite && (2..=10_000).contains(&grid.len()),
-                "action.grid",
-                got,
-                "2 to 10000 finite actions",
-            )?;
+            check((2..=10_000).contains(&grid.len()), "action.grid", got, "2 to 10000 actions")?;
         }
-        match self.idm.first_fault() {
-            Some((field, value, expected)) => check(false, field, value, expected),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     /// Whether somebody drives under a name from the start of an episode.
@@ -378,7 +327,7 @@ mod tests {
             (r#"{"traffic": "external"}"#, "traffic"),
             (r#"{"num_slots": 3}"#, "num_slots"),
             (r#"{"decision_steps": 0}"#, "decision_steps"),
-            (r#"{"colour": 3}"#, "json"),
+            (r#"{"colour": 3}"#, "colour"),
             (r#"{"reward": {"goal": 1e9}}"#, "reward.goal"),
         ] {
             match WorldConfig::from_json(json) {

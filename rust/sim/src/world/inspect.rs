@@ -50,7 +50,7 @@ impl VecWorld {
         }
         if driver == Driver::External && !agents.iter().all(|a| world.episode.has_slot(*a)) {
             let expected = "a policy: actions from outside reach agents with a slot only".into();
-            return Err(SimError::Config { field: "driver", got: "external".into(), expected });
+            return Err(SimError::Config { field: "driver".into(), got: "external".into(), expected });
         }
         let drivers = &mut self.worlds[world_idx].episode.drivers;
         agents.iter().for_each(|a| drivers[*a] = driver);
@@ -70,7 +70,11 @@ impl VecWorld {
         }
         if let Some(strength) = command.criticality.filter(|c| !c.is_finite() || *c < 0.0) {
             let expected = "a finite number of at least 0".into();
-            return Err(SimError::Config { field: "criticality", got: strength.to_string(), expected });
+            return Err(SimError::Config {
+                field: "criticality".into(),
+                got: strength.to_string(),
+                expected,
+            });
         }
         self.planner(None)?;
         self.worlds[world_idx].episode.command = command;
@@ -285,7 +289,11 @@ impl VecWorld {
         let world = self.begun(world_idx)?;
         if let Dynamics::Assisted(_) = self.decoder.dynamics() {
             let expected = "a model of motion by itself".into();
-            return Err(SimError::Config { field: "action.dynamics", got: "assisted".into(), expected });
+            return Err(SimError::Config {
+                field: "action.dynamics".into(),
+                got: "assisted".into(),
+                expected,
+            });
         }
         let (e, scene) = (&world.episode, &world.scene);
         let log = &scene.scene;

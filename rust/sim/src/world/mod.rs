@@ -30,7 +30,8 @@ pub use actions::ActionDecoder;
 pub use buffers::{Extent, StepBuffers};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
 pub use config::{
-    ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, WorldConfig,
+    ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, TABLES,
+    TrafficCollision, WorldConfig,
 };
 pub use history::{History, PastState};
 pub use inspect::WorldStatus;
@@ -135,8 +136,8 @@ impl VecWorld {
         policies: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Result<Self> {
         config.validate()?;
-        let bad = |field, got: usize, expected: &str| {
-            Err(SimError::Config { field, got: got.to_string(), expected: expected.into() })
+        let bad = |field: &'static str, got: usize, expected: &str| {
+            Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
         };
         if !(1..=MOST_WORLDS).contains(&num_worlds) {
             return bad("num_envs", num_worlds, "1 to 65536");
@@ -173,7 +174,7 @@ impl VecWorld {
         let pool = if num_threads > 1 {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().map_err(|e| {
                 SimError::Config {
-                    field: "num_threads",
+                    field: "num_threads".into(),
                     got: e.to_string(),
                     expected: "threads that start".into(),
                 }

@@ -43,7 +43,7 @@ impl Policies {
         for (name, policy) in more {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
                 let expected = "a name that nobody else has".into();
-                return Err(SimError::Config { field: "policies", got: name, expected });
+                return Err(SimError::Config { field: "policies".into(), got: name, expected });
             }
             table.push((name, policy));
         }
@@ -98,7 +98,7 @@ impl Policies {
         found.map(|i| Driver::Policy(i as u16)).ok_or_else(|| {
             let names: Vec<&str> = self.names().collect();
             let expected = format!("a driver of this batch: {}", names.join(", "));
-            SimError::Config { field, got: format!("{name:?}"), expected }
+            SimError::Config { field: field.into(), got: format!("{name:?}"), expected }
         })
     }
 

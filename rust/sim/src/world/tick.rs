@@ -11,7 +11,7 @@ use crate::world::actions::ActionDecoder;
 use crate::world::assist;
 use crate::world::buffers::{Extent, WorldOut};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
-use crate::world::config::{Autoreset, Consequence, WorldConfig};
+use crate::world::config::{Autoreset, Consequence, TrafficCollision, WorldConfig};
 use crate::world::episode::{Episode, Phase};
 use crate::world::halt;
 use crate::world::policies::Policies;
@@ -202,7 +202,7 @@ impl World {
         let e = &mut self.episode;
         e.step_idx += 1;
         e.elapsed_steps += 1;
-        let stops = config.on_traffic_collision == Consequence::Stop;
+        let stops = config.on_traffic_collision == TrafficCollision::Stop;
         self.before.clear();
         if stops {
             self.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));

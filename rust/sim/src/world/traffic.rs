@@ -1,6 +1,8 @@
 //! What can be chosen about the drivers of a world.
 
 use crate::geom::Real;
+use crate::options;
+use crate::options::{Form, Setting, above, at_least};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -15,6 +17,10 @@ pub enum Traffic {
     All(String),
     /// Shares of policies by name, which sum to 1: drawn for each vehicle and episode from the world's seed.
     Mix(BTreeMap<String, Real>),
+}
+
+impl Setting for Traffic {
+    const FORM: Form = Form::Named(&BTreeMap::<String, Real>::FORM);
 }
 
 impl Traffic {
@@ -34,55 +40,24 @@ impl From<&str> for Traffic {
     }
 }
 
-/// Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IdmConfig {
-    /// Time headway T, seconds.
-    pub headway_s: Real,
-    /// Gap at standstill s₀, metres.
-    pub min_gap_m: Real,
-    /// Greatest acceleration a, m/s².
-    pub acceleration_mps2: Real,
-    /// Comfortable deceleration b, m/s².
-    pub deceleration_mps2: Real,
-    /// Hardest braking, m/s².
-    pub max_braking_mps2: Real,
-    /// Acceleration exponent δ.
-    pub exponent: Real,
-    /// Others are also looked for where they will be, at constant velocity, after this time, seconds.
-    pub anticipation_s: Real,
-}
-
-impl Default for IdmConfig {
-    fn default() -> Self {
-        Self {
-            headway_s: 1.2,
-            min_gap_m: 2.0,
-            acceleration_mps2: 1.5,
-            deceleration_mps2: 2.5,
-            max_braking_mps2: 8.0,
-            exponent: 4.0,
-            anticipation_s: 1.0,
-        }
-    }
-}
-
-impl IdmConfig {
-    /// The first field that is out of its range, with its value and the range.
-    pub fn first_fault(&self) -> Option<(&'static str, Real, &'static str)> {
-        let positive = [
-            ("idm.headway_s", self.headway_s),
-            ("idm.acceleration_mps2", self.acceleration_mps2),
-            ("idm.deceleration_mps2", self.deceleration_mps2),
-            ("idm.max_braking_mps2", self.max_braking_mps2),
-            ("idm.exponent", self.exponent),
-        ];
-        let not_negative = [("idm.min_gap_m", self.min_gap_m), ("idm.anticipation_s", self.anticipation_s)];
-        let bad = positive.into_iter().find(|(_, v)| !(v.is_finite() && *v > 0.0));
-        bad.map(|(field, v)| (field, v, "a positive number")).or_else(|| {
-            let bad = not_negative.into_iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0));
-            bad.map(|(field, v)| (field, v, ">= 0"))
-        })
+options! {
+    /// Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000).
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct IdmConfig {
+        /// Time headway T.
+        headway_s: Real = 1.2, unit "s", range above(0.0);
+        /// Gap at standstill s₀.
+        min_gap_m: Real = 2.0, unit "m", range at_least(0.0);
+        /// Greatest acceleration a.
+        acceleration_mps2: Real = 1.5, unit "m/s²", range above(0.0);
+        /// Comfortable deceleration b.
+        deceleration_mps2: Real = 2.5, unit "m/s²", range above(0.0);
+        /// Hardest braking.
+        max_braking_mps2: Real = 8.0, unit "m/s²", range above(0.0);
+        /// Acceleration exponent δ.
+        exponent: Real = 4.0, range above(0.0);
+        /// Others are also looked for where they will be, at constant velocity, after this time.
+        anticipation_s: Real = 1.0, unit "s", range at_least(0.0);
     }
 }

@@ -9,23 +9,20 @@ use super::Evaluation;
 use super::disks::{Disks, for_pairs};
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
+use ccdiff_sim::options::at_least;
 
-/// Settings of the collision loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AgentCollision {
-    /// Signed weight; negative seeks collisions.
-    pub weight: f32,
-    /// Disks per vehicle.
-    pub num_disks: usize,
-    /// Added to the distance at which disks touch, metres.
-    pub buffer_m: f32,
-}
-
-impl Default for AgentCollision {
-    fn default() -> Self {
-        Self { weight: -50.0, num_disks: 2, buffer_m: 0.2 }
+options! {
+    /// Settings of the collision loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct AgentCollision {
+        /// Signed weight; negative seeks collisions.
+        weight: f32 = -50.0;
+        /// Disks per vehicle.
+        num_disks: usize = 2, range at_least(1.0);
+        /// Added to the distance at which disks touch.
+        buffer_m: f32 = 0.2, unit "m", range at_least(0.0);
     }
 }
 

@@ -11,23 +11,20 @@ use super::Evaluation;
 use super::disks::{Disks, for_pairs};
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
+use ccdiff_sim::options::{above, at_least};
 
-/// Settings of the closeness loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Approach {
-    /// Signed weight; negative draws vehicles together.
-    pub weight: f32,
-    /// Distance from which on there is no pull, metres.
-    pub reach_m: f32,
-    /// Disks per vehicle.
-    pub num_disks: usize,
-}
-
-impl Default for Approach {
-    fn default() -> Self {
-        Self { weight: -10.0, reach_m: 20.0, num_disks: 2 }
+options! {
+    /// Settings of the closeness loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Approach {
+        /// Signed weight; negative draws vehicles together.
+        weight: f32 = -10.0;
+        /// Distance from which on there is no pull.
+        reach_m: f32 = 20.0, unit "m", range above(0.0);
+        /// Disks per vehicle.
+        num_disks: usize = 2, range at_least(1.0);
     }
 }
 

@@ -7,21 +7,17 @@
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
 
-/// Settings of the goal loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Goal {
-    /// Signed weight; positive seeks the goal.
-    pub weight: f32,
-    /// Step of the plan at which the goal counts, clamped to the last; `None`: whenever it is nearest.
-    pub at_step: Option<usize>,
-}
-
-impl Default for Goal {
-    fn default() -> Self {
-        Self { weight: 1.0, at_step: None }
+options! {
+    /// Settings of the goal loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Goal {
+        /// Signed weight; positive seeks the goal.
+        weight: f32 = 1.0;
+        /// Step of the plan at which the goal counts, clamped to the last; `None`: whenever it is nearest.
+        at_step: Option<usize> = None;
     }
 }
 

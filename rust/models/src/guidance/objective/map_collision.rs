@@ -14,7 +14,7 @@ use super::Evaluation;
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
 use ccdiff_sim::geom::{Point2, Region};
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
 
 /// Points per side of the grid.
 const SIDE: usize = 10;
@@ -30,17 +30,13 @@ const OUTLINE: [(usize, usize); 12] = {
     [(0, 0), (E, E), (0, E), (E, 0), (0, A), (E, B), (0, B), (E, A), (A, E), (B, E), (A, 0), (B, 0)]
 };
 
-/// Settings of the off-road loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MapCollision {
-    /// Signed weight; positive keeps to the road.
-    pub weight: f32,
-}
-
-impl Default for MapCollision {
-    fn default() -> Self {
-        Self { weight: 1.0 }
+options! {
+    /// Settings of the off-road loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct MapCollision {
+        /// Signed weight; positive keeps to the road.
+        weight: f32 = 1.0;
     }
 }
 

@@ -8,21 +8,18 @@
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
+use ccdiff_sim::options::above;
 
-/// Settings of the over-speed loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OverSpeed {
-    /// Signed weight; negative seeks speed.
-    pub weight: f32,
-    /// Limit, metres per second; `None`: that of the world.
-    pub limit_mps: Option<f32>,
-}
-
-impl Default for OverSpeed {
-    fn default() -> Self {
-        Self { weight: -1.0, limit_mps: None }
+options! {
+    /// Settings of the over-speed loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct OverSpeed {
+        /// Signed weight; negative seeks speed.
+        weight: f32 = -1.0;
+        /// Limit; `None`: that of the world.
+        limit_mps: Option<f32> = None, unit "m/s", range above(0.0);
     }
 }
 

@@ -6,21 +6,17 @@
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
 use crate::guidance::situation::Situation;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
 
-/// Settings of the target-speed loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TargetSpeed {
-    /// Signed weight; positive seeks the speed.
-    pub weight: f32,
-    /// Speed of agents without one of their own, metres per second.
-    pub speed_mps: Option<f32>,
-}
-
-impl Default for TargetSpeed {
-    fn default() -> Self {
-        Self { weight: 1.0, speed_mps: None }
+options! {
+    /// Settings of the target-speed loss.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct TargetSpeed {
+        /// Signed weight; positive seeks the speed.
+        weight: f32 = 1.0;
+        /// Speed of agents without one of their own; `None`: these seek none.
+        speed_mps: Option<f32> = None, unit "m/s";
     }
 }
 

@@ -39,7 +39,7 @@ pub fn greedy_order(num_agents: usize, weights: &[f64], order: GreedyOrder) -> R
     }
     if let Some(bad) = weights.iter().find(|w| !w.is_finite() || **w < 0.0) {
         let expected = "finite and at least 0".into();
-        return Err(SimError::Config { field: "rank.weights", got: bad.to_string(), expected });
+        return Err(SimError::Config { field: "rank.weights".into(), got: bad.to_string(), expected });
     }
     let weight = |i: usize, j: usize| {
         if i == j { 0.0 } else { weights[i * num_agents + j].max(weights[j * num_agents + i]) }

@@ -105,7 +105,7 @@ impl Ranker {
 
 fn missing(what: &'static str, ranker: &str) -> SimError {
     SimError::Config {
-        field: what,
+        field: what.into(),
         got: "nothing".into(),
         expected: format!("given for the {ranker} ranking"),
     }

@@ -69,8 +69,8 @@ pub fn clique_occurrences<V: Into<f64> + Copy>(
     if ragged != 0 {
         return Err(SimError::Length { what: "last matrix of the measure", got: ragged, expected: pairs });
     }
-    let refuse = |field, got: f64, expected: &str| {
-        Err(SimError::Config { field, got: got.to_string(), expected: expected.into() })
+    let refuse = |field: &'static str, got: f64, expected: &str| {
+        Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
     };
     if settings.threshold.is_nan() || settings.threshold < 0.0 {
         return refuse("rank.threshold", settings.threshold, "at least 0");

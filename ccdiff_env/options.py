@@ -1,0 +1,397 @@
+"""Fields of configurations, written by `python -m tools.configuration`: do not edit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+#: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
+Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
+
+
+#: What follows when a controlled agent touches another one, or leaves the road.
+Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
+
+
+#: What follows when agents without a slot touch.
+TrafficCollision: TypeAlias = Literal["ignore", "stop"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnicycleLimits:
+    """Limits of the unicycle: actions are acceleration (m/s²) and yaw rate (rad/s).
+
+    The defaults are those of the released models of traffic (reference.md, dynamics), but for the
+    reverse gear.
+    """
+
+    #: Lowest and highest acceleration (m/s²).
+    acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
+    #: Lowest and highest speed (m/s). Vehicles brake to a stop and do not reverse.
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+    #: Yaw rate that is allowed at any speed (rad/s, > 0).
+    min_yaw_rate_radps: float = 0.1
+    #: Highest yaw rate per speed, a curvature (1/m, > 0).
+    max_curvature_1pm: float = 0.5
+    #: Highest yaw rate times speed (m/s², > 0).
+    max_lateral_acceleration_mps2: float = 6.2831855
+
+
+@dataclass(frozen=True, kw_only=True)
+class BicycleLimits:
+    """Limits of the kinematic bicycle: actions are acceleration (m/s²) and steering angle (rad)."""
+
+    #: Lowest and highest acceleration (m/s²).
+    acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
+    #: Lowest and highest speed along the heading (m/s). Vehicles brake to a stop and do not
+    #: reverse.
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+    #: Largest steering angle of the front wheel, below π/2 (rad, in (0, 1.57]).
+    max_steering_rad: float = 0.6
+    #: Highest yaw rate times speed (m/s², > 0).
+    max_lateral_acceleration_mps2: float = 6.2831855
+    #: Wheelbase as a share of the length (> 0). 0.6 fits passenger cars: nuPlan's Pacifica has
+    #: 3.089 m of 5.176 m.
+    wheelbase_share: float = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeltaPoseLimits:
+    """Limits of one step of the delta-pose model: actions are dx, dy (m) and turn (rad) in the
+    agent's own frame.
+
+    The defaults allow −10 to 40 m/s along, 10 m/s across and 5 rad/s at steps of 0.1 s.
+    """
+
+    #: Least and most way forward per step (m).
+    dx_m: tuple[float, float] = (-1.0, 4.0)
+    #: Least and most way to the left per step (m).
+    dy_m: tuple[float, float] = (-1.0, 1.0)
+    #: Least and most turn to the left per step (rad).
+    dheading_rad: tuple[float, float] = (-0.5, 0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssistedLimits:
+    """Limits of assisted driving: actions change what IDM would do on the route.
+
+    The vehicle is a unicycle with IDM's acceleration plus a change, steered to a distance from its
+    route; the action zero is IDM on the route.
+    """
+
+    #: Change of IDM's acceleration at -1 and +1, about zero (m/s²).
+    delta_mps2: tuple[float, float] = (-6.0, 2.0)
+    #: Distance from the route at -1 and +1, left positive, about zero (m).
+    offset_m: tuple[float, float] = (-1.5, 1.5)
+    #: Lowest and highest acceleration, about zero (m/s²).
+    acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
+    #: The acceleration changes no faster than this, except where IDM brakes (m/s³, > 0).
+    max_jerk_mps3: float = 8.0
+    #: Lowest and highest speed (m/s).
+    speed_mps: tuple[float, float] = (0.0, 30.0)
+
+
+#: Model of motion with its limits.
+Dynamics: TypeAlias = UnicycleLimits | BicycleLimits | DeltaPoseLimits | AssistedLimits
+
+DYNAMICS: dict[str, type[Dynamics]] = {
+    "unicycle": UnicycleLimits,
+    "bicycle": BicycleLimits,
+    "delta_pose": DeltaPoseLimits,
+    "assisted": AssistedLimits,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionGrid:
+    """Physical actions to choose from: every value of one axis with every value of the other.
+
+    The action of an index is ``first[index // len(second)]``, ``second[index % len(second)]``. The
+    first axis is column 0 (acceleration, its change, or dx). The second is the turning column: 2
+    (dψ) for delta pose, whose dy is 0, else 1.
+    """
+
+    #: Accelerations, m/s² (delta pose: dx, m).
+    first: tuple[float, ...]
+    #: Yaw rates, rad/s (bicycle: steering angles, rad; delta pose: turns, rad; assisted: distances,
+    #: m).
+    second: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionConfig:
+    """Actions.
+
+    Continuous ones are normalised: each column lies in [-1, 1], zero means zero, and +1 and -1 mean
+    the figures below, or less where the dynamics' own limits are narrower.
+    """
+
+    #: Model of motion with its limits; also by name or as ``{name: limits}``.
+    dynamics: Dynamics = field(default_factory=UnicycleLimits)
+    #: Whether actions are indices of ``grid``, not numbers.
+    discrete: bool = False
+    #: Physical actions to choose from; ``None``: the dynamics' default 7 x 9 grid.
+    grid: ActionGrid | None = None
+    #: Acceleration at +1 (m/s², > 0).
+    max_acceleration_mps2: float = 4.0
+    #: Deceleration at -1 (m/s², > 0).
+    max_deceleration_mps2: float = 8.0
+    #: Unicycle: yaw rate at +1 (rad/s, > 0).
+    max_yaw_rate_radps: float = 1.0
+    #: Bicycle: front wheel angle at +1 (rad, in (0, 1.5)).
+    max_steering_rad: float = 0.5
+    #: Delta pose: displacement at +1, per step (m, > 0).
+    max_displacement_m: float = 3.0
+    #: Delta pose: turn at +1, per step (rad, > 0).
+    max_turn_rad: float = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class BevConfig:
+    """Choice of the bird's-eye raster, uint8 [channels, S, S]."""
+
+    #: Rows and columns S (in [8, 1024]).
+    size_px: int = 84
+    #: Side of a pixel (m, in [0.05, 10]).
+    metres_per_px: float = 0.6
+    #: Share of the rows that lies behind the observing agent's centre (in [0, 1]).
+    behind_share: float = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationConfig:
+    """Choice of rows and columns of the observation."""
+
+    #: Nearest agents, K rows (in [0, 512]).
+    num_agents: int = 16
+    #: Points of the route ahead, P rows (in [0, 256]).
+    num_route_points: int = 20
+    #: Distance from one route point to the next (m, in (0, 1000]).
+    route_spacing_m: float = 2.0
+    #: Nearest pieces of map lines, N rows (in [0, 256]).
+    num_map_pieces: int = 64
+    #: Agents farther than this are not seen (m, in (0, 1000]).
+    radius_m: float = 60.0
+    #: Whether masks are part of the row.
+    masks: bool = True
+    #: Columns of ``ego``; ``None``: all.
+    ego_columns: tuple[str, ...] | None = None
+    #: Columns of ``agents``; ``None``: all.
+    agent_columns: tuple[str, ...] | None = None
+    #: Columns of ``map``; ``None``: all.
+    map_columns: tuple[str, ...] | None = None
+    #: Bird's-eye raster beside the row; ``None``: none.
+    bev: BevConfig | None = None
+
+
+#: How the reward is made.
+RewardForm: TypeAlias = Literal["sum", "product"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardConfig:
+    """Weights of the reward components; the reward is their sum, or a product of factors.
+
+    Also by the name of a form: ``reward="product"``.
+    """
+
+    #: How the reward is made.
+    form: RewardForm = "sum"
+    #: Per metre of new progress along the route (in [-1000000, 1000000]).
+    progress: float = 0.1
+    #: At the step of a collision (in [-1000000, 1000000]).
+    collision: float = -10.0
+    #: At each step with a corner off the road (in [-1000000, 1000000]).
+    off_road: float = -5.0
+    #: Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3,
+    #: per step (in [-1000000, 1000000]).
+    comfort: float = -0.004
+    #: Per m/s above the speed limit, per step (in [-1000000, 1000000]).
+    speed_limit: float = -0.05
+    #: Per metre of distance from the route, at most 3, per step (in [-1000000, 1000000]).
+    lane_keeping: float = -0.02
+    #: When the goal is reached (in [-1000000, 1000000]).
+    goal: float = 2.0
+
+    def scaled(self, factor: float) -> RewardConfig:
+        """Return all weights times a factor.
+
+        Learners whose value function shares features with the policy learn better from small
+        rewards: the loss of the value function grows with their square.
+        """
+        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
+        return RewardConfig(form=self.form, **weights)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdmConfig:
+    """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
+
+    #: Time headway T (s, > 0).
+    headway_s: float = 1.2
+    #: Gap at standstill s₀ (m, >= 0).
+    min_gap_m: float = 2.0
+    #: Greatest acceleration a (m/s², > 0).
+    acceleration_mps2: float = 1.5
+    #: Comfortable deceleration b (m/s², > 0).
+    deceleration_mps2: float = 2.5
+    #: Hardest braking (m/s², > 0).
+    max_braking_mps2: float = 8.0
+    #: Acceleration exponent δ (> 0).
+    exponent: float = 4.0
+    #: Others are also looked for where they will be, at constant velocity, after this time (s, >=
+    #: 0).
+    anticipation_s: float = 1.0
+
+
+#: What happens to a world whose episode has ended (Gymnasium's autoreset modes).
+Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
+
+
+#: How the scene of an episode is chosen when the reset names none.
+SceneOrder: TypeAlias = Literal["random", "sequential"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldOptions:
+    """Configuration of worlds."""
+
+    #: Step (s, in (0, 1]); must equal the scenes' own.
+    dt_s: float = 0.1
+    #: Logged steps before the first free one; episodes start at this step of the log.
+    history_steps: int = 30
+    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
+    start_spread_steps: int = 0
+    #: Steps of an episode at most (>= 1).
+    horizon_steps: int = 100
+    #: Steps for which an action is held: a call of ``step`` advances by so many, or up to the end
+    #: of the episode (>= 1). Rewards are summed up; a learner's discount per call is that of a step
+    #: to this power.
+    decision_steps: int = 1
+    #: Agents with a slot: ``"ego"``, ``"vehicles"`` (present at the start, the ego first), ids, or
+    #: ids by the name of the scene.
+    controlled: Controlled = "ego"
+    #: Slots per world (in [1, 512]).
+    num_slots: int = 1
+    #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
+    driver: str = "external"
+    #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
+    #: each vehicle and episode from the world's seed. Pedestrians, cyclists, motorcycles and
+    #: obstacles follow the log. A ``PythonTraffic`` stands for itself.
+    traffic: str | Mapping[str, float] = "replay"
+    #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
+    drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
+    #: Whether agents that the log brings later enter (once their place is free).
+    late_arrivals: bool = True
+    #: Whether background agents leave when the log has them no more; else they drive on.
+    vanish_with_log: bool = False
+    #: Whether the episode is truncated where the log ends.
+    truncate_at_log_end: bool = True
+    #: Consequence of a collision for a controlled agent.
+    on_collision: Consequence = "terminate"
+    #: Consequence of a contact for agents without a slot, where a vehicle takes part in it that
+    #: does not follow its log.
+    on_traffic_collision: TrafficCollision = "stop"
+    #: Consequence of a box corner off the road for a controlled agent.
+    on_off_road: Consequence = "terminate"
+    #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.
+    terminate_at_goal: bool = True
+    #: Speed limit where the map has none (m/s, > 0).
+    speed_limit_mps: float = 15.0
+    #: Actions.
+    action: ActionConfig = field(default_factory=ActionConfig)
+    #: Observations.
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    #: Rewards.
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    #: Options of the driver ``"idm"``.
+    idm: IdmConfig = field(default_factory=IdmConfig)
+    #: What happens to a world whose episode has ended.
+    autoreset: Autoreset = "next_step"
+    #: How the scene of an episode is chosen when the reset names none.
+    scene_order: SceneOrder = "random"
+
+
+#: Where a network runs.
+DeviceName: TypeAlias = Literal["cpu", "cuda"]
+
+
+#: The decision causal graph that the network sees.
+GraphMode: TypeAlias = Literal["causal", "full"]
+
+
+#: How the vehicles to be guided are found.
+Ranking: TypeAlias = (
+    Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
+    | Mapping[str, tuple[str, ...]]
+)
+
+
+#: Who drives the vehicles outside the guided set.
+Others: TypeAlias = Literal["ccdiff", "idm", "replay"]
+
+
+#: Contacts with whom count in the collision objectives.
+Partners: TypeAlias = Literal["ego", "all"]
+
+
+#: Which vehicles stand still for the whole episode.
+Frozen: TypeAlias = Literal["parked", "standing"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CcdiffConfig:
+    """CCDiff as a driver: of the traffic (``traffic="ccdiff"``), or of the controlled agents.
+
+    The options of its rivals as well, ``ccdiff_env.traffic.NETWORKS`` (``traffic="ctg"``,
+    docs/rivals.md): what means nothing to a network must have its default. Plans are made for all
+    worlds of a batch at once, anew every ``replan_steps``, and followed in between.
+    """
+
+    #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
+    weights: str = "fast"
+    #: Where the network runs.
+    device: DeviceName = "cpu"
+    #: Steps from one plan to the next n, at most the horizon of the plans (>= 1).
+    replan_steps: int = 5
+    #: Network evaluations of the DDIM sampler (one: guidance moves its only step) (>= 1); ``None``:
+    #: DDPM with all 100 steps.
+    denoising_steps: int | None = 5
+    #: Samples per plan N (>= 1).
+    num_samples: int = 1
+    #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
+    cfg_weight: float = 1.0
+    #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
+    tie_first_knot: bool = False
+    #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+    keep_noise: bool = False
+    #: The decision causal graph G that the network sees; ``"full"`` joins all pairs (ablation).
+    graph: GraphMode = "causal"
+    #: Vehicles that are guided K; ``None``: all.
+    num_guided: int | None = 5
+    #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
+    #: attention, cliques of the distance graph, the scene's order, a shuffle, agreement of the
+    #: gradients of realism and guidance, or agent ids by scene name, most important first (a
+    #: mapping, or the path of a JSON file, see ``ccdiff_env.traffic.read_ranking``).
+    ranking: Ranking = "cliques"
+    #: Whether they are found anew at every plan, not only at the first one.
+    rerank: bool = True
+    #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
+    others: Others = "ccdiff"
+    #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
+    #: configured (>= 0). Worlds may be told another one at any time.
+    criticality: float = 0.0
+    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings, see
+    #: ``ccdiff_env.models.guidance_preset``.
+    guidance: str | Mapping[str, Any] = "rl"
+    #: Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
+    mask_guidance: bool = True
+    #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from
+    #: outside, or with anybody (paper).
+    partners: Partners = "ego"
+    #: Whether plans keep attention and gradient statistics, at some cost.
+    explain: bool = False
+    #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
+    frozen: Frozen = "parked"

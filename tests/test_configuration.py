@@ -1,0 +1,147 @@
+"""Options: classes, page and checks all come from the tables of Rust."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+import ccdiff_env
+from ccdiff_env import _native, config
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.traffic import PythonTraffic
+from tools.configuration import classes, page, tables
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: Where a table stands in the configuration of worlds.
+PLACES = {
+    "WorldConfig": (),
+    "ActionConfig": ("action",),
+    "UnicycleLimits": ("action", "dynamics", "unicycle"),
+    "BicycleLimits": ("action", "dynamics", "bicycle"),
+    "DeltaPoseLimits": ("action", "dynamics", "delta_pose"),
+    "AssistedLimits": ("action", "dynamics", "assisted"),
+    "ObservationConfig": ("observation",),
+    "BevConfig": ("observation", "bev"),
+    "RewardConfig": ("reward",),
+    "IdmConfig": ("idm",),
+}
+
+
+def test_classes_and_page_are_those_of_the_tables():
+    found = tables()
+    assert (ROOT / "ccdiff_env" / "options.py").read_text(encoding="utf-8") == classes(found)
+    assert (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8") == page(found)
+
+
+def test_defaults_of_every_class_are_those_of_its_table():
+    compared = set()
+    for table in tables():
+        name = table["name"]
+        kind = PythonTraffic if name == "PythonOptions" else getattr(config, name, None)
+        if kind is None or table["defaults"] is None:
+            continue
+        compared.add(name)
+        made = config._plain(kind(model="") if kind is PythonTraffic else kind())
+        made = next(iter(made.values())) if name.endswith("Limits") else made
+        wanted = dict(table["defaults"])
+        if name == "WorldConfig":  # the options of networks stand there by the driver's name
+            made["policies"], wanted["policies"] = {}, {}
+        assert {k: v for k, v in made.items() if k != "model"} == {
+            k: v for k, v in wanted.items() if k != "model"
+        }
+    assert compared == {*PLACES, "CcdiffConfig", "PythonOptions"}
+
+
+def parsed(text):
+    """Ends of a range such as "in (0, 1]" or ">= 1", each with whether it belongs to it."""
+    found = re.fullmatch(r"in ([\[(])(\S+), (\S+)([\])])", text)
+    if found:
+        return (float(found[2]), found[1] == "["), (float(found[3]), found[4] == "]")
+    sign, number = text.split(" ")
+    end = (float(number), "=" in sign)
+    return (end, (math.inf, False)) if sign[0] == ">" else ((-math.inf, False), end)
+
+
+def tries(text, whole):
+    """Numbers at and beside the ends of a range, each with whether it is inside."""
+    (low, low_in), (high, high_in) = parsed(text)
+    for end in (e for e in (low, high) if math.isfinite(e)):
+        step = 1 if whole else max(1e-3 * abs(end), 1e-6)
+        for value in (end - step, end, end + step):
+            inside = low < value < high or (low_in and value == low) or (high_in and value == high)
+            yield (int(value) if whole else value), inside
+
+
+def checked(table, name, value):
+    """Whether Rust takes a configuration with a value in a field; its message if not."""
+    fields = {name: value}
+    for key in reversed(PLACES[table]):
+        fields = {key: fields}
+    if name == "num_slots":
+        fields["controlled"] = "vehicles"
+    try:
+        _native.networks_wanted(json.dumps(fields))
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+def test_ranges_are_those_that_are_checked():
+    tried = 0
+    for table in (t for t in tables() if t["name"] in PLACES):
+        for field in (f for f in table["fields"] if f["range"]):
+            path = ".".join((*PLACES[table["name"]], field["name"]))
+            for value, inside in tries(field["range"], field["form"] == "count"):
+                tried += 1
+                message = checked(table["name"], field["name"], value)
+                if inside:
+                    assert message is None, (path, value)
+                else:
+                    assert message is not None, (path, value)
+                    assert message.startswith(f"config: {path} is "), message
+    assert tried > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"replan_steps": 0}, "ccdiff.replan_steps is 0, expected a whole number >= 1"),
+        ({"cfg_weight": 2.0}, "ccdiff.cfg_weight is 2.0, expected a number in [1, 2)"),
+        ({"criticality": -1.0}, "ccdiff.criticality is -1.0, expected a number >= 0"),
+        ({"guidance": {"discont": 1.0}}, "ccdiff.guidance.discont is no option"),
+        (
+            {"guidance": {"objectives": [{"kind": "approach", "reach_m": 0.0}]}},
+            "ccdiff.guidance.objectives[0].reach_m is 0.0, expected a number > 0",
+        ),
+    ],
+)
+def test_options_of_networks_are_checked_by_the_same_walker(options, named):
+    scenes = ccdiff_env.embedded_scenes("val")[:1]
+    with pytest.raises(ConfigError, match=re.escape(named)):
+        ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff=options)
+
+
+def test_vehicles_do_not_reverse_by_default_in_any_model_of_motion():
+    for table in tables():
+        if "speed_mps" in (table["defaults"] or {}) and table["name"].endswith("Limits"):
+            assert table["defaults"]["speed_mps"] == [0.0, 30.0]
+
+
+def test_every_field_says_what_it_is():
+    for table in tables():
+        assert table["doc"].strip()
+        for field in table["fields"]:
+            assert field["doc"].strip().endswith("."), (table["name"], field["name"])
+
+
+def test_fields_of_python_have_no_others_than_rust():
+    rust = {t["name"]: {f["name"] for f in t["fields"]} for t in tables()}
+    for name in (*PLACES, "CcdiffConfig"):
+        own = {f.name for f in dataclasses.fields(getattr(config, name))}
+        assert own - {"ccdiff"} == rust[name]

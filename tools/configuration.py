@@ -1,0 +1,282 @@
+"""The classes of ccdiff_env/options.py and the page docs/configuration.md, from the tables of Rust.
+
+``python -m tools.configuration`` writes both anew, with the extension modules as they are built.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import textwrap
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env import _native
+from ccdiff_env.models import require_networks
+
+__all__ = ["classes", "page", "tables"]
+
+Table = Mapping[str, Any]
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMAND = "python -m tools.configuration"
+#: Tables that Python has as dictionaries alone, or as a class written by hand.
+PLAIN = ("GuidanceConfig", "PythonOptions")
+#: Fields that ``WorldConfig`` of Python has in another form.
+OWN_FORM = ("policies",)
+#: What a class has beside its fields.
+METHODS = {
+    "RewardConfig": '''
+    def scaled(self, factor: float) -> RewardConfig:
+        """Return all weights times a factor.
+
+        Learners whose value function shares features with the policy learn better from small
+        rewards: the loss of the value function grows with their square.
+        """
+        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
+        return RewardConfig(form=self.form, **weights)
+''',
+}
+HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+'''
+
+
+def tables() -> list[Table]:
+    """Return the tables of all configurations."""
+    require_networks()
+    from ccdiff_env import _models
+
+    return [*json.loads(_native.config_tables()), *json.loads(_models.config_tables())]
+
+
+def _choices(form: Any) -> Iterator[Mapping[str, Any]]:
+    """Choices in a form, those in tables left out."""
+    if isinstance(form, dict):
+        ((kind, inner),) = form.items()
+        if kind in ("one_of", "kinds"):
+            yield inner
+        elif kind != "table":
+            yield from _choices(inner)
+
+
+def _named(table: Table) -> str:
+    """Name of the class of a table: that of worlds has more in ``ccdiff_env.config``."""
+    return "WorldOptions" if table["name"] == "WorldConfig" else str(table["name"])
+
+
+def _annotation(form: Any) -> str:
+    if isinstance(form, str):
+        return {
+            "flag": "bool",
+            "count": "int",
+            "number": "float",
+            "text": "str",
+            "span": "tuple[float, float]",
+            "any": "Any",
+        }[form]
+    ((kind, inner),) = form.items()
+    if kind == "one_of":
+        return str(inner["name"])
+    if kind == "table":
+        return "Mapping[str, Any]" if inner in PLAIN else str(inner)
+    made = _annotation(inner)
+    return {
+        "list": f"tuple[{made}, ...]",
+        "optional": f"{made} | None",
+        "by_name": f"Mapping[str, {made}]",
+        "named": f"str | {made}",
+    }[kind]
+
+
+def _alias(choice: Mapping[str, Any]) -> str:
+    plain = [v["name"] for v in choice["variants"] if v["form"] is None]
+    parts = [f"Literal[{', '.join(json.dumps(name) for name in plain)}]"] if plain else []
+    parts += [_annotation(v["form"]) for v in choice["variants"] if v["form"] is not None]
+    text = f"#: {_python(choice['doc'])}\n{choice['name']}: TypeAlias = {' | '.join(parts)}\n"
+    if plain:
+        return text
+    names = ", ".join(f"{v['name']!r}: {_annotation(v['form'])}" for v in choice["variants"])
+    return text + f"\n{choice['name'].upper()}: dict[str, type[{choice['name']}]] = {{{names}}}\n"
+
+
+def _default(field: Mapping[str, Any], value: Any) -> str:
+    form = field["form"]
+    kind = form if isinstance(form, str) else next(iter(form))
+    if kind == "table":
+        return f"field(default_factory={form['table']})"
+    if kind == "by_name":
+        return "field(default_factory=dict, hash=False)"
+    if kind == "one_of" and isinstance(value, dict):
+        ((name, _),) = value.items()
+        chosen = next(v for v in form["one_of"]["variants"] if v["name"] == name)
+        return f"field(default_factory={chosen['form']['table']})"
+    return repr(tuple(value)) if isinstance(value, list) else repr(value)
+
+
+def _text(doc: str) -> list[str]:
+    """Paragraphs of a comment, each on one line."""
+    lines = "\n".join(line.strip() for line in doc.splitlines())
+    return [" ".join(part.split()) for part in lines.strip().split("\n\n")]
+
+
+def _python(doc: str) -> str:
+    return re.sub(r"`([^`]+)`", r"``\1``", " ".join(_text(doc)))
+
+
+def _described(field: Mapping[str, Any]) -> str:
+    """Meaning of a field with its unit and range in its first clause."""
+    text, facts = " ".join(_text(field["doc"])), [field["unit"], field["range"]]
+    known = ", ".join(fact for fact in facts if fact)
+    clause = re.match(r"(.*?)(;|\.(?= |$))", text)
+    if not known or clause is None:
+        return text
+    return f"{clause[1]} ({known}){text[clause.end(1) :]}"
+
+
+def _wrapped(text: str, first: str, then: str) -> str:
+    return textwrap.fill(text, 100, initial_indent=first, subsequent_indent=then)
+
+
+def _class(table: Table) -> str:
+    first, *more = (_python(part) for part in _text(table["doc"]))
+    summary, _, rest = first.partition(". ")
+    paragraphs = [p for p in (rest, *more) if p]
+    lines = ["@dataclass(frozen=True, kw_only=True)", f"class {_named(table)}:"]
+    if paragraphs:
+        lines += [_wrapped(f'"""{summary.rstrip(".")}.', "    ", "    "), ""]
+        lines += "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs).split("\n")
+        lines += ['    """', ""]
+    else:
+        lines += [_wrapped(f'"""{summary.rstrip(".")}."""', "    ", "    "), ""]
+    for entry in table["fields"]:
+        if table["name"] == "WorldConfig" and entry["name"] in OWN_FORM:
+            continue
+        doc = re.sub(r"`([^`]+)`", r"``\1``", _described(entry))
+        lines.append(_wrapped(doc, "    #: ", "    #: "))
+        line = f"    {entry['name']}: {_annotation(entry['form'])}"
+        if table["defaults"] is not None:
+            line += f" = {_default(entry, table['defaults'][entry['name']])}"
+        lines.append(line)
+    return "\n".join(lines) + "\n" + METHODS.get(table["name"], "")
+
+
+def classes(found: list[Table]) -> str:
+    """Return the module of classes."""
+    kept = [t for t in found if not (t["name"] in PLAIN or _below_plain(t, found))]
+    parts, done = [HEAD.rstrip()], set[str]()
+
+    def add_choice(choice: Mapping[str, Any]) -> None:
+        if choice["name"] not in done:
+            done.add(choice["name"])
+            for variant in choice["variants"]:
+                add_form(variant["form"])
+            parts.append(_alias(choice))
+
+    def add_form(form: Any) -> None:
+        for choice in _choices(form):
+            add_choice(choice)
+        for name in _tables_in(form):
+            add(next((t for t in kept if t["name"] == name), None))
+
+    def add(table: Table | None) -> None:
+        if table is None or table["name"] in done:
+            return
+        done.add(table["name"])
+        for entry in table["fields"]:
+            add_form(entry["form"])
+        parts.append(_class(table))
+
+    for table in kept:
+        add(table)
+    text = "\n\n".join(parts)
+    return subprocess.run(
+        ["ruff", "format", "-q", "--stdin-filename", "options.py", "-"],
+        input=text,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    ).stdout
+
+
+def _tables_in(form: Any) -> Iterator[str]:
+    if isinstance(form, dict):
+        ((kind, inner),) = form.items()
+        if kind == "table":
+            yield inner
+        elif kind not in ("one_of", "kinds"):
+            yield from _tables_in(inner)
+
+
+def _below_plain(table: Table, found: list[Table]) -> bool:
+    """Whether a table is only reached through one that is a dictionary in Python."""
+    plain = [t for t in found if t["name"] in PLAIN]
+    inside = (c for t in plain for e in t["fields"] for c in _choices(e["form"]))
+    return any(table["name"] in _tables_in(v["form"]) for c in inside for v in c["variants"])
+
+
+def _shown(entry: Mapping[str, Any], table: Table) -> str:
+    """Default of a field in the page."""
+    if table["defaults"] is None:
+        return "required"
+    names = list(_tables_in(entry["form"]))
+    if names and entry["form"] == {"table": names[0]}:
+        return f"[{names[0]}](#{names[0].lower()})"
+    value = table["defaults"][entry["name"]]
+    if isinstance(value, dict) and len(value) == 1:
+        value = next(iter(value))
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        value = [term["kind"] for term in value]
+    return f"`{json.dumps(value) if value is not None else None}`"
+
+
+def page(found: list[Table]) -> str:
+    """Return the page."""
+    lines = [
+        "# Configuration",
+        "",
+        f"<!-- written by `{COMMAND}` from the tables of Rust; do not edit -->",
+        "",
+        'Every option of every configuration: `make_vec(8, traffic="idm", reward={"goal": 5.0})`',
+        "or `WorldConfig().with_options(...)`. Unknown names, wrong types and numbers out of their",
+        "range are a `ConfigError` that names the field, the value and what is expected.",
+    ]
+    seen = set[str]()
+    for table in found:
+        lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
+        lines += ["| field | default | unit | range | what |", "|---|---|---|---|---|"]
+        for entry in table["fields"]:
+            doc = " ".join(_text(entry["doc"])).replace("|", "\\|")
+            cells = (f"`{entry['name']}`", _shown(entry, table), entry["unit"], entry["range"], doc)
+            lines.append(f"| {' | '.join(cell or '' for cell in cells)} |")
+        for entry in table["fields"]:
+            for choice in _choices(entry["form"]):
+                if choice["name"] in seen:
+                    continue
+                seen.add(choice["name"])
+                lines += ["", f"`{entry['name']}`: {' '.join(_text(choice['doc']))}", ""]
+                lines += [
+                    f"* `{v['name']}`{_linked(v['form'])}: {' '.join(_text(v['doc']))}"
+                    for v in choice["variants"]
+                ]
+    return "\n".join(lines) + "\n"
+
+
+def _linked(form: Any) -> str:
+    return "".join(f" ([{name}](#{name.lower()}))" for name in _tables_in(form))
+
+
+if __name__ == "__main__":
+    known = tables()
+    (ROOT / "ccdiff_env" / "options.py").write_text(classes(known), encoding="utf-8")
+    (ROOT / "docs" / "configuration.md").write_text(page(known), encoding="utf-8")
