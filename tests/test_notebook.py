@@ -1,10 +1,12 @@
-"""What notebooks show."""
+"""What notebooks show, and that those of the examples run."""
 
 from __future__ import annotations
 
 import html
 import re
+from pathlib import Path
 
+import pytest
 from view_rollouts import planned_rollout
 
 from ccdiff_env import embedded_scenes
@@ -49,3 +51,27 @@ def test_scenes_and_sets_are_a_picture_and_a_table():
         "<th>agents</th><th>vehicles</th></tr></thead><tbody></tbody></table>"
     )
     assert scenes.report._repr_html_() == f"<pre>{html.escape(str(scenes.report))}</pre>"
+
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "examples/notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_is_kept_without_outputs(path, tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    monkeypatch.setenv("PYTHONPATH", str(path.parents[2]))
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert not cell.outputs
+            assert cell.execution_count is None
+            # smaller where a line says so: "STEPS = 300_000  # in tests: 2048"
+            cell.source = re.sub(r"= [\d_]+  # in tests: (\d+)", r"= \1", cell.source)
+    resources = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(
+        notebook, timeout=280, kernel_name="python3", resources=resources
+    ).execute()
+    assert any(cell.get("outputs") for cell in notebook.cells)
