@@ -140,6 +140,22 @@ def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path: Path, mode
         train([road()], out=tmp_path, steps=4, progress=False)
 
 
+EQUAL = ("simnet", "trafficsim", "strive", "bits", "ctg", "ccdiff_equal")
+
+
+@pytest.mark.parametrize("name", EQUAL)
+def test_weights_that_are_compared_have_had_the_same_training(name: str) -> None:
+    path = shipped_weights(name)
+    assert path.stat().st_size < 2_000_000
+    header = Planner(path).header
+    first = Planner(shipped_weights("simnet")).header
+    assert header["kind"] == name.removesuffix("_equal")
+    assert header["step"] == first["step"]
+    same = ("batch_scenes", "learning_rate", "warmup_steps", "ema_decay", "clip_norm", "seed")
+    assert [header["training"][key] for key in same] == [first["training"][key] for key in same]
+    assert header["notes"]["num_scenes"] == first["notes"]["num_scenes"] == 600
+
+
 def test_parts_of_the_network_can_differ_from_the_preset(tmp_path: Path) -> None:
     wide = train(
         [road()], out=tmp_path, steps=1, settings=QUICK, network={"width": 32}, progress=False
