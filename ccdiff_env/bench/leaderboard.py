@@ -83,9 +83,9 @@ def _table(members: Sequence[tuple[Path, dict[str, Any]]]) -> tuple[str, str]:
     read = [(folder, _scores(folder / "scores.csv")) for folder, _ in members]
     names = [planner for _, rows in read for planner in {p for p, _ in rows}]
     for folder, rows in read:
-        for (planner, traffic), scenes in rows.items():
+        for (planner, name), scenes in rows.items():
             several = names.count(planner) > 1
-            found[f"{planner} ({folder.name})" if several else planner, traffic] = scenes
+            found[f"{planner} ({folder.name})" if several else planner, name] = scenes
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = [
         t for t in dict.fromkeys(t for _, t in found) if all((p, t) in found for p in planners)
