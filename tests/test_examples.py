@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import ccdiff_env
+
 HERE = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((HERE / "examples").glob("*.py"))
 #: Libraries that only one example needs.
@@ -33,3 +35,19 @@ def test_the_smoke_run_of_an_example_succeeds(path, tmp_path):
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()
+
+
+def test_torchrl_takes_single_vector_and_several_vehicles():
+    pytest.importorskip("torchrl")
+    from torchrl.envs.libs.gym import GymEnv, GymWrapper
+    from torchrl.envs.libs.pettingzoo import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    worlds = ccdiff_env.make_vec(3, autoreset_mode="same_step", info="none")
+    game = ccdiff_env.parallel_env(agents=3, names="slot", info="none")
+    for env in (
+        GymEnv("ccdiff_env/Ego-v0", traffic="idm"),
+        GymWrapper(worlds),
+        PettingZooWrapper(game),
+    ):
+        check_env_specs(env)
