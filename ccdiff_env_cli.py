@@ -27,7 +27,8 @@ class _Help(argparse.HelpFormatter):
     """Help that shows defaults, where there are any to show."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        shown = action.default not in (None, False, [], argparse.SUPPRESS) and action.option_strings
+        silent = any(action.default is none for none in (None, False, argparse.SUPPRESS))
+        shown = action.option_strings and not silent and action.default != []
         return f"{action.help or ''} (default: %(default)s)" if shown else action.help
 
 

@@ -16,15 +16,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--split", nargs="+", default=["train", "train_val"], help="splits to train on"
     )
     parser.add_argument("--model", default="ccdiff", help="ccdiff or one of its rivals")
-    parser.add_argument("--preset", default="fast", choices=["fast", "paper"])
+    parser.add_argument(
+        "--preset", default="fast", choices=["fast", "paper"], help="size of the network"
+    )
     parser.add_argument("--out", required=True, type=Path, help="folder of the run")
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
     length.add_argument("--minutes", type=float, help="minutes of this call")
-    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
+    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="of torch")
     parser.add_argument("--batch-scenes", type=int, help="scenes per step")
-    parser.add_argument("--learning-rate", type=float)
-    parser.add_argument("--seed", type=int)
+    parser.add_argument("--learning-rate", type=float, help="of Adam; the preset's without")
+    parser.add_argument("--seed", type=int, help="of weights and batches")
     parser.add_argument(
         "--hold-out-every", type=int, default=16, help="keep every n-th scene for validation"
     )

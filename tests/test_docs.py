@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import ccdiff_env
+import ccdiff_env_cli
 from ccdiff_env.embedded import unpack
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import parse
@@ -156,3 +157,18 @@ def test_examples_of_docstrings_hold(name, tmp_path, monkeypatch):
     )
     assert found.attempted
     assert not found.failed
+
+
+VERBS = [[verb] for verb in ccdiff_env_cli.VERBS if verb != "bench"]
+VERBS += [["bench", kind] for kind in re.findall(r"^    (\w+)  ", help_of(["bench"]), re.MULTILINE)]
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_help_says_what_every_option_does_and_what_there_is(verb):
+    text = help_of(verb)
+    assert "%(" not in text
+    lines = re.split(r"\n(?=  -)", text)[1:]
+    silent = [line for line in lines if not re.search(r"\s{2,}\S", line.strip(), re.DOTALL)]
+    assert silent == []
+    if "--methods" in text:
+        assert "ccdiff_unguided" in text.partition("of: ")[2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import json
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -27,6 +28,38 @@ K = TypeVar("K", bound=Hashable)
 PICTURES = 8
 
 
+class _Names:
+    """Keys of a table of this package, imported when they are printed."""
+
+    def __init__(self, table: str) -> None:
+        self._table = table
+
+    def __str__(self) -> str:
+        module, _, name = self._table.partition(":")
+        return ", ".join(getattr(importlib.import_module(f"ccdiff_env.{module}"), name))
+
+
+class Listed(argparse.Action):
+    """Stores a value; its help lists the names of a table, ``"module:table"``."""
+
+    def __init__(self, *args: Any, names: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.names = _Names(names)
+        self.help = f"{self.help}, of: %(names)s"
+
+    def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, *_: Any) -> None:
+        """Store the value."""
+        setattr(namespace, self.dest, values)
+
+
+#: Tables of names for :class:`Listed`.
+METHODS, TRAFFIC = "bench.traffic:METHODS", "bench.planners:TRAFFIC"
+PLANNERS = (
+    "constant_velocity, idm, replay, pdm, ccdiff, ego, ego_replay, module:name of a class or "
+    "function, files of stable-baselines3 (.zip) or of this package (.safetensors)"
+)
+
+
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     """Add which scenes are played."""
     parser.add_argument("--dataroot", help="folder of nuScenes; the embedded scenes without it")
@@ -39,8 +72,10 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what every resumable benchmark takes: scenes, run folder, backend."""
     add_scene_arguments(parser)
     parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--backend", choices=["local", "ray"], default="local")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
+    parser.add_argument(
+        "--backend", choices=["local", "ray"], default="local", help="where jobs run"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--open", action="store_true", help="open the report in the browser")

@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.arguments import (
+    METHODS,
+    PLANNERS,
+    TRAFFIC,
+    Listed,
     Run,
     add_replays,
     add_run_arguments,
@@ -54,8 +58,10 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add_run_arguments(parser)
     parser.add_argument(
         "--methods",
+        action=Listed,
+        names=METHODS,
         default="constant_velocity,idm,ccdiff_unguided,ccdiff",
-        help="comma-separated; all: every network of the paper's table, guided and not",
+        help="comma-separated; all (every network of the paper's table, guided and not)",
     )
     parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
     parser.add_argument("--t", default="0.5", help="seconds between plans T, comma-separated")
@@ -129,10 +135,14 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--planners",
         default="constant_velocity,idm,pdm,replay",
-        help="names, policies of stable-baselines3 (.zip), module:name; comma-separated",
+        help=f"comma-separated, of: {PLANNERS}",
     )
     parser.add_argument(
-        "--traffic", default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1", help="comma-separated"
+        "--traffic",
+        action=Listed,
+        names=TRAFFIC,
+        default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1",
+        help="comma-separated",
     )
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
@@ -175,7 +185,9 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     names = "idm,constant_velocity,replay,pdm"
     parser.add_argument("--generators", default=names, help="egos that sets are made against")
     parser.add_argument("--planners", default=names, help="planners to test, as bench planners has")
-    parser.add_argument("--traffic", default="ccdiff-1", help="traffic that makes the sets")
+    parser.add_argument(
+        "--traffic", action=Listed, names=TRAFFIC, default="ccdiff-1", help="what makes the sets"
+    )
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
@@ -236,14 +248,22 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
     add_run_arguments(parser)
     parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
-    parser.add_argument("--lessons", default="replay,ccdiff,critical", help="traffic of training")
+    parser.add_argument(
+        "--lessons",
+        default="replay,ccdiff,critical",
+        help="traffic of training, of: replay, ccdiff, critical",
+    )
     parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
     parser.add_argument("--steps", type=int, default=150_000, help="steps of each lesson")
     parser.add_argument(
         "--base-steps", type=int, default=1_200_000, help="steps in log replay before the lessons"
     )
     parser.add_argument(
-        "--traffic", default="replay,ccdiff,ccdiff-1,ccdiff-2", help="of the evaluation"
+        "--traffic",
+        action=Listed,
+        names=TRAFFIC,
+        default="replay,ccdiff,ccdiff-1,ccdiff-2",
+        help="traffic of the evaluation",
     )
     parser.add_argument(
         "--draws", type=int, default=3, help="times that each scene is driven in CCDiff traffic"
@@ -339,7 +359,7 @@ def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
     parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
     parser.add_argument("--samples", type=int, default=1, help="samples per plan")
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="of torch")
     parser.set_defaults(run=_speed)
 
 
@@ -365,8 +385,10 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add_run_arguments(parser)
     parser.add_argument(
         "--methods",
+        action=Listed,
+        names=METHODS,
         default="replay,constant_velocity,idm,ccdiff_one_sample,ccdiff",
-        help="as bench traffic has, comma-separated",
+        help="comma-separated",
     )
     parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
     parser.set_defaults(run=_realism)
@@ -390,7 +412,13 @@ def _realism(args: argparse.Namespace) -> int:
 def _add_reactivity(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("reactivity", help="an ego that leaves its log, and who copes")
     add_run_arguments(parser)
-    parser.add_argument("--traffic", default="replay,idm,ccdiff", help="comma-separated")
+    parser.add_argument(
+        "--traffic",
+        action=Listed,
+        names=TRAFFIC,
+        default="replay,idm,ccdiff",
+        help="comma-separated",
+    )
     parser.set_defaults(run=_reactivity)
 
 

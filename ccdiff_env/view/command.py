@@ -14,7 +14,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.terminal import say_page, shown
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     play.add_argument(
         "--traffic",
         nargs="+",
-        help="who drives the others: ccdiff, ctg, idm, replay, ...; several are shown beside each "
+        help=f"who drives the others: {', '.join(driver_names())}; several are shown beside each "
         "other",
     )
     play.add_argument(

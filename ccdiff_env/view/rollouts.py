@@ -9,6 +9,7 @@ from ccdiff_env import render
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.files import file_name
 from ccdiff_env.scenes import SceneSet, load_nuscenes
+from ccdiff_env.traffic import driver_names
 from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import play_scene
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
     parser.add_argument("--split", help="split (mini_val; of the embedded scenes: val)")
     parser.add_argument("--scenes", nargs="+", help="names; all of the split without")
-    parser.add_argument("--traffic", default="ccdiff")
+    parser.add_argument("--traffic", default="ccdiff", help=f"one of {', '.join(driver_names())}")
     parser.add_argument("--driver", default="idm", help="who drives the ego")
     parser.add_argument("--criticality", type=float, default=0.0, help="0: realistic; 1: guided")
     parser.add_argument("--weights", default="fast", help='"fast", or a safetensors file')
