@@ -1,6 +1,6 @@
 """Train an ego with PPO in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
 
-    python examples/train_ego_ppo.py --traffic replay idm --minutes 5
+    python examples/train_ego_ppo.py --traffic replay idm --decisions 2e6
 
 Without --dataroot the embedded scenes are used. A run that was stopped goes on where its last
 checkpoint is: give it --resume. The policy is exported beside the checkpoint, for
@@ -25,11 +25,14 @@ from ccdiff_env.spaces import Layout
 
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
-GAMMA, LAMBDA, CLIP = 0.98, 0.95, 0.2  # per decision
+GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
+#: Noise of one decision stays in the next, so that the ego tries to brake, not to tremble; and the
+#: standard deviations fall no faster than the learning rate does.
+CORRELATION = 0.7
 WIDTH_ROWS, WIDTH = 64, 128
 REWARD = {
     "progress": 0.02,
-    "collision": -1.5,
+    "collision": -2.5,
     "off_road": -3.0,
     "comfort": -0.004,
     "speed_limit": -0.01,
@@ -38,7 +41,7 @@ REWARD = {
 }
 #: What a collision costs more where it is the ego's fault, and a decision after which contact is
 #: less than a second away; the latter grows from 0 at 1.6 s.
-AT_FAULT, CLOSE = -1.5, -0.2
+AT_FAULT, CLOSE = -1.0, -0.2
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -57,10 +60,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
     parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
     parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
-    parser.add_argument("--minutes", type=float, default=5.0, help="of training, resumed ones too")
+    parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
     parser.add_argument("--learning-rate", type=float, default=5e-4)
     parser.add_argument(
-        "--noise", type=float, nargs=2, default=(0.2, 0.12), help="first standard deviations"
+        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="first standard deviations"
     )
     parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
     parser.add_argument("--seed", type=int, default=0)
@@ -105,6 +108,7 @@ class Worlds:
         self.mask = slice(mask.offset, mask.offset + mask.size)
         ttc = OBSERVATION["agent_columns"].index("ttc")
         self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
+        self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
         self.episodes: list[np.ndarray] = []
         self.obs = np.concatenate(
             [
@@ -213,7 +217,9 @@ def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, 
         begin = time.perf_counter()
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
         mean, values[t] = agent(x[t])
-        actions[t] = mean + agent.log_std.exp() * torch.randn(size, width)
+        new = torch.randn(size, width)
+        worlds.noise = CORRELATION * worlds.noise + (1.0 - CORRELATION**2) ** 0.5 * new
+        actions[t] = mean + agent.log_std.exp() * worlds.noise
         log_prob[t] = agent.log_prob(mean, actions[t])
         middle = time.perf_counter()
         reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
@@ -259,7 +265,7 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
 def main() -> None:
     args = arguments()
     if args.smoke:
-        args.worlds, args.minutes = 16 * len(args.traffic), 0.0
+        args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
     fitting = {
         "observation": OBSERVATION,
@@ -292,14 +298,15 @@ def main() -> None:
     begin = shown = kept = time.perf_counter() - done["seconds"]
     clock = dict.fromkeys(("worlds", "decisions", "update"), 0.0)
     first = done["decisions"]
-    while done["updates"] == 0 or time.perf_counter() - begin < 60.0 * args.minutes:
-        left = 1.0 - done["seconds"] / max(60.0 * args.minutes, 1.0)
+    while done["decisions"] < args.decisions:
+        left = 1.0 - done["decisions"] / args.decisions
         optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
         with torch.no_grad():
             agent.see(torch.from_numpy(worlds.obs))
             data = rollout(agent, worlds, clock)
         middle = time.perf_counter()
         moved = update(agent, optimiser, data)
+        agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
         clock["update"] += time.perf_counter() - middle
         done["decisions"] += len(data["x"])
         done["updates"] += 1
