@@ -1,4 +1,4 @@
-"""Steps per second of PPO of stable-baselines3: settings of the demo and the recommended ones.
+"""Steps per second of PPO of stable-baselines3: small minibatches and the recommended settings.
 
     python benchmarks/sb3.py --rounds 3
 
@@ -21,7 +21,7 @@ from ccdiff_env.policies.ego import OBSERVATION
 
 #: Name: worlds, options of make_vec, settings of PPO.
 SIDES = {
-    "demo": (
+    "small": (
         64,
         {},
         {"n_steps": 128, "batch_size": 512, "n_epochs": 6, "gamma": 0.98},

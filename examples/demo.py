@@ -1,9 +1,10 @@
 """The project's main job in one command: train an ego, compare it, draw it.
 
 ``python examples/demo.py`` trains a stable-baselines3 PPO ego on training scenes, first in IDM
-traffic, then in CCDiff traffic of all criticalities; drives it on held-out scenes beside constant
-velocity, IDM and log replay, in IDM traffic and in realistic and safety-critical CCDiff traffic;
-and leaves a table, a learning curve and a replay. Without a data set it uses embedded scenes.
+traffic, then in safety-critical CCDiff traffic that it records for this; drives it on held-out
+scenes beside constant velocity, IDM and log replay, in IDM traffic and in realistic and
+safety-critical CCDiff traffic; and leaves a table, a learning curve and a replay. Its actions
+change what IDM would do (assisted driving). Without a data set it uses embedded scenes.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from typing import Any
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.bench.learning import OBSERVATION
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.policies.ego import OBSERVATION
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.terminal import align
@@ -42,21 +43,20 @@ TRAFFIC: dict[str, dict[str, Any]] = {
     "CCDiff": {"traffic": "ccdiff"},
     "critical CCDiff": {"traffic": "ccdiff", "criticality": 1.0},
 }
-#: Traffic of the two parts of training: criticality is drawn anew for every episode.
-LESSONS: tuple[dict[str, Any], ...] = (
-    {"traffic": "idm"},
-    {"traffic": "ccdiff", "criticality": (0.0, 1.0)},
-)
 #: Learning rate of each part: what was learned in the first is not to be lost in the second.
-LEARNING_RATES = (3e-4, 1e-4)
-NUM_ENVS = 32
-#: Steps of each environment between two updates.
-NUM_STEPS = 128
+LEARNING_RATES = (7e-4, 4e-4)
+NUM_ENVS = 128
+#: Decisions of each environment between two updates.
+NUM_STEPS = 32
+#: Episodes that are recorded of each training scene.
+DRAWS = 3
 #: The ego sees less than by default, so that it learns faster and does not know scenes by heart.
-CONFIG = WorldConfig().with_options(observation=OBSERVATION)
+CONFIG = WorldConfig().with_options(
+    observation=dict(OBSERVATION), dynamics="assisted", decision_steps=3
+)
 
-#: Worlds of training: small rewards, and starts all over the log.
-TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2), start_spread_steps=50)
+#: Worlds of training: small rewards.
+TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2))
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
 
@@ -115,7 +115,7 @@ def constant(rate: float) -> Callable[[float], float]:
 
 
 def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
-    """Train PPO for some steps in each lesson and write its learning curve; returns the model."""
+    """Train PPO for some decisions in each traffic and write its learning curve; returns it."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -147,24 +147,27 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
                 self.bar.set_postfix_str(f"return {reward:.2f}, success {success:.0%}")
 
     torch.set_num_threads(1)
+    bank = ccdiff_env.record_bank(scenes, out / "bank", criticality=1.0, draws=DRAWS, seed=seed)
     envs = [
         SB3VecEnv(
             ccdiff_env.make_vec(
                 NUM_ENVS,
-                scenes=scenes,
-                config=TRAINING,
+                scenes=some,
+                config=dataclasses.replace(TRAINING, start_spread_steps=spread),
+                traffic=traffic,
                 autoreset_mode="same_step",
-                **lesson,
+                info="end",
             )
         )
-        for lesson in LESSONS
+        # what is recorded met an ego that started where the log does
+        for some, traffic, spread in ((scenes, "idm", 50), (bank, "replay", 10))
     ]
     model = PPO(
         "MlpPolicy",
         envs[0],
         n_steps=NUM_STEPS,
-        batch_size=512,
-        n_epochs=6,
+        batch_size=1024,
+        n_epochs=4,
         learning_rate=LEARNING_RATES[0],
         gamma=0.98,
         gae_lambda=0.95,
@@ -172,7 +175,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
         policy_kwargs={
             **rows_policy(envs[0].env.worlds.layout),
             "net_arch": [128, 128],
-            "log_std_init": -1.0,
+            "log_std_init": -1.4,
         },
         seed=seed,
         device="cpu",
@@ -195,9 +198,9 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
 
 
 def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int) -> None:
-    """Return and success rate of training episodes against steps, in windows of 200 episodes.
+    """Return and success rate of training episodes against decisions, in windows of 200 episodes.
 
-    A line marks the step at which CCDiff takes over the traffic.
+    A line marks where recorded CCDiff traffic takes over.
     """
     import matplotlib
 
@@ -216,8 +219,8 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
             axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
             place = {"xy": (change, 0.02), "xycoords": ("data", "axes fraction")}
             axis.annotate("IDM  ", **place, ha="right", color="#555555")
-            axis.annotate("  CCDiff", **place, ha="left", color="#555555")
-        axis.set_xlabel("environment steps")
+            axis.annotate("  recorded CCDiff", **place, ha="left", color="#555555")
+        axis.set_xlabel("decisions")
         axis.set_ylabel(f"{label}, mean of {window} episodes")
         axis.grid(alpha=0.3)
     axes[1].set_ylim(0, 1)
@@ -227,15 +230,18 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
 
 def record_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act) -> Rollout:
     """Record one episode of a scene."""
-    env = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG, **traffic)
+    config = dataclasses.replace(CONFIG, decision_steps=1)
+    env = ccdiff_env.make_vec(1, scenes=scenes, config=config, **traffic)
     obs, _ = env.reset(seed=0, options={"scene": [index]})
     recorder = Recorder(env, planner="PPO")
     recorder.start()
-    done = False
+    done, step = False, 0
     while not done:
-        obs, _, terminated, truncated, _ = env.step(act(obs))
+        if step % CONFIG.decision_steps == 0:
+            actions = act(obs)
+        obs, _, terminated, truncated, _ = env.step(actions)
         recorder.step()
-        done = bool(terminated[0] or truncated[0])
+        done, step = bool(terminated[0] or truncated[0]), step + 1
     env.close()
     return recorder.rollout()
 
@@ -259,9 +265,9 @@ def main() -> None:
         "--steps",
         type=int,
         nargs=2,
-        default=(200_000, 20_000),
+        default=(120_000, 150_000),
         metavar=("IDM", "CCDIFF"),
-        help="environment steps of training in either traffic",
+        help="decisions of training in either traffic",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/demo"))
@@ -273,9 +279,11 @@ def main() -> None:
     train_scenes, test_scenes, name = scenes_of(args)
     print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
     if args.smoke:
-        test_scenes, args.steps = test_scenes[:2], (1, 1)
+        train_scenes, test_scenes, args.steps = train_scenes[:2], test_scenes[:2], (1, 1)
     first, second = args.steps
-    print(f"training PPO for {first:,} steps in IDM traffic, then {second:,} in CCDiff traffic")
+    print(
+        f"training PPO: {first:,} decisions in IDM traffic, {second:,} in recorded CCDiff traffic"
+    )
     model = train(train_scenes, (first, second), args.seed, args.out)
 
     def ppo(obs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

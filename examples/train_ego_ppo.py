@@ -37,11 +37,11 @@ REWARD = {
     "comfort": -0.004,
     "speed_limit": -0.01,
     "lane_keeping": -0.004,
-    "goal": 0.4,
+    "goal": 1.0,
 }
-#: What a collision costs more where it is the ego's fault, and a decision after which contact is
-#: less than a second away; the latter grows from 0 at 1.6 s.
-AT_FAULT, CLOSE = -1.0, -0.2
+#: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
+#: other way, and a decision after which contact is a second away; this grows from 0 at 1.6 s.
+AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -131,6 +131,7 @@ class Worlds:
             if end.any():
                 metrics = info["final_info"]["metrics"]
                 reward[end] += AT_FAULT * metrics["at_fault"][end]
+                reward[end] += WRONG_WAY * metrics["wrong_way"][end]
                 self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
             rewards.append(reward)
             ends.append(end)
