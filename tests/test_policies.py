@@ -47,7 +47,7 @@ def agent(example, scenes):
     """A network of random weights that has seen some observations."""
     torch.manual_seed(0)
     env = ccdiff_env.make_vec(8, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
-    made = example.Agent(env.worlds.layout, 2, 0.5)
+    made = example.Agent(env.worlds.layout, (0.5, 0.5))
     torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
     made.see(torch.from_numpy(env.reset(seed=0)[0]))
     return made
