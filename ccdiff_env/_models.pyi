@@ -18,6 +18,7 @@ class Trainer:
         stride: int,
         smooth: bool,
         estimate: bool,
+        teacher: str | None = None,
     ) -> Trainer: ...
     def run(self, steps: int) -> list[float]: ...
     def validate(

@@ -92,12 +92,16 @@ def traffic_policies(
     require_networks()
     from ccdiff_env import _models
 
+    def weights(kind: str, options: str) -> Path:
+        settings = json.loads(options)
+        return weights_path(settings["weights"], kind, settings["denoising_steps"])
+
     return {
         name: _models.traffic_policy(
             name,
             kind,
             options,
-            weights_path(json.loads(options)["weights"], kind),
+            weights(kind, options),
             config.dt_s,
             config.history_steps,
             num_threads,
@@ -107,12 +111,15 @@ def traffic_policies(
     }
 
 
-def shipped_weights(model: str = "ccdiff") -> Path:
+def shipped_weights(model: str = "ccdiff", *, one_step: bool = False) -> Path:
     """Return the weight file of the shipped ``fast`` network of a kind.
+
+    With ``one_step`` that of the network which was taught to plan in one denoising step.
 
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
-    return Path(__file__).parent / "data" / f"{model}_fast.safetensors"
+    name = f"{model}_one_step" if one_step else f"{model}_fast"
+    return Path(__file__).parent / "data" / f"{name}.safetensors"
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
@@ -127,9 +134,16 @@ def guidance_preset(name: str) -> dict[str, Any]:
     return settings
 
 
-def weights_path(weights: str | os.PathLike[str], model: str = "ccdiff") -> Path:
-    """Return the file of weights of a kind given by name (``"fast"``) or path."""
-    return shipped_weights(model) if weights == "fast" else Path(weights)
+def weights_path(
+    weights: str | os.PathLike[str], model: str = "ccdiff", denoising_steps: int | None = 5
+) -> Path:
+    """Return the file of weights of a kind given by name (``"fast"``) or path.
+
+    CCDiff has a ``fast`` network of its own for one denoising step.
+    """
+    if weights != "fast":
+        return Path(weights)
+    return shipped_weights(model, one_step=model == "ccdiff" and denoising_steps == 1)
 
 
 @dataclass(frozen=True)
@@ -389,6 +403,7 @@ def train(
     device: str = "cpu",
     settings: dict[str, Any] | None = None,
     network: dict[str, Any] | None = None,
+    teacher: str | os.PathLike[str] | None = None,
     smooth: bool = True,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
@@ -423,6 +438,10 @@ def train(
     network
         Parts of the network that differ from the preset's, such as ``{"width": 128}``; the names
         are those of the weight file's header.
+    teacher
+        Weights of a denoising network. The run begins with them and learns to make its plans in one
+        denoising step instead of ``settings["teacher_steps"]`` (5): for ``denoising_steps=1``.
+        Preset and network are the teacher's. A resumed run needs it again.
     smooth
         Whether tracks are smoothed first, as logs joined from 2 Hz key frames need it.
     notes
@@ -463,6 +482,9 @@ def train(
     if resumed and json.loads(config)["kind"] != model:
         raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
     if not resumed:
+        if teacher is not None:
+            config = json.dumps(Planner(teacher).header["model"])
+            settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
         training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
         config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
@@ -474,7 +496,8 @@ def train(
             device=device,
             stride=1,
             smooth=smooth,
-            estimate=not resumed,
+            estimate=not resumed and teacher is None,
+            teacher=None if teacher is None else os.fspath(teacher),
         )
     if resumed:
         run.resume(os.fspath(state))
@@ -491,6 +514,7 @@ def train(
             checkpoint_minutes,
             validation_samples,
             progress,
+            solver_steps=5 if teacher is None else 1,
         )
     finally:
         curves.close()
@@ -514,6 +538,7 @@ def _loop(
     checkpoint_minutes: float,
     validation_samples: int,
     progress: bool,
+    solver_steps: int,
 ) -> None:
     begin = last = time.monotonic()
     first = run.step
@@ -525,7 +550,7 @@ def _loop(
         run.save(os.fspath(folder / STATE))
         run.export(os.fspath(folder / WEIGHTS), json.dumps(notes))
         errors = run.validate(
-            validation_samples, solver_steps=5, num_samples=5, guidance_weight=1.0
+            validation_samples, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0
         )
         if errors is not None:
             curves.write("validation", run.step, errors)

@@ -20,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset", default="fast", choices=["fast", "paper"], help="size of the network"
     )
     parser.add_argument("--out", required=True, type=Path, help="folder of the run")
+    parser.add_argument(
+        "--teacher", type=Path, help="weights whose plans the network learns to make in one step"
+    )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
     length.add_argument("--minutes", type=float, help="minutes of this call")
@@ -67,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
         steps=args.steps,
         minutes=args.minutes,
         device=args.device,
+        teacher=args.teacher,
         settings={key: value for key, value in settings.items() if value is not None},
         notes={"data": f"nuScenes {args.version}", "splits": list(args.split)},
         progress=not args.quiet,

@@ -1,10 +1,10 @@
 //! Plans by denoising: what a denoising network is, its loss, its proposals.
 
-use crate::batch::Batch;
+use crate::batch::{Batch, Targets};
 use crate::error::Result;
 use crate::guidance::Guide;
-use crate::losses::{logged_actions, plan_loss};
-use crate::plan_model::{Lesson, PlanModel};
+use crate::losses::{logged_actions, plan_loss, trajectory_loss};
+use crate::plan_model::{Lesson, PlanModel, Taught};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{self, SampleOptions, Samples};
 use crate::schedule::Schedule;
@@ -48,14 +48,35 @@ impl<D: Denoiser> Diffusion<D> {
     }
 }
 
+impl<D: Denoiser> Diffusion<D> {
+    /// The distance of the plan made of the first noise in one step from the one that the teacher makes of it.
+    fn distillation_loss(&self, batch: &Batch, taught: &Taught) -> Tensor {
+        let (space, last) = (self.space(), self.schedule.len());
+        let numbers = sampler::noise(batch, &taught.seeds, last as u64, 1, space.config().num_knots() * 2);
+        let noise = Tensor::from_slice(&numbers).view_as(&taught.knots).to_device(taught.knots.device());
+        let steps = Tensor::full([batch.num_rows()], last as i64 - 1, (Kind::Int64, noise.device()));
+        let context = self.denoiser.encode(batch, true);
+        let (predicted, _) = self.denoiser.predict(&context, &noise, &steps);
+        let states = space.states(&taught.knots, &batch.speed_mps);
+        let valid = states.select(2, 0).ones_like();
+        let targets = Targets { states, valid };
+        let planned = space.states(&predicted, &batch.speed_mps);
+        trajectory_loss(space, &planned, &targets, &targets.valid)
+            + (predicted - &taught.knots).square().mean(Kind::Float)
+    }
+}
+
 impl<D: Denoiser> PlanModel for Diffusion<D> {
     fn space(&self) -> &PlanSpace {
         self.denoiser.space()
     }
 
     /// The loss of the plan predicted from the noised log, each scene at a diffusion step of its own, with G replaced by
-    /// the identity in some scenes.
+    /// the identity in some scenes; with a teacher, the distance from its plans.
     fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
+        if let Some(taught) = lesson.taught {
+            return self.distillation_loss(lesson.batch, taught);
+        }
         let (batch, targets, space) = (lesson.batch, lesson.targets, self.space());
         let device = batch.speed_mps.device();
         let (of_step, of_drop) = (lesson.draw(0), lesson.draw(1));

@@ -38,6 +38,15 @@ pub trait PlanModel: Debug + Send {
     ) -> Result<Samples>;
 }
 
+/// What a teacher plans for a batch in several denoising steps.
+#[derive(Debug)]
+pub struct Taught {
+    /// Seeds of the first noise, one per scene.
+    pub seeds: Vec<u64>,
+    /// Clean normalised knots that the teacher makes of that noise, [R, knots, 2].
+    pub knots: Tensor,
+}
+
 /// One training step's batch and random numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct Lesson<'a> {
@@ -49,6 +58,8 @@ pub struct Lesson<'a> {
     pub config: &'a TrainConfig,
     /// Steps taken before.
     pub step: u64,
+    /// Plans of the teacher, where there is one.
+    pub taught: Option<&'a Taught>,
 }
 
 impl Lesson<'_> {
@@ -61,6 +72,13 @@ impl Lesson<'_> {
 /// A stream of a step's random numbers.
 fn stream_of(config: &TrainConfig, step: u64, stream: u64) -> Noise {
     Noise::new(config.seed, step * STREAMS + stream)
+}
+
+/// Seeds of the plans that a teacher makes in a step, one per scene.
+pub(crate) fn taught_seeds(config: &TrainConfig, step: u64, scenes: usize) -> Vec<u64> {
+    let draw = stream_of(config, step, 0);
+    let seed = |s| draw.block(s);
+    (0..scenes as u64).map(seed).map(|w| u64::from(w[0]) << 32 | u64::from(w[1])).collect()
 }
 
 /// The numbers that move a step's agents off their log.

@@ -12,6 +12,7 @@ use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
 use crate::sampler::{SampleOptions, Samples, Solver, to_vec};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
 
@@ -168,6 +169,33 @@ impl Planner {
         })
     }
 
+    /// The network.
+    pub(crate) fn network(&self) -> &dyn PlanModel {
+        self.network.as_ref()
+    }
+
+    /// All numbers of the network by name.
+    pub(crate) fn variables(&self) -> BTreeMap<String, Tensor> {
+        variables(&self.store)
+    }
+
+    /// Whether the network was taught to plan in one denoising step.
+    pub fn plans_in_one_step(&self) -> bool {
+        self.header["training"]["teacher_steps"].as_u64().is_some_and(|steps| steps > 0)
+    }
+
+    /// Checks that a network of one denoising step is asked for one.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] where it is asked for more.
+    pub fn check_solver(&self, solver: Solver) -> Result<()> {
+        if !self.plans_in_one_step() || solver == (Solver::Ddim { steps: 1 }) {
+            return Ok(());
+        }
+        let expected = "1: these weights were taught to plan in one step";
+        Err(ModelError::Config { field: "denoising_steps", got: format!("{solver:?}"), expected })
+    }
+
     /// The network's configuration.
     pub fn config(&self) -> &ModelConfig {
         self.network.space().config()
@@ -200,6 +228,7 @@ impl Planner {
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
         let options = options.clone().validated()?.of_kind(self.config().kind)?;
+        self.check_solver(options.sampling.solver)?;
         let config = self.network.space().config();
         let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {

@@ -2,15 +2,16 @@
 //!
 //! Everything random is a function of (seed, step), so the state of a run is its step, weights, averages and moments.
 
-use crate::batch::Targets;
+use crate::batch::{Batch, Targets};
 use crate::checkpoint;
 use crate::config::{ModelConfig, ModelKind};
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
 use crate::optimiser::{Adam, MovingAverage, variables};
-use crate::plan_model::{self, Lesson, PlanModel};
-use crate::sampler::SampleOptions;
+use crate::plan_model::{self, Lesson, PlanModel, Taught};
+use crate::planner::Planner;
+use crate::sampler::{SampleOptions, Solver};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -38,6 +39,9 @@ pub struct TrainConfig {
     /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
     #[serde(default)]
     pub collision_weight: f64,
+    /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
+    #[serde(default)]
+    pub teacher_steps: usize,
     /// Largest norm of the gradient.
     pub clip_norm: f64,
     /// Seed of batches, noise and dropping.
@@ -58,6 +62,7 @@ impl TrainConfig {
             drop_graph: if kind == ModelKind::Ccdiff { 0.1 } else { 0.0 },
             perturb: false,
             collision_weight: 0.0,
+            teacher_steps: 0,
             clip_norm: 100.0,
             seed: 0,
         };
@@ -141,6 +146,7 @@ pub struct Trainer {
     network: Box<dyn PlanModel>,
     average: MovingAverage,
     adam: Adam,
+    teacher: Option<Planner>,
     step: u64,
     cooldown: Option<Cooldown>,
 }
@@ -162,12 +168,52 @@ impl Trainer {
                 network,
                 average,
                 dataset,
+                teacher: None,
                 step: 0,
                 cooldown: None,
                 model,
                 config,
             })
         })
+    }
+
+    /// The run with a teacher, from whose weights it begins.
+    ///
+    /// # Errors
+    /// What [`Planner::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
+    pub fn taught_by(mut self, path: &Path) -> Result<Self> {
+        let teacher = Planner::load(path, self.store.device())?;
+        let fail = |got: &str, expected: &'static str| {
+            Err(ModelError::Config { field: "teacher", got: got.into(), expected })
+        };
+        if *teacher.config() != self.model {
+            return fail("another network", "weights of the network that is trained");
+        }
+        if !self.model.kind.denoises() {
+            return fail(self.model.kind.name(), "a network that denoises");
+        }
+        if self.config.teacher_steps == 0 {
+            return fail("given", "none where teacher_steps is 0");
+        }
+        for store in [&self.store, &self.average.store] {
+            checkpoint::fill(path, &teacher.variables(), "", &mut variables(store))?;
+        }
+        self.teacher = Some(teacher);
+        Ok(self)
+    }
+
+    /// What the teacher plans for the batch of a step.
+    fn taught(&self, batch: &Batch) -> Result<Option<Taught>> {
+        let steps = self.config.teacher_steps;
+        let Some(teacher) = &self.teacher else {
+            let (got, expected) = (format!("{steps} without a teacher"), "the weights of a teacher");
+            let none = || Err(ModelError::Config { field: "teacher_steps", got, expected });
+            return if steps == 0 { Ok(None) } else { none() };
+        };
+        let options = SampleOptions { solver: Solver::Ddim { steps }, ..SampleOptions::default() };
+        let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());
+        let plans = tch::no_grad(|| teacher.network().propose(batch, &seeds, options, None))?;
+        Ok(Some(Taught { seeds, knots: plans.knots }))
     }
 
     /// Steps taken.
@@ -214,8 +260,14 @@ impl Trainer {
                     self.dataset.indices_of_step(self.config.seed, self.step, self.config.batch_scenes);
                 let push = self.config.perturb.then(|| plan_model::pushes(&self.config, self.step));
                 let (batch, targets) = self.dataset.batch(&indices, push, self.store.device())?;
-                let lesson =
-                    Lesson { batch: &batch, targets: &targets, config: &self.config, step: self.step };
+                let taught = self.taught(&batch)?;
+                let lesson = Lesson {
+                    batch: &batch,
+                    targets: &targets,
+                    config: &self.config,
+                    step: self.step,
+                    taught: taught.as_ref(),
+                };
                 let loss = self.network.loss(&lesson);
                 let value = loss.double_value(&[]);
                 if !value.is_finite() {

@@ -97,7 +97,7 @@ struct PyTrainer {
 impl PyTrainer {
     /// Fresh weights come from torch's global generator. With `estimate`, the normalisation is taken from the scenes.
     #[new]
-    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate))]
+    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate, teacher=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<Handed>,
@@ -108,6 +108,7 @@ impl PyTrainer {
         stride: usize,
         smooth: bool,
         estimate: bool,
+        teacher: Option<PathBuf>,
     ) -> PyResult<Self> {
         let mut model: ModelConfig = parsed("model", model)?;
         let training: TrainConfig = parsed("training", training)?;
@@ -124,8 +125,12 @@ impl PyTrainer {
             let sparse = SampleConfig { stride: 5, ..sampling };
             let held_out =
                 (!held_out.is_empty()).then(|| Dataset::new(held_out, &model, sparse)).transpose()?;
-            let run = Mutex::new(Trainer::new(model, training, data, device)?);
-            Ok(Self { run, held_out })
+            let run = Trainer::new(model, training, data, device)?;
+            let run = match &teacher {
+                Some(path) => run.taught_by(path)?,
+                None => run,
+            };
+            Ok(Self { run: Mutex::new(run), held_out })
         })
         .map_err(from_model)
     }

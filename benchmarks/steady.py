@@ -1,0 +1,96 @@
+"""CCDiff traffic on a busy machine: ``python benchmarks/steady.py [--dataroot <nuscenes>]``.
+
+Ego steps per second of E = 32 worlds with CCDiff traffic (criticality 1), in a process of its own
+that sets no variable of OpenMP: alone with one and with two threads, two processes of one thread
+each, and with as many busy neighbours as there are cores. All cases take turns, so that what else
+the machine does meets all of them. Also the time and memory of a first CCDiff environment.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+WORLDS = 32
+BUSY = "while True: pass"
+WORKER = """
+import resource, sys, time
+import numpy as np
+start = time.perf_counter()
+import ccdiff_env
+dataroot, worlds, threads, steps = sys.argv[1], *map(int, sys.argv[2:])
+scenes = ccdiff_env.embedded_scenes("val")
+if dataroot:
+    scenes = ccdiff_env.load_nuscenes(dataroot, "v1.0-trainval", "ccdiff100")
+read = time.perf_counter()
+env = ccdiff_env.make_vec(
+    worlds, scenes=scenes, traffic="ccdiff", driver="idm", copy=False, info="end",
+    num_threads=threads, criticality=1.0,
+)
+env.reset(seed=0)
+idle = np.zeros(env.action_space.shape, np.float32)
+env.step(idle)
+ready = time.perf_counter()
+for _ in range(9):
+    env.step(idle)
+begin = time.perf_counter()
+for _ in range(steps):
+    env.step(idle)
+speed = worlds * steps / (time.perf_counter() - begin)
+mebibytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(speed, read - start, ready - read, mebibytes)
+"""
+
+
+def measure(processes: int, threads: int, neighbours: int, args: argparse.Namespace) -> np.ndarray:
+    """Ego steps per second of all processes together; of the first: seconds twice, MiB."""
+    free = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "MKL_", "RAYON_"))}
+    words = [args.dataroot or "", WORLDS, threads, args.steps]
+    command = [sys.executable, "-c", WORKER, *map(str, words)]
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(neighbours)]
+    try:
+        runs = [
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=free)
+            for _ in range(processes)
+        ]
+        found = [np.array(run.communicate()[0].split(), float) for run in runs]
+    finally:
+        for process in busy:
+            process.kill()
+    return np.array([sum(one[0] for one in found), *found[0][1:]])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--dataroot", help="folder of nuScenes; embedded scenes without it")
+    parser.add_argument("--steps", type=int, default=100, help="steps of each measurement")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of all cases")
+    args = parser.parse_args()
+    cores = len(os.sched_getaffinity(0))
+    cases = {
+        "one thread": (1, 1, 0),
+        f"{cores} threads": (1, cores, 0),
+        f"{cores} processes of one thread": (cores, 1, 0),
+        f"{cores} threads, {cores} busy neighbours": (1, cores, cores),
+        f"{2 * cores} threads, {cores} busy neighbours": (1, 2 * cores, cores),
+    }
+    rows: dict[str, list[np.ndarray]] = {case: [] for case in cases}
+    for _ in range(args.rounds):
+        for case, of in cases.items():
+            rows[case].append(measure(*of, args))
+    found = {case: np.array(part) for case, part in rows.items()}
+    first = found["one thread"]
+    for case, part in found.items():
+        middle, ratio = np.median(part[:, 0]), np.median(part[:, 0] / first[:, 0])
+        print(f"{case:34s} {middle:7.0f} ego steps/s, {ratio:.2f} of one thread alone")
+    read, made, mebibytes = np.median(first[:, 1:], axis=0)
+    print(f"import and scenes {read:.1f} s; environment to its first step {made:.1f} s")
+    print(f"peak {mebibytes:.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()
