@@ -55,6 +55,13 @@ def test_help_comes_at_once():
     assert torch == "False"
 
 
+def test_benchmarks_of_rules_leave_torch_alone(tmp_path):
+    words = ["bench", "planners", "--planners", "idm", "--traffic", "idm", "--limit", "1"]
+    command = [*words, "--workers", "1", "--quiet", "--out", str(tmp_path / "run")]
+    code = f"from ccdiff_env_cli import main\nprint(main({command}), 'torch' in sys.modules)"
+    assert python(f"import sys\n{code}") == "0 False"
+
+
 def test_worlds_with_rules_leave_torch_alone():
     episode = """
 env = ccdiff_env.EgoEnv(traffic="idm")

@@ -64,6 +64,8 @@ class Method:
     num_guided
         Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
         for ``None``.
+    guidance
+        What differs from the preset that ``ccdiff`` names.
     """
 
     label: str
@@ -71,6 +73,14 @@ class Method:
     ranking: str = "cliques"
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     num_guided: int | None = None
+    guidance: Mapping[str, Any] = field(default_factory=dict)
+
+    def options(self) -> dict[str, Any]:
+        """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
+        if not self.guidance:
+            return dict(self.ccdiff)
+        preset = guidance_preset(self.ccdiff["guidance"])
+        return {**self.ccdiff, "guidance": {**preset, **self.guidance}}
 
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
@@ -146,15 +156,12 @@ for _name, _label in _NETWORKS.items():
     METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
 # BITS chooses among its plans; moving them as well is its other composition
 METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
-METHODS["bits"] = dataclasses.replace(
-    METHODS["bits"], ccdiff={**_GUIDED, "guidance": {**guidance_preset("rl"), "gradient_steps": 0}}
-)
+METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
 for _name in ("ccdiff", "ccdiff_equal", "ctg"):
-    _over = {"guidance": {**guidance_preset("rl"), "objectives": _OVER_SPEED}}
     METHODS[f"{_name}_over_speed"] = dataclasses.replace(
         METHODS[_name],
         label=f"{METHODS[_name].label}, over-speed",
-        ccdiff={**METHODS[_name].ccdiff, **_over},
+        guidance={"objectives": _OVER_SPEED},
     )
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
@@ -362,7 +369,7 @@ def episodes(
         "criticality": 0.0,
         "num_samples": 1,
         "replan_steps": replan_steps,
-        **method.ccdiff,
+        **method.options(),
     }
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
     if own:
