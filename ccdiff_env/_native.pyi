@@ -268,7 +268,29 @@ def drivers() -> list[tuple[str, str, tuple[int, int, int], int]]:
     that pictures tell apart, in the order of their numbers, then kinds that look like one of them.
     """
 
-_Arrays = tuple[F32, F32, Bool, Bool, Bool, F32, Bool, Bool, F32 | None, U8 | None, U8 | None]
+@final
+class WorldStatus:
+    """Where a world is."""
+
+    @property
+    def scene_idx(self) -> int:
+        """Index of the scene."""
+
+    @property
+    def seed(self) -> int:
+        """Seed that the world's generator was last started from."""
+
+    @property
+    def episode(self) -> int:
+        """Episodes begun since that seed."""
+
+    @property
+    def step_idx(self) -> int:
+        """Step of the log that the states stand at."""
+
+    @property
+    def elapsed_steps(self) -> int:
+        """Steps since the episode began."""
 
 @final
 class VecWorld:
@@ -289,14 +311,11 @@ class VecWorld:
         seeds: Sequence[int | None],
         scenes: Sequence[int | None],
         mask: Sequence[bool] | None,
-        out: _Arrays,
+        out: object,
     ) -> None:
-        """Begin episodes. ``out``: obs [E, C, D], reward, terminated, truncated, alive [E, C],
-        columns [E, C, M], done, was_reset [E], final_obs [E, C, D] (SAME_STEP) or None, bev
-        [E, C, P, S, S] or None, final_bev likewise.
-        """
+        """Begin episodes; writes into the arrays of :meth:`step_arrays`, attributes of ``out``."""
 
-    def step(self, actions: F32, out: _Arrays) -> None:
+    def step(self, actions: F32, out: object) -> None:
         """Advance all worlds by one step; actions [E, C, W]."""
 
     def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
@@ -359,8 +378,13 @@ class VecWorld:
     def begun(self, world_idx: int) -> bool:
         """Whether a world was ever reset."""
 
-    def status(self, world_idx: int) -> tuple[int, int, int, int, int]:
-        """Return scene index, seed, number of the episode (from 1), step of the log, elapsed."""
+    def status(self, world_idx: int) -> WorldStatus:
+        """Return where a world is."""
+
+    def step_arrays(self) -> list[tuple[str, str, list[int]]]:
+        """Return name, dtype and shape of the arrays that a reset or step writes; no shape where
+        there is no such array.
+        """
 
     def states(self, world_idx: int) -> StateArrays:
         """Return present states [A]; zero where an agent is not active."""

@@ -43,8 +43,8 @@ def _state_digest(worlds: Worlds) -> str:
     hasher = hashlib.blake2b(digest_size=16)
     for _, array in sorted(dict[str, Any](worlds.native.states(0)).items()):
         hasher.update(array.tobytes())
-    _, seed, episode, step_idx, elapsed = worlds.native.status(0)
-    hasher.update(struct.pack("<4Q", seed, episode, step_idx, elapsed))
+    s = worlds.native.status(0)
+    hasher.update(struct.pack("<4Q", s.seed, s.episode, s.step_idx, s.elapsed_steps))
     hasher.update(worlds.native.metrics(0).tobytes())
     return hasher.hexdigest()
 
@@ -82,8 +82,8 @@ class Certificate:
     @classmethod
     def of(cls, worlds: Worlds, actions: bytes) -> Certificate:
         """Return the certificate of the present episode of a single world."""
-        scene_idx, seed, episode, _, _ = worlds.native.status(0)
-        scene = worlds.scenes[scene_idx]
+        status = worlds.native.status(0)
+        scene = worlds.scenes[status.scene_idx]
         rows = np.frombuffer(actions, np.float32).reshape(-1, worlds.native.action_width)
         config = worlds.config
         if 0 in worlds.criticality:  # drawn by a curriculum
@@ -96,8 +96,8 @@ class Certificate:
             scene=scene.name,
             scene_hash=scene.hash,
             config=config,
-            seed=seed,
-            episode_idx=episode - 1,
+            seed=status.seed,
+            episode_idx=status.episode - 1,
             actions=rows,
             digest=_state_digest(worlds),
         )

@@ -156,7 +156,7 @@ def branch(
         ids = fork.scene.agent_ids
         native.command(0, guided=[ids.index(one) for one in adversaries], criticality=None)
     act = _taken_over(fork, ego)
-    recorder = Recorder(fork, planner=str(ego), source_step=native.status(0)[4])
+    recorder = Recorder(fork, planner=str(ego), source_step=native.status(0).elapsed_steps)
     recorder.start()
     done, count = False, 0
     while not done and (steps is None or count < steps):
@@ -243,7 +243,7 @@ class Steering:
         )
         if isinstance(limits.dynamics, BicycleLimits):
             length = float(
-                self._worlds.scenes[self._worlds.native.status(world_idx)[0]].sizes[ego, 0]
+                self._worlds.scenes[self._worlds.native.status(world_idx).scene_idx].sizes[ego, 0]
             )
             wheel = np.arctan(curvature * limits.dynamics.wheelbase_share * length)
             turn = wheel / limits.max_steering_rad
@@ -321,7 +321,7 @@ def avoidability(
         raise ResetNeededError("avoidability: the environment was never reset")
     start = Snapshot.from_bytes(env.snapshot()).world
     plans = ego_plans(num_samples, seed)
-    left = config.horizon_steps - env.worlds.native.status(0)[4]
+    left = config.horizon_steps - env.worlds.native.status(0).elapsed_steps
     steps = left if horizon_s is None else min(round(horizon_s / config.dt_s), left)
     tried = 0
     for first in range(0, len(plans), batch):

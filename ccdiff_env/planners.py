@@ -156,7 +156,7 @@ class Seat:
             return np.asarray(self._act(obs))
         due = np.ones(worlds.num_worlds, np.bool_)
         if self._held > 1:
-            elapsed = [worlds.native.status(i)[4] for i in range(worlds.num_worlds)]
+            elapsed = [worlds.native.status(i).elapsed_steps for i in range(worlds.num_worlds)]
             due = np.asarray(elapsed) % self._held == 0
             if not due.any():
                 return self._present

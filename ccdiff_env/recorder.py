@@ -94,10 +94,10 @@ class Recorder:
     def start(self) -> None:
         """Begin a recording at the present state, usually after a reset; drops the one before."""
         native, world = self._worlds.native, self._world_idx
-        scene_idx, seed, episode, step, elapsed = native.status(world)
-        self._scene = self._worlds.scenes[scene_idx]
-        self._episode = (scene_idx, seed, episode)
-        self._elapsed, self._start_step = elapsed, step
+        status = native.status(world)
+        self._scene = self._worlds.scenes[status.scene_idx]
+        self._episode = (status.scene_idx, status.seed, status.episode)
+        self._elapsed, self._start_step = status.elapsed_steps, status.step_idx
         self._states: list[dict[str, Any]] = []
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
@@ -110,8 +110,8 @@ class Recorder:
         self._touching = {(i, j) for i, j, *_ in native.contacts(world)}
         self._off_road = native.off_road(world)[0].copy()
         self._drivers = native.drivers(world)
-        self._seed = seed
-        self._start_elapsed = elapsed
+        self._seed = status.seed
+        self._start_elapsed = status.elapsed_steps
         self._keep()
 
     def _ego_slot(self) -> int:
@@ -132,13 +132,14 @@ class Recorder:
         if self._episode is None:
             raise ResetNeededError("recorder: step before start(), which comes after a reset")
         native, world = self._worlds.native, self._world_idx
-        *episode, step, elapsed = native.status(world)
-        if tuple(episode) != self._episode or elapsed < self._elapsed:
+        status = native.status(world)
+        elapsed, episode = status.elapsed_steps, (status.scene_idx, status.seed, status.episode)
+        if episode != self._episode or elapsed < self._elapsed:
             return False
         if elapsed == self._elapsed:
             return True
         self._elapsed = elapsed
-        at = step - self._start_step
+        at = status.step_idx - self._start_step
         if self._worlds.last is not None:
             self._columns.append(self._worlds.last.columns[world, self._slot].copy())
         self._drivers = native.drivers(world)

@@ -109,7 +109,7 @@ def test_chosen_agents_are_the_ones_that_the_policy_is_told_to_guide(scenes):
     assert plan["made_at"] == 0
     guided = {ids[i] for i, on in zip(plan["agents"], plan["guided"], strict=True) if on}
     assert guided <= set(after["adversaries"])
-    assert env.worlds.native.status(0)[4] == 5
+    assert env.worlds.native.status(0).elapsed_steps == 5
     assert after["steps"] == 5.0
 
 

@@ -60,7 +60,7 @@ class PdmPlanner:
             return np.zeros(native.action_width, np.float32)
         states = native.states(world_idx)
         ego = agents[0]
-        scene = self._worlds.scenes[native.status(world_idx)[0]]
+        scene = self._worlds.scenes[native.status(world_idx).scene_idx]
         plans = self._roll(states, ego, route[0].astype(np.float64), scene.sizes)
         best = int(np.argmax(plans["score"]))
         return self._steering.action(

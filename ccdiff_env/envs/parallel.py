@@ -175,7 +175,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self._slots: dict[str, int] = {}
 
     def _scene_idx(self) -> int:
-        return int(self.worlds.native.status(0)[0])
+        return self.worlds.native.status(0).scene_idx
 
     def observation_space(self, agent: str) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations, always the same object."""

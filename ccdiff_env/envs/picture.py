@@ -107,7 +107,7 @@ class DrawnWorld:
     @property
     def scene(self) -> Scene:
         """Scene of the present episode."""
-        return self.worlds.scenes[self.worlds.native.status(0)[0]]
+        return self.worlds.scenes[self.worlds.native.status(0).scene_idx]
 
     def render(self) -> Image | None:
         """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""

@@ -304,7 +304,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     def _begin(self, infos: Info, begun: Bool) -> None:
         """Note who plays in the worlds that began an episode, and say so in their rows."""
         for e in np.flatnonzero(begun):
-            scene_idx = self.worlds.native.status(int(e))[0]
+            scene_idx = self.worlds.native.status(int(e)).scene_idx
             self._adversary[e] = self._cast.adversary_slots(scene_idx)
             ids = self.worlds.scenes[scene_idx].agent_ids
             common = self.worlds.reset_info(int(e), self._info)

@@ -219,7 +219,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.worlds.native.reset(seeds, scenes, listed, arrays)
         for i in range(self.num_envs):
             if mask is None or mask[i]:
-                ids = set(self.worlds.scenes[self.worlds.native.status(i)[0]].agent_ids)
+                ids = set(self.worlds.scenes[self.worlds.native.status(i).scene_idx].agent_ids)
                 self.worlds.assign(i, {k: v for k, v in drivers.items() if k in ids})
         rows = slice(None) if mask is None else mask
         self._begun[rows] = True

@@ -201,6 +201,7 @@ class Worlds:
         self.action_space = action_space(self.native.action_width, self.native.num_actions)
         self._discrete = self.native.num_actions is not None
         self._width = self.native.action_width
+        self._arrays = self.native.step_arrays()
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
         #: Arrays of the newest reset or step.
         self.last: StepArrays | None = None
@@ -214,23 +215,10 @@ class Worlds:
 
     def arrays(self) -> StepArrays:
         """Return new arrays for a reset or step, and keep them as :attr:`last`."""
-        e, c = self.num_worlds, self.num_slots
-        row = (e, c, self.layout.size)
-        raster = None if self.layout.raster is None else (e, c, *self.layout.raster)
-        same_step = self.config.autoreset == "same_step"
-        self.last = StepArrays(
-            np.empty(row, np.float32),
-            np.empty((e, c), np.float32),
-            np.empty((e, c), np.bool_),
-            np.empty((e, c), np.bool_),
-            np.empty((e, c), np.bool_),
-            np.empty((e, c, len(self.column_names)), np.float32),
-            np.empty(e, np.bool_),
-            np.empty(e, np.bool_),
-            np.empty(row, np.float32) if same_step else None,
-            None if raster is None else np.empty(raster, np.uint8),
-            None if raster is None or not same_step else np.empty(raster, np.uint8),
-        )
+        made: dict[str, Any] = {
+            name: np.empty(shape, dtype) if shape else None for name, dtype, shape in self._arrays
+        }
+        self.last = StepArrays(**made)
         return self.last
 
     def actions(self, actions: Any, shape: tuple[int, ...]) -> F32:
@@ -315,7 +303,7 @@ class Worlds:
         UnknownNameError
             If the scene has no such vehicle.
         """
-        ids = list(self.scenes[self.native.status(world_idx)[0]].agent_ids)
+        ids = list(self.scenes[self.native.status(world_idx).scene_idx].agent_ids)
         for agent, driver in drivers.items():
             if agent not in ids:
                 raise UnknownNameError(
@@ -343,19 +331,19 @@ class Worlds:
 
         With a curriculum, the episode's criticality is drawn, set and said here.
         """
-        scene_idx, seed, episode, _, _ = self.native.status(world_idx)
-        scene = self.scenes[scene_idx]
+        status = self.native.status(world_idx)
+        scene, seed, episode_idx = self.scenes[status.scene_idx], status.seed, status.episode - 1
         info: dict[str, Any] = {
             "scene": scene.name,
             "scene_token": scene.token,
-            "scene_idx": scene_idx,
+            "scene_idx": status.scene_idx,
             "seed": seed,
-            "episode_idx": episode - 1,
+            "episode_idx": episode_idx,
         }
         if level == "none":
             del info["scene"], info["scene_token"]
         if self.curriculum is not None:
-            strength = self.curriculum.draw(seed, episode - 1)
+            strength = self.curriculum.draw(seed, episode_idx)
             self.native.command(world_idx, guided=None, criticality=strength)
             info["criticality"] = self.criticality[world_idx] = strength
         return info

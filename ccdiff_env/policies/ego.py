@@ -207,7 +207,7 @@ class EgoPolicy:
         present = np.zeros((worlds.num_worlds, native.action_width), np.float32)
 
         def act(obs: npt.NDArray[Any]) -> F32:
-            elapsed = np.array([native.status(i)[4] for i in range(worlds.num_worlds)])
+            elapsed = np.array([native.status(i).elapsed_steps for i in range(worlds.num_worlds)])
             due = elapsed % held == 0
             present[due] = self.act(np.asarray(obs)[due])
             return present

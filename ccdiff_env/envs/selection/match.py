@@ -80,8 +80,8 @@ class Match:
     def __init__(self, worlds: Worlds, world_idx: int, reward: SelectionReward) -> None:
         self._worlds, self._world_idx, self._weights = worlds, world_idx, reward
         native = worlds.native
-        scene_idx, _, _, step, _ = native.status(world_idx)
-        self._scene = worlds.scenes[scene_idx]
+        status = native.status(world_idx)
+        self._scene = worlds.scenes[status.scene_idx]
         self.ids = self._scene.agent_ids
         self.ego = int(native.slot_agents(world_idx)[0] or 0)
         self._size = self._scene.sizes[:, :2].copy()
@@ -91,7 +91,7 @@ class Match:
         names = ("collisions", "realism_cost", "shift_sigmas", "decisions", "adversaries")
         self.totals = dict.fromkeys(names, 0.0)
         self._history: deque[dict[str, Any]] = deque(maxlen=round(3.0 / worlds.config.dt_s) + 1)
-        self._from_log(step)
+        self._from_log(status.step_idx)
         self._recorder: Recorder | None = None
         if reward.avoidable_only:
             self._recorder = Recorder(SimpleNamespace(worlds=worlds), world_idx=world_idx)
@@ -141,7 +141,7 @@ class Match:
 
     def view(self, num_rows: int) -> SceneView:
         """Return what the chooser sees, nearest agents first."""
-        _, _, _, _, elapsed = self._worlds.native.status(self._world_idx)
+        elapsed = self._worlds.native.status(self._world_idx).elapsed_steps
         horizon = self._worlds.config.horizon_steps
         return SceneView(
             states=self.states,

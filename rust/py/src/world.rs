@@ -11,7 +11,7 @@ use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::policy::Command;
 use ccdiff_sim::world::{
-    COLUMNS, METRICS, NUM_COLUMNS, NUM_METRICS, ResetRequest, StepBuffers, TABLES, VecWorld, WorldConfig,
+    ArraySpec, COLUMNS, METRICS, NUM_METRICS, ResetRequest, StepBuffers, TABLES, VecWorld, WorldConfig,
 };
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
@@ -25,6 +25,7 @@ use std::sync::Arc;
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVecWorld>()?;
+    module.add_class::<PyWorldStatus>()?;
     module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
     module.add_function(wrap_pyfunction!(config_tables, module)?)?;
     module.add_function(wrap_pyfunction!(columns_json, module)?)?;
@@ -107,90 +108,63 @@ fn writable<'py, T: Element>(
     })
 }
 
-/// The arrays of one call.
-struct Outputs<'py> {
-    obs: PyReadwriteArrayDyn<'py, f32>,
-    reward: PyReadwriteArrayDyn<'py, f32>,
-    terminated: PyReadwriteArrayDyn<'py, bool>,
-    truncated: PyReadwriteArrayDyn<'py, bool>,
-    alive: PyReadwriteArrayDyn<'py, bool>,
-    columns: PyReadwriteArrayDyn<'py, f32>,
-    done: PyReadwriteArrayDyn<'py, bool>,
-    was_reset: PyReadwriteArrayDyn<'py, bool>,
-    final_obs: Option<PyReadwriteArrayDyn<'py, f32>>,
-    bev: Option<PyReadwriteArrayDyn<'py, u8>>,
-    final_bev: Option<PyReadwriteArrayDyn<'py, u8>>,
+/// An array of a step, an attribute of what the caller hands over; `None` where the configuration does not ask for it.
+fn step_array<'py, T: Element>(
+    given: &Bound<'py, PyAny>,
+    spec: &ArraySpec,
+) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
+    let array = given.getattr(spec.name)?;
+    match (array.is_none(), spec.shape.is_empty()) {
+        (true, true) => Ok(None),
+        (false, true) => Err(py::ShapeError::new_err(format!("{} is given, expected None", spec.name))),
+        _ => writable(spec.name, &array, &spec.shape).map(Some),
+    }
 }
 
-/// The arguments of a call as Python gives them: obs, reward, terminated, truncated, alive, columns, done, was_reset,
-/// final_obs, bev, final_bev.
-type Given<'py> = (
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Bound<'py, PyAny>,
-    Option<Bound<'py, PyAny>>,
-    Option<Bound<'py, PyAny>>,
-    Option<Bound<'py, PyAny>>,
-);
-
-/// Shape of rasters [E, C, P, S, S]; P = S = 0 without them.
-fn raster_shape(world: &VecWorld) -> [usize; 5] {
-    let [p, rows, columns] = world.layout().bev.as_ref().map_or([0; 3], |bev| bev.shape);
-    [world.num_worlds(), world.config().num_slots, p, rows, columns]
-}
-
-/// The bytes of an array that may be absent.
-fn bytes<'a>(array: &'a mut Option<PyReadwriteArrayDyn<'_, u8>>) -> PyResult<&'a mut [u8]> {
+/// The elements of an array that may be absent.
+fn elements<'a, T: Element>(array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>) -> PyResult<&'a mut [T]> {
     Ok(match array {
         Some(array) => array.as_slice_mut()?,
         None => &mut [],
     })
 }
 
-impl<'py> Outputs<'py> {
-    fn check(given: &Given<'py>, world: &VecWorld) -> PyResult<Self> {
-        let (e, c) = (world.num_worlds(), world.config().num_slots);
-        let row = world.layout().size;
-        let (slots, rasters) = ([e, c], raster_shape(world));
-        Ok(Self {
-            obs: writable("obs", &given.0, &[e, c, row])?,
-            reward: writable("reward", &given.1, &slots)?,
-            terminated: writable("terminated", &given.2, &slots)?,
-            truncated: writable("truncated", &given.3, &slots)?,
-            alive: writable("alive", &given.4, &slots)?,
-            columns: writable("columns", &given.5, &[e, c, NUM_COLUMNS])?,
-            done: writable("done", &given.6, &[e])?,
-            was_reset: writable("was_reset", &given.7, &[e])?,
-            final_obs: given.8.as_ref().map(|a| writable("final_obs", a, &[e, c, row])).transpose()?,
-            bev: given.9.as_ref().map(|a| writable("bev", a, &rasters)).transpose()?,
-            final_bev: given.10.as_ref().map(|a| writable("final_bev", a, &rasters)).transpose()?,
-        })
-    }
+macro_rules! outputs {
+    ($($name:ident: $type:ty),+) => {
+        /// The arrays of one call.
+        struct Outputs<'py> {
+            $($name: Option<PyReadwriteArrayDyn<'py, $type>>),+
+        }
 
-    fn buffers(&mut self) -> PyResult<StepBuffers<'_>> {
-        let final_obs: &mut [f32] = match &mut self.final_obs {
-            Some(array) => array.as_slice_mut()?,
-            None => &mut [],
-        };
-        Ok(StepBuffers {
-            obs: self.obs.as_slice_mut()?,
-            reward: self.reward.as_slice_mut()?,
-            terminated: self.terminated.as_slice_mut()?,
-            truncated: self.truncated.as_slice_mut()?,
-            alive: self.alive.as_slice_mut()?,
-            columns: self.columns.as_slice_mut()?,
-            done: self.done.as_slice_mut()?,
-            was_reset: self.was_reset.as_slice_mut()?,
-            final_obs,
-            bev: bytes(&mut self.bev)?,
-            final_bev: bytes(&mut self.final_bev)?,
-        })
-    }
+        impl<'py> Outputs<'py> {
+            fn check(given: &Bound<'py, PyAny>, world: &VecWorld) -> PyResult<Self> {
+                let mut specs = world.extent().arrays(world.num_worlds()).into_iter();
+                let mut next = || specs.next().ok_or_else(|| py::ShapeError::new_err("an array too many"));
+                Ok(Self { $($name: step_array(given, &next()?)?),+ })
+            }
+
+            fn buffers(&mut self) -> PyResult<StepBuffers<'_>> {
+                Ok(StepBuffers { $($name: elements(&mut self.$name)?),+ })
+            }
+        }
+    };
+}
+
+ccdiff_sim::with_step_arrays!(outputs);
+
+/// Where a world is.
+#[pyclass(frozen, get_all, name = "WorldStatus", module = "ccdiff_env._native")]
+pub(crate) struct PyWorldStatus {
+    /// Index of the scene.
+    scene_idx: usize,
+    /// Seed that the world's generator was last started from.
+    seed: u64,
+    /// Episodes begun since that seed.
+    episode: u64,
+    /// Step of the log that the states stand at.
+    step_idx: usize,
+    /// Steps since the episode began.
+    elapsed_steps: usize,
 }
 
 #[pymethods]
@@ -227,10 +201,10 @@ impl PyVecWorld {
         seeds: Vec<Option<u64>>,
         scenes: Vec<Option<usize>>,
         mask: Option<Vec<bool>>,
-        out: Given<'py>,
+        out: &Bound<'py, PyAny>,
     ) -> PyResult<()> {
         self.home.check()?;
-        let mut out = Outputs::check(&out, &self.world)?;
+        let mut out = Outputs::check(out, &self.world)?;
         let buffers = out.buffers()?;
         let world = &mut self.world;
         let request = ResetRequest { seeds: &seeds, scenes: &scenes, mask: mask.as_deref() };
@@ -244,7 +218,12 @@ impl PyVecWorld {
     }
 
     /// One step of all worlds; actions [E, C, W] float32.
-    fn step<'py>(&mut self, py: Python<'py>, actions: &Bound<'py, PyAny>, out: Given<'py>) -> PyResult<()> {
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        actions: &Bound<'py, PyAny>,
+        out: &Bound<'py, PyAny>,
+    ) -> PyResult<()> {
         self.home.check()?;
         let world = &mut self.world;
         let shape = [world.num_worlds(), world.config().num_slots, world.decoder().width()];
@@ -252,11 +231,11 @@ impl PyVecWorld {
         self.actions.clear();
         self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let actions = &self.actions;
-        let mut out = Outputs::check(&out, world)?;
+        let mut out = Outputs::check(out, world)?;
         let buffers = out.buffers()?;
         enter(py, || world.step(actions, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut self.trails {
-            trails.follow(&self.world, out.was_reset.as_slice()?).map_err(from_sim)?;
+            trails.follow(&self.world, elements(&mut out.was_reset)?).map_err(from_sim)?;
         }
         Ok(())
     }
@@ -272,9 +251,10 @@ impl PyVecWorld {
         self.home.check()?;
         let shape = [self.world.config().num_slots, self.world.layout().size];
         let mut obs = writable::<f32>("obs", obs, &shape)?;
-        let rasters = raster_shape(&self.world);
-        let mut bev = bev.map(|a| writable::<u8>("bev", a, &rasters[1..])).transpose()?;
-        self.world.observe(world_idx, obs.as_slice_mut()?, bytes(&mut bev)?).map_err(from_sim)
+        let raster = self.world.extent().raster;
+        let shape = [shape[0], raster[0], raster[1], raster[2]];
+        let mut bev = bev.map(|a| writable::<u8>("bev", a, &shape)).transpose()?;
+        self.world.observe(world_idx, obs.as_slice_mut()?, elements(&mut bev)?).map_err(from_sim)
     }
 
     /// The configuration as JSON, defaults filled in.
@@ -343,10 +323,22 @@ impl PyVecWorld {
         self.world.status(world_idx).is_ok()
     }
 
-    /// Index of the scene, seed, episode, step of the log, elapsed steps.
-    fn status(&self, world_idx: usize) -> PyResult<(usize, u64, u64, usize, usize)> {
+    /// Where a world is.
+    fn status(&self, world_idx: usize) -> PyResult<PyWorldStatus> {
         let s = self.world.status(world_idx).map_err(from_sim)?;
-        Ok((s.scene_idx, s.seed, s.episode, s.step_idx, s.elapsed_steps))
+        Ok(PyWorldStatus {
+            scene_idx: s.scene_idx,
+            seed: s.seed,
+            episode: s.episode,
+            step_idx: s.step_idx,
+            elapsed_steps: s.elapsed_steps,
+        })
+    }
+
+    /// Name, dtype and shape of the arrays that a reset or step writes; no shape where there is no such array.
+    fn step_arrays(&self) -> Vec<(&'static str, &'static str, Vec<usize>)> {
+        let arrays = self.world.extent().arrays(self.world.num_worlds());
+        arrays.into_iter().map(|a| (a.name, a.dtype, a.shape)).collect()
     }
 
     /// Present states of the agents as new arrays; entries of agents that are not active are zero.

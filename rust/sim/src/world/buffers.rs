@@ -1,187 +1,217 @@
-//! Where a step writes: memory of the caller, E worlds x C slots, row-major.
+//! Where a step writes: memory of the caller, E worlds x C slots, row-major. One table names every array.
 
 use crate::error::{Result, SimError};
+use crate::observe::Layout;
 use crate::world::columns::NUM_COLUMNS;
-use crate::world::config::Autoreset;
+use crate::world::config::{Autoreset, WorldConfig};
 
-/// Sizes that every world's part of the buffers has.
+/// Sizes that every world's part of the arrays has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extent {
     /// Slots C.
     pub slots: usize,
     /// Floats of an observation row D.
     pub row: usize,
-    /// Bytes of a raster B, 0 without rasters.
-    pub raster: usize,
+    /// Channels, rows and columns of a raster; 0 without rasters.
+    pub raster: [usize; 3],
+    /// Whether the last observations of ended episodes are kept beside the first ones of the next.
+    pub has_final: bool,
 }
 
-/// Output of a reset or a step. D is the size of the observation row, M the number of columns,
-/// B the size of the raster (0 without one).
-#[derive(Debug)]
-pub struct StepBuffers<'a> {
+impl Extent {
+    pub(crate) fn new(config: &WorldConfig, layout: &Layout) -> Self {
+        Self {
+            slots: config.num_slots,
+            row: layout.size,
+            raster: layout.bev.as_ref().map_or([0; 3], |bev| bev.shape),
+            has_final: config.autoreset == Autoreset::SameStep,
+        }
+    }
+
+    fn along(self, axis: Axis) -> usize {
+        match axis {
+            Axis::Slots => self.slots,
+            Axis::Row => self.row,
+            Axis::Columns => NUM_COLUMNS,
+            Axis::Channels => self.raster[0],
+            Axis::PixelRows => self.raster[1],
+            Axis::PixelColumns => self.raster[2],
+        }
+    }
+}
+
+/// What an axis of an array counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Axis {
+    Slots,
+    Row,
+    Columns,
+    Channels,
+    PixelRows,
+    PixelColumns,
+}
+
+/// An array of a step as callers make it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArraySpec {
+    /// Name.
+    pub name: &'static str,
+    /// Type of its elements, as numpy names it.
+    pub dtype: &'static str,
+    /// Shape for E worlds; empty where the configuration does not ask for it.
+    pub shape: Vec<usize>,
+}
+
+/// Name in numpy of a type of elements.
+trait Element {
+    const DTYPE: &'static str;
+}
+
+impl Element for f32 {
+    const DTYPE: &'static str = "float32";
+}
+
+impl Element for bool {
+    const DTYPE: &'static str = "bool";
+}
+
+impl Element for u8 {
+    const DTYPE: &'static str = "uint8";
+}
+
+macro_rules! step_arrays {
+    ($dollar:tt $($(#[doc = $doc:literal])+ $name:ident: $type:ty, [$($axis:ident),*] $(, if $when:ident)?;)+) => {
+        /// Output of a reset or a step. D is the size of the observation row, M the number of columns; arrays that the
+        /// configuration does not ask for are empty.
+        #[derive(Debug)]
+        pub struct StepBuffers<'a> {
+            $($(#[doc = $doc])+ pub $name: &'a mut [$type],)+
+        }
+
+        /// Elements of each array per world.
+        #[derive(Debug, Clone, Copy)]
+        struct Sizes {
+            $($name: usize,)+
+        }
+
+        impl Sizes {
+            fn of(extent: Extent) -> Self {
+                Self {
+                    $($name: if true $(&& extent.$when)? { 1 $(* extent.along(Axis::$axis))* } else { 0 },)+
+                }
+            }
+        }
+
+        impl Extent {
+            /// The arrays of E worlds, in the order of [`StepBuffers`].
+            pub fn arrays(self, num_worlds: usize) -> Vec<ArraySpec> {
+                let sizes = Sizes::of(self);
+                vec![$(ArraySpec {
+                    name: stringify!($name),
+                    dtype: <$type as Element>::DTYPE,
+                    shape: if sizes.$name == 0 { vec![] } else { vec![num_worlds $(, self.along(Axis::$axis))*] },
+                }),+]
+            }
+        }
+
+        impl StepBuffers<'_> {
+            /// Checks every length before anything is written.
+            ///
+            /// # Errors
+            /// [`SimError::Length`] names the first array that does not fit.
+            pub fn check(&self, num_worlds: usize, extent: Extent) -> Result<()> {
+                let sizes = Sizes::of(extent);
+                for (what, got, size) in [$((stringify!($name), self.$name.len(), sizes.$name)),+] {
+                    let expected = num_worlds * size;
+                    if got != expected {
+                        return Err(SimError::Length { what, got, expected });
+                    }
+                }
+                Ok(())
+            }
+
+            /// The same buffers for a call that takes them by value.
+            pub(crate) fn reborrow(&mut self) -> StepBuffers<'_> {
+                StepBuffers { $($name: self.$name),+ }
+            }
+
+            /// The part of one world.
+            pub(crate) fn world(&mut self, i: usize, extent: Extent) -> StepBuffers<'_> {
+                let sizes = Sizes::of(extent);
+                StepBuffers { $($name: &mut self.$name[i * sizes.$name..(i + 1) * sizes.$name]),+ }
+            }
+        }
+
+        impl<'a> StepBuffers<'a> {
+            /// The buffers of the first `worlds` worlds, and those of the rest.
+            pub(crate) fn split_at(self, worlds: usize, extent: Extent) -> (Self, Self) {
+                let sizes = Sizes::of(extent);
+                $(let $name = self.$name.split_at_mut(worlds * sizes.$name);)+
+                (Self { $($name: $name.0),+ }, Self { $($name: $name.1),+ })
+            }
+        }
+
+        /// Hands the list `name: type, …` of the arrays of a step to a macro.
+        #[macro_export]
+        macro_rules! with_step_arrays {
+            ($dollar then:ident) => {
+                $dollar then! { $($name: $type),+ }
+            };
+        }
+    };
+}
+
+step_arrays! { $
     /// Observations [E, C, D]; zero for slots without a living agent.
-    pub obs: &'a mut [f32],
+    obs: f32, [Slots, Row];
     /// Rewards [E, C].
-    pub reward: &'a mut [f32],
+    reward: f32, [Slots];
     /// Whether an agent's episode ended in this step by what happened in it [E, C].
-    pub terminated: &'a mut [bool],
+    terminated: bool, [Slots];
     /// Whether it was cut off in this step [E, C].
-    pub truncated: &'a mut [bool],
+    truncated: bool, [Slots];
     /// Whether the slot's agent goes on after this step [E, C].
-    pub alive: &'a mut [bool],
+    alive: bool, [Slots];
     /// Figures of the step [E, C, M], see [`super::COLUMNS`].
-    pub columns: &'a mut [f32],
+    columns: f32, [Slots, Columns];
     /// Whether the world's episode ended in this step [E].
-    pub done: &'a mut [bool],
+    done: bool, [];
     /// Whether the observation is the first of a new episode [E].
-    pub was_reset: &'a mut [bool],
-    /// In SAME_STEP mode the last observation of an ended episode [E, C, D]; empty in the other modes.
-    pub final_obs: &'a mut [f32],
-    /// Rasters [E, C, B]; zero where `obs` is.
-    pub bev: &'a mut [u8],
-    /// Rasters beside `final_obs` [E, C, B].
-    pub final_bev: &'a mut [u8],
+    was_reset: bool, [];
+    /// In SAME_STEP mode the last observation of an ended episode [E, C, D].
+    final_obs: f32, [Slots, Row], if has_final;
+    /// Rasters [E, C, P, S, S]; zero where `obs` is.
+    bev: u8, [Slots, Channels, PixelRows, PixelColumns];
+    /// Rasters beside `final_obs` [E, C, P, S, S].
+    final_bev: u8, [Slots, Channels, PixelRows, PixelColumns], if has_final;
 }
 
-/// The part of [`StepBuffers`] that belongs to one world.
-pub(crate) struct WorldOut<'a> {
-    pub(crate) obs: &'a mut [f32],
-    pub(crate) reward: &'a mut [f32],
-    pub(crate) terminated: &'a mut [bool],
-    pub(crate) truncated: &'a mut [bool],
-    pub(crate) alive: &'a mut [bool],
-    pub(crate) columns: &'a mut [f32],
-    pub(crate) done: &'a mut bool,
-    pub(crate) was_reset: &'a mut bool,
-    pub(crate) final_obs: &'a mut [f32],
-    pub(crate) bev: &'a mut [u8],
-    pub(crate) final_bev: &'a mut [u8],
-}
-
-impl WorldOut<'_> {
+impl StepBuffers<'_> {
     /// Rewards, endings and figures of a step in which nothing happened.
     pub(crate) fn clear_step(&mut self) {
         self.reward.fill(0.0);
         self.terminated.fill(false);
         self.truncated.fill(false);
         self.columns.fill(0.0);
-        *self.done = false;
+        self.done.fill(false);
     }
 }
 
-impl<'a> StepBuffers<'a> {
-    /// Checks every length before anything is written.
-    ///
-    /// # Errors
-    /// [`SimError::Length`] names the first array that does not fit.
-    pub fn check(&self, num_envs: usize, extent: Extent, autoreset: Autoreset) -> Result<()> {
-        let Extent { row, raster, .. } = extent;
-        let slots = num_envs * extent.slots;
-        let final_slots = if autoreset == Autoreset::SameStep { slots } else { 0 };
-        let lengths = [
-            ("obs", self.obs.len(), slots * row),
-            ("reward", self.reward.len(), slots),
-            ("terminated", self.terminated.len(), slots),
-            ("truncated", self.truncated.len(), slots),
-            ("alive", self.alive.len(), slots),
-            ("columns", self.columns.len(), slots * NUM_COLUMNS),
-            ("done", self.done.len(), num_envs),
-            ("was_reset", self.was_reset.len(), num_envs),
-            ("final_obs", self.final_obs.len(), final_slots * row),
-            ("bev", self.bev.len(), slots * raster),
-            ("final_bev", self.final_bev.len(), final_slots * raster),
-        ];
-        for (what, got, expected) in lengths {
-            if got != expected {
-                return Err(SimError::Length { what, got, expected });
-            }
-        }
-        Ok(())
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    /// The same buffers for a call that takes them by value.
-    pub(crate) fn reborrow(&mut self) -> StepBuffers<'_> {
-        StepBuffers {
-            obs: self.obs,
-            reward: self.reward,
-            terminated: self.terminated,
-            truncated: self.truncated,
-            alive: self.alive,
-            columns: self.columns,
-            done: self.done,
-            was_reset: self.was_reset,
-            final_obs: self.final_obs,
-            bev: self.bev,
-            final_bev: self.final_bev,
-        }
-    }
-
-    /// The buffers of the first `worlds` worlds, and those of the rest.
-    pub(crate) fn split_at(self, worlds: usize, extent: Extent) -> (Self, Self) {
-        let Extent { row, raster, .. } = extent;
-        let slots = worlds * extent.slots;
-        let (obs, obs_rest) = self.obs.split_at_mut(slots * row);
-        let (reward, reward_rest) = self.reward.split_at_mut(slots);
-        let (terminated, terminated_rest) = self.terminated.split_at_mut(slots);
-        let (truncated, truncated_rest) = self.truncated.split_at_mut(slots);
-        let (alive, alive_rest) = self.alive.split_at_mut(slots);
-        let (columns, columns_rest) = self.columns.split_at_mut(slots * NUM_COLUMNS);
-        let (done, done_rest) = self.done.split_at_mut(worlds);
-        let (was_reset, was_reset_rest) = self.was_reset.split_at_mut(worlds);
-        let middle = (slots * row).min(self.final_obs.len());
-        let (final_obs, final_obs_rest) = self.final_obs.split_at_mut(middle);
-        let (bev, bev_rest) = self.bev.split_at_mut(slots * raster);
-        let middle = (slots * raster).min(self.final_bev.len());
-        let (final_bev, final_bev_rest) = self.final_bev.split_at_mut(middle);
-        (
-            Self {
-                obs,
-                reward,
-                terminated,
-                truncated,
-                alive,
-                columns,
-                done,
-                was_reset,
-                final_obs,
-                bev,
-                final_bev,
-            },
-            Self {
-                obs: obs_rest,
-                reward: reward_rest,
-                terminated: terminated_rest,
-                truncated: truncated_rest,
-                alive: alive_rest,
-                columns: columns_rest,
-                done: done_rest,
-                was_reset: was_reset_rest,
-                final_obs: final_obs_rest,
-                bev: bev_rest,
-                final_bev: final_bev_rest,
-            },
-        )
-    }
-
-    /// The buffers of one world.
-    pub(crate) fn world(&mut self, i: usize, extent: Extent) -> WorldOut<'_> {
-        let slots = i * extent.slots..(i + 1) * extent.slots;
-        let rows = slots.start * extent.row..slots.end * extent.row;
-        let rasters = slots.start * extent.raster..slots.end * extent.raster;
-        let final_rows = if self.final_obs.is_empty() { 0..0 } else { rows.clone() };
-        let final_rasters = if self.final_bev.is_empty() { 0..0 } else { rasters.clone() };
-        WorldOut {
-            obs: &mut self.obs[rows],
-            reward: &mut self.reward[slots.clone()],
-            terminated: &mut self.terminated[slots.clone()],
-            truncated: &mut self.truncated[slots.clone()],
-            alive: &mut self.alive[slots.clone()],
-            columns: &mut self.columns[slots.start * NUM_COLUMNS..slots.end * NUM_COLUMNS],
-            done: &mut self.done[i],
-            was_reset: &mut self.was_reset[i],
-            final_obs: &mut self.final_obs[final_rows],
-            bev: &mut self.bev[rasters],
-            final_bev: &mut self.final_bev[final_rasters],
-        }
+    #[test]
+    fn an_array_too_short_is_named_and_absent_ones_have_no_shape() {
+        let extent = Extent { slots: 2, row: 3, raster: [0; 3], has_final: false };
+        let arrays = extent.arrays(4);
+        let shape = |name: &str| arrays.iter().find(|a| a.name == name).map(|a| (a.dtype, a.shape.clone()));
+        assert_eq!(shape("obs"), Some(("float32", vec![4, 2, 3])));
+        assert_eq!(shape("columns"), Some(("float32", vec![4, 2, NUM_COLUMNS])));
+        assert_eq!(shape("done"), Some(("bool", vec![4])));
+        assert_eq!(shape("final_obs"), Some(("float32", vec![])));
+        assert_eq!(shape("bev"), Some(("uint8", vec![])));
+        let with_all = Extent { raster: [5, 8, 8], has_final: true, ..extent }.arrays(4);
+        assert_eq!(with_all.last().map(|a| a.shape.clone()), Some(vec![4, 2, 5, 8, 8]));
     }
 }

@@ -148,8 +148,7 @@ impl VecWorld {
 
     /// Sizes of each world's part of the buffers.
     pub fn extent(&self) -> Extent {
-        let raster = self.layout.raster_size();
-        Extent { slots: self.config.num_slots, row: self.layout.size, raster }
+        Extent::new(&self.config, &self.layout)
     }
 
     /// Number of scenes.
@@ -334,7 +333,9 @@ impl VecWorld {
     pub fn observe(&mut self, world_idx: usize, obs: &mut [Real], bev: &mut [u8]) -> Result<()> {
         self.begun(world_idx)?;
         let extent = self.extent();
-        for (what, got, size) in [("obs", obs.len(), extent.row), ("bev", bev.len(), extent.raster)] {
+        for (what, got, size) in
+            [("obs", obs.len(), extent.row), ("bev", bev.len(), self.layout.raster_size())]
+        {
             let expected = extent.slots * size;
             if got != expected {
                 return Err(SimError::Length { what, got, expected });

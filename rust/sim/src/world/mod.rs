@@ -27,7 +27,7 @@ mod tick;
 mod traffic;
 
 pub use actions::ActionDecoder;
-pub use buffers::{Extent, StepBuffers};
+pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, TABLES,
@@ -193,7 +193,7 @@ impl VecWorld {
     /// [`SimError::Length`] and [`SimError::Unknown`] before anything changes.
     pub fn reset(&mut self, request: &ResetRequest<'_>, out: StepBuffers<'_>) -> Result<()> {
         let num_worlds = self.worlds.len();
-        out.check(num_worlds, self.extent(), self.config.autoreset)?;
+        out.check(num_worlds, self.extent())?;
         let length = |what, got| Err(SimError::Length { what, got, expected: num_worlds });
         if request.seeds.len() != num_worlds {
             return length("seeds", request.seeds.len());
@@ -219,7 +219,7 @@ impl VecWorld {
             extent: self.extent(),
         };
         let scenes = &self.scenes;
-        let job = |i: usize, world: &mut World, _: &[Real], mut out: buffers::WorldOut<'_>| {
+        let job = |i: usize, world: &mut World, _: &[Real], mut out: StepBuffers<'_>| {
             if !wanted(i) {
                 return;
             }
@@ -233,7 +233,7 @@ impl VecWorld {
             };
             world.begin(scene, scene_idx, &shared);
             out.clear_step();
-            *out.was_reset = true;
+            out.was_reset.fill(true);
             world.finish(&shared, 0, &mut out);
         };
         run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, shared.extent, &job);
@@ -270,7 +270,7 @@ impl VecWorld {
             extent: self.extent(),
         };
         let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
-        let job = |_: usize, world: &mut World, actions: &[Real], mut out: buffers::WorldOut<'_>| {
+        let job = |_: usize, world: &mut World, actions: &[Real], mut out: StepBuffers<'_>| {
             let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
             world.step(actions, held.clone(), &shared, next, &mut out, &mut |_| {});
         };
@@ -310,7 +310,7 @@ impl VecWorld {
 
     fn check_step(&self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
         let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
-        out.check(num_worlds, self.extent(), self.config.autoreset)?;
+        out.check(num_worlds, self.extent())?;
         let width = self.decoder.width() * slots;
         if actions.len() != num_worlds * width {
             return Err(SimError::Length {
@@ -388,7 +388,7 @@ fn run<J>(
     extent: Extent,
     job: &J,
 ) where
-    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
 {
     match pool {
         Some(pool) if worlds.len() >= MIN_PARALLEL_WORLDS => {
@@ -406,7 +406,7 @@ fn halve<J>(
     extent: Extent,
     job: &J,
 ) where
-    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
 {
     if worlds.len() <= GRAIN_WORLDS {
         return each(worlds, actions, width, out, extent, job);
@@ -429,7 +429,7 @@ fn each<J>(
     extent: Extent,
     job: &J,
 ) where
-    J: Fn(usize, &mut World, &[Real], buffers::WorldOut<'_>) + Sync,
+    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
 {
     for (i, world) in worlds.iter_mut().enumerate() {
         let actions = &actions[i * width..(i + 1) * width];

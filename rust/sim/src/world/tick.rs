@@ -9,7 +9,7 @@ use crate::policy::{Driver, Motion, PlanRequest, WorldView};
 use crate::scene::AgentKind;
 use crate::world::actions::ActionDecoder;
 use crate::world::assist;
-use crate::world::buffers::{Extent, WorldOut};
+use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Autoreset, Consequence, TrafficCollision, WorldConfig};
 use crate::world::episode::{Episode, Phase};
@@ -149,7 +149,7 @@ impl World {
         actions: &[Real],
         is_first: bool,
         shared: &Shared<'_>,
-        out: &mut WorldOut<'_>,
+        out: &mut StepBuffers<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) -> bool {
         self.decide(actions, shared);
@@ -306,7 +306,7 @@ impl World {
     }
 
     /// Rewards and figures of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
-    fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut WorldOut<'_>) -> bool {
+    fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut StepBuffers<'_>) -> bool {
         let e = &mut self.episode;
         let at_end = e.elapsed_steps >= config.horizon_steps
             || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
@@ -377,9 +377,10 @@ impl World {
     ) {
         let e = &self.episode;
         self.observer.prepare(&e.states, &self.scene.bodies);
+        let bytes = extent.raster.iter().product::<usize>();
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];
-            let raster = &mut bev[c * extent.raster..(c + 1) * extent.raster];
+            let raster = &mut bev[c * bytes..(c + 1) * bytes];
             if slot.ended_at.is_some_and(|at| since < at && at < e.elapsed_steps) {
                 continue;
             }
@@ -427,13 +428,13 @@ impl World {
         held: Range<usize>,
         shared: &Shared<'_>,
         next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
-        out: &mut WorldOut<'_>,
+        out: &mut StepBuffers<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) {
         if held.start == 0 {
             out.clear_step();
-            *out.was_reset = false;
-        } else if *out.done || *out.was_reset {
+            out.was_reset[0] = false;
+        } else if out.done[0] || out.was_reset[0] {
             return;
         }
         // the batch has refused ended worlds before, in every mode but NEXT_STEP
@@ -441,8 +442,8 @@ impl World {
         let since = self.episode.elapsed_steps.saturating_sub(held.start);
         let goes_on = held.end < shared.config.decision_steps;
         for step in held.filter(|_| !owed) {
-            *out.done = self.advance(actions, step == 0, shared, out, lap);
-            if *out.done {
+            out.done[0] = self.advance(actions, step == 0, shared, out, lap);
+            if out.done[0] {
                 break;
             }
             // others play on: what an agent sees at its end is written now
@@ -453,7 +454,7 @@ impl World {
                 self.observe(shared.config, shared.extent, since, out.obs, out.bev);
             }
         }
-        let ends_now = *out.done && shared.config.autoreset == Autoreset::SameStep;
+        let ends_now = out.done[0] && shared.config.autoreset == Autoreset::SameStep;
         if ends_now {
             out.final_obs.copy_from_slice(out.obs);
             out.final_bev.copy_from_slice(out.bev);
@@ -462,16 +463,16 @@ impl World {
         if owed || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
             self.begin(scene, scene_idx, shared);
-            *out.was_reset = true;
+            out.was_reset[0] = true;
         }
-        if *out.done || *out.was_reset || !goes_on {
+        if out.done[0] || out.was_reset[0] || !goes_on {
             self.finish(shared, since, out);
             lap(TickPhase::Observe);
         }
     }
 
     /// Writes who is alive, and the observations.
-    pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut WorldOut<'_>) {
+    pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
         for (alive, slot) in out.alive.iter_mut().zip(&self.episode.slots) {
             *alive = slot.alive;
         }

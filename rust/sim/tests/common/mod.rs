@@ -76,7 +76,7 @@ impl Batch {
         let same_step = config.autoreset == Autoreset::SameStep;
         let world = VecWorld::new(scenes, config, envs, threads, policies)?;
         let row = world.layout().size;
-        let rasters = slots * world.extent().raster;
+        let rasters = slots * world.extent().raster.iter().product::<usize>();
         Ok(Self {
             obs: vec![0.0; slots * row],
             reward: vec![0.0; slots],
