@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache as _memoise
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
@@ -25,7 +25,35 @@ __all__ = [
     "load_nuscenes",
     "load_scenarionet",
     "splits",
+    "with_tracks",
 ]
+
+
+def with_tracks(scene: Scene, tracks: Mapping[str, Any]) -> Scene:
+    """Return a scene with other tracks of the same agents.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    tracks
+        ``position`` [A, T, 2] m, ``heading`` [A, T] rad, ``velocity`` [A, T, 2] m/s and ``valid``
+        [A, T], as :meth:`Scene.tracks` gives them.
+    """
+    return Scene.from_arrays(
+        scene.name,
+        agent_ids=scene.agent_ids,
+        agent_types=scene.agent_types,
+        agent_categories=scene.agent_categories,
+        sizes=scene.sizes,
+        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
+        dt=scene.dt,
+        token=scene.token,
+        location=scene.location,
+        source=scene.source,
+        origin=scene.origin,
+        map_layers=scene.map_layers(),
+    )
 
 
 class SceneSet(Sequence[Scene]):

@@ -29,7 +29,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 
 __all__ = ["WAYS", "altered", "evaluate", "reactivity_jobs", "write_reactivity"]
 
@@ -78,20 +78,7 @@ def altered(scene: Scene, way: str) -> Scene | None:
     tracks["velocity"][ego, HISTORY_STEPS + 1 :] = np.diff(position, axis=0) / scene.dt
     tracks["position"][ego, after] = position
     tracks["heading"][ego, after] = heading
-    return Scene.from_arrays(
-        scene.name,
-        agent_ids=scene.agent_ids,
-        agent_types=scene.agent_types,
-        agent_categories=scene.agent_categories,
-        sizes=scene.sizes,
-        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
-        dt=scene.dt,
-        token=scene.token,
-        location=scene.location,
-        source=scene.source,
-        origin=scene.origin,
-        map_layers=scene.map_layers(),
-    )
+    return with_tracks(scene, tracks)
 
 
 def _path(scene: Scene, tracks: Mapping[str, Any], ego: int, way: str) -> Path3 | None:

@@ -15,7 +15,7 @@ import numpy as np
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, with_tracks
 from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
@@ -138,20 +138,7 @@ def moved_scene(scene: Scene, moves: Mapping[str, tuple[float, float]]) -> Scene
         agent = scene.agent_ids.index(name)
         there: Any = tracks["valid"]
         position[agent, there[agent]] += np.array([east_m, north_m], np.float32)
-    return Scene.from_arrays(
-        scene.name,
-        agent_ids=scene.agent_ids,
-        agent_types=scene.agent_types,
-        agent_categories=scene.agent_categories,
-        sizes=scene.sizes,
-        dt=scene.dt,
-        token=scene.token,
-        location=scene.location,
-        source=scene.source,
-        origin=scene.origin,
-        map_layers=scene.map_layers(),
-        **tracks,  # type: ignore[arg-type]
-    )
+    return with_tracks(scene, tracks)
 
 
 def _moves(text: str) -> dict[str, tuple[float, float]]:
