@@ -15,6 +15,7 @@ from ccdiff_env.files import file_name
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.terminal import say_page, shown
 from ccdiff_env.traffic import NETWORKS, driver_names
+from ccdiff_env.view.export import export
 from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
@@ -80,7 +81,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="0: realistic CCDiff traffic (the default); 1: guided; several are shown beside each "
         "other",
     )
-    play.add_argument("--save", type=Path, help="keep that episode in this file (.npz)")
+    play.add_argument(
+        "--save",
+        type=Path,
+        help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove)",
+    )
     draw = parser.add_argument_group("a picture or a film instead of a page")
     draw.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step")
     draw.add_argument("--gif", action="store_true", help="write a GIF")
@@ -175,7 +180,10 @@ def _played(args: argparse.Namespace) -> list[Titled]:
             title = f"ego {DRIVER_TITLES.get(driver, driver)}, {title}"
         runs.append(Titled(rollout, title))
     if args.save is not None:
-        runs[0].rollout.save(args.save)
+        if args.save.suffix in (".rrd", ".mcap"):
+            export(runs[0].rollout, args.save)
+        else:
+            runs[0].rollout.save(args.save)
     return runs
 
 
