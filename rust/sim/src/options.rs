@@ -1,7 +1,7 @@
 //! Options: structs of a configuration as tables of fields, and the one walker that checks values against them.
 //!
 //! [`options!`](crate::options!) makes a struct, its default and its [`Table`] from one list of fields, [`choices!`](crate::choices!)
-//! an enum and its [`Choice`]. A [`Table`] goes out as JSON: the dataclasses of `ccdiff_env` and `docs/configuration.md` are
+//! an enum and its [`Choice`]. A [`Table`] goes out as JSON: the dataclasses of Python and `docs/configuration.md` are
 //! written from it. What contradicts another field is checked beside the struct.
 
 use crate::error::{Result, SimError};

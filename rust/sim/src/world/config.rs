@@ -213,7 +213,7 @@ options! {
         /// Options of the driver `"idm"`.
         idm: IdmConfig = IdmConfig::default();
         /// Further drivers by names of one's own, as `{kind: options}`; part of what snapshots are checked against. In Python
-        /// `ccdiff` holds the options of networks, [CcdiffConfig](#ccdiffconfig).
+        /// those of networks have a field of their own.
         policies: BTreeMap<String, serde_json::Value> = BTreeMap::new();
         /// What happens to a world whose episode has ended.
         autoreset: Autoreset = Autoreset::NextStep;
