@@ -36,7 +36,6 @@ SIM_ROOMS = [
 
 #: Circles that are still there, by one file of each; none may be added.
 KNOWN_RUST = {
-    "sim": {"world/tick"},
     "models": {"features", "guidance/config", "pace", "plan_model"},
     "py": {"scene"},
 }

@@ -147,6 +147,14 @@ proptest! {
         for i in 0..agents.len() {
             prop_assert_eq!(circles.first_partner(i).is_some(), in_pairs(i));
         }
+        // asked for few agents, the pairs that hold them; asked for many, all
+        let present: Vec<u32> = (0..agents.len() as u32).filter(|a| states.active[*a as usize]).collect();
+        for asked in [&present[..present.len().min(2)], &present[..]] {
+            let of = |pair: &&(u32, u32)| asked.contains(&pair.0) || asked.contains(&pair.1);
+            let wanted: Vec<_> = circles.pairs().iter().filter(of).copied().collect();
+            let found = Collisions::new().pairs_of(&states, &bodies, &kinds, asked).to_vec();
+            prop_assert_eq!(found.iter().filter(of).copied().collect::<Vec<_>>(), wanted);
+        }
     }
 }
 

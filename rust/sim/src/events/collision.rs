@@ -9,6 +9,8 @@ use crate::state::{AgentStates, Body};
 
 /// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
 const SWEEP_FROM_AGENTS: usize = 80;
+/// From this many agents on, whose contacts are asked for, all pairs are looked for.
+const JOINT_FROM_AGENTS: usize = 4;
 /// Agents tested at once.
 const LANES: usize = 8;
 /// Speed up to which an agent counts as stopped, metres per second (nuPlan's value).
@@ -93,17 +95,57 @@ impl Collisions {
     ///
     /// `bodies` and `kinds` are indexed like `states`; agents beyond the shortest of the three are not looked at.
     pub fn detect(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.find(states, bodies, kinds);
+        self.describe(states, bodies);
+    }
+
+    fn find(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
         let num_agents = states.len().min(bodies.len()).min(kinds.len());
         let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
         if num_active < SWEEP_FROM_AGENTS {
-            self.detect_by_circles(states, bodies, kinds);
+            self.find_by_circles(states, bodies, kinds);
         } else {
-            self.detect_by_sweep(states, bodies, kinds);
+            self.find_by_sweep(states, bodies, kinds);
         }
+    }
+
+    /// The touching pairs of [`Self::detect`] that hold one of some active agents; others may be among them. What is
+    /// told of single agents is not made anew.
+    pub fn pairs_of(
+        &mut self,
+        states: &AgentStates,
+        bodies: &[Body],
+        kinds: &[AgentKind],
+        agents: &[u32],
+    ) -> &[(u32, u32)] {
+        if agents.len() >= JOINT_FROM_AGENTS {
+            self.find(states, bodies, kinds);
+            return &self.pairs;
+        }
+        self.pairs.clear();
+        for &a in agents {
+            let (centre, radius_m) = (states.position(a as usize), bodies[a as usize].radius_m);
+            for b in 0..states.len().min(bodies.len()).min(kinds.len()) {
+                let reach = radius_m + bodies[b].radius_m;
+                let near = (states.position(b) - centre).norm_squared() <= reach * reach;
+                if states.active[b] && near && b as u32 != a {
+                    let (i, j) = (a.min(b as u32), a.max(b as u32));
+                    push_if_touching(&mut self.pairs, states, bodies, kinds, i, j);
+                }
+            }
+        }
+        self.pairs.sort_unstable();
+        self.pairs.dedup();
+        &self.pairs
     }
 
     /// [`Self::detect`] with circle tests of all pairs.
     pub fn detect_by_circles(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.find_by_circles(states, bodies, kinds);
+        self.describe(states, bodies);
+    }
+
+    fn find_by_circles(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
         self.pairs.clear();
         self.gather(states, bodies, kinds);
         let num_active = self.agent.len();
@@ -131,11 +173,15 @@ impl Collisions {
                 }
             }
         }
-        self.describe(states, bodies);
     }
 
     /// [`Self::detect`] with a sort along x and a sweep.
     pub fn detect_by_sweep(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+        self.find_by_sweep(states, bodies, kinds);
+        self.describe(states, bodies);
+    }
+
+    fn find_by_sweep(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
         self.pairs.clear();
         self.gather(states, bodies, kinds);
         self.order.clear();
@@ -162,7 +208,6 @@ impl Collisions {
             }
         }
         self.pairs.sort_unstable();
-        self.describe(states, bodies);
     }
 
     /// Touching pairs (i, j), i < j, ascending.

@@ -8,21 +8,29 @@
 
 mod actions;
 mod assist;
+mod autoreset;
 mod buffers;
 mod columns;
 mod config;
+mod decide;
+mod detect;
 mod episode;
+mod executor;
 mod halt;
 mod history;
 mod inspect;
+mod motion;
 mod policies;
 mod prepared;
 mod reward;
 mod rng;
 mod route;
+mod rows;
+mod scenes;
 mod snapshot;
 mod surroundings;
 mod tally;
+mod termination;
 mod tick;
 mod traffic;
 
@@ -44,52 +52,16 @@ pub use traffic::{EXTERNAL, IdmConfig, Traffic};
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::observe::{BevConfig, Layout, Observer};
+use crate::observe::{Layout, Observer};
 use crate::policy::{Driver, PlanRequest, TrafficPolicy};
 use crate::scene::Scene;
 use episode::{Episode, Phase};
+use executor::run;
 use policies::Policies;
+use scenes::{Scenes, check_scene};
 use std::ops::Range;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use tick::{Shared, World};
-
-/// Batches smaller than this run on the calling thread: handing work to a pool costs more than it saves.
-const MIN_PARALLEL_WORLDS: usize = 8;
-/// Worlds in one piece of parallel work.
-const GRAIN_WORLDS: usize = 4;
-
-/// The scenes of a batch, each prepared when it is first played.
-struct Scenes {
-    list: Vec<(Arc<Scene>, OnceLock<Arc<PreparedScene>>)>,
-    bev: Option<BevConfig>,
-}
-
-impl Scenes {
-    fn prepared(&self, scene_idx: usize) -> Arc<PreparedScene> {
-        let (scene, slot) = &self.list[scene_idx];
-        let prepare = || Arc::new(PreparedScene::new(Arc::clone(scene), self.bev.as_ref()));
-        Arc::clone(slot.get_or_init(prepare))
-    }
-
-    /// Scene of a world's next episode, by the configured order.
-    fn next(
-        &self,
-        episode: &mut Episode,
-        order: SceneOrder,
-        num_worlds: usize,
-    ) -> (Arc<PreparedScene>, usize) {
-        let n = self.list.len();
-        let scene_idx = match order {
-            SceneOrder::Random => episode.rng.below(n),
-            SceneOrder::Sequential => {
-                let idx = episode.next_scene_idx;
-                episode.next_scene_idx = (idx + num_worlds) % n;
-                idx
-            }
-        };
-        (self.prepared(scene_idx), scene_idx)
-    }
-}
 
 /// What a reset asks for, world by world; `None` leaves the choice to the world.
 #[derive(Debug, Clone, Copy)]
@@ -164,8 +136,7 @@ impl VecWorld {
             );
         }
         let num_scenes = scenes.len();
-        let list = scenes.into_iter().map(|s| (s, OnceLock::new())).collect();
-        let scenes = Scenes { list, bev: config.observation.bev };
+        let scenes = Scenes::new(scenes, config.observation.bev);
         let observer = Observer::new(layout.clone());
         let first = scenes.prepared(0);
         let worlds = (0..num_worlds)
@@ -358,81 +329,5 @@ impl VecWorld {
             self.worlds[world_idx].episode.plans[usize::from(policy_idx)] = Some(plan);
         }
         Ok(())
-    }
-}
-
-fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
-    let fail = |field: &str, got: String, expected| {
-        Err(SimError::Scene { scene: scene.name.clone(), field: field.into(), got, expected })
-    };
-    if (scene.dt_s - config.dt_s).abs() > 1e-6 {
-        return fail("dt_s", scene.dt_s.to_string(), "the world's own step");
-    }
-    if scene.num_steps < config.history_steps + 2 {
-        return fail("num_steps", scene.num_steps.to_string(), "more steps than the history and one");
-    }
-    if config.controlled.anyone_at(scene, config.history_steps) {
-        Ok(())
-    } else {
-        fail("agents", "nobody to control".into(), "a controlled agent present at the start")
-    }
-}
-
-/// Runs a job for every world, splitting worlds and buffers in halves over the pool. Allocates nothing.
-fn run<J>(
-    pool: Option<&rayon::ThreadPool>,
-    worlds: &mut [World],
-    actions: &[Real],
-    width: usize,
-    out: StepBuffers<'_>,
-    extent: Extent,
-    job: &J,
-) where
-    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
-{
-    match pool {
-        Some(pool) if worlds.len() >= MIN_PARALLEL_WORLDS => {
-            pool.install(|| halve(worlds, actions, width, out, extent, job));
-        }
-        _ => each(worlds, actions, width, out, extent, job),
-    }
-}
-
-fn halve<J>(
-    worlds: &mut [World],
-    actions: &[Real],
-    width: usize,
-    out: StepBuffers<'_>,
-    extent: Extent,
-    job: &J,
-) where
-    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
-{
-    if worlds.len() <= GRAIN_WORLDS {
-        return each(worlds, actions, width, out, extent, job);
-    }
-    let middle = worlds.len() / 2;
-    let (left, right) = worlds.split_at_mut(middle);
-    let (left_actions, right_actions) = actions.split_at(middle * width);
-    let (left_out, right_out) = out.split_at(middle, extent);
-    rayon::join(
-        || halve(left, left_actions, width, left_out, extent, job),
-        || halve(right, right_actions, width, right_out, extent, job),
-    );
-}
-
-fn each<J>(
-    worlds: &mut [World],
-    actions: &[Real],
-    width: usize,
-    mut out: StepBuffers<'_>,
-    extent: Extent,
-    job: &J,
-) where
-    J: Fn(usize, &mut World, &[Real], StepBuffers<'_>) + Sync,
-{
-    for (i, world) in worlds.iter_mut().enumerate() {
-        let actions = &actions[i * width..(i + 1) * width];
-        job(world.idx, world, actions, out.world(i, extent));
     }
 }

@@ -1,11 +1,11 @@
 //! Reward of a step: the sum of named components, each also reported as a column.
 
+use crate::events::{Contact, ContactKind};
 use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::columns::Col;
 use crate::world::config::{RewardForm, WorldConfig};
 use crate::world::episode::{STANDING_M, Slot};
-use crate::world::tick::StepFacts;
 
 /// Scale of accelerations in the discomfort, m/s².
 const COMFORT_MPS2: Real = 4.0;
@@ -23,6 +23,26 @@ const SPEEDING_MPS: Real = 5.0;
 const LEAST_TTC_S: Real = 0.95;
 /// Share of the route that makes an episode a success.
 const SUCCESS_COMPLETION: Real = 0.95;
+
+/// What a slot's reward is made from, besides its state.
+pub(crate) struct StepFacts {
+    /// A contact that begins in this step.
+    pub(crate) contact: Option<Contact>,
+    pub(crate) ttc_s: Real,
+    pub(crate) log_distance_m: Real,
+}
+
+impl StepFacts {
+    /// Number of the side that is hit, as in the columns.
+    pub(crate) fn contact_number(&self) -> Real {
+        match self.contact.map(|c| c.kind) {
+            None => 0.0,
+            Some(ContactKind::Front) => 1.0,
+            Some(ContactKind::Rear) => 2.0,
+            Some(ContactKind::Side) => 3.0,
+        }
+    }
+}
 
 /// Fills a slot's columns (all but the time limit) and returns the reward. `slot.best_s_m` holds the progress of
 /// this step already; `slot` learns accidents and the goal.

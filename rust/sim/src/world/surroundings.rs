@@ -32,15 +32,6 @@ fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
     (a - b).norm_squared() <= distance_m * distance_m
 }
 
-/// Whether two agents are there and their boxes overlap.
-pub(crate) fn touching(states: &AgentStates, scene: &PreparedScene, i: usize, j: usize) -> bool {
-    let reach = scene.bodies[i].radius_m + scene.bodies[j].radius_m;
-    states.active[i]
-        && states.active[j]
-        && near(states.position(i), states.position(j), reach)
-        && states.oriented_box(i, &scene.bodies[i]).overlaps(&states.oriented_box(j, &scene.bodies[j]))
-}
-
 /// Tells a slot where its agent is beside route, lane and road.
 pub(crate) fn road_and_lane(
     states: &AgentStates,

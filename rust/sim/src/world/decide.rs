@@ -1,0 +1,44 @@
+//! Phase "decide" of a tick: the physical actions of the agents driven from outside, and what policies do with theirs.
+
+use crate::dynamics::Dynamics;
+use crate::geom::Real;
+use crate::policy::Driver;
+use crate::scene::AgentKind;
+use crate::world::assist;
+use crate::world::tick::{Shared, World};
+
+impl World {
+    pub(super) fn decide(&mut self, actions: &[Real], shared: &Shared<'_>) {
+        let width = shared.decoder.width();
+        self.actions.clear();
+        for (c, slot) in self.episode.slots.iter_mut().enumerate() {
+            let external = slot.agent_idx.is_some_and(|a| self.episode.drivers[a] == Driver::External);
+            let mut physical = [0.0; 3];
+            if external && slot.alive {
+                physical = shared.decoder.decode(&actions[c * width..(c + 1) * width]);
+                slot.last_action = shared.decoder.normalise(&physical);
+            }
+            self.actions.push(physical);
+        }
+        let mut motions = std::mem::take(&mut self.motions);
+        motions.clear();
+        let mut own = std::mem::take(&mut self.actions);
+        let view = self.view(shared.config);
+        if let Dynamics::Assisted(limits) = shared.decoder.dynamics() {
+            for (slot, action) in self.episode.slots.iter().zip(&mut own) {
+                if let Some(a) = slot.agent_idx.filter(|a| view.drivers[*a] == Driver::External) {
+                    *action = assist::unicycle_action(limits, &view, a, *action);
+                }
+            }
+        }
+        for a in 0..view.states.len() {
+            let Driver::Policy(policy_idx) = view.drivers[a] else { continue };
+            // obstacles do not move
+            if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {
+                let plan = self.episode.plans[usize::from(policy_idx)].as_ref();
+                motions.push((a as u32, shared.policies.get(policy_idx).act(&view, plan, a)));
+            }
+        }
+        (self.motions, self.actions) = (motions, own);
+    }
+}

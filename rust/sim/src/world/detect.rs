@@ -1,0 +1,48 @@
+//! Phase "events" of a tick: contacts of the agents with slots, and where these are beside route, lane and road.
+
+use crate::events::Contact;
+use crate::world::config::WorldConfig;
+use crate::world::surroundings::road_and_lane;
+use crate::world::tick::World;
+
+impl World {
+    /// Finds out what happened to the agents with slots. At the start of an episode contacts are taken as given.
+    pub(super) fn find_events(&mut self, config: &WorldConfig, at_start: bool) {
+        self.find_contacts(at_start);
+        let e = &mut self.episode;
+        for slot in &mut e.slots {
+            if let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) {
+                road_and_lane(&e.states, &self.scene, a, e.route_s_m[a], slot, config);
+            }
+        }
+    }
+
+    /// The first contact of each slot that is no initial one; initial ones are forgotten when the two have parted.
+    fn find_contacts(&mut self, at_start: bool) {
+        let (e, scene) = (&mut self.episode, &*self.scene);
+        self.contacts.clear();
+        self.contacts.resize(e.slots.len(), None);
+        let present = |a: &usize| e.states.active[*a];
+        self.present.clear();
+        self.present.extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
+        let pairs = self.collisions.pairs_of(&e.states, &scene.bodies, &scene.kinds, &self.present);
+        e.initial_contacts.retain(|(i, j)| pairs.contains(&(*i.min(j), *i.max(j))));
+        for (slot, contact) in e.slots.iter().zip(&mut self.contacts) {
+            let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
+            for &(i, j) in pairs {
+                let (i, j) = (i as usize, j as usize);
+                let other = match a {
+                    a if a == i => j,
+                    a if a == j => i,
+                    _ => continue,
+                };
+                let pair = (a as u32, other as u32);
+                if at_start {
+                    e.initial_contacts.push(pair);
+                } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
+                    *contact = Some(Contact::between(&e.states, &scene.bodies, a, other));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! Phase "move" of a tick: agents move, stop where they touch, go along their routes, enter and leave.
+
+use crate::geom::Vector2;
+use crate::policy::{Driver, Motion};
+use crate::world::config::TrafficCollision;
+use crate::world::halt;
+use crate::world::surroundings::place_is_free;
+use crate::world::tick::{Shared, World};
+
+impl World {
+    pub(super) fn move_agents(&mut self, shared: &Shared<'_>) {
+        let config = shared.config;
+        let e = &mut self.episode;
+        e.step_idx += 1;
+        e.elapsed_steps += 1;
+        let stops = config.on_traffic_collision == TrafficCollision::Stop;
+        self.before.clear();
+        if stops {
+            self.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
+        }
+        for (c, slot) in e.slots.iter().enumerate() {
+            let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
+            if slot.stopped {
+                let pose = e.states.pose(a);
+                e.states.place(a, pose, Vector2::zeros());
+            } else if e.drivers[a] == Driver::External {
+                let body = &self.scene.bodies[a];
+                shared.decoder.dynamics().step_agent(&mut e.states, a, self.actions[c], config.dt_s, body);
+            }
+        }
+        for (a, motion) in self.motions.drain(..) {
+            let a = a as usize;
+            let slot = e.slots.iter().find(|s| s.agent_idx == Some(a));
+            let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
+            match (motion, slot) {
+                (_, Some(slot)) if slot.stopped => {}
+                (Motion::Place(pose, velocity), Some(_)) => e.place(a, pose, velocity, config.dt_s),
+                // an agent with a slot waits where its policy has no more way for it
+                (Motion::Leave, Some(_)) => {
+                    let pose = e.states.pose(a);
+                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                }
+                (_, None) if e.halted[a] && !log_ended => {
+                    let pose = e.states.pose(a);
+                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                }
+                (Motion::Place(pose, velocity), None) if !log_ended => {
+                    e.place(a, pose, velocity, config.dt_s);
+                }
+                _ => e.states.active[a] = false,
+            }
+        }
+        if stops && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY)) {
+            halt::halt(e, &self.scene, &mut self.collisions, &self.before);
+        }
+        for a in 0..e.states.len() {
+            let follows_route = e.drivers[a] != Driver::REPLAY || e.has_slot(a);
+            if e.states.active[a] && follows_route {
+                let path = &self.scene.routes[a].path;
+                e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;
+            }
+        }
+        if config.late_arrivals {
+            for a in 0..self.scene.scene.num_agents() {
+                if !e.entered[a]
+                    && self.scene.scene.is_valid(a, e.step_idx)
+                    && place_is_free(e, &self.scene, a)
+                {
+                    e.enter(&self.scene, a);
+                }
+            }
+        }
+        if let Some(history) = &mut e.history {
+            history.push(&e.states);
+        }
+    }
+}

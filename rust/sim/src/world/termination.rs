@@ -1,0 +1,124 @@
+//! Phase "reward" of a tick: scores, figures, and whose episode ends by what.
+
+use crate::world::buffers::StepBuffers;
+use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::config::{Consequence, WorldConfig};
+use crate::world::episode::Phase;
+use crate::world::reward::{self, StepFacts};
+use crate::world::surroundings::log_distance;
+use crate::world::tick::World;
+
+/// What the events of a step do to an agent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Outcome {
+    /// Its episode ends.
+    ends: bool,
+    /// It stands still from now on.
+    stands: bool,
+    /// It leaves the world, where its episode ends.
+    leaves: bool,
+}
+
+impl Outcome {
+    /// What follows an event.
+    const fn after(consequence: Consequence) -> Self {
+        let (ends, stands, leaves) = match consequence {
+            Consequence::Ignore => (false, false, false),
+            Consequence::Stop => (false, true, false),
+            Consequence::Terminate => (true, true, false),
+            Consequence::Remove => (true, true, true),
+        };
+        Self { ends, stands, leaves }
+    }
+
+    /// What follows all events of a step. Who reaches its goal without an accident leaves.
+    fn of(collided: bool, off_road: bool, reached: bool, config: &WorldConfig) -> Self {
+        let at_goal = if config.terminate_at_goal { Consequence::Terminate } else { Consequence::Ignore };
+        let events = [(collided, config.on_collision), (off_road, config.on_off_road), (reached, at_goal)];
+        let none = Self { ends: false, stands: false, leaves: reached && !collided && !off_road };
+        let happened = events.into_iter().filter(|(happened, _)| *happened);
+        happened.map(|(_, consequence)| Self::after(consequence)).fold(none, |all, one| Self {
+            ends: all.ends || one.ends,
+            stands: all.stands || one.stands,
+            leaves: all.leaves || one.leaves,
+        })
+    }
+}
+
+impl World {
+    /// Rewards and figures of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
+    pub(super) fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut StepBuffers<'_>) -> bool {
+        let e = &mut self.episode;
+        let at_end = e.elapsed_steps >= config.horizon_steps
+            || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
+        self.least_times.prepare(&e.states, &self.scene.bodies);
+        for c in 0..e.slots.len() {
+            let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
+            let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
+            let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
+            let contact = self.contacts[c];
+            let facts = StepFacts {
+                contact: contact.filter(|_| !e.slots[c].touching),
+                ttc_s: self.least_times.of(&e.states, &self.scene.bodies, a, TTC_HORIZON_S),
+                log_distance_m: log_distance(e, &self.scene, a),
+            };
+            let slot = &mut e.slots[c];
+            slot.touching = contact.is_some();
+            let before_m = slot.best_s_m;
+            slot.best_s_m = before_m.max(e.route_s_m[a].min(slot.goal_s_m));
+            let reward = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
+            let collided = facts.contact.is_some();
+            let reached = columns[Col::GoalReached as usize] > 0.0;
+            let outcome = Outcome::of(collided, slot.off_road, reached, config);
+            out.terminated[c] = outcome.ends;
+            out.truncated[c] = at_end && !outcome.ends;
+            columns[Col::TimeLimit as usize] = f32::from(out.truncated[c]);
+            slot.stopped |= outcome.stands;
+            let ended = out.terminated[c] || out.truncated[c];
+            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot));
+            slot.tally.add(reward, columns);
+            out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
+            if ended {
+                slot.alive = false;
+                slot.ended_at = Some(e.elapsed_steps);
+                // who ends by an accident stays in the others' way
+                slot.stopped = true;
+                e.states.active[a] &= !outcome.leaves;
+            }
+        }
+        let done = e.slots.iter().all(|s| !s.alive);
+        if done {
+            e.phase = Phase::Ended;
+            self.ended.clear();
+            self.ended.extend(e.slots.iter().map(|s| s.tally.metrics()));
+        }
+        done
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_and_consequences_decide_who_ends_stands_and_leaves() {
+        let config =
+            |on_collision, on_off_road| WorldConfig { on_collision, on_off_road, ..WorldConfig::default() };
+        let usual = config(Consequence::Terminate, Consequence::Stop);
+        let of = |collided, off_road, reached, config: &WorldConfig| {
+            let o = Outcome::of(collided, off_road, reached, config);
+            (o.ends, o.stands, o.leaves)
+        };
+        assert_eq!(of(false, false, false, &usual), (false, false, false));
+        assert_eq!(of(true, false, false, &usual), (true, true, false));
+        assert_eq!(of(false, true, false, &usual), (false, true, false));
+        assert_eq!(of(false, false, true, &usual), (true, true, true));
+        // an accident at the goal stays in the way
+        assert_eq!(of(true, false, true, &usual), (true, true, false));
+        let gone = config(Consequence::Ignore, Consequence::Remove);
+        assert_eq!(of(true, false, false, &gone), (false, false, false));
+        assert_eq!(of(true, true, false, &gone), (true, true, true));
+        let open = WorldConfig { terminate_at_goal: false, ..gone };
+        assert_eq!(of(false, false, true, &open), (false, false, true));
+    }
+}
