@@ -1,7 +1,7 @@
 """Speed of traffic of networks: ``python benchmarks/traffic.py [--dataroot <nuscenes>]``.
 
 - *ego steps per second* of the vector environment, reset and step through Python, resets included,
-  a plan every 0.5 s, DDIM with five steps, one sample; the ego is driven by IDM.
+  a plan every 0.5 s, DDIM with five steps, one sample, and in one step; the ego is driven by IDM.
 - *plans per second* (one world planned once) and milliseconds per vehicle and plan, per vehicle and
   simulated frame (five frames a plan), for both presets. The ``paper`` network has fresh weights:
   its speed does not depend on them.
@@ -33,7 +33,7 @@ from ccdiff_env.traffic import NETWORKS
 require_networks()
 from ccdiff_env import _models  # noqa: E402
 
-ENVS = (1, 8, 32)
+ENVS = (1, 8, 32, 64)
 STEP = 40
 
 
@@ -127,6 +127,9 @@ def compare(names: list[str], scenes: SceneSet, rounds: int) -> None:
     print("Plans, one sample, not guided:")
     for name in names:
         plans(name, shipped_weights(name), scenes, rounds)
+    if "ccdiff" in names:
+        names = [*names, "ccdiff_one_step"]
+        plans(names[-1], shipped_weights(one_step=True), scenes, rounds, 1)
     print("Guided scenes of 10 s, K = 5, five samples (SimNet: one):")
     guided_scenes(names, scenes, 4 * rounds)
 
@@ -136,23 +139,22 @@ def main() -> None:
     parser.add_argument("--dataroot", help="folder of nuScenes; embedded scenes without it")
     parser.add_argument("--steps", type=int, default=50, help="steps per measurement")
     parser.add_argument("--rounds", type=int, default=3, help="plans per measurement")
-    parser.add_argument("--threads", type=int, default=1, help="threads of torch")
+    parser.add_argument("--threads", type=int, default=1, help="threads of worlds and of torch")
     parser.add_argument("--models", help="names of networks, comma-separated, or all")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     scenes = scenes_of(args.dataroot)
     vehicles = np.mean([int(s.tracks()["valid"][:, STEP].sum()) for s in scenes])
-    print(
-        f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s) of torch"
-    )
+    print(f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s)")
     if args.models is not None:
         known = [name for name in NETWORKS if shipped_weights(name).exists()]
         compare(known if args.models == "all" else args.models.split(","), scenes, args.rounds)
         return
-    print("Ego-v0 in CCDiff traffic, not guided:")
-    ego_steps(scenes, args.steps)
-    print("Ego-v0 in CCDiff traffic, criticality 1, K = 5:")
-    ego_steps(scenes, args.steps, ccdiff={"criticality": 1.0})
+    for guided, criticality in (("not guided", 0.0), ("criticality 1, K = 5", 1.0)):
+        for denoising_steps in (5, 1):
+            print(f"Ego-v0 in CCDiff traffic, {guided}, denoising steps: {denoising_steps}")
+            ccdiff = {"criticality": criticality, "denoising_steps": denoising_steps}
+            ego_steps(scenes, args.steps, ccdiff=ccdiff, num_threads=args.threads)
     print("Plans, DDIM with 5 steps, one sample:")
     plans("fast", shipped_weights(), scenes, args.rounds, 5)
     with tempfile.TemporaryDirectory() as folder:

@@ -50,7 +50,7 @@ def load(args: argparse.Namespace, which: int):
 def rules(args: argparse.Namespace) -> dict:
     options = {"traffic": args.traffic}
     if args.traffic == "ccdiff":
-        options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 5}
+        options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 1}
     return options
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
 from ccdiff_env.models import Planner, guidance_preset, shipped_weights, train
 from ccdiff_env.scenes import Scene, load_nuscenes
@@ -240,6 +241,45 @@ def test_the_shipped_network_beats_constant_velocity_on_validation_scenes(data_r
         distance = np.linalg.norm(plan.positions()[:, rows] - logged[None], axis=-1)
         ours.append(distance.mean(axis=-1).min(axis=0))
     assert np.concatenate(ours).mean() < 0.8 * np.concatenate(constant).mean()
+
+
+def test_one_step_of_the_taught_network_is_near_to_five_of_its_teacher() -> None:
+    taught, teacher = Planner(shipped_weights(one_step=True)), Planner(shipped_weights())
+    scenes = list(embedded_scenes("val"))
+    steps = [30] * len(scenes)
+
+    def ends(planner: Planner, solver_steps: int, seed: int) -> np.ndarray:
+        seeds = [100 * seed + i for i in range(len(scenes))]
+        plans = planner.plan(scenes, steps, seeds=seeds, solver_steps=solver_steps, num_samples=4)
+        return np.concatenate([plan.states[:, :, -1, :2] for plan in plans], axis=1)
+
+    five = ends(teacher, 5, 0)
+    near = np.linalg.norm(ends(taught, 1, 0) - five, axis=-1).mean()
+    untaught = np.linalg.norm(ends(teacher, 1, 0) - five, axis=-1).mean()
+    other_noise = np.linalg.norm(ends(teacher, 5, 1) - five, axis=-1).mean()
+    assert near < 0.5 * untaught
+    assert near < 0.5 * other_noise
+    with pytest.raises(ConfigError, match="taught to plan in one step"):
+        taught.plan(scenes[:1], [30])
+
+
+def test_one_denoising_step_takes_the_taught_network() -> None:
+    def plan(**ccdiff: object) -> np.ndarray:
+        env = EgoEnv(traffic="ccdiff", ccdiff={"denoising_steps": 1, **ccdiff})
+        env.reset(seed=3)
+        env.step(np.zeros(2, np.float32))
+        found = env.explain()
+        assert found is not None
+        return found.samples
+
+    own = plan()
+    np.testing.assert_array_equal(own, plan(weights=str(shipped_weights(one_step=True))))
+    assert not np.allclose(own, plan(weights=str(shipped_weights())), atol=0.1)
+    with pytest.raises(ConfigError, match="taught to plan in one step"):
+        EgoEnv(
+            traffic="ccdiff",
+            ccdiff={"weights": str(shipped_weights(one_step=True)), "denoising_steps": 5},
+        )
 
 
 @pytest.mark.parametrize("model", [name for name in NETWORKS if shipped_weights(name).exists()])

@@ -117,6 +117,17 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
         "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
         "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
+        "ccdiff_one_step": Method(
+            "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
+        ),
+        "ccdiff_one_step_unguided": Method(
+            "CCDiff, one denoising step, no guidance",
+            "ccdiff",
+            ccdiff={"num_samples": 5, "denoising_steps": 1},
+        ),
+        "ccdiff_one_step_one_sample": Method(
+            "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
+        ),
         "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
         "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
         "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),

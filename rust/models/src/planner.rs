@@ -64,8 +64,8 @@ impl PlanOptions {
 impl PlanOptions {
     /// The options as a kind of network takes them: what means nothing to it is refused, or not reported.
     ///
-    /// Networks that do not denoise are guided at once, with as many gradient steps as the guided denoising steps of the
-    /// default sampler take together.
+    /// Networks that do not denoise, or in one step alone, are guided at once on their plan, with as many gradient steps as
+    /// the guided denoising steps of the default sampler take together.
     ///
     /// # Errors
     /// [`ModelError::Config`] names the option.
@@ -75,16 +75,16 @@ impl PlanOptions {
                 (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
             return Err(ModelError::Config { field: "guidance_weight", got, expected });
         }
-        if kind.denoises() {
+        if kind.denoises() && self.sampling.solver != (Solver::Ddim { steps: 1 }) {
             return Ok(self);
         }
         let default = SampleOptions::default().solver;
-        if self.sampling.solver != default {
+        if !kind.denoises() && self.sampling.solver != default {
             let (got, expected) =
                 (format!("{:?}", self.sampling.solver), "the default: this model does not denoise");
             return Err(ModelError::Config { field: "solver", got, expected });
         }
-        self.gradient_statistics = false;
+        self.gradient_statistics &= kind.denoises();
         if let (Some(guidance), Solver::Ddim { steps }) = (&mut self.guidance, default) {
             guidance.gradient_steps *= steps - 1;
             guidance.clip = Clip::Sigma;

@@ -190,9 +190,9 @@ pub fn sample<D: Denoiser>(
             for (i, &k) in ks.iter().enumerate() {
                 let to = ks.get(i + 1).copied();
                 let (from_x0, from_xk) = schedule.ddim(k, to);
-                // a single step is guided as one that leads next to the clean end
-                let spread_to = if steps == 1 { Some(0) } else { to };
-                x = mean(&x, &Update { k, from_x0, from_xk, sigma: schedule.jump_sigma(k, spread_to) })?;
+                // the plan of a single step is guided against the spread of the noise that it is made of
+                let sigma = if steps == 1 { 1.0 } else { schedule.jump_sigma(k, to) };
+                x = mean(&x, &Update { k, from_x0, from_xk, sigma })?;
             }
         }
     }
