@@ -182,9 +182,13 @@ def test_the_newest_replay_is_that_of_the_newest_file(tmp_path, serve, browser):
 def test_the_verbs_serve_until_they_are_interrupted(verb, tmp_path):
     command = [sys.executable, "-m", "ccdiff_env.cli", *verb]
     environ = {**os.environ, "PYTHONPATH": str(Path(cli.__file__).parents[1])}
-    with subprocess.Popen(
+    # a shell that runs the tests in the background has them ignore SIGINT
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    started = subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=environ
-    ) as process:
+    )
+    signal.signal(signal.SIGINT, before)
+    with started as process:
         address = process.stdout.readline().split()[0]
         with urllib.request.urlopen(address, timeout=60) as response:
             assert b"<iframe" in response.read()

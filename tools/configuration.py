@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -200,7 +201,7 @@ def classes(found: list[Table]) -> str:
         add(table)
     text = "\n\n".join(parts)
     return subprocess.run(
-        ["ruff", "format", "-q", "--stdin-filename", "options.py", "-"],
+        [sys.executable, "-m", "ruff", "format", "-q", "--stdin-filename", "options.py", "-"],
         input=text,
         capture_output=True,
         text=True,
