@@ -148,8 +148,11 @@ def _shown(
     if not progress or done == total:
         yield from found
         return
-    from tqdm import tqdm  # an optional dependency
-
+    try:
+        from tqdm import tqdm
+    except ImportError:  # no bar without it
+        yield from found
+        return
     figures: dict[str, list[float]] = {}
     options = {"unit": "job", "dynamic_ncols": True, "smoothing": 0.0}
     with tqdm(total=total, initial=done, **options) as bar:
