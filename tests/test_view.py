@@ -298,6 +298,7 @@ def test_every_mini_scene_with_plans_of_ten_seconds_is_under_a_megabyte(data_roo
                 executed=np.ones(len(ids), bool),
                 guided=np.zeros(len(ids), bool),
                 realism_cost=np.zeros(len(ids), np.float32),
+                shift_sigmas=None,
             )
             for step in range(0, 100, 5)
         )
