@@ -265,7 +265,23 @@ def test_keys_do_what_the_help_says(visit):
     page.keyboard.press("Escape")
     assert not page.is_visible("#help")
     page.keyboard.press("s")
+    page.frames()
     assert not page.is_visible("#side")
+
+
+def test_a_key_right_after_the_help_counts(visit):
+    page = visit("one.html")
+    focus = page.evaluate(
+        """() => {
+          const help = document.getElementById("help");
+          help.showModal();
+          help.close();
+          const focus = document.activeElement, key = { key: "s", bubbles: true };
+          focus.dispatchEvent(new KeyboardEvent("keydown", key));
+          return focus.textContent.trim().slice(0, 20);
+        }"""
+    )
+    assert not page.is_visible("#side"), focus
 
 
 def test_following_keeps_an_agent_in_the_middle_and_dragging_lets_go(visit):

@@ -398,7 +398,8 @@ function wireKeys(player) {
     if (action) for (const key of keys) actions[key] = () => action(player);
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
-    if (!event.target.matches("body, .map, #timeline")) return;
+    // a dialog that was just closed keeps the focus until the next frame
+    if (!event.target.matches("body, .map, #timeline, #help *")) return;
     const action = actions[event.key] || actions[event.key.toLowerCase()];
     if (!action) return;
     event.preventDefault();
