@@ -25,7 +25,8 @@ import numpy as np
 import torch
 
 import ccdiff_env
-from ccdiff_env.bench.traffic import METHODS, episodes
+from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.traffic import episodes
 from ccdiff_env.models import Planner, require_networks, shipped_weights
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import NETWORKS

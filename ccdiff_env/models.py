@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import time
@@ -10,18 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import _native
+from ccdiff_env.curves import Curves, progress_bar
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes import Scene
 
 if TYPE_CHECKING:
     from ccdiff_env import _models
-    from ccdiff_env.config import WorldConfig
 
 __all__ = [
     "Planner",
@@ -70,45 +68,6 @@ def require_networks() -> None:
             f"networks cannot be loaded ({error}): was the package built without them? "
             f"With torch {TORCH} installed: pip install --no-build-isolation ."
         ) from error
-
-
-def traffic_policies(
-    config: WorldConfig, scenes: Sequence[Scene], num_threads: int
-) -> dict[str, object]:
-    """Return the policies of a configuration that need a network, by name, for the native worlds.
-
-    They plan on ``num_threads`` threads; plans do not depend on their number.
-
-    Raises
-    ------
-    MissingFeatureError
-        See :func:`require_networks`.
-    ConfigError, CheckpointError, SceneError, OSError
-        Settings, weights or scenes do not fit; the message says which.
-    """
-    wanted = _native.networks_wanted(config.to_json())
-    if not wanted:
-        return {}
-    require_networks()
-    from ccdiff_env import _models
-
-    def weights(kind: str, options: str) -> Path:
-        settings = json.loads(options)
-        return weights_path(settings["weights"], kind, settings["denoising_steps"])
-
-    return {
-        name: _models.traffic_policy(
-            name,
-            kind,
-            options,
-            weights(kind, options),
-            config.dt_s,
-            config.history_steps,
-            num_threads,
-            list(scenes),
-        )
-        for name, kind, options in wanted
-    }
 
 
 def shipped_weights(model: str = "ccdiff", *, one_step: bool = False) -> Path:
@@ -305,40 +264,6 @@ class Planner:
         return [ScenePlan(**plan) for plan in plans]
 
 
-class _Progress(Protocol):
-    def update(self, n: float) -> object: ...
-    def set_postfix_str(self, s: str) -> object: ...
-    def close(self) -> object: ...
-
-
-class _Silent:
-    """Progress bar that shows nothing."""
-
-    def update(self, n: float) -> None: ...
-    def set_postfix_str(self, s: str) -> None: ...
-    def close(self) -> None: ...
-
-
-def _progress_bar(total: float, unit: str, shown: bool) -> _Progress:
-    if not shown:
-        return _Silent()
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return _Silent()
-    form = "{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}{postfix}]"
-
-    class Bar(tqdm):  # type: ignore[misc]
-        """Ends at its total: beyond it tqdm forgets the total, and the format asks for it."""
-
-        def update(self, n: float | None = 1) -> bool | None:
-            shown: bool | None = super().update(min(n or 0, total - self.n))
-            return shown
-
-    bar: _Progress = Bar(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
-    return bar
-
-
 @contextmanager
 def _own_generator(seed: int) -> Iterator[None]:
     """Seed torch's generator for fresh weights and put the caller's back afterwards."""
@@ -347,48 +272,6 @@ def _own_generator(seed: int) -> Iterator[None]:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield
-
-
-class _Curves:
-    """Loss and validation curves: CSV files, and TensorBoard where it is installed."""
-
-    def __init__(self, out: Path, step: int) -> None:
-        self._out = out
-        for name in ("loss.csv", "validation.csv"):
-            _truncate_after(out / name, step)
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            self._board = None
-        else:
-            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step)
-
-    def write(self, name: str, step: int, values: dict[str, float]) -> None:
-        """Append a row to ``<name>.csv``."""
-        path = self._out / f"{name}.csv"
-        fresh = not path.exists()
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            if fresh:
-                writer.writerow(["step", *values])
-            writer.writerow([step, *(f"{v:.6g}" for v in values.values())])
-        if self._board is not None:
-            for key, value in values.items():
-                self._board.add_scalar(f"{name}/{key}", value, step)
-
-    def close(self) -> None:
-        """Flush TensorBoard."""
-        if self._board is not None:
-            self._board.close()
-
-
-def _truncate_after(path: Path, step: int) -> None:
-    """Drop rows past a step, which a killed run wrote after its last checkpoint."""
-    if not path.exists():
-        return
-    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [r for r in rows if not r.split(",")[0].isdigit() or int(r.split(",")[0]) <= step]
-    path.write_text("".join(kept), encoding="utf-8")
 
 
 def train(
@@ -502,7 +385,7 @@ def train(
     if resumed:
         run.resume(os.fspath(state))
     notes = {"licence": LICENCE, "num_scenes": len(scenes), "smooth": smooth, **(notes or {})}
-    curves = _Curves(folder, run.step)
+    curves = Curves(folder, run.step)
     try:
         _loop(
             run,
@@ -531,7 +414,7 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
 def _loop(
     run: _models.Trainer,
     folder: Path,
-    curves: _Curves,
+    curves: Curves,
     steps: int | None,
     minutes: float | None,
     notes: dict[str, Any],
@@ -543,7 +426,7 @@ def _loop(
     begin = last = time.monotonic()
     first = run.step
     total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
-    bar = _progress_bar(total, "s" if steps is None else "steps", progress)
+    bar = progress_bar(total, "s" if steps is None else "steps", progress)
     said = ""
 
     def checkpoint() -> None:

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from browser_page import Page
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -41,6 +42,42 @@ def browser():
         chromium = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Replay pages: of a rollout with plans, and of it beside its log."""
+    from view_rollouts import planned_rollout
+
+    from ccdiff_env.view import log_rollout, write_page
+    from ccdiff_env.view.index import write_pages
+
+    folder = tmp_path_factory.mktemp("pages")
+    rollout = planned_rollout()
+    write_page(rollout, folder / "one.html")
+    log = log_rollout(rollout.scene, like=rollout)
+    write_page(rollout, folder / "two.html", compare=log, titles=("run", "log"))
+    rollout.save(folder / "a.npz")
+    log.save(folder / "b.npz")
+    write_pages(folder, folder)
+    return folder
+
+
+@pytest.fixture
+def visit(browser, files):
+    """Open a page; at the end nothing may have failed and nothing may have been asked for."""
+    pages = []
+
+    def go(name, **options):
+        pages.append(Page(browser, files / name, **options))
+        return pages[-1]
+
+    yield go
+    for page in pages:
+        assert page.faults == []
+        assert [url for url in page.requests if not url.startswith("file://")] == []
+        assert len(page.requests) == 1
+        page.context.close()
 
 
 @pytest.fixture(scope="session")

@@ -19,12 +19,13 @@ from ccdiff_env import _native, cli
 from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
-from ccdiff_env.bench.traffic import METHODS, control_set, evaluate, traffic_jobs
+from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import scores
 

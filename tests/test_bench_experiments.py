@@ -11,10 +11,11 @@ import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench.correlation import correlations, write_correlations
 from ccdiff_env.bench.episode import features, relations
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.speed import Timing, choose_moments, fit, write_speed
 from ccdiff_env.bench.tables import Condition
-from ccdiff_env.bench.traffic import METHODS, START_STEP, episodes, evaluate
+from ccdiff_env.bench.traffic import START_STEP, episodes, evaluate
 from ccdiff_env.metrics import speed_limit
 
 VAL = {"embedded": "val"}

@@ -9,9 +9,10 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import cli
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.bench.tables import conditions
-from ccdiff_env.bench.traffic import METHODS, control_set, episodes, evaluate, traffic_jobs
+from ccdiff_env.bench.traffic import control_set, episodes, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.traffic import read_ranking
 

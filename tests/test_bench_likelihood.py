@@ -20,8 +20,9 @@ from ccdiff_env.bench.likelihood import (
     likelihood_jobs,
     motion_features,
 )
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.bench.traffic import METHODS, START_STEP, episodes
+from ccdiff_env.bench.traffic import START_STEP, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 
 VAL = {"embedded": "val"}

@@ -47,9 +47,9 @@ def test_a_missing_data_set_is_an_error_in_one_line(
 
 
 def test_a_progress_bar_does_not_run_past_its_end():
-    from ccdiff_env.models import _progress_bar
+    from ccdiff_env.curves import progress_bar
 
-    bar = _progress_bar(10.0, "s", True)
+    bar = progress_bar(10.0, "s", True)
     bar.update(9.9)
     bar.update(1.0)
     bar.update(3.0)

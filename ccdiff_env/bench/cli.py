@@ -79,9 +79,10 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.comparison import write_comparison
     from ccdiff_env.bench.correlation import write_correlations
     from ccdiff_env.bench.examples import choose_examples, examples_table
+    from ccdiff_env.bench.methods import METHODS, PAPER_METHODS
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.tables import condition_of, conditions, summarise, write_tables
-    from ccdiff_env.bench.traffic import METHODS, PAPER_METHODS, traffic_jobs
+    from ccdiff_env.bench.traffic import traffic_jobs
     from ccdiff_env.traffic import read_ranking
 
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition, Figures, in_order, interval, with_scores
-from ccdiff_env.bench.traffic import METHODS
 from ccdiff_env.metrics import generational_distance
 
 __all__ = ["PAPER", "Difference", "difference", "paper_pairs", "write_comparison"]

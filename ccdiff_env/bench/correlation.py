@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
-from ccdiff_env.bench.traffic import METHODS
 from ccdiff_env.metrics import pearson
 
 __all__ = ["Correlation", "correlations", "write_correlations"]

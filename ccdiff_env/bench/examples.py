@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
-from ccdiff_env.bench.traffic import METHODS
 
 __all__ = ["choose_examples", "examples_table"]
 

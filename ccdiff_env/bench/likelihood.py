@@ -18,8 +18,9 @@ import numpy.typing as npt
 from ccdiff_env import causal
 from ccdiff_env.bench.episode import Episode, drivable
 from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
-from ccdiff_env.bench.traffic import CHUNK, METHODS, episodes
+from ccdiff_env.bench.traffic import CHUNK, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.traffic import NETWORKS

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planner_report import mean_interval
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
-from ccdiff_env.bench.traffic import METHODS
 
 __all__ = ["write_likelihoods"]
 

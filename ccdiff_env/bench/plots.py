@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition, Figures
-from ccdiff_env.bench.traffic import METHODS
 from ccdiff_env.metrics import scores
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.traffic import METHODS
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
 
 __all__ = [

@@ -12,9 +12,7 @@ by the same ranking for every method, and filled up by nearness, not at random
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,18 +21,18 @@ import numpy.typing as npt
 from ccdiff_env import causal
 from ccdiff_env.bench.episode import Episode, drivable, logged, measure, relations
 from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import Motion
-from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL
 
-__all__ = ["METHODS", "Method", "episodes", "evaluate", "traffic_jobs"]
+__all__ = ["episodes", "evaluate", "traffic_jobs"]
 
 #: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
 START_STEP: int = PAPER_PROTOCOL["history_steps"]
@@ -43,152 +41,6 @@ HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 CHUNK = 12
 #: Speed below which a logged vehicle counts as standing, m/s.
 STANDING_MPS = 0.5
-
-
-@dataclass(frozen=True)
-class Method:
-    """A way to drive the vehicles of the control set.
-
-    Parameters
-    ----------
-    label
-        Name in tables.
-    driver
-        Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
-    ranking
-        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set. With
-        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
-        ``given``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
-    ccdiff
-        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-    num_guided
-        Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
-        for ``None``.
-    guidance
-        What differs from the preset that ``ccdiff`` names.
-    """
-
-    label: str
-    driver: str
-    ranking: str = "cliques"
-    ccdiff: Mapping[str, Any] = field(default_factory=dict)
-    num_guided: int | None = None
-    guidance: Mapping[str, Any] = field(default_factory=dict)
-
-    def options(self) -> dict[str, Any]:
-        """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
-        if not self.guidance:
-            return dict(self.ccdiff)
-        preset = guidance_preset(self.ccdiff["guidance"])
-        return {**self.ccdiff, "guidance": {**preset, **self.guidance}}
-
-
-_GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
-
-#: Objectives that seek speed on the road. The loss has a gradient above its limit only, therefore
-#: the limit is a walking pace; what counts as over-speed is decided by the metric.
-_OVER_SPEED = [
-    {"kind": "over_speed", "weight": -1.0, "limit_mps": 1.0},
-    {"kind": "map_collision", "weight": 1.0},
-]
-
-#: Rankings that only a planning network can make.
-OWN_RANKINGS = ("greedy", "gradient")
-
-
-class _Methods(dict[str, Method]):
-    """Methods by name; a model of one's own is named by its path, ``module:Class``."""
-
-    def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or ":" in str(name)
-
-    def __missing__(self, name: str) -> Method:
-        if ":" not in name:
-            raise KeyError(name)
-        return Method(name.partition(":")[2], name)
-
-
-#: The methods by name. More may be added: a driver is all that one needs.
-METHODS: dict[str, Method] = _Methods(
-    {
-        "replay": Method("Log replay", "replay"),
-        "constant_velocity": Method("Constant velocity", "constant_velocity"),
-        "idm": Method("IDM", "idm"),
-        "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
-        "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
-        "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
-        "ccdiff_one_step": Method(
-            "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
-        ),
-        "ccdiff_one_step_unguided": Method(
-            "CCDiff, one denoising step, no guidance",
-            "ccdiff",
-            ccdiff={"num_samples": 5, "denoising_steps": 1},
-        ),
-        "ccdiff_one_step_one_sample": Method(
-            "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
-        ),
-        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
-        "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
-        "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
-        "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
-        "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
-        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
-        "ccdiff_no_enc": Method(
-            "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
-        ),
-        "ccdiff_top2": Method(
-            "CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2
-        ),
-        "ccdiff_released": Method(
-            "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
-        ),
-    }
-)
-
-#: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
-_NETWORKS = {
-    "simnet": "SimNet",
-    "trafficsim": "TrafficSim",
-    "trafficsim_port": "TrafficSim, as ported",
-    "strive": "STRIVE",
-    "bits": "BITS",
-    "ctg": "CTG",
-    "ctgpp": "CTG++",
-    "ccdiff_equal": "CCDiff, equal training",
-}
-for _name, _label in _NETWORKS.items():
-    # a regression has one plan
-    _own: dict[str, Any] = {"num_samples": 1 if _name == "simnet" else 5}
-    _driver = _name.removesuffix("_equal")
-    if _driver != _name:
-        _own["weights"] = str(shipped_weights(_name))
-    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
-    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
-# BITS chooses among its plans; moving them as well is its other composition
-METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
-METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
-for _name in ("ccdiff", "ccdiff_equal", "ctg"):
-    METHODS[f"{_name}_over_speed"] = dataclasses.replace(
-        METHODS[_name],
-        label=f"{METHODS[_name].label}, over-speed",
-        guidance={"objectives": _OVER_SPEED},
-    )
-
-#: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
-PAPER_METHODS: tuple[str, ...] = tuple(
-    f"{name}{suffix}"
-    for name in (*_NETWORKS, "ccdiff")
-    if shipped_weights(name).exists()
-    for suffix in ("", "_unguided")
-)
-
-#: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
-_REORDERED = {
-    name
-    for name, method in METHODS.items()
-    if method.ccdiff is _GUIDED and method.ranking != "cliques"
-}
 
 
 def traffic_jobs(
@@ -248,7 +100,7 @@ def traffic_jobs(
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
         for k in num_controlled:
-            if k is None and method in _REORDERED and "ccdiff" in methods:
+            if k is None and method in REORDERED and "ccdiff" in methods:
                 continue
             every = METHODS[method].driver in NETWORKS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]

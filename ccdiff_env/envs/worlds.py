@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import operator
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
@@ -18,7 +20,7 @@ from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
-from ccdiff_env.models import traffic_policies
+from ccdiff_env.models import require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
@@ -179,7 +181,7 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            traffic_policies(config, scenes, min(num_threads, _num_processors())),
+            _policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
         if criticality is not None and not self.native.planners:
@@ -389,3 +391,40 @@ class FollowsTraining:
             If there is no curriculum, or the number is out of range.
         """
         self.worlds.set_progress(progress)
+
+
+def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) -> dict[str, object]:
+    """Return the policies of a configuration that need a network, by name, for the native worlds.
+
+    They plan on ``num_threads`` threads; plans do not depend on their number.
+
+    Raises
+    ------
+    MissingFeatureError
+        See :func:`~ccdiff_env.models.require_networks`.
+    ConfigError, CheckpointError, SceneError, OSError
+        Settings, weights or scenes do not fit; the message says which.
+    """
+    wanted = _native.networks_wanted(config.to_json())
+    if not wanted:
+        return {}
+    require_networks()
+    from ccdiff_env import _models
+
+    def weights(kind: str, options: str) -> Path:
+        settings = json.loads(options)
+        return weights_path(settings["weights"], kind, settings["denoising_steps"])
+
+    return {
+        name: _models.traffic_policy(
+            name,
+            kind,
+            options,
+            weights(kind, options),
+            config.dt_s,
+            config.history_steps,
+            num_threads,
+            list(scenes),
+        )
+        for name, kind, options in wanted
+    }

@@ -1,0 +1,158 @@
+"""Methods of the traffic benchmark: who drives the control set, and how."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ccdiff_env.models import guidance_preset, shipped_weights
+
+__all__ = ["METHODS", "OWN_RANKINGS", "PAPER_METHODS", "REORDERED", "Method"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to drive the vehicles of the control set.
+
+    Parameters
+    ----------
+    label
+        Name in tables.
+    driver
+        Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
+    ranking
+        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set. With
+        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
+        ``given``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
+    ccdiff
+        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
+    num_guided
+        Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
+        for ``None``.
+    guidance
+        What differs from the preset that ``ccdiff`` names.
+    """
+
+    label: str
+    driver: str
+    ranking: str = "cliques"
+    ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    num_guided: int | None = None
+    guidance: Mapping[str, Any] = field(default_factory=dict)
+
+    def options(self) -> dict[str, Any]:
+        """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
+        if not self.guidance:
+            return dict(self.ccdiff)
+        preset = guidance_preset(self.ccdiff["guidance"])
+        return {**self.ccdiff, "guidance": {**preset, **self.guidance}}
+
+
+_GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
+
+#: Objectives that seek speed on the road. The loss has a gradient above its limit only, therefore
+#: the limit is a walking pace; what counts as over-speed is decided by the metric.
+_OVER_SPEED = [
+    {"kind": "over_speed", "weight": -1.0, "limit_mps": 1.0},
+    {"kind": "map_collision", "weight": 1.0},
+]
+
+#: Rankings that only a planning network can make.
+OWN_RANKINGS = ("greedy", "gradient")
+
+
+class _Methods(dict[str, Method]):
+    """Methods by name; a model of one's own is named by its path, ``module:Class``."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or ":" in str(name)
+
+    def __missing__(self, name: str) -> Method:
+        if ":" not in name:
+            raise KeyError(name)
+        return Method(name.partition(":")[2], name)
+
+
+#: The methods by name. More may be added: a driver is all that one needs.
+METHODS: dict[str, Method] = _Methods(
+    {
+        "replay": Method("Log replay", "replay"),
+        "constant_velocity": Method("Constant velocity", "constant_velocity"),
+        "idm": Method("IDM", "idm"),
+        "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
+        "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
+        "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
+        "ccdiff_one_step": Method(
+            "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
+        ),
+        "ccdiff_one_step_unguided": Method(
+            "CCDiff, one denoising step, no guidance",
+            "ccdiff",
+            ccdiff={"num_samples": 5, "denoising_steps": 1},
+        ),
+        "ccdiff_one_step_one_sample": Method(
+            "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
+        ),
+        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
+        "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
+        "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
+        "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
+        "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
+        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
+        "ccdiff_no_enc": Method(
+            "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
+        ),
+        "ccdiff_top2": Method(
+            "CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2
+        ),
+        "ccdiff_released": Method(
+            "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
+        ),
+    }
+)
+
+#: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
+_NETWORKS = {
+    "simnet": "SimNet",
+    "trafficsim": "TrafficSim",
+    "trafficsim_port": "TrafficSim, as ported",
+    "strive": "STRIVE",
+    "bits": "BITS",
+    "ctg": "CTG",
+    "ctgpp": "CTG++",
+    "ccdiff_equal": "CCDiff, equal training",
+}
+for _name, _label in _NETWORKS.items():
+    # a regression has one plan
+    _own: dict[str, Any] = {"num_samples": 1 if _name == "simnet" else 5}
+    _driver = _name.removesuffix("_equal")
+    if _driver != _name:
+        _own["weights"] = str(shipped_weights(_name))
+    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
+    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
+# BITS chooses among its plans; moving them as well is its other composition
+METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
+METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
+for _name in ("ccdiff", "ccdiff_equal", "ctg"):
+    METHODS[f"{_name}_over_speed"] = dataclasses.replace(
+        METHODS[_name],
+        label=f"{METHODS[_name].label}, over-speed",
+        guidance={"objectives": _OVER_SPEED},
+    )
+
+#: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
+PAPER_METHODS: tuple[str, ...] = tuple(
+    f"{name}{suffix}"
+    for name in (*_NETWORKS, "ccdiff")
+    if shipped_weights(name).exists()
+    for suffix in ("", "_unguided")
+)
+
+#: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
+REORDERED = {
+    name
+    for name, method in METHODS.items()
+    if method.ccdiff is _GUIDED and method.ranking != "cliques"
+}

@@ -1,0 +1,93 @@
+"""Curves of a training: files, TensorBoard, a bar on the terminal."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Protocol
+
+__all__ = ["Curves", "Progress", "progress_bar"]
+
+
+class Progress(Protocol):
+    """What a training asks of a progress bar."""
+
+    def update(self, n: float) -> object:
+        """Go on by ``n`` units."""
+
+    def set_postfix_str(self, s: str) -> object:
+        """Show a text behind the bar."""
+
+    def close(self) -> object:
+        """End the bar."""
+
+
+class _Silent:
+    """Progress bar that shows nothing."""
+
+    def update(self, n: float) -> None: ...
+    def set_postfix_str(self, s: str) -> None: ...
+    def close(self) -> None: ...
+
+
+def progress_bar(total: float, unit: str, shown: bool) -> Progress:
+    """Return a bar of tqdm, or one that shows nothing where none is wanted or tqdm is missing."""
+    if not shown:
+        return _Silent()
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return _Silent()
+    form = "{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}{postfix}]"
+
+    class Bar(tqdm):  # type: ignore[misc]
+        """Ends at its total: beyond it tqdm forgets the total, and the format asks for it."""
+
+        def update(self, n: float | None = 1) -> bool | None:
+            shown: bool | None = super().update(min(n or 0, total - self.n))
+            return shown
+
+    bar: Progress = Bar(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
+    return bar
+
+
+class Curves:
+    """Loss and validation curves: CSV files, and TensorBoard where it is installed."""
+
+    def __init__(self, out: Path, step: int) -> None:
+        self._out = out
+        for name in ("loss.csv", "validation.csv"):
+            _truncate_after(out / name, step)
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            self._board = None
+        else:
+            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step)
+
+    def write(self, name: str, step: int, values: dict[str, float]) -> None:
+        """Append a row to ``<name>.csv``."""
+        path = self._out / f"{name}.csv"
+        fresh = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            if fresh:
+                writer.writerow(["step", *values])
+            writer.writerow([step, *(f"{v:.6g}" for v in values.values())])
+        if self._board is not None:
+            for key, value in values.items():
+                self._board.add_scalar(f"{name}/{key}", value, step)
+
+    def close(self) -> None:
+        """Flush TensorBoard."""
+        if self._board is not None:
+            self._board.close()
+
+
+def _truncate_after(path: Path, step: int) -> None:
+    """Drop rows past a step, which a killed run wrote after its last checkpoint."""
+    if not path.exists():
+        return
+    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [r for r in rows if not r.split(",")[0].isdigit() or int(r.split(",")[0]) <= step]
+    path.write_text("".join(kept), encoding="utf-8")

@@ -1,0 +1,68 @@
+"""A page in a real browser, as the tests of replay pages drive it."""
+
+from __future__ import annotations
+
+import time
+
+
+class Page:
+    """A page of the browser that notes what must not happen."""
+
+    def __init__(self, browser, file, hash="#t=0", **options):
+        usual = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce"}
+        self.context = browser.new_context(**usual | options)
+        self.page = self.context.new_page()
+        self.faults, self.requests = [], []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on(
+            "console", lambda m: m.type in ("error", "warning") and self.faults.append(m.text)
+        )
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(file.as_uri() + hash)
+        self.until("document.body.dataset.ready === 'yes'")
+        self.frames()
+
+    def frames(self, count=3):
+        """Wait until some frames are drawn."""
+        self.page.evaluate(
+            """n => new Promise((done) => {
+              const next = () => (n-- > 0 ? requestAnimationFrame(next) : done());
+              next();
+            })""",
+            count,
+        )
+
+    def until(self, expression, seconds=20.0):
+        """Wait until an expression holds. The page's own rules keep it from evaluating text."""
+        end = time.monotonic() + seconds
+        while not self.page.evaluate(expression):
+            assert time.monotonic() < end, expression
+            time.sleep(0.02)
+
+    def __getattr__(self, name):
+        return getattr(self.page, name)
+
+    def time(self):
+        return float(self.page.inner_text("#time"))
+
+    def state(self, expression):
+        self.frames()
+        return self.page.evaluate(f"replay.{expression}")
+
+    def picture(self):
+        """Pixels of the first map as text; equal pictures give equal text."""
+        self.frames()
+        return self.page.evaluate("document.querySelector('.map').toDataURL()")
+
+    def screen(self, agent_id, pane=0):
+        """Where an agent is on the screen."""
+        return self.page.evaluate(
+            """([id, pane]) => {
+              const { run, canvas, width, height } = replay.panes[pane];
+              const pose = run.pose(run.indexOf.get(id), run.stepAt(replay.time));
+              const [x, y] = replay.camera.toScreen(pose.x, pose.y, width, height);
+              const box = canvas.getBoundingClientRect();
+              return [box.left + x, box.top + y];
+            }""",
+            [agent_id, pane],
+        )

@@ -1,0 +1,280 @@
+"""The replay page in a real Chromium: what stands beside the map, other pages, phones."""
+
+from __future__ import annotations
+
+import pytest
+from view_rollouts import planned_rollout
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def test_collisions_stand_on_the_time_line_and_in_its_tooltip(visit):
+    page = visit("one.html")
+    box = page.locator("#timeline").bounding_box()
+    x = box["x"] + 10 + (box["width"] - 20) * 3.0 / 8.0
+    page.mouse.move(x, box["y"] + 20)
+    assert "ego drove into 1" in page.get_attribute("#timeline", "title")
+    red = page.evaluate(
+        """() => {
+          const c = document.getElementById('timeline');
+          const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+          const xs = [];
+          for (let i = 0; i < d.length; i += 4)
+            if (d[i] > 200 && d[i + 1] < 60 && d[i + 2] < 70) xs.push((i / 4) % c.width / c.width);
+          return [Math.min(...xs), Math.max(...xs)];
+        }"""
+    )
+    assert red[0] == pytest.approx(3.0 / 8.0, abs=0.03)
+    assert red[1] < 0.45
+
+
+def test_figures_at_the_cursor_are_those_of_the_rollout(visit):
+    page = visit("one.html")
+    rollout = planned_rollout()
+    page.evaluate("replay.seek(2)")
+    page.frames()
+    rows = page.locator(".figure").all_inner_texts()
+    shown = {row.split("\n")[0].split(" m")[0]: row.split("\n")[-1] for row in rows}
+    expected = rollout.figures["route_distance"][19]
+    assert float(shown["route distance"]) == pytest.approx(expected, abs=0.01)
+
+
+def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
+    from ccdiff_env import causal
+
+    page = visit("one.html")
+    run = planned_rollout()
+    step = 20
+    seconds = causal.ttc(
+        run.position[:, step],
+        run.heading[:, step],
+        (run.velocity[:, step] ** 2).sum(-1) ** 0.5,
+        run.scene.sizes[:, :2],
+        run.valid[:, step],
+        normalised=False,
+    )
+    pairs = page.evaluate("replay.runs[0].pairs(20)")
+    near = {(a, b) for a, b in zip(*(seconds <= 10.0).nonzero(), strict=True) if a < b}
+    assert {(a, b) for a, b, _ in pairs} == near
+    for a, b, ttc in pairs:
+        assert ttc == pytest.approx(seconds[a, b], abs=0.03)
+
+
+def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
+    page = visit("one.html")
+    assert "ego drove into 1" in page.inner_text("#outcome .verdict")
+    assert "at 3.0 s, at fault" in page.inner_text("#outcome .verdict")
+    events = page.locator(".event")
+    assert events.count() == 1
+    page.evaluate("replay.seek(7)")
+    events.first.click()
+    page.until("replay.playing && replay.time > replay.start + 1 && replay.time < replay.start + 3")
+    page.keyboard.press("End")
+    page.click(".events-head .chip")
+    assert page.state("flags.ego") is False
+    assert page.get_attribute(".events-head .chip", "aria-pressed") == "false"
+
+
+def test_the_soonest_contacts_are_those_of_the_chosen_agent_and_a_click_shows_both(visit):
+    page = visit("one.html")
+    page.evaluate("replay.seek(2)")
+    page.frames()
+    rows = page.locator(".contact")
+    assert 1 <= rows.count() <= 5
+    first = rows.first.inner_text().split()
+    assert first[0] == "ego" or first[2] == "ego"
+    names = page.evaluate("replay.runs[0].agents.map(a => a.label)")
+    pair = [names.index(first[0]), names.index(first[2])]
+    shown = {tuple(sorted((a, b))): ttc for a, b, ttc in page.evaluate("replay.runs[0].pairs(20)")}
+    assert float(first[3]) == pytest.approx(shown[tuple(sorted(pair))], abs=0.06)
+    rows.first.click()
+    box = page.locator(".map").bounding_box()
+    for agent in pair:
+        x, y = page.screen(page.evaluate("i => replay.runs[0].agents[i].id", agent))
+        assert box["x"] < x < box["x"] + box["width"]
+        assert box["y"] < y < box["y"] + box["height"]
+
+
+def test_every_control_is_reached_by_the_keyboard(visit):
+    page = visit("two.html")
+    wanted = set(
+        page.evaluate(
+            """() => [...document.querySelectorAll("#app :is(button, select, summary, canvas)")]
+              .filter((node) => node.checkVisibility() && node.tabIndex === 0)
+              .map((node, i) => (node.dataset.nth = i))"""
+        )
+    )
+    seen = set()
+    for _ in range(len(wanted) + 3):
+        page.keyboard.press("Tab")
+        seen.add(page.evaluate("+(document.activeElement.dataset.nth ?? -1)"))
+    assert wanted - seen == set()
+    # a key presses the button that has the focus, and does nothing else
+    page.focus("#layer-graph")
+    page.keyboard.press("Space")
+    assert page.state("layers.graph") is True
+    assert page.state("playing") is False
+    page.keyboard.press("t")
+    assert page.state("layers.trails") is True
+
+
+def test_the_time_line_is_a_slider_that_says_where_it_is(visit):
+    page = visit("one.html")
+    page.focus("#timeline")
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    page.frames()
+    slider = page.locator("#timeline")
+    assert slider.get_attribute("role") == "slider"
+    assert float(slider.get_attribute("aria-valuenow")) == pytest.approx(3.0)
+    assert float(slider.get_attribute("aria-valuemax")) == pytest.approx(8.0)
+    assert "ego drove into 1" in slider.get_attribute("aria-valuetext")
+    assert "ego drove into 1" in page.inner_text("#said")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["one.html", "two.html", "index.html"])
+def test_axe_finds_nothing_serious(browser, files, axe, name, theme):
+    context = browser.new_context(color_scheme=theme, reduced_motion="reduce", bypass_csp=True)
+    page = context.new_page()
+    page.goto((files / name).as_uri())
+    if name != "index.html":
+        page.wait_for_function("document.body.dataset.ready === 'yes'")
+    page.evaluate(axe)
+    found = page.evaluate("axe.run().then((r) => r.violations)")
+    context.close()
+    serious = [v for v in found if v["impact"] in ("serious", "critical")]
+    assert [
+        (v["id"], v["nodes"][0]["html"], v["nodes"][0]["failureSummary"]) for v in serious
+    ] == []
+
+
+def test_colours_of_agents_stand_out_from_the_road(visit):
+    """A dark outline round every body: 3 to 1 at least, as WCAG 1.4.11 wants of graphics."""
+    page = visit("one.html", color_scheme="light")
+
+    def luminance(rgb):
+        parts = [c / 255 for c in rgb]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    page.evaluate("replay.layers.labels = replay.layers.lanes = false; replay.touch()")
+    page.frames()
+    half = planned_rollout().scene.sizes[0, 1] / 2
+    row = page.evaluate(
+        """(half) => {
+          const pane = replay.panes[0], { x, y, heading } = pane.run.pose(0, 0);
+          const context = pane.canvas.getContext("2d");
+          const { data, width } = context.getImageData(0, 0, pane.canvas.width, pane.canvas.height);
+          const out = [];
+          for (let r = half - 0.5; r < half + 1; r += 0.02) {
+            const [px, py] = replay.camera.toScreen(
+              x - r * Math.sin(heading), y + r * Math.cos(heading), pane.width, pane.height);
+            const at = 4 * (Math.round(py) * width + Math.round(px));
+            out.push([...data.slice(at, at + 3)]);
+          }
+          return out;
+        }""",
+        float(half),
+    )
+    lights = [luminance(rgb) for rgb in row]
+    edge = lights.index(min(lights))
+    assert edge < len(lights) - 30  # of the body, not of the road
+    assert (lights[-1] + 0.05) / (lights[edge] + 0.05) >= 3.0
+
+
+def test_two_runs_keep_step_and_share_the_view(visit):
+    page = visit("two.html")
+    assert page.locator(".pane").count() == 2
+    assert page.locator(".pane-caption b").all_inner_texts() == ["run", "log"]
+    assert page.locator(".pane-caption .badge").all_inner_texts() == ["A", "B"]
+    page.keyboard.press("End")
+    page.frames()
+    steps = page.evaluate("replay.panes.map(p => p.run.stepAt(replay.time))")
+    assert steps == [80, 80]
+    before = page.picture()
+    page.click("#layer-ghost")
+    assert page.picture() != before
+    first, second = page.locator(".map").all()
+    a, b = first.bounding_box(), second.bounding_box()
+    assert a["y"] == b["y"]
+    assert b["x"] > a["x"] + 300
+
+
+def test_an_index_is_searched_and_sorted(browser, files):
+    page = browser.new_page()
+    page.goto((files / "index.html").as_uri())
+    titles = page.locator(".card:visible h2")
+    assert titles.all_inner_texts() == ["a", "b"]
+    page.fill("#find", "as recorded")
+    assert titles.all_inner_texts() == ["b"]
+    page.fill("#find", "")
+    page.select_option("#order", "bad")
+    assert titles.all_inner_texts() == ["a", "b"]
+    page.close()
+
+
+def test_a_phone_has_room_for_everything(visit):
+    page = visit("two.html", viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    width = page.evaluate("document.documentElement.scrollWidth")
+    assert width == 390
+    first, second = page.locator(".map").all()
+    assert second.bounding_box()["y"] > first.bounding_box()["y"] + 200
+    page.tap("#play")
+    page.until("replay.time > replay.start + 0.1")
+    box = page.locator("#play").bounding_box()
+    assert box["y"] + box["height"] <= 844
+    sizes = page.evaluate(  # at once: the lists change while it plays
+        """() => [...document.querySelectorAll("#app button, #app select")]
+          .filter((control) => control.checkVisibility())
+          .map((control) => [control.offsetWidth, control.offsetHeight, control.innerText])"""
+    )
+    assert len(sizes) > 10
+    assert [size for size in sizes if min(size[:2]) < 44] == []
+    page.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
+    page.frames()
+    box = page.locator("#play").bounding_box()  # still there while one reads the panels
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= 844
+    page.tap("#help-button")
+    assert page.is_visible("#help")
+
+
+def test_a_phone_on_its_side_shows_all_options(visit):
+    page = visit("one.html", viewport={"width": 844, "height": 390}, has_touch=True, is_mobile=True)
+    assert page.is_visible("#follow")
+    assert page.locator(".map").bounding_box()["height"] > 150
+
+
+def test_a_damaged_page_says_so_and_shows_no_controls(browser, files, tmp_path):
+    text = (files / "one.html").read_text(encoding="utf-8")
+    at = text.index('class="run"') + 5000
+    (tmp_path / "torn.html").write_text(text[:at] + "AAAA" * 9 + text[at + 36 :], encoding="utf-8")
+    page = browser.new_page()
+    page.goto((tmp_path / "torn.html").as_uri())
+    page.wait_for_selector("[data-ready=failed]")
+    assert "damaged" in page.inner_text("#failure")
+    box = page.locator("#failure").bounding_box()
+    assert box["height"] == page.viewport_size["height"]
+    page.close()
+
+
+def test_two_fingers_zoom(visit):
+    page = visit("one.html", viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    session = page.context.new_cdp_session(page.page)
+    scale = page.state("camera.scale")
+
+    def touch(kind, *points):
+        session.send(
+            "Input.dispatchTouchEvent",
+            {
+                "type": kind,
+                "touchPoints": [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)],
+            },
+        )
+
+    touch("touchStart", (180, 300), (210, 300))
+    for gap in (30, 60, 90):
+        touch("touchMove", (180 - gap, 300), (210 + gap, 300))
+    touch("touchEnd")
+    assert page.state("camera.scale") > 2 * scale
