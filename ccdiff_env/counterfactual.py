@@ -26,7 +26,7 @@ from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.planners import Act, Ego, ego_driver
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes import Scene, with_tracks
 
 __all__ = [
     "Attribution",
@@ -421,24 +421,7 @@ def _cut(scene: Scene, first: int, num_steps: int) -> Scene:
         name: np.ascontiguousarray(np.concatenate([array, on[name]], axis=1)[:, first:])
         for name, array in dict[str, Any](tracks).items()
     }
-    kept = np.flatnonzero(full["valid"].any(axis=1))
-    return Scene.from_arrays(
-        scene.name,
-        agent_ids=[scene.agent_ids[i] for i in kept],
-        agent_types=[scene.agent_types[i] for i in kept],
-        agent_categories=[scene.agent_categories[i] for i in kept],
-        sizes=scene.sizes[kept],
-        position=full["position"][kept],
-        heading=full["heading"][kept],
-        velocity=full["velocity"][kept],
-        valid=full["valid"][kept],
-        dt=scene.dt,
-        token=scene.token,
-        location=scene.location,
-        source=scene.source,
-        origin=scene.origin,
-        map_layers=scene.map_layers(),
-    )
+    return with_tracks(scene, full, np.flatnonzero(full["valid"].any(axis=1)))
 
 
 def attribute(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError
 from ccdiff_env.files import parsed_object
-from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "RolloutPlan"]
@@ -277,24 +277,18 @@ class Rollout:
         heading = np.concatenate([log["heading"][:, before], self.heading], axis=1)
         for row, there in zip(heading, valid, strict=True):
             row[there] = np.unwrap(row[there])
-        kept = np.flatnonzero(valid.any(axis=1))
-        scene = self.scene
-        return Scene.from_arrays(
-            name or f"{scene.name} rollout",
-            agent_ids=[scene.agent_ids[i] for i in kept],
-            agent_types=[scene.agent_types[i] for i in kept],
-            agent_categories=[scene.agent_categories[i] for i in kept],
-            sizes=scene.sizes[kept],
-            position=np.concatenate([log["position"][:, before], self.position], axis=1)[kept],
-            heading=heading[kept],
-            velocity=np.concatenate([log["velocity"][:, before], self.velocity], axis=1)[kept],
-            valid=valid[kept],
-            dt=self.dt_s,
-            token=scene.token,
-            location=scene.location,
-            source=f"rollout of {scene.source}",
-            origin=scene.origin,
-            map_layers=scene.map_layers(),
+        tracks = {
+            "position": np.concatenate([log["position"][:, before], self.position], axis=1),
+            "heading": heading,
+            "velocity": np.concatenate([log["velocity"][:, before], self.velocity], axis=1),
+            "valid": valid,
+        }
+        return with_tracks(
+            self.scene,
+            tracks,
+            np.flatnonzero(valid.any(axis=1)),
+            name=name or f"{self.scene.name} rollout",
+            source=f"rollout of {self.scene.source}",
         )
 
     def to_scenarionet(self, path: str | os.PathLike[str], name: str | None = None) -> None:

@@ -12,6 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, overload
 
+import numpy as np
+import numpy.typing as npt
+
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -29,8 +32,15 @@ __all__ = [
 ]
 
 
-def with_tracks(scene: Scene, tracks: Mapping[str, Any]) -> Scene:
-    """Return a scene with other tracks of the same agents.
+def with_tracks(
+    scene: Scene,
+    tracks: Mapping[str, Any],
+    agents: npt.NDArray[np.int64] | None = None,
+    *,
+    name: str | None = None,
+    source: str | None = None,
+) -> Scene:
+    """Return a scene with other tracks of its agents.
 
     Parameters
     ----------
@@ -39,18 +49,23 @@ def with_tracks(scene: Scene, tracks: Mapping[str, Any]) -> Scene:
     tracks
         ``position`` [A, T, 2] m, ``heading`` [A, T] rad, ``velocity`` [A, T, 2] m/s and ``valid``
         [A, T], as :meth:`Scene.tracks` gives them.
+    agents
+        Numbers [N] of the agents that stay, the ego (0) among them; all of them for ``None``.
+    name, source
+        What the scene is called and where it comes from; as before for ``None``.
     """
+    kept = np.arange(scene.num_agents) if agents is None else agents
     return Scene.from_arrays(
-        scene.name,
-        agent_ids=scene.agent_ids,
-        agent_types=scene.agent_types,
-        agent_categories=scene.agent_categories,
-        sizes=scene.sizes,
-        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
+        name or scene.name,
+        agent_ids=[scene.agent_ids[i] for i in kept],
+        agent_types=[scene.agent_types[i] for i in kept],
+        agent_categories=[scene.agent_categories[i] for i in kept],
+        sizes=scene.sizes[kept],
+        **{field: tracks[field][kept] for field in ("position", "heading", "velocity", "valid")},
         dt=scene.dt,
         token=scene.token,
         location=scene.location,
-        source=scene.source,
+        source=source or scene.source,
         origin=scene.origin,
         map_layers=scene.map_layers(),
     )
