@@ -50,16 +50,12 @@ def play(scenes: SceneSet, ccdiff: dict[str, Any], world: dict[str, Any], seed: 
     native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
     actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
     states = [[native.states(i)] for i in range(len(scenes))]
-    running = list(range(len(scenes)))
-    while running:
-        native.step(actions, out)
-        for i in running:
+    running = np.ones(len(scenes), np.bool_)
+    while running.any():
+        native.step(actions, out, running)
+        for i in np.flatnonzero(running).tolist():
             states[i].append(native.states(i))
-        running = [i for i in running if not out.done[i]]
-        if out.done.any():
-            ended = [bool(d) for d in out.done]
-            if running:
-                native.reset([seed] * len(scenes), list(range(len(scenes))), ended, out)
+        running &= ~out.done
     names = ("position", "heading", "speed", "active")
     return [{n: np.stack([s[n] for s in one], axis=1) for n in names} for one in states]
 

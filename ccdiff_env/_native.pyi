@@ -315,8 +315,11 @@ class VecWorld:
     ) -> None:
         """Begin episodes; writes into the arrays of :meth:`step_arrays`, attributes of ``out``."""
 
-    def step(self, actions: F32, out: object) -> None:
-        """Advance all worlds by one step; actions [E, C, W]."""
+    def step(self, actions: F32, out: object, active: Bool | None = None) -> None:
+        """Advance all worlds, or those of ``active`` [E], by one step; actions [E, C, W].
+
+        A world that rests stays as it is; its observations in the arrays are not touched.
+        """
 
     def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
         """Put a driver into vehicles of a world, until its episode ends."""

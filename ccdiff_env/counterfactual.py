@@ -358,14 +358,12 @@ def _try(
             acceleration = plan.acceleration_mps2[int(seconds >= plan.switch_s)]
             states = worlds.native.states(int(i))
             actions[i, 0, :2] = steering.action(int(i), states, ego, acceleration, plan.offset_m)
-        worlds.native.step(actions, out)
+        worlds.native.step(actions, out, running)
         hit = out.columns[:, 0, collision] > 0
         if stay_on_road:
             hit = hit | (out.columns[:, 0, off_road] > 0)
-        safe &= ~(hit & running)
+        safe &= ~hit
         running &= ~hit & ~out.done
-        for i in np.flatnonzero(out.done):
-            worlds.native.restore(int(i), start)  # runs along unseen, so that the others go on
     return safe
 
 

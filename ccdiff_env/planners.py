@@ -143,8 +143,15 @@ class Seat:
         if self._worlds is not None and hasattr(self._act, "reset"):
             self._act.reset(self._worlds, np.asarray(indices, np.int64))
 
-    def __call__(self, obs: F32) -> npt.NDArray[Any]:
+    def __call__(self, obs: F32, active: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[Any]:
         """Return actions for rows [E, D].
+
+        Parameters
+        ----------
+        obs
+            Observations.
+        active
+            Worlds [E] that go on; all by default. The actions of the others mean nothing.
 
         Raises
         ------
@@ -154,10 +161,10 @@ class Seat:
         worlds = self._worlds
         if worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
-        due = np.ones(worlds.num_worlds, np.bool_)
+        due = np.ones(worlds.num_worlds, np.bool_) if active is None else active
         if self._held > 1:
             elapsed = [worlds.native.status(i).elapsed_steps for i in range(worlds.num_worlds)]
-            due = np.asarray(elapsed) % self._held == 0
+            due = due & (np.asarray(elapsed) % self._held == 0)
             if not due.any():
                 return self._present
         given = obs if self._form == "flat" else worlds.layout.split(obs)

@@ -164,6 +164,55 @@ def test_disabled_refuses_to_step_an_ended_world(scenes):
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("copy", [True, False])
+def test_active_worlds_run_as_single_ones_while_the_others_rest(mode, copy, scenes):
+    env = EgoVectorEnv(3, scenes=scenes, autoreset_mode=mode, copy=copy, **RULES)
+    singles = [EgoVectorEnv(1, scenes=scenes, autoreset_mode=mode, **RULES) for _ in range(3)]
+    shown = env.reset(seed=5)[0].copy()
+    for i, single in enumerate(singles):
+        single.reset(seed=5 + i)
+    draw, rested = np.random.default_rng(0), 0
+    ended = np.zeros(3, bool)
+    for action in actions_of(env, 40):
+        active = draw.random(3) < 0.6
+        if mode is AutoresetMode.DISABLED:
+            active &= ~ended
+        before = [env.snapshot(i) for i in range(3)]
+        obs, reward, terminated, truncated, infos = env.step(action, active=active)
+        for i, single in enumerate(singles):
+            if active[i]:
+                got = single.step(action[i : i + 1])
+                assert np.array_equal(obs[i], got[0][0])
+                assert (reward[i], terminated[i], truncated[i]) == tuple(
+                    part[0] for part in got[1:4]
+                )
+                assert ("speed" in infos and infos["_speed"][i]) == ("speed" in got[4])
+            else:
+                rested += 1
+                assert np.array_equal(obs[i], shown[i])
+                assert env.snapshot(i) == before[i]
+                assert not any(part[i] for part in (reward, terminated, truncated))
+                assert not any(infos[name][i] for name in infos if name.startswith("_"))
+        ended |= terminated | truncated
+        shown = obs.copy()
+    assert rested > 20
+    assert ended.any()
+
+
+@pytest.mark.parametrize("active", [[True, False], np.ones(3, bool), np.array([1, 0])], ids=repr)
+def test_worlds_that_do_not_fit_are_refused_and_nothing_moves(active, scenes):
+    env = EgoVectorEnv(2, scenes=scenes)
+    out = env.worlds.arrays()
+    env.reset(seed=0)
+    digest = env.worlds.native.digest(0)
+    with pytest.raises(ShapeError, match="active is"):
+        env.step(np.zeros((2, 2)), active=active)
+    with pytest.raises(ShapeError, match="active is"):
+        env.worlds.native.step(np.zeros((2, 1, 2), np.float32), out, active)
+    assert env.worlds.native.digest(0) == digest
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("copy", [True, False])
 def test_partial_resets_leave_the_other_worlds_alone(mode, copy, scenes):
     env = EgoVectorEnv(3, scenes=scenes, autoreset_mode=mode, copy=copy, **RULES)
     env.reset(seed=0)

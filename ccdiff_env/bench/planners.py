@@ -249,23 +249,17 @@ def drive(
         recorder.start()
     figures: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
-    while any(m is None for m in metrics):
-        actions = nothing if seat is None else seat(out.obs[:, 0])
-        native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out)
-        for i in range(len(scenes)):
-            if metrics[i] is not None:
-                continue
+    running = np.ones(len(scenes), np.bool_)
+    while running.any():
+        actions = nothing if seat is None else seat(out.obs[:, 0], running)
+        native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out, running)
+        for i in np.flatnonzero(running).tolist():
             figures[i].append(out.columns[i, 0].copy())
             if i in recorders:
                 recorders[i].step()
             if out.done[i]:
                 metrics[i] = native.ended_metrics([i])[0, 0]
-        ended = [bool(d) for d in out.done]
-        if any(ended) and any(m is None for m in metrics):
-            # ended worlds go round once more, unwatched, so that the batch stays whole
-            native.reset([seed] * len(scenes), list(range(len(scenes))), ended, out)
-            if seat is not None:
-                seat.reset(np.flatnonzero(ended))
+        running &= ~out.done
     rows = [
         {
             "scene": scene.name,

@@ -210,7 +210,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         seeds = self._seeds(seed)
         scenes = self._scenes(options.get("scene"))
-        mask = self._mask(options.get("reset_mask"))
+        mask = options.get("reset_mask")
+        mask = None if mask is None else self._reset_mask(mask)
         arrays = self._kept or self.worlds.arrays()
         if mask is not None and self._kept is None:
             for i in np.flatnonzero(~mask):
@@ -226,13 +227,19 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
         return self._observation(arrays), self._reset_infos({}, done)
 
-    def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
-        """Advance all worlds by one step.
+    def step(
+        self, actions: Any, *, active: Bool | None = None
+    ) -> tuple[Any, F32, Bool, Bool, Info]:
+        """Advance all worlds, or some of them, by one step.
 
         Parameters
         ----------
         actions
             Actions [E, W] in [-1, 1] (beyond, they are clipped), or indices [E] of the grid.
+        active
+            Worlds [E] that go on; all by default. The others stay as they are, with their present
+            observations, rewards of zero and nothing in the dictionary; ended ones may be among
+            them, so that in DISABLED mode the rest of a batch goes on.
 
         Returns
         -------
@@ -244,21 +251,25 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         Raises
         ------
         ShapeError, ActionError
-            If the actions do not fit; nothing has moved then.
+            If the actions or the worlds do not fit; nothing has moved then.
         ResetNeededError
-            Before the first reset, and in DISABLED mode for ended worlds.
+            Before the first reset, and in DISABLED mode for ended worlds that are active.
         """
         checked = self.worlds.actions(actions, self._action_shape)
+        mask = None if active is None else self._mask("active", active)
         out = self._kept or self.worlds.arrays()
-        self.worlds.native.step(checked, out)
+        self.worlds.native.step(checked, out, mask)
+        if mask is not None and self._kept is None:
+            for i in np.flatnonzero(~mask):
+                self._keep(out, int(i))
         columns, reward = out.columns[:, 0], out.reward[:, 0]
         terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
-        infos = self._step_infos(out, columns)
+        infos = self._step_infos(out, columns, mask)
         if self._copy and self._kept is not None:
             reward, terminated, truncated = reward.copy(), terminated.copy(), truncated.copy()
         return self._observation(out), reward, terminated, truncated, infos
 
-    def _step_infos(self, out: StepArrays, columns: F32) -> Info:
+    def _step_infos(self, out: StepArrays, columns: F32, active: Bool | None) -> Info:
         same_step = out.final_obs is not None
         any_done, any_reset = bool(out.done.any()), bool(out.was_reset.any())
         done = out.done
@@ -268,9 +279,9 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             infos["final_info"] = self._final_info(columns, done)
             infos["_final_info"] = done.copy()
         if self._info == "full":
-            running = ~out.was_reset if any_reset else np.ones(self.num_envs, np.bool_)
-            if not any_reset or running.any():
-                infos.update(self._figures(columns, running, any_reset))
+            running = ~out.was_reset if active is None else active & ~out.was_reset
+            if running.any():
+                infos.update(self._figures(columns, running, not running.all()))
         if self._info != "none" and any_done and not same_step:
             if self._info == "end":
                 infos.update(self._figures(columns, done, True))
@@ -366,17 +377,19 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             return [self.worlds.scene_index(one) for one in choice]
         return [self.worlds.scene_index(choice)] * self.num_envs  # type: ignore[arg-type]
 
-    def _mask(self, mask: Any) -> Bool | None:
-        if mask is None:
-            return None
+    def _mask(self, name: str, mask: Any) -> Bool:
         shape = (self.num_envs,)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
-            raise ShapeError(f"reset_mask is {mask!r}, expected a bool array of shape {shape}")
+            raise ShapeError(f"{name} is {mask!r}, expected a bool array of shape {shape}")
+        return mask.copy()
+
+    def _reset_mask(self, given: Any) -> Bool:
+        mask = self._mask("reset_mask", given)
         if not mask.any():
             raise ConfigError("reset_mask is False everywhere, expected at least one True")
         if not (self._begun | mask).all():
             raise ConfigError("the first reset must reset all worlds")
-        return mask.copy()
+        return mask
 
     def render(self) -> tuple[Image, ...] | None:
         """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""

@@ -79,8 +79,7 @@ class SelectionBatch:
         if config is None and isinstance(options.get("ccdiff", {}), dict):
             options["ccdiff"] = {"criticality": 1.0, **options.get("ccdiff", {})}
         settled = world_config(chosen, config, options)
-        # NEXT_STEP: an ended world must not keep the others from going on with their decision
-        settled = settled.with_options(driver=driver, autoreset="next_step", decision_steps=1)
+        settled = settled.with_options(driver=driver, autoreset="disabled", decision_steps=1)
         self.worlds = Worlds(
             chosen, settled, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )
@@ -178,17 +177,17 @@ class SelectionBatch:
         rows = [match.view(self.actions.num_rows).rows for match in matches]
         gaps = np.full((num_worlds, self.actions.num_rows), np.inf, np.float32)
         for row in range(max(len(found) for found in rows)):
-            for e in range(num_worlds):
-                native.restore(e, saved[e])
-                native.command(e, guided=rows[e][row : row + 1], criticality=None)
-            running = [e for e in range(num_worlds) if row < len(rows[e])]
+            running = np.array([row < len(found) for found in rows])
+            for e in np.flatnonzero(running):
+                native.restore(int(e), saved[e])
+                native.command(int(e), guided=rows[e][row : row + 1], criticality=None)
             for _ in range(steps):
                 out = self.worlds.arrays()
-                native.step(self._ego_actions(), out)
-                for e in running:
-                    gap = _gap(native, e, matches[e].ego, rows[e][row])
+                native.step(self._ego_actions(running), out, running)
+                for e in np.flatnonzero(running):
+                    gap = _gap(native, int(e), matches[e].ego, rows[e][row])
                     gaps[e, row] = min(gaps[e, row], gap)
-                running = [e for e in running if not out.done[e]]
+                running &= ~out.done
         for e in range(num_worlds):
             native.restore(e, saved[e])
         return gaps
@@ -227,42 +226,31 @@ class SelectionBatch:
             if self.worlds.native.planners:
                 strength = self.actions.criticality(actions[e])
                 native.command(e, guided=adversaries, criticality=strength)
-        ends: dict[int, tuple[bool, bool, bytes]] = {}
+        terminated, truncated = np.zeros((2, num_worlds), np.bool_)
         for _ in range(self.decision_steps):
-            if len(ends) == num_worlds:
+            running = ~self._ended
+            if not running.any():
                 break
-            self._step(ends)
-        outcomes = []
-        for e in range(num_worlds):
-            terminated, truncated, saved = ends.get(e, (False, False, b""))
-            if saved and num_worlds > 1:
-                native.restore(e, saved)
-            self._ended[e] = terminated or truncated
-            outcomes.append(self.match(e).finish(terminated, truncated))
-        return outcomes
+            out = self.worlds.arrays()
+            native.step(self._ego_actions(running), out, running)
+            for e in np.flatnonzero(running):
+                self.match(int(e)).step()
+                self._obs[e] = out.obs[e, 0]
+            terminated |= out.terminated[:, 0]
+            truncated |= out.truncated[:, 0]
+            self._ended |= out.done
+            if self.on_step is not None:
+                self.on_step()
+        return [
+            self.match(e).finish(bool(terminated[e]), bool(truncated[e])) for e in range(num_worlds)
+        ]
 
-    def _step(self, ends: dict[int, tuple[bool, bool, bytes]]) -> None:
-        """Advance by one step of the world; notes ended worlds with their last state."""
-        native = self.worlds.native
-        out = self.worlds.arrays()
-        native.step(self._ego_actions(), out)
-        for e in range(self.worlds.num_worlds):
-            if e in ends:
-                continue
-            self.match(e).step()
-            self._obs[e] = out.obs[e, 0]
-            if out.done[e]:
-                ended = bool(out.terminated[e, 0]), bool(out.truncated[e, 0])
-                ends[e] = (*ended, native.snapshot(e))
-        if self.on_step is not None:
-            self.on_step()
-
-    def _ego_actions(self) -> npt.NDArray[np.float32]:
+    def _ego_actions(self, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
         shape = (self.worlds.num_worlds, *(self.worlds.action_space.shape or ()))
         if self._act is None:
             width = self.worlds.native.action_width
             return np.zeros((self.worlds.num_worlds, 1, width), np.float32)
-        return self.worlds.actions(self._act(self._obs), shape)
+        return self.worlds.actions(self._act(self._obs, running), shape)
 
 
 def _gap(native: Any, world_idx: int, ego: int, agent: int) -> float:

@@ -217,12 +217,14 @@ impl PyVecWorld {
         Ok(())
     }
 
-    /// One step of all worlds; actions [E, C, W] float32.
+    /// One step of all worlds, or of those of `active` [E]; actions [E, C, W] float32.
+    #[pyo3(signature = (actions, out, active=None))]
     fn step<'py>(
         &mut self,
         py: Python<'py>,
         actions: &Bound<'py, PyAny>,
         out: &Bound<'py, PyAny>,
+        active: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         self.home.check()?;
         let world = &mut self.world;
@@ -231,11 +233,18 @@ impl PyVecWorld {
         self.actions.clear();
         self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let actions = &self.actions;
+        let active = match active {
+            Some(mask) => {
+                Some(typed::<bool>("active", mask, &shape[..1])?.try_readonly()?.as_slice()?.to_vec())
+            }
+            None => None,
+        };
+        let active = active.as_deref();
         let mut out = Outputs::check(out, world)?;
         let buffers = out.buffers()?;
-        enter(py, || world.step(actions, buffers).map_err(from_sim))?;
+        enter(py, || world.step(actions, active, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut self.trails {
-            trails.follow(&self.world, elements(&mut out.was_reset)?).map_err(from_sim)?;
+            trails.follow(&self.world, active, elements(&mut out.was_reset)?).map_err(from_sim)?;
         }
         Ok(())
     }

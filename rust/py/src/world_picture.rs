@@ -59,9 +59,17 @@ impl Trails {
         Ok(())
     }
 
-    /// Takes the present of every world.
-    pub(crate) fn follow(&mut self, world: &VecWorld, was_reset: &[bool]) -> Result<()> {
+    /// Takes the present of every world that went on.
+    pub(crate) fn follow(
+        &mut self,
+        world: &VecWorld,
+        active: Option<&[bool]>,
+        was_reset: &[bool],
+    ) -> Result<()> {
         for (i, was_reset) in was_reset.iter().enumerate() {
+            if active.is_some_and(|active| !active[i]) {
+                continue;
+            }
             if *was_reset {
                 self.restart(world, i)?;
                 continue;

@@ -114,7 +114,7 @@ impl Bench {
 
     fn step(&mut self) -> Result<()> {
         let (world, out, actions) = self.parts();
-        world.step(actions, out)
+        world.step(actions, None, out)
     }
 
     /// Shares of the phases in the time of a step, percent.

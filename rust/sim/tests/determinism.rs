@@ -2,6 +2,7 @@
 
 mod common;
 
+use ccdiff_sim::SimError;
 use ccdiff_sim::world::{Autoreset, Controlled, WorldConfig};
 use common::{Batch, actions, city};
 
@@ -53,6 +54,88 @@ fn a_world_alone_plays_as_in_a_batch() {
             assert_eq!(one.world.status(0).unwrap().scene_idx, all.world.status(i).unwrap().scene_idx);
         }
     }
+}
+
+/// Which worlds go on in a step, as if drawn.
+fn some(step: usize, envs: usize) -> Vec<bool> {
+    actions(step + 1000, envs).iter().map(|x| *x > 0.0).collect()
+}
+
+#[test]
+fn worlds_that_rest_stay_as_they_are_and_the_others_play_as_alone() {
+    const ENVS: usize = 9;
+    let scenes = || vec![city(12), city(30), city(8)];
+    let run = |threads: usize| {
+        let mut all = Batch::new(scenes(), config("idm"), ENVS, threads);
+        all.reset_all(100);
+        let (row, width) = (all.world.layout().size, all.columns.len() / ENVS);
+        let mut alone: Vec<Batch> = (0..ENVS).map(|_| Batch::new(scenes(), config("idm"), 1, 1)).collect();
+        for (seed, one) in (100..).zip(&mut alone) {
+            one.reset(&[Some(seed)], &[None]).unwrap();
+        }
+        let mut bits = Vec::new();
+        for t in 0..90 {
+            let (a, active) = (actions(t, 2 * ENVS), some(t, ENVS));
+            let before: Vec<_> = (0..ENVS).map(|i| all.world.snapshot(i).unwrap()).collect();
+            all.step_some(&a, &active).unwrap();
+            for (i, one) in alone.iter_mut().enumerate() {
+                if active[i] {
+                    one.step(&a[2 * i..2 * i + 2]).unwrap();
+                    assert_eq!(one.columns, all.columns[i * width..(i + 1) * width], "world {i} step {t}");
+                    assert_eq!((one.done[0], one.was_reset[0]), (all.done[i], all.was_reset[i]));
+                    assert_eq!(one.reward[0].to_bits(), all.reward[i].to_bits());
+                } else {
+                    assert!(before[i] == all.world.snapshot(i).unwrap(), "world {i} step {t}");
+                    assert!(!all.done[i] && !all.was_reset[i] && !all.terminated[i] && !all.truncated[i]);
+                    assert_eq!(all.reward[i], 0.0);
+                    assert!(all.columns[i * width..(i + 1) * width].iter().all(|x| *x == 0.0));
+                }
+                assert_eq!(one.obs, all.obs[i * row..(i + 1) * row], "world {i} step {t}");
+                assert_eq!(one.alive[0], all.alive[i]);
+                let clock = |b: &Batch, i: usize| b.world.status(i).map(|s| (s.episode, s.step_idx)).unwrap();
+                assert_eq!(clock(one, 0), clock(&all, i));
+            }
+            bits.extend(all.bits());
+        }
+        bits
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(4));
+}
+
+#[test]
+fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
+    let disabled = WorldConfig { autoreset: Autoreset::Disabled, horizon_steps: 5, ..config("idm") };
+    let mut batch = Batch::new(vec![city(12)], disabled, 3, 1);
+    batch.step_some(&[0.0; 6], &[false; 3]).unwrap();
+    assert!(matches!(
+        batch.step_some(&[0.0; 6], &[false, true, false]),
+        Err(SimError::ResetNeeded { world: 1, .. })
+    ));
+    batch.reset_all(0);
+    (0..5).for_each(|_| batch.step_some(&[0.0; 6], &[true, true, false]).unwrap());
+    assert_eq!(batch.done, [true, true, false]);
+    // the ended ones rest, with actions that are no numbers
+    let nothing = [f32::NAN, 0.0, 0.0, f32::NAN, 0.0, 0.0];
+    (0..4).for_each(|_| batch.step_some(&nothing, &[false, false, true]).unwrap());
+    assert_eq!(batch.world.status(2).unwrap().elapsed_steps, 4);
+    let digest = batch.world.digest(2).unwrap();
+    for wrong in [vec![true; 2], vec![true; 4], vec![]] {
+        assert!(matches!(
+            batch.step_some(&[0.0; 6], &wrong),
+            Err(SimError::Length { what: "active", expected: 3, .. })
+        ));
+    }
+    assert_eq!(batch.world.digest(2).unwrap(), digest);
+    // a reset that NEXT_STEP owes is still owed after a rest
+    let next = WorldConfig { autoreset: Autoreset::NextStep, horizon_steps: 5, ..config("idm") };
+    let mut batch = Batch::new(vec![city(12)], next, 1, 1);
+    batch.reset_all(0);
+    (0..5).for_each(|_| batch.step(&[0.0; 2]).unwrap());
+    batch.step_some(&[0.0; 2], &[false]).unwrap();
+    assert!(!batch.was_reset[0]);
+    batch.step(&[0.0; 2]).unwrap();
+    assert!(batch.was_reset[0]);
 }
 
 #[test]

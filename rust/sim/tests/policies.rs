@@ -141,6 +141,22 @@ fn several_policies_plan_in_one_world_and_each_is_followed() {
 }
 
 #[test]
+fn nobody_plans_for_a_world_that_rests() {
+    let mut some = batch(config("slow".into()), 3, 1);
+    let mut alone = batch(config("slow".into()), 1, 1);
+    some.reset(&[Some(3), Some(4), Some(5)], &[Some(0); 3]).unwrap();
+    alone.reset(&[Some(4)], &[Some(0)]).unwrap();
+    for t in 0..9 {
+        // worlds 0 and 2 go on in the first two steps alone
+        some.step_some(&[0.0; 6], &[t < 2, true, t < 2]).unwrap();
+        alone.step(&[0.0; 2]).unwrap();
+        let plan = |b: &Batch, i: usize| b.world.explain(i, None).unwrap().unwrap().made_at;
+        assert_eq!([plan(&some, 0), plan(&some, 1), plan(&some, 2)], [0, t / 4 * 4, 0]);
+    }
+    assert_eq!(some.obs[some.obs.len() / 3..][..alone.obs.len()], alone.obs);
+}
+
+#[test]
 fn plans_are_part_of_snapshots_and_forks_and_end_with_the_episode() {
     let mut batch = batch(config("slow".into()), 2, 1);
     batch.reset(&[Some(3), Some(4)], &[Some(0), Some(0)]).unwrap();

@@ -81,6 +81,11 @@ const MOST_THREADS: usize = 1 << 10;
 /// Most bytes of observations and rasters of one step of a batch.
 const MOST_BYTES: usize = 1 << 34;
 
+/// Whether a world of a batch goes on in a step.
+fn goes(active: Option<&[bool]>, world_idx: usize) -> bool {
+    active.is_none_or(|active| active[world_idx])
+}
+
 /// E worlds over a list of scenes.
 pub struct VecWorld {
     config: WorldConfig,
@@ -217,23 +222,43 @@ impl VecWorld {
     /// other figures are those of the last one, and accidents stay in the figures from the step on that they
     /// happened in.
     ///
+    /// Without `active` [E] all worlds go on. A world that rests stays bit for bit as it is, may be one that has ended or
+    /// was never reset, and no policy plans for it; its observations in the buffers are not touched, the rest
+    /// is that of a step in which nothing happened.
+    ///
     /// # Errors
     /// [`SimError::Length`], [`SimError::Action`] and [`SimError::ResetNeeded`] before anything changes;
     /// [`SimError::Policy`] before the step that it stops.
-    pub fn step(&mut self, actions: &[Real], mut out: StepBuffers<'_>) -> Result<()> {
-        self.check_step(actions, &out)?;
+    pub fn step(
+        &mut self,
+        actions: &[Real],
+        active: Option<&[bool]>,
+        mut out: StepBuffers<'_>,
+    ) -> Result<()> {
+        self.check_step(actions, active, &out)?;
+        for world in &self.worlds {
+            if !goes(active, world.idx) {
+                world.rest(&mut out.world(world.idx, self.extent()));
+            }
+        }
         let steps = self.config.decision_steps;
         // where a policy plans for all worlds they go on step by step together
         let stride = if self.policies.planners().is_empty() { steps } else { 1 };
         for first in (0..steps).step_by(stride) {
-            self.plan(first, &out)?;
-            self.step_held(actions, first..first + stride, out.reborrow());
+            self.plan(first, active, &out)?;
+            self.step_held(actions, active, first..first + stride, out.reborrow());
         }
         Ok(())
     }
 
-    /// Some of the steps of a decision, in all worlds whose episode has not ended in it.
-    fn step_held(&mut self, actions: &[Real], held: Range<usize>, out: StepBuffers<'_>) {
+    /// Some of the steps of a decision, in all active worlds whose episode has not ended in it.
+    fn step_held(
+        &mut self,
+        actions: &[Real],
+        active: Option<&[bool]>,
+        held: Range<usize>,
+        out: StepBuffers<'_>,
+    ) {
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -241,7 +266,10 @@ impl VecWorld {
             extent: self.extent(),
         };
         let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
-        let job = |_: usize, world: &mut World, actions: &[Real], mut out: StepBuffers<'_>| {
+        let job = |i: usize, world: &mut World, actions: &[Real], mut out: StepBuffers<'_>| {
+            if !goes(active, i) {
+                return;
+            }
             let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
             world.step(actions, held.clone(), &shared, next, &mut out, &mut |_| {});
         };
@@ -260,8 +288,8 @@ impl VecWorld {
         mut out: StepBuffers<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) -> Result<()> {
-        self.check_step(actions, &out)?;
-        self.plan(0, &out)?;
+        self.check_step(actions, None, &out)?;
+        self.plan(0, None, &out)?;
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -279,18 +307,16 @@ impl VecWorld {
         Ok(())
     }
 
-    fn check_step(&self, actions: &[Real], out: &StepBuffers<'_>) -> Result<()> {
+    fn check_step(&self, actions: &[Real], active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {
         let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
         out.check(num_worlds, self.extent())?;
         let width = self.decoder.width() * slots;
-        if actions.len() != num_worlds * width {
-            return Err(SimError::Length {
-                what: "actions",
-                got: actions.len(),
-                expected: num_worlds * width,
-            });
+        let active_len = active.map_or(num_worlds, <[bool]>::len);
+        let lengths = [("actions", actions.len(), num_worlds * width), ("active", active_len, num_worlds)];
+        if let Some((what, got, expected)) = lengths.into_iter().find(|(_, got, expected)| got != expected) {
+            return Err(SimError::Length { what, got, expected });
         }
-        for (i, world) in self.worlds.iter().enumerate() {
+        for (i, world) in self.worlds.iter().enumerate().filter(|(i, _)| goes(active, *i)) {
             match world.episode.phase {
                 Phase::NeverReset => {
                     return Err(SimError::ResetNeeded { world: i, why: "it was never reset" });
@@ -304,10 +330,12 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Lets the policies that plan do so before a step of a decision: for the worlds where they drive, that run and have
-    /// not begun anew in it.
-    fn plan(&mut self, step: usize, out: &StepBuffers<'_>) -> Result<()> {
-        let goes_on = |w: &&World| w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx]);
+    /// Lets the policies that plan do so before a step of a decision: for the active worlds where they drive, that run
+    /// and have not begun anew in it.
+    fn plan(&mut self, step: usize, active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {
+        let goes_on = |w: &&World| {
+            goes(active, w.idx) && w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx])
+        };
         let mut made = Vec::new();
         for place in 0..self.policies.planners().len() {
             let policy_idx = self.policies.planners()[place];

@@ -200,11 +200,23 @@ impl World {
         }
     }
 
-    /// Writes who is alive, and the observations.
-    pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
+    /// Writes a step in which nothing happened; observations stay as they are in the buffers.
+    pub(crate) fn rest(&self, out: &mut StepBuffers<'_>) {
+        out.clear_step();
+        out.was_reset[0] = false;
+        self.write_alive(out);
+    }
+
+    fn write_alive(&self, out: &mut StepBuffers<'_>) {
+        out.alive.fill(false);
         for (alive, slot) in out.alive.iter_mut().zip(&self.episode.slots) {
             *alive = slot.alive;
         }
+    }
+
+    /// Writes who is alive, and the observations.
+    pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
+        self.write_alive(out);
         self.observe(shared.config, shared.extent, since, out.obs, out.bev);
     }
 }

@@ -111,7 +111,11 @@ impl Batch {
     }
 
     pub(crate) fn step(&mut self, actions: &[f32]) -> Result<()> {
-        self.world.step(actions, buffers!(self))
+        self.world.step(actions, None, buffers!(self))
+    }
+
+    pub(crate) fn step_some(&mut self, actions: &[f32], active: &[bool]) -> Result<()> {
+        self.world.step(actions, Some(active), buffers!(self))
     }
 
     /// All bits that a step gives out.

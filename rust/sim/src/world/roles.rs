@@ -1,0 +1,64 @@
+//! Roles in a game of several agents: an adversary is paid what the others lose, and plays only while one of them does.
+
+use crate::geom::Real;
+use crate::world::buffers::StepBuffers;
+use crate::world::columns::{Col, NUM_COLUMNS};
+use crate::world::config::WorldConfig;
+use crate::world::tick::World;
+
+impl World {
+    /// Notes which slots hold adversaries in the present episode.
+    pub(crate) fn cast(&mut self, config: &WorldConfig) {
+        let log = &self.scene.scene;
+        let ids = config.adversaries.get(&log.name);
+        let plays = |a: usize| ids.is_some_and(|ids| ids.contains(&log.agents[a].id));
+        self.adversaries.clear();
+        self.adversaries.extend(self.episode.slots.iter().map(|s| s.agent_idx.is_some_and(plays)));
+    }
+
+    /// Rewards of adversaries over a decision that began after `since` elapsed steps: minus the mean reward of the others
+    /// who played in it, plus a share of what their own driving cost. Cuts the episodes of adversaries who are left
+    /// alone; returns whether the world's episode ends with that.
+    pub(super) fn play_roles(
+        &mut self,
+        config: &WorldConfig,
+        since: usize,
+        out: &mut StepBuffers<'_>,
+    ) -> bool {
+        let e = &mut self.episode;
+        let played = |c: usize| {
+            let slot = &e.slots[c];
+            slot.agent_idx.is_some() && slot.ended_at.is_none_or(|at| at > since)
+        };
+        let (mut sum, mut num_egos, mut num_adversaries) = (0.0, 0_u32, 0_u32);
+        for (c, is_adversary) in self.adversaries.iter().enumerate().filter(|(c, _)| played(*c)) {
+            if *is_adversary {
+                num_adversaries += 1;
+            } else {
+                sum += out.reward[c];
+                num_egos += 1;
+            }
+        }
+        if num_adversaries == 0 {
+            return false;
+        }
+        let against = f64::from(sum) / f64::from(num_egos.max(1));
+        for (c, _) in self.adversaries.iter().enumerate().filter(|(c, is)| **is && played(*c)) {
+            let columns = &out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
+            let own: Real = columns[Col::RewardOffRoad as usize] + columns[Col::RewardComfort as usize];
+            out.reward[c] = (f64::from(own * config.adversary_shaping) - against) as Real;
+        }
+        let mut left = e.slots.iter().zip(&self.adversaries).filter(|(slot, _)| slot.alive).peekable();
+        if left.peek().is_none() || !left.all(|(_, is_adversary)| *is_adversary) {
+            return false;
+        }
+        for (slot, truncated) in e.slots.iter_mut().zip(out.truncated.iter_mut()).filter(|(s, _)| s.alive) {
+            *truncated = true;
+            slot.alive = false;
+            slot.ended_at = Some(e.elapsed_steps);
+            slot.stopped = true;
+        }
+        self.end();
+        true
+    }
+}
