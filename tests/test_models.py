@@ -187,8 +187,16 @@ def test_damaged_weight_files_are_refused(weights: Path, tmp_path: Path) -> None
     bad.write_bytes(data[:-100])
     with pytest.raises(CheckpointError):
         Planner(bad)
+    flipped = bytearray(data)
+    flipped[-1] ^= 1
+    bad.write_bytes(flipped)
+    with pytest.raises(CheckpointError, match="checksum"):
+        Planner(bad)
     length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
+    own = json.loads(header["__metadata__"]["ccdiff_env"])
+    del own["checksum"]
+    header["__metadata__"]["ccdiff_env"] = json.dumps(own)
     name = next(key for key in header if key != "__metadata__")
     header["renamed"] = header.pop(name)
     text = json.dumps(header).encode()

@@ -5,9 +5,12 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Kind, Tensor};
+use xxhash_rust::xxh3::Xxh3;
 
 /// Key of the JSON string in the file's metadata.
 const HEADER: &str = "ccdiff_env";
+/// Key in the header of what [`checksum`] gives; files without it are older.
+const CHECKSUM: &str = "checksum";
 
 fn io(path: &Path, action: &'static str) -> impl FnOnce(std::io::Error) -> ModelError {
     move |source| ModelError::Io { path: path.to_path_buf(), action, source }
@@ -22,7 +25,17 @@ fn broken(path: &Path, entry: &str, got: impl Into<String>, expected: impl Into<
     }
 }
 
-/// Writes f32 tensors and a header. The file appears whole or not at all.
+/// A hash of names and values, against damage, not against forgers.
+fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut hash = Xxh3::new();
+    for (name, bytes) in tensors {
+        hash.update(name.as_bytes());
+        hash.update(bytes);
+    }
+    format!("{:032x}", hash.digest128())
+}
+
+/// Writes f32 tensors and a header, an object. The file appears whole or not at all.
 ///
 /// # Errors
 /// [`ModelError::Io`] where it cannot be written.
@@ -42,6 +55,8 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
         .map(|(name, (shape, bytes))| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
         .collect::<std::result::Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|e| broken(path, "tensors", e.to_string(), "consistent sizes"))?;
+    let mut header = header.clone();
+    header[CHECKSUM] = checksum(data.iter().map(|(name, (_, bytes))| (*name, bytes.as_slice()))).into();
     let metadata = Some([(HEADER.to_string(), header.to_string())].into_iter().collect());
     let bytes = serialize(views, &metadata)
         .map_err(|e| broken(path, "tensors", e.to_string(), "serialisable tensors"))?;
@@ -63,12 +78,20 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)
         .as_ref()
         .and_then(|m| m.get(HEADER))
         .ok_or_else(|| broken(path, "header", "missing", format!("metadata key {HEADER:?}")))?;
-    let header =
+    let header: serde_json::Value =
         serde_json::from_str(text).map_err(|e| broken(path, "header", e.to_string(), "a JSON object"))?;
     let file =
         SafeTensors::deserialize(&bytes).map_err(|e| broken(path, "file", e.to_string(), "safetensors"))?;
+    let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
+    let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));
+    match header.get(CHECKSUM) {
+        Some(expected) if *expected != found => {
+            return Err(broken(path, CHECKSUM, found, expected.to_string()));
+        }
+        _ => {}
+    }
     let mut tensors = BTreeMap::new();
-    for (name, view) in file.tensors() {
+    for (name, view) in views {
         if view.dtype() != Dtype::F32 {
             return Err(broken(path, &name, format!("{:?}", view.dtype()), "F32"));
         }
@@ -149,6 +172,20 @@ mod tests {
         assert!(text.contains("[2, 3]") && text.contains("[3, 2]"), "{text}");
         other.remove("a");
         assert!(fill(&path, &tensors, "", &mut other).unwrap_err().to_string().contains("unknown"));
+        // one flipped bit of one number
+        let whole = std::fs::read(&path).unwrap();
+        let mut bytes = whole.clone();
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+        let text = read(&path).unwrap_err().to_string();
+        assert!(text.contains("checksum"), "{text}");
+        // a file from before there were checksums
+        let key = b"checksum";
+        let at = whole.windows(key.len()).position(|part| part == key).unwrap();
+        let mut bytes = whole.clone();
+        bytes[at..at + key.len()].copy_from_slice(b"elsewise");
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(read(&path).is_ok());
         std::fs::write(&path, b"not a tensor file").unwrap();
         assert!(matches!(read(&path), Err(ModelError::Checkpoint { .. })));
         std::fs::remove_dir_all(&dir).unwrap();
