@@ -161,6 +161,26 @@ def test_workers_of_gymnasium_run_it_when_spawned(scenes):
     env.close()
 
 
+@pytest.mark.parametrize("options", [{}, {"criticality": 1.0}])
+def test_processes_of_stable_baselines3_give_the_bits_of_one_process(options, scenes):
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+    def make():
+        return EgoEnv(scenes=scenes, traffic="ccdiff", horizon_steps=12, **options)
+
+    seen = []
+    for form in (DummyVecEnv, SubprocVecEnv):
+        env = form([make] * 2)
+        env.seed(3)
+        steps = [env.reset()]
+        for t in range(15):  # over the end of an episode
+            steps += env.step(np.full((2, 2), 0.1 * (t % 3), np.float32))[:3]
+        env.close()
+        seen.append(steps)
+    for one, other in zip(*seen, strict=True):
+        assert np.array_equal(one, other)
+
+
 # ------------------------------------------------------------- termination and truncation
 
 
