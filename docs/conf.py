@@ -1,6 +1,7 @@
 """Sphinx: `make docs` writes the site into docs/site."""
 
 import re
+import shutil
 from pathlib import Path
 
 project = "ccdiff-env"
@@ -8,8 +9,16 @@ author = copyright = "the ccdiff-env authors"
 version = release = re.search(
     r'^version = "(.+)"$', Path(__file__).parents[1].joinpath("Cargo.toml").read_text(), re.M
 )[1]
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["site"]
+# the notebooks of the examples, run while the site is built
+shutil.copytree(
+    Path(__file__).parents[1] / "examples" / "notebooks",
+    Path(__file__).parent / "notebooks",
+    dirs_exist_ok=True,
+)
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
 html_theme = "furo"
 html_title = f"ccdiff-env {version}"
 html_copy_source = False
