@@ -416,6 +416,18 @@ class VecWorld:
     def off_road(self, world_idx: int) -> tuple[Bool, Bool]:
         """Return agents [A] with a corner, and with the centre, off the road."""
 
+    def step_metrics(self, world_idx: int, agents: Sequence[int]) -> dict[str, float]:
+        """Return metrics of the last step for some agents: ``num_agents`` that were there before
+        and after it, the share ``off_road`` of them, their mean ``discomfort``.
+        """
+
+    def candidates(
+        self, world_idx: int, rows: Sequence[int], before: Sequence[int], num_rows: int
+    ) -> dict[str, F32]:
+        """Return what a chooser of adversaries sees: ``agents`` [n, F], and ``ttc``, ``distance``,
+        ``graph``, ``attention`` [n, n], with n = num_rows + 1, the ego first.
+        """
+
     def expert_actions(self, world_idx: int) -> F32:
         """Return actions [C, W] towards each slot's next logged state."""
 
@@ -439,3 +451,4 @@ def config_tables() -> str: ...
 def default_world_config() -> str: ...
 def columns_json() -> str: ...
 def metrics_json() -> str: ...
+def candidate_features_json() -> str: ...

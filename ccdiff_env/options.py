@@ -298,6 +298,13 @@ class WorldOptions:
     on_off_road: Consequence = "terminate"
     #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.
     terminate_at_goal: bool = True
+    #: Agents with a slot that play against the others, ids by the name of the scene. The reward of
+    #: an adversary is minus the mean reward of the others; once only adversaries are left, their
+    #: episodes are cut off.
+    adversaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
+    #: Share of the rewards for its own road departures and discomfort that an adversary gets
+    #: besides (in [-1000000, 1000000]).
+    adversary_shaping: float = 0.0
     #: Speed limit where the map has none (m/s, > 0).
     speed_limit_mps: float = 15.0
     #: Actions.

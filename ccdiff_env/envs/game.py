@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.key_agents import KeyRanking, logged_vehicles, ranking_named
 from ccdiff_env.scenes import SceneSet
@@ -18,7 +17,6 @@ from ccdiff_env.scenes import SceneSet
 Agents: TypeAlias = Literal["all"] | int | Sequence[str]
 Adversaries: TypeAlias = Literal["others"] | int | Sequence[str] | None
 Names: TypeAlias = Literal["token", "slot"]
-F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
 #: Most slots of a world.
@@ -90,10 +88,28 @@ class Cast:
         """Most agents that are controlled in any scene."""
         return max(len(ids) for ids in self.ids)
 
-    def config(self, scenes: SceneSet, config: WorldConfig) -> WorldConfig:
-        """Return the configuration with these agents in its slots."""
-        chosen = dict(zip(scenes.names, self.ids, strict=True))
-        return config.with_options(controlled=chosen, num_slots=self.num_slots)
+    def config(self, scenes: SceneSet, config: WorldConfig, shaping: float) -> WorldConfig:
+        """Return the configuration with these agents in its slots, in their roles.
+
+        Parameters
+        ----------
+        scenes
+            The scenes that they were chosen in.
+        config
+            Configuration to start from.
+        shaping
+            Share of what its own driving costs it in the reward of an adversary.
+        """
+        roles = zip(scenes.names, self.ids, self.adversaries, strict=True)
+        against = {
+            name: [one for one in ids if one in chosen] for name, ids, chosen in roles if chosen
+        }
+        return config.with_options(
+            controlled=dict(zip(scenes.names, self.ids, strict=True)),
+            num_slots=self.num_slots,
+            adversaries=against,
+            adversary_shaping=shaping,
+        )
 
     def names(self, names: Names) -> tuple[str, ...]:
         """Return the names that agents can have: all ids, or one per slot."""
@@ -132,49 +148,3 @@ def _adversaries(choice: Adversaries, ids: tuple[str, ...]) -> frozenset[str]:
     if choice == "others" or count is not None:
         return frozenset(ids[1:] if count is None else ids[1 : count + 1])
     return frozenset(one for one in ids if one in choice)  # type: ignore[operator]
-
-
-class Roles:
-    """Rewards of egos and adversaries in one game.
-
-    An ego gets its own reward. An adversary gets the mean reward of the egos that played in the
-    step, with the opposite sign, and ``shaping`` times its own off-road and comfort components.
-
-    Parameters
-    ----------
-    worlds
-        The worlds.
-    shaping
-        Weight of what an adversary's own driving costs it.
-    """
-
-    def __init__(self, worlds: Worlds, shaping: float) -> None:
-        names = worlds.column_names
-        self._own = [names.index("reward_off_road"), names.index("reward_comfort")]
-        self._shaping = shaping
-
-    def rewards(self, reward: F32, columns: F32, played: Bool, adversary: Bool) -> F32:
-        """Return the rewards [E, C] of a step.
-
-        Parameters
-        ----------
-        reward, columns
-            What the step wrote, [E, C] and [E, C, M].
-        played
-            Slots [E, C] that were alive before the step.
-        adversary
-            Slots [E, C] that are adversaries.
-        """
-        egos, others = played & ~adversary, played & adversary
-        if not others.any():
-            return reward.copy()
-        num_egos = np.maximum(egos.sum(axis=-1, keepdims=True), 1)
-        against = np.where(egos, reward, 0.0).sum(axis=-1, keepdims=True) / num_egos
-        own = columns[..., self._own].sum(axis=-1) * np.float32(self._shaping)
-        return np.where(others, own - against, reward).astype(np.float32)
-
-    @staticmethod
-    def decided(alive: Bool, adversary: Bool) -> Bool:
-        """Return the worlds [E] in which adversaries go on, but no ego is left."""
-        left = (alive & adversary).any(axis=-1) & ~(alive & ~adversary).any(axis=-1)
-        return np.asarray(left)

@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.curriculum import Criticality
-from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names, Roles
+from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names
 from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
@@ -127,7 +127,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = cast.config(chosen, settled).with_options(autoreset="disabled")
+        settled = cast.config(chosen, settled, adversary_shaping)
+        settled = settled.with_options(autoreset="disabled")
         self.worlds = Worlds(
             chosen,
             settled,
@@ -151,7 +152,6 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             "criticality": criticality,
         }
         self._cast = cast
-        self._roles = Roles(self.worlds, adversary_shaping)
         self._by_token = names == "token"
         self.max_cycles = -(-settled.horizon_steps // settled.decision_steps)
         self.render_mode = render_mode
@@ -278,18 +278,12 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.worlds.native.step(self._actions(actions), self.worlds.arrays())
         out = self.worlds.last
         assert out is not None
-        played = np.zeros(self.worlds.num_slots, np.bool_)
-        played[[self._slots[name] for name in self.agents]] = True
-        parts = (out.reward[0], out.columns[0], played, self._adversary)
-        rewards = self._roles.rewards(*parts)
-        decided = bool(self._roles.decided(out.alive[0], self._adversary))
         before = self.agents
         terminations, truncations, infos, live = {}, {}, {}, []
         for name in before:
             slot = self._slots[name]
             terminations[name] = bool(out.terminated[0, slot])
-            cut = decided and bool(out.alive[0, slot])
-            truncations[name] = bool(out.truncated[0, slot]) or cut
+            truncations[name] = bool(out.truncated[0, slot])
             ended = terminations[name] or truncations[name]
             infos[name] = self._step_info(out, slot, ended)
             if not ended:
@@ -297,7 +291,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.agents = live
         if self.render_mode == "human":
             self.render()
-        shown = {name: float(rewards[self._slots[name]]) for name in before}
+        shown = {name: float(out.reward[0, self._slots[name]]) for name in before}
         observations = self._observations(out.obs, out.bev, before)
         return observations, shown, terminations, truncations, infos
 
@@ -363,8 +357,6 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self._begin()
         alive = np.array(self.worlds.native.slot_alive(0))
         self.agents = [name for name in self.agents if alive[self._slots[name]]]
-        if self._roles.decided(alive, self._adversary):
-            self.agents = []
         rows, bev = self.worlds.observe(0)
         return self._observations(rows[None], None if bev is None else bev[None], self.agents)
 

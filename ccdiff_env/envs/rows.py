@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.game import Adversaries, Agents, Cast, Roles
+from ccdiff_env.envs.game import Adversaries, Agents, Cast
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
@@ -102,7 +102,8 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = cast_of.config(chosen, settled).with_options(autoreset="same_step")
+        settled = cast_of.config(chosen, settled, adversary_shaping)
+        settled = settled.with_options(autoreset="same_step")
         self.worlds = Worlds(
             chosen,
             settled,
@@ -124,7 +125,6 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._action_shape = (self.num_envs, *(self.single_action_space.shape or ()))
         self._cast = cast_of
-        self._roles = Roles(self.worlds, adversary_shaping)
         self._info = info
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
         self._adversary = np.zeros((num_worlds, self.num_slots), np.bool_)
@@ -227,17 +227,9 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.worlds.native.step(checked, out)
         assert out.final_obs is not None
         terminated, truncated = out.terminated.copy(), out.truncated.copy()
-        rewards = self._roles.rewards(out.reward, out.columns, played, self._adversary)
+        rewards, begun = out.reward.copy(), out.done
         columns, last = out.columns.copy(), _last(out)
         metrics = self._metrics(terminated | truncated, out.done)
-        cut = self._roles.decided(out.alive & ~out.done[:, None], self._adversary) & ~out.done
-        if cut.any():
-            stopped = cut[:, None] & out.alive
-            truncated |= stopped
-            metrics = {**metrics, **self._metrics(stopped, out.done)}
-            empty: list[int | None] = [None] * self.num_worlds
-            self.worlds.native.reset(empty, empty, cut.tolist(), out)
-        begun = out.done | cut
         self._active = out.alive.copy()
         out.obs[~self._active] = 0.0
         if out.bev is not None:

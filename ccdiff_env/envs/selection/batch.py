@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.selection.match import Match, Outcome
 from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
-from ccdiff_env.envs.selection.view import observation_space, observe
+from ccdiff_env.envs.selection.view import observation_space
 from ccdiff_env.envs.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.key_agents import KeyRanking
@@ -128,13 +128,18 @@ class SelectionBatch:
 
     def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
         """Return what the chooser of a world sees."""
-        rows = self.actions.num_rows
-        return observe(self.match(world_idx).view(rows), rows)
+        match, num_rows = self.match(world_idx), self.actions.num_rows
+        rows, before = match.rows(num_rows), sorted(match.before)
+        return {
+            **self.worlds.native.candidates(world_idx, rows, before, num_rows),
+            "mask": (np.arange(num_rows) < len(rows)).astype(np.int8),
+            "time_left": np.array([match.time_left()], np.float32),
+        }
 
     def mask(self, world_idx: int) -> npt.NDArray[np.bool_]:
         """Return which rows [M] of a world hold an agent."""
         rows = self.actions.num_rows
-        present = len(self.match(world_idx).view(rows).rows)
+        present = len(self.match(world_idx).rows(rows))
         return np.arange(rows) < present
 
     def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
@@ -143,7 +148,7 @@ class SelectionBatch:
             raise unknown("baseline", str(name), BASELINES)
         ranking = BASELINES[name]
         match = self.match(world_idx)
-        place = {agent: row for row, agent in enumerate(match.view(self.actions.num_rows).rows)}
+        place = {agent: row for row, agent in enumerate(match.rows(self.actions.num_rows))}
         ranked = [] if ranking is None else match.rank(ranking, seed)
         rows = [place[agent] for agent in ranked if agent in place]
         return self.actions.action(rows[: self.actions.budget])
@@ -174,7 +179,7 @@ class SelectionBatch:
         native, num_worlds = self.worlds.native, self.worlds.num_worlds
         saved = [native.snapshot(e) for e in range(num_worlds)]
         matches = [self.match(e) for e in range(num_worlds)]
-        rows = [match.view(self.actions.num_rows).rows for match in matches]
+        rows = [match.rows(self.actions.num_rows) for match in matches]
         gaps = np.full((num_worlds, self.actions.num_rows), np.inf, np.float32)
         for row in range(max(len(found) for found in rows)):
             running = np.array([row < len(found) for found in rows])
@@ -218,9 +223,9 @@ class SelectionBatch:
         native, num_worlds = self.worlds.native, self.worlds.num_worlds
         chosen = []
         for e, action in enumerate(actions):
-            view = self.match(e).view(self.actions.num_rows)
-            mask = np.arange(self.actions.num_rows) < len(view.rows)
-            chosen.append([view.rows[row] for row in self.actions.rows(action, mask)])
+            rows = self.match(e).rows(self.actions.num_rows)
+            mask = np.arange(self.actions.num_rows) < len(rows)
+            chosen.append([rows[row] for row in self.actions.rows(action, mask)])
         for e, adversaries in enumerate(chosen):
             self.match(e).begin(adversaries)
             if self.worlds.native.planners:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.envs.selection.options import SelectionReward
-from ccdiff_env.envs.selection.view import SceneView
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.key_agents import KeyRanking, rank_agents
 from ccdiff_env.recorder import Recorder
@@ -139,19 +138,15 @@ class Match:
             seed=seed,
         )
 
-    def view(self, num_rows: int) -> SceneView:
-        """Return what the chooser sees, nearest agents first."""
+    def rows(self, num_rows: int) -> list[int]:
+        """Return the candidates that the chooser sees, nearest first."""
+        return self.rank("nearest")[:num_rows]
+
+    def time_left(self) -> float:
+        """Return the share of the episode that is left."""
         elapsed = self._worlds.native.status(self._world_idx).elapsed_steps
         horizon = self._worlds.config.horizon_steps
-        return SceneView(
-            states=self.states,
-            size=self._size,
-            ego=self.ego,
-            rows=self.rank("nearest")[:num_rows],
-            before=self.before,
-            plan=self.plan(),
-            time_left=max(horizon - elapsed, 0) / horizon,
-        )
+        return max(horizon - elapsed, 0) / horizon
 
     def plan(self) -> dict[str, Any] | None:
         """Return what the policy says about its latest plan, ``None`` where there is none."""
@@ -174,15 +169,10 @@ class Match:
         """Look at the world after one of its steps."""
         native, world = self._worlds.native, self._world_idx
         states: dict[str, Any] = dict(native.states(world))
-        rows = [i for i in self.before if states["active"][i] and self.states["active"][i]]
-        if rows:
-            off_road = native.off_road(world)[0]
-            self._off_road.append(float(off_road[rows].mean()))
-            acceleration = states["acceleration"][rows]
-            jerk = (acceleration - self.states["acceleration"][rows]) / self._worlds.config.dt_s
-            lateral = states["speed"][rows] * states["yaw_rate"][rows]
-            cost = (acceleration / 4.0) ** 2 + (jerk / 10.0) ** 2 + (lateral / 4.0) ** 2
-            self._discomfort.append(float(np.minimum(cost, 3.0).mean()))
+        found = native.step_metrics(world, sorted(self.before))
+        if found["num_agents"]:
+            self._off_road.append(found["off_road"])
+            self._discomfort.append(found["discomfort"])
         self._contacts()
         if self._recorder is not None:
             self._recorder.step()

@@ -188,7 +188,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     def agent_ids(self) -> tuple[str, ...]:
         """Return the ids of the agents in the rows that actions choose from."""
         match = self._batch.match(0)
-        return tuple(match.ids[i] for i in match.view(self._batch.actions.num_rows).rows)
+        return tuple(match.ids[i] for i in match.rows(self._batch.actions.num_rows))
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return which actions are legal, as MaskablePPO of sb3-contrib takes it."""

@@ -8,6 +8,7 @@ mod python_policy;
 mod render;
 mod scene;
 mod scene_map;
+mod schemas;
 mod world;
 mod world_picture;
 mod world_plans;
@@ -28,6 +29,7 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     drivers::register(m)?;
     render::register(m)?;
     scene::register(m)?;
+    schemas::register(m)?;
     world::register(m)?;
     m.add_function(wrap_pyfunction!(build_mark, m)?)?;
     Ok(())

@@ -2,17 +2,15 @@
 
 use crate::drivers;
 use crate::enter::{Home, enter};
-use crate::python_policy::PythonOptions;
 use crate::render::CentreArg;
 use crate::scene::PyScene;
+use crate::schemas::to_json;
 use crate::world_picture::{self, Shot, Trails};
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::policy::Command;
-use ccdiff_sim::world::{
-    ArraySpec, COLUMNS, METRICS, NUM_METRICS, ResetRequest, StepBuffers, TABLES, VecWorld, WorldConfig,
-};
+use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
     PyUntypedArrayMethods,
@@ -25,39 +23,7 @@ use std::sync::Arc;
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyVecWorld>()?;
-    module.add_class::<PyWorldStatus>()?;
-    module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
-    module.add_function(wrap_pyfunction!(config_tables, module)?)?;
-    module.add_function(wrap_pyfunction!(columns_json, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_json, module)?)
-}
-
-fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
-    serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
-}
-
-/// The tables of the configuration of worlds as JSON: names, defaults, units, ranges, meanings.
-#[pyfunction]
-fn config_tables() -> PyResult<String> {
-    to_json(&TABLES.iter().copied().chain([&PythonOptions::TABLE]).collect::<Vec<_>>())
-}
-
-/// The default configuration as JSON.
-#[pyfunction]
-fn default_world_config() -> PyResult<String> {
-    to_json(&WorldConfig::default())
-}
-
-/// The schema of the figures of a step as JSON: name, unit and meaning of each column.
-#[pyfunction]
-fn columns_json() -> PyResult<String> {
-    to_json(&COLUMNS)
-}
-
-/// The schema of the metrics of an episode as JSON.
-#[pyfunction]
-fn metrics_json() -> PyResult<String> {
-    to_json(&METRICS)
+    module.add_class::<PyWorldStatus>()
 }
 
 /// Worlds that play scenes. One thread at a time: a second one gets `RuntimeError`.
@@ -450,6 +416,30 @@ impl PyVecWorld {
     /// Agents with a corner, and with the centre, off the road [A] each.
     fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<world_state::OffRoadArrays<'py>> {
         Ok(world_state::off_road(py, &self.world.off_road(world_idx).map_err(from_sim)?))
+    }
+
+    /// Metrics of the last step for some agents: how many were there before and after it, the share of them off the road,
+    /// their mean discomfort.
+    fn step_metrics<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        agents: Vec<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        world_state::step_metrics(py, &self.world.step_metrics(world_idx, &agents).map_err(from_sim)?)
+    }
+
+    /// What a chooser of adversaries sees, as arrays by name.
+    fn candidates<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        rows: Vec<usize>,
+        before: Vec<usize>,
+        num_rows: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let found = self.world.candidates(world_idx, &rows, &before, num_rows).map_err(from_sim)?;
+        world_state::candidates(py, found, num_rows + 1)
     }
 
     /// Actions [C, W] that bring each slot's agent towards its next logged state.

@@ -202,6 +202,11 @@ options! {
         on_off_road: Consequence = Consequence::Terminate;
         /// Whether an agent's episode ends at its goal, the logged position at the episode's last step.
         terminate_at_goal: bool = true;
+        /// Agents with a slot that play against the others, ids by the name of the scene. The reward of an adversary is minus
+        /// the mean reward of the others; once only adversaries are left, their episodes are cut off.
+        adversaries: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        /// Share of the rewards for its own road departures and discomfort that an adversary gets besides.
+        adversary_shaping: Real = 0.0, range WEIGHT;
         /// Speed limit where the map has none.
         speed_limit_mps: Real = 15.0, unit "m/s", range above(0.0);
         /// Actions.

@@ -10,6 +10,7 @@ mod actions;
 mod assist;
 mod autoreset;
 mod buffers;
+mod candidates;
 mod columns;
 mod config;
 mod decide;
@@ -24,10 +25,12 @@ mod policies;
 mod prepared;
 mod reward;
 mod rng;
+mod roles;
 mod route;
 mod rows;
 mod scenes;
 mod snapshot;
+mod step_metrics;
 mod surroundings;
 mod tally;
 mod termination;
@@ -36,6 +39,7 @@ mod traffic;
 
 pub use actions::ActionDecoder;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
+pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, TTC_HORIZON_S};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, TABLES,
@@ -46,6 +50,7 @@ pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;
 pub use rng::Rng;
 pub use route::Route;
+pub use step_metrics::StepMetrics;
 pub use tally::{METRICS, Metrics, NUM_METRICS};
 pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, IdmConfig, Traffic};

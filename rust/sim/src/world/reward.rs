@@ -44,6 +44,13 @@ impl StepFacts {
     }
 }
 
+/// How uncomfortable a step is, 0 to 3, from acceleration and lateral acceleration (m/s²) and jerk (m/s³).
+pub(crate) fn discomfort(acceleration: Real, lateral: Real, jerk: Real) -> Real {
+    let square = |x: Real, scale: Real| (x / scale) * (x / scale);
+    (square(acceleration, COMFORT_MPS2) + square(lateral, COMFORT_MPS2) + square(jerk, COMFORT_MPS3))
+        .min(MAX_DISCOMFORT)
+}
+
 /// Fills a slot's columns (all but the time limit) and returns the reward. `slot.best_s_m` holds the progress of
 /// this step already; `slot` learns accidents and the goal.
 pub(crate) fn score(
@@ -62,10 +69,7 @@ pub(crate) fn score(
     let jerk = (acceleration - slot.acceleration_mps2) / config.dt_s;
     slot.acceleration_mps2 = acceleration;
 
-    let square = |x: Real, scale: Real| (x / scale) * (x / scale);
-    let discomfort =
-        (square(acceleration, COMFORT_MPS2) + square(lateral, COMFORT_MPS2) + square(jerk, COMFORT_MPS3))
-            .min(MAX_DISCOMFORT);
+    let discomfort = discomfort(acceleration, lateral, jerk);
     let collided = facts.contact.is_some();
     slot.ever_collided |= collided;
     slot.ever_off_road |= slot.off_road;

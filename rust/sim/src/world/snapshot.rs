@@ -66,6 +66,8 @@ impl VecWorld {
         let world = &mut self.worlds[world_idx];
         world.scene = Arc::clone(&scene);
         world.episode = episode;
+        world.cast(&self.config);
+        world.forget();
         Ok(())
     }
 

@@ -88,11 +88,16 @@ impl World {
         }
         let done = e.slots.iter().all(|s| !s.alive);
         if done {
-            e.phase = Phase::Ended;
-            self.ended.clear();
-            self.ended.extend(e.slots.iter().map(|s| s.tally.metrics()));
+            self.end();
         }
         done
+    }
+
+    /// Ends the world's episode and keeps the metrics of its slots.
+    pub(super) fn end(&mut self) {
+        self.episode.phase = Phase::Ended;
+        self.ended.clear();
+        self.ended.extend(self.episode.slots.iter().map(|s| s.tally.metrics()));
     }
 }
 

@@ -54,6 +54,11 @@ pub(crate) struct World {
     pub(super) contacts: Vec<Option<Contact>>,
     /// Metrics of the slots in the last episode that ended.
     pub(crate) ended: Vec<Metrics>,
+    /// Slots that hold adversaries.
+    pub(super) adversaries: Vec<bool>,
+    /// Acceleration and presence of all agents before the last step; empty where there was none.
+    pub(super) acceleration_before_mps2: Vec<Real>,
+    pub(super) active_before: Vec<bool>,
     pub(super) collisions: Collisions,
     pub(super) least_times: LeastTimes,
     pub(super) observer: Observer,
@@ -80,6 +85,9 @@ impl World {
             present: Vec::new(),
             contacts: Vec::new(),
             ended: Vec::new(),
+            adversaries: Vec::new(),
+            acceleration_before_mps2: Vec::new(),
+            active_before: Vec::new(),
             collisions: Collisions::new(),
             least_times: LeastTimes::default(),
             observer,
@@ -119,6 +127,8 @@ impl World {
         self.scene = scene;
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
         halt::begin(&mut self.episode, &self.scene, &mut self.collisions);
+        self.cast(shared.config);
+        self.forget();
         self.find_events(shared.config, true);
     }
 
@@ -148,6 +158,7 @@ impl World {
         out: &mut StepBuffers<'_>,
         lap: &mut impl FnMut(TickPhase),
     ) -> bool {
+        self.remember();
         self.decide(actions, shared);
         lap(TickPhase::Decide);
         self.move_agents(shared);
@@ -192,6 +203,9 @@ impl World {
             {
                 self.observe(shared.config, shared.extent, since, out.obs, out.bev);
             }
+        }
+        if !owed && (out.done[0] || !goes_on) && self.play_roles(shared.config, since, out) {
+            out.done[0] = true;
         }
         self.autoreset(owed, since, shared, next_scene, out);
         if out.done[0] || out.was_reset[0] || !goes_on {

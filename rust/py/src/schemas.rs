@@ -1,0 +1,50 @@
+//! What worlds are configured with and report, as JSON that Python reads names, units and meanings from.
+
+use crate::python_policy::PythonOptions;
+use ccdiff_bridge::errors::py;
+use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
+use pyo3::prelude::*;
+
+/// Adds the functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
+    module.add_function(wrap_pyfunction!(config_tables, module)?)?;
+    module.add_function(wrap_pyfunction!(columns_json, module)?)?;
+    module.add_function(wrap_pyfunction!(metrics_json, module)?)?;
+    module.add_function(wrap_pyfunction!(candidate_features_json, module)?)
+}
+
+/// A value as JSON.
+pub(crate) fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| py::ConfigError::new_err(e.to_string()))
+}
+
+/// The tables of the configuration of worlds as JSON: names, defaults, units, ranges, meanings.
+#[pyfunction]
+fn config_tables() -> PyResult<String> {
+    to_json(&TABLES.iter().copied().chain([&PythonOptions::TABLE]).collect::<Vec<_>>())
+}
+
+/// The default configuration as JSON.
+#[pyfunction]
+fn default_world_config() -> PyResult<String> {
+    to_json(&WorldConfig::default())
+}
+
+/// The schema of the figures of a step as JSON: name, unit and meaning of each column.
+#[pyfunction]
+fn columns_json() -> PyResult<String> {
+    to_json(&COLUMNS)
+}
+
+/// The schema of the metrics of an episode as JSON.
+#[pyfunction]
+fn metrics_json() -> PyResult<String> {
+    to_json(&METRICS)
+}
+
+/// The features of rows of candidates as JSON: name, unit, scale and meaning of each, and the bound of all.
+#[pyfunction]
+fn candidate_features_json() -> PyResult<String> {
+    to_json(&serde_json::json!({ "bound": CANDIDATE_BOUND, "features": CANDIDATE_FEATURES }))
+}
