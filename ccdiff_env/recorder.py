@@ -163,25 +163,7 @@ class Recorder:
         if self._kept.get(driver) == step:
             return
         self._kept[driver] = step
-        self._plans.append(
-            RolloutPlan(
-                step=step,
-                agent_ids=tuple(self._ids[i] for i in plan["agents"]),
-                samples=plan["samples"][..., :2].copy(),
-                **{
-                    name: plan[name]
-                    for name in (
-                        "chosen",
-                        "executed",
-                        "graph",
-                        "ttc_s",
-                        "guided",
-                        "realism_cost",
-                        "shift_sigmas",
-                    )
-                },
-            )
-        )
+        self._plans.append(RolloutPlan.of(plan, step, self._ids))
 
     def _contact_events(self, at: int) -> None:
         touching = set()

@@ -8,7 +8,7 @@ import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -46,15 +46,16 @@ _DAMAGE = (
     *(ValueError, KeyError, TypeError, AttributeError, OSError, EOFError, RuntimeError),
     *(MemoryError, SyntaxError, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
 )
-_PLAN_ARRAYS: dict[str, Any] = {
-    "samples": np.float32,
-    "chosen": np.int64,
-    "executed": np.bool_,
-    "graph": np.bool_,
-    "ttc_s": np.float32,
-    "guided": np.bool_,
-    "realism_cost": np.float32,
-    "shift_sigmas": np.float32,
+#: Arrays of a recorded plan: element type and number of axes that count agents.
+_PLAN_ARRAYS: dict[str, tuple[Any, int]] = {
+    "samples": (np.float32, 0),
+    "chosen": (np.int64, 1),
+    "executed": (np.bool_, 1),
+    "graph": (np.bool_, 2),
+    "ttc_s": (np.float32, 2),
+    "guided": (np.bool_, 1),
+    "realism_cost": (np.float32, 1),
+    "shift_sigmas": (np.float32, 1),
 }
 
 
@@ -131,14 +132,30 @@ class RolloutPlan:
             raise ShapeError(
                 f"plan.samples has shape {self.samples.shape}, expected [N, {m}, H, 2]"
             )
-        _expect("plan.graph", self.graph, (m, m))
-        _expect("plan.ttc_s", self.ttc_s, (m, m))
-        for name in ("chosen", "executed", "guided", "realism_cost", "shift_sigmas"):
-            _expect(f"plan.{name}", getattr(self, name), (m,))
+        for name, (_, num_axes) in _PLAN_ARRAYS.items():
+            if num_axes:
+                _expect(f"plan.{name}", getattr(self, name), (m,) * num_axes)
         if m and not 0 <= self.chosen.min() <= self.chosen.max() < len(self.samples):
             raise ShapeError(
                 f"plan.chosen is {self.chosen}, expected less than {len(self.samples)}"
             )
+
+    @classmethod
+    def of(cls, plan: Mapping[str, Any], step: int, ids: Sequence[str]) -> RolloutPlan:
+        """Return what is recorded of a plan.
+
+        Parameters
+        ----------
+        plan
+            The plan as the native worlds explain it, fields by name.
+        step
+            Recorded step from whose states it was made.
+        ids
+            Ids of all agents of the scene.
+        """
+        arrays = {name: plan[name] for name in _PLAN_ARRAYS}
+        arrays["samples"] = plan["samples"][..., :2].copy()
+        return cls(step=step, agent_ids=tuple(ids[i] for i in plan["agents"]), **arrays)
 
 
 def _expect(name: str, array: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
@@ -362,7 +379,7 @@ class Rollout:
                 agent_ids=tuple(ids),
                 **{
                     name: _typed(arrays, f"plans/{i}/{name}", kind)
-                    for name, kind in _PLAN_ARRAYS.items()
+                    for name, (kind, _) in _PLAN_ARRAYS.items()
                     # files of before have none
                     if name != "shift_sigmas" or f"plans/{i}/{name}" in arrays
                 },

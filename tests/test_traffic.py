@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
+from ccdiff_env import causal
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import (
@@ -399,6 +401,27 @@ def test_environments_explain_their_traffic(scenes):
     calm.reset(seed=0)
     with pytest.raises(UnknownNameError, match="driver that plans"):
         calm.explain()
+
+
+def test_a_plans_record_has_the_same_fields_everywhere(scenes):
+    env = ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff={"explain": True})
+    env.reset(seed=0)
+    recorder = ccdiff_env.Recorder(env)
+    states, sizes = env.worlds.native.states(0), env.scene.sizes[:, :2]
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    recorder.step()
+    plan, record = env.worlds.native.explain(0), env.explain()
+    assert set(plan) == {field.name for field in dataclasses.fields(record)}
+    recorded = recorder.rollout().plans[0]
+    for field in dataclasses.fields(recorded):
+        if field.name in plan:
+            told, kept = plan[field.name], getattr(recorded, field.name)
+            assert told.dtype == kept.dtype
+            assert np.array_equal(told[..., :2] if field.name == "samples" else told, kept)
+    # times to contact of the moment in which it was made
+    now = (states[name][plan["agents"]] for name in ("position", "heading", "speed"))
+    want = causal.ttc(*now, sizes[plan["agents"]], normalised=False)
+    np.testing.assert_allclose(plan["ttc_s"], want, atol=1e-3)
 
 
 def test_the_papers_protocol_is_a_set_of_options(scenes):

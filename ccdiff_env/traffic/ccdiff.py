@@ -78,6 +78,9 @@ class TrafficPlan:
     realism_cosine: npt.NDArray[np.float32] | None
     #: Share of samples and denoising steps in which it is negative, [M]; ``None`` likewise.
     conflict_share: npt.NDArray[np.float32] | None
+    #: Samples N and steps T.
+    num_samples: int
+    num_steps: int
 
 
 #: Options of an environment that follow the paper's evaluation as released

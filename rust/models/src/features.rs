@@ -48,6 +48,8 @@ pub struct Window {
     pub first_action: Vec<Option<[f32; 2]>>,
     /// Seed of each agent's own noise, [A]; empty: noise of the world's seed.
     pub noise_seed: Vec<u64>,
+    /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
+    pub ttc_s: Vec<f32>,
 }
 
 impl Window {
@@ -96,6 +98,7 @@ impl Window {
             ("window width_m", self.width_m.len(), agents),
             ("window first_action", self.first_action.len().max(agents), agents),
             ("window noise_seed", self.noise_seed.len().max(agents), agents),
+            ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
         ] {
             if got != expected {
                 return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
@@ -299,7 +302,12 @@ impl Columns {
     }
 }
 
+/// Times to contact [M, M] of some agents at a step, those that the window has where all its agents are meant.
 fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+    let pairs = agents.len() * agents.len();
+    if agents.len() == window.num_agents() && window.ttc_s.len() == window.num_steps * pairs {
+        return Ok(window.ttc_s[step * pairs..(step + 1) * pairs].to_vec());
+    }
     let columns = Columns::new(window, agents, step);
     let mut out = vec![0.0; agents.len() * agents.len()];
     columns.frame()?.ttc_s(Ttc::Oriented, &columns.heading, &mut out)?;

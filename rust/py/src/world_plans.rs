@@ -1,44 +1,73 @@
-//! Plans of a world as arrays.
+//! Plans of a world as arrays, by the names of their table.
 
-use ccdiff_sim::policy::PlanRecord;
-use numpy::{PyArray1, PyArrayMethods};
+use ccdiff_sim::policy::{PlanField, PlanRecord};
+use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// A plan as a dictionary of new arrays: shapes as in [`PlanRecord`].
-pub(crate) fn dict<'py>(py: Python<'py>, plan: &PlanRecord) -> PyResult<Bound<'py, PyDict>> {
-    let (n, m, t) = (plan.num_samples, plan.agents.len(), plan.num_steps);
-    let j = plan.objectives.len();
-    let indices = |v: &[usize]| PyArray1::from_iter(py, v.iter().map(|i| *i as i64));
-    let dict = PyDict::new(py);
-    dict.set_item("made_at", plan.made_at)?;
-    dict.set_item("agents", indices(&plan.agents))?;
-    dict.set_item("executed", PyArray1::from_slice(py, &plan.executed))?;
-    dict.set_item("guided", PyArray1::from_slice(py, &plan.guided))?;
-    dict.set_item("graph", PyArray1::from_slice(py, &plan.graph).reshape([m, m])?)?;
-    dict.set_item("ttc_s", PyArray1::from_slice(py, &plan.ttc_s).reshape([m, m])?)?;
-    let attention = if plan.attention.is_empty() {
-        None
-    } else {
-        Some(PyArray1::from_slice(py, &plan.attention).reshape([m, m])?)
-    };
-    dict.set_item("attention", attention)?;
-    dict.set_item("ranking", indices(&plan.ranking))?;
-    dict.set_item("samples", PyArray1::from_slice(py, &plan.samples).reshape([n, m, t, 3])?)?;
-    dict.set_item("chosen", indices(&plan.chosen))?;
-    dict.set_item("objectives", &plan.objectives)?;
-    dict.set_item("losses", PyArray1::from_slice(py, &plan.losses).reshape([j, n, m])?)?;
-    dict.set_item("realism_cost", PyArray1::from_slice(py, &plan.realism_cost))?;
-    dict.set_item("shift_sigmas", PyArray1::from_slice(py, &plan.shift_sigmas))?;
-    let cosine = if plan.gradient_cosine.is_empty() {
-        None
-    } else {
-        Some(PyArray1::from_slice(py, &plan.gradient_cosine).reshape([j, j])?)
-    };
-    dict.set_item("gradient_cosine", cosine)?;
-    for (name, values) in [("realism_cosine", &plan.realism_cosine), ("conflict_share", &plan.conflict_share)]
-    {
-        dict.set_item(name, (!values.is_empty()).then(|| PyArray1::from_slice(py, values)))?;
-    }
-    Ok(dict)
+/// A field of a plan's record as Python sees it; `field` where it is an array.
+trait Shown {
+    fn shown<'py>(&self, py: Python<'py>, field: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>>;
 }
+
+impl Shown for usize {
+    fn shown<'py>(&self, py: Python<'py>, _: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(self.into_pyobject(py)?.into_any())
+    }
+}
+
+impl Shown for Vec<String> {
+    fn shown<'py>(&self, py: Python<'py>, _: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(self.into_pyobject(py)?.into_any())
+    }
+}
+
+impl Shown for Vec<usize> {
+    fn shown<'py>(&self, py: Python<'py>, field: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.iter().map(|i| *i as i64).collect(), field)
+    }
+}
+
+impl Shown for Vec<bool> {
+    fn shown<'py>(&self, py: Python<'py>, field: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.clone(), field)
+    }
+}
+
+impl Shown for Vec<f32> {
+    fn shown<'py>(&self, py: Python<'py>, field: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.clone(), field)
+    }
+}
+
+/// A new array of the field's shape; `None` where it was not kept.
+fn array<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    field: Option<&PlanField>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let array = PyArray1::from_vec(py, values);
+    match field {
+        Some(f) if f.optional && f.len == 0 => Ok(py.None().into_bound(py)),
+        Some(f) => Ok(array.reshape(f.shape.as_slice())?.into_any()),
+        None => Ok(array.into_any()),
+    }
+}
+
+macro_rules! dictionary {
+    ($($name:ident),+) => {
+        /// A plan as a dictionary of new arrays: names and shapes as in [`PlanRecord`].
+        pub(crate) fn dict<'py>(py: Python<'py>, plan: &PlanRecord) -> PyResult<Bound<'py, PyDict>> {
+            let fields = plan.fields();
+            let dict = PyDict::new(py);
+            $(
+                let name = stringify!($name);
+                let field = fields.iter().find(|f| f.name == name);
+                dict.set_item(name, plan.$name.shown(py, field)?)?;
+            )+
+            Ok(dict)
+        }
+    };
+}
+
+ccdiff_sim::with_plan_fields!(dictionary);

@@ -104,12 +104,13 @@ impl Roster {
         self.agents.iter().zip(&self.ours).any(|(a, ours)| *a == agent_idx && *ours)
     }
 
-    /// Agents of the scene that may be guided, by falling importance.
+    /// Agents of the scene that may be guided, by falling importance. The times to contact stay in the window, for the
+    /// network.
     ///
     /// # Errors
     /// What the ranker refuses.
     pub(super) fn ranking(
-        &self,
+        &mut self,
         world: &WorldView<'_>,
         config: &CcdiffConfig,
         hints: &Hints,
@@ -123,8 +124,10 @@ impl Roster {
         let (heading, speed) = (by_step(&w.heading_rad), by_step(&w.speed_mps));
         let valid: Vec<bool> = (0..steps).flat_map(|t| (0..m).map(move |a| w.valid[a * steps + t])).collect();
         let history = AgentHistory::new(&x, &y, &heading, &speed, &w.length_m, &w.width_m, &valid)?;
-        let ttc: Vec<Real> = history.ttc_s(Ttc::Oriented).into_iter().map(normalised_ttc).collect();
+        let ttc_s = history.ttc_s(Ttc::Oriented);
+        let ttc: Vec<Real> = ttc_s.iter().copied().map(normalised_ttc).collect();
         let distance: Vec<Real> = history.distance_m()?.into_iter().map(normalised_distance).collect();
+        self.window.ttc_s = ttc_s;
         let now = vec![true; m];
         let input = RankInput {
             valid: &now,

@@ -57,22 +57,11 @@ impl PlanState {
     /// Whether all arrays have the lengths that following the plan relies on, in a scene of some agents.
     pub fn fits(&self, num_agents: usize) -> bool {
         let p = &self.record;
-        let m = p.agents.len();
-        let (j, n) = (p.objectives.len(), p.num_samples);
-        let rows =
-            [p.executed.len(), p.guided.len(), p.chosen.len(), p.realism_cost.len(), p.shift_sigmas.len()];
-        let either = |got: usize, full: usize| got == 0 || got == full;
-        p.agents.iter().chain(&p.ranking).all(|a| *a < num_agents)
-            && [p.graph.len(), p.ttc_s.len()] == [m * m; 2]
-            && rows.iter().all(|n| *n == m)
-            && p.chosen.iter().all(|s| *s < n.max(1))
-            && p.samples.len() == n * m * p.num_steps * 3
-            && p.losses.len() == j * n * m
-            && either(p.attention.len(), m * m)
-            && either(p.gradient_cosine.len(), j * j)
-            && either(p.realism_cosine.len(), m)
-            && either(p.conflict_share.len(), m)
-            && self.speed_mps.len() == m * p.num_steps
+        let fits = |f: &PlanField| f.len == f.shape.iter().product::<usize>() || f.optional && f.len == 0;
+        p.fields().iter().all(fits)
+            && p.agents.iter().chain(&p.ranking).all(|a| *a < num_agents)
+            && p.chosen.iter().all(|s| *s < p.num_samples.max(1))
+            && self.speed_mps.len() == p.agents.len() * p.num_steps
             && p.samples.iter().chain(&self.speed_mps).all(|x| x.is_finite())
     }
 }
@@ -86,45 +75,111 @@ pub struct Command {
     pub criticality: Option<Real>,
 }
 
-/// A plan of one world and what it was made from. M agents, N samples, T steps.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct PlanRecord {
+/// An array of a plan's record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PlanField {
+    /// Name.
+    pub name: &'static str,
+    /// Number of its elements.
+    pub len: usize,
+    /// Its shape.
+    pub shape: Vec<usize>,
+    /// Whether it may be empty, where it was not kept.
+    pub optional: bool,
+}
+
+/// What an axis of an array counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Axis {
+    Agents,
+    Ranked,
+    Samples,
+    Steps,
+    Pose,
+    Objectives,
+}
+
+macro_rules! plan_record {
+    ($dollar:tt $($(#[doc = $doc:literal])+ $name:ident: $type:ty
+        $(, [$($axis:ident),+] $(, $optional:ident)?)?;)+) => {
+        /// A plan of one world and what it was made from. M agents, N samples, T steps, J objectives.
+        #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+        pub struct PlanRecord {
+            $($(#[doc = $doc])+ pub $name: $type,)+
+        }
+
+        impl PlanRecord {
+            /// The arrays, in order.
+            pub fn fields(&self) -> Vec<PlanField> {
+                vec![$($(PlanField {
+                    name: stringify!($name),
+                    len: self.$name.len(),
+                    shape: vec![$(self.along(Axis::$axis)),+],
+                    optional: false $(|| stringify!($optional) == "optional")?,
+                },)?)+]
+            }
+        }
+
+        /// Hands the list `name, …` of the fields of a plan's record to a macro.
+        #[macro_export]
+        macro_rules! with_plan_fields {
+            ($dollar then:ident) => {
+                $dollar then! { $($name),+ }
+            };
+        }
+    };
+}
+
+plan_record! { $
     /// Steps since the episode began when the plan was made.
-    pub made_at: usize,
+    made_at: usize;
     /// Agents of the scene that were planned for, [M].
-    pub agents: Vec<usize>,
+    agents: Vec<usize>, [Agents];
     /// Whether the agent follows the plan, [M]; the others were predicted only.
-    pub executed: Vec<bool>,
+    executed: Vec<bool>, [Agents];
     /// Whether guidance moved the agent's plan, [M].
-    pub guided: Vec<bool>,
+    guided: Vec<bool>, [Agents];
     /// Decision causal graph G: row i looks at column j, [M, M].
-    pub graph: Vec<bool>,
+    graph: Vec<bool>, [Agents, Agents];
     /// Times to contact, seconds, [M, M].
-    pub ttc_s: Vec<Real>,
+    ttc_s: Vec<Real>, [Agents, Agents];
     /// Attention of row i to column j, mean over heads, [M, M]; empty where it was not kept.
-    pub attention: Vec<Real>,
+    attention: Vec<Real>, [Agents, Agents], optional;
     /// Agents of the scene by falling importance, those that may be guided only.
-    pub ranking: Vec<usize>,
+    ranking: Vec<usize>, [Ranked];
     /// Number of samples N.
-    pub num_samples: usize,
+    num_samples: usize;
     /// Number of steps T.
-    pub num_steps: usize,
+    num_steps: usize;
     /// Poses x, y (m), heading (rad) in the scene frame after each step, [N, M, T, 3].
-    pub samples: Vec<Real>,
+    samples: Vec<Real>, [Samples, Agents, Steps, Pose];
     /// Sample that each agent follows, [M].
-    pub chosen: Vec<usize>,
+    chosen: Vec<usize>, [Agents];
     /// Names of the guidance objectives, [J].
-    pub objectives: Vec<String>,
+    objectives: Vec<String>;
     /// Loss of each objective, sample and agent, unweighted, [J, N, M].
-    pub losses: Vec<Real>,
+    losses: Vec<Real>, [Objectives, Samples, Agents];
     /// Total variation between guided and unguided actions, [M]; 0 without guidance (paper, cost C).
-    pub realism_cost: Vec<Real>,
+    realism_cost: Vec<Real>, [Agents];
     /// The same in standard deviations of the process, [M]: it does not saturate.
-    pub shift_sigmas: Vec<Real>,
+    shift_sigmas: Vec<Real>, [Agents];
     /// Mean cosine between the gradients of objectives j and k over guided agents, [J, J]; empty where not kept.
-    pub gradient_cosine: Vec<Real>,
+    gradient_cosine: Vec<Real>, [Objectives, Objectives], optional;
     /// Mean cosine between the gradients of realism and guidance, [M]; 0 without a gradient, empty where not kept.
-    pub realism_cosine: Vec<Real>,
+    realism_cosine: Vec<Real>, [Agents], optional;
     /// Share of samples and denoising steps in which that cosine is negative, [M]; empty where not kept.
-    pub conflict_share: Vec<Real>,
+    conflict_share: Vec<Real>, [Agents], optional;
+}
+
+impl PlanRecord {
+    fn along(&self, axis: Axis) -> usize {
+        match axis {
+            Axis::Agents => self.agents.len(),
+            Axis::Ranked => self.ranking.len(),
+            Axis::Samples => self.num_samples,
+            Axis::Steps => self.num_steps,
+            Axis::Pose => 3,
+            Axis::Objectives => self.objectives.len(),
+        }
+    }
 }
