@@ -18,6 +18,7 @@ from ccdiff_env.bench.cross import (
     generation_jobs,
     set_folders,
 )
+from ccdiff_env.bench.cross_ranking import ranking
 from ccdiff_env.bench.cross_report import write_cross
 from ccdiff_env.bench.planners import TRAFFIC, drive, play
 from ccdiff_env.bench.scenario_sets import (
@@ -263,6 +264,53 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
     capsys.readouterr()
     assert command("one", "--plans", "5") == 2
     assert "another plans" in capsys.readouterr().err
+
+
+def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):
+    folders = {}
+    # (episodes with a collision, avoidable ones) of ten; shares of collisions and scores by planner
+    for kind, (hit, avoidable), (idm, pdm) in (
+        ("mild", (3, 1), ((0.1, 0.9), (0.3, 0.5))),
+        ("hard", (5, 4), ((0.3, 0.7), (0.5, 0.3))),
+    ):
+        folders[kind] = tmp_path / kind
+        folders[kind].mkdir()
+        (folders[kind] / "sets.csv").write_text(
+            "generator,scenarios,collision,at_fault,avoidable,realism_cost,shift_sigmas,fde_m,cfd\n"
+            f"idm,10,{hit},0,{avoidable},nan,nan,2.04,3\n"
+        )
+        rows = [
+            f"{generator},{planner},{scope},10,{values[0]},0,0,0,0,0,{values[1]},0,0"
+            for generator in ("idm", "reacting")
+            for scope in ("all", "avoidable")
+            for planner, values in (("idm", idm), ("pdm", pdm))
+        ]
+        head = "generator,planner,scenarios,count,collision,l,h,at_fault,l,h,score,l,h\n"
+        (folders[kind] / "cross.csv").write_text(head + "\n".join(rows) + "\n")
+    lines = ranking(folders).splitlines()
+    # what other planners do is that of the PDM-like one: the sets were made against IDM
+    assert lines[2:4] == [
+        "| [hard](hard/report.html) | idm | 10 | 0.50 | 0.00 | 0.40 |  | 2.0 | 3.0 | 0.50 |",
+        "| [mild](mild/report.html) | idm | 10 | 0.30 | 0.00 | 0.10 |  | 2.0 | 3.0 | 0.30 |",
+    ]
+    assert "| pdm | 0.40 | 0.40 | 0.00 | 0.40 | 0.40 |" in lines
+    assert "| idm |  |  |  | 0.80 | 0.20 |" in lines
+
+
+def test_several_kinds_of_traffic_have_a_page_together(tmp_path, capsys):
+    names = ["--generators", "idm", "--planners", "idm,replay", "--limit", "1", "--quiet"]
+    command = ["bench", "scenarios", "--out", str(tmp_path / "all"), *names]
+    assert cli.main([*command, "--traffic", "replay,ido"]) == 2
+    assert "no traffic 'ido'" in capsys.readouterr().err
+    assert not (tmp_path / "all").exists()
+    assert cli.main([*command, "--traffic", "replay,idm"]) == 0
+    assert "replay/report.html" in (tmp_path / "all" / "report.html").read_text()
+    for kind in ("replay", "idm"):
+        assert (tmp_path / "all" / kind / "report.html").is_file()
+        out = ["--out", str(tmp_path / kind), "--traffic", kind]
+        assert cli.main(["bench", "scenarios", *out, *names]) == 0
+        alone, together = (tmp_path / f / "cross.csv" for f in (kind, f"all/{kind}"))
+        assert alone.read_bytes() == together.read_bytes()
 
 
 def test_a_job_refuses_a_set_that_changed(tmp_path, made):

@@ -53,7 +53,7 @@ class Listed(argparse.Action):
 
 
 #: Tables of names for :class:`Listed`.
-METHODS, TRAFFIC = "bench.traffic:METHODS", "bench.planners:TRAFFIC"
+METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, replay, pdm, ccdiff, ego, ego_replay, module:name of a class or "
     "function, files of stable-baselines3 (.zip) or of this package (.safetensors)"

@@ -187,7 +187,11 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--generators", default=names, help="egos that sets are made against")
     parser.add_argument("--planners", default=names, help="planners to test, as bench planners has")
     parser.add_argument(
-        "--traffic", action=Listed, names=TRAFFIC, default="ccdiff-1", help="what makes the sets"
+        "--traffic",
+        action=Listed,
+        names=TRAFFIC,
+        default="ccdiff-1",
+        help="what makes the sets; of several, each has a folder of its own in --out",
     )
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
@@ -197,6 +201,37 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _scenarios(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.cross import traffic_named
+    from ccdiff_env.bench.cross_ranking import ranking
+
+    kinds = args.traffic.split(",")
+    if len(kinds) == 1:
+        return _scenarios_of(args)
+    for kind in kinds:
+        traffic_named(kind)
+    run = Run(
+        args,
+        "scenarios",
+        generators=args.generators.split(","),
+        planners=args.planners.split(","),
+        traffic=args.traffic,
+        plans=args.plans,
+    )
+    folders = {kind: run.folder / kind for kind in dict.fromkeys(kinds)}
+    for kind, folder in folders.items():
+        _scenarios_of(
+            argparse.Namespace(**{**vars(args), "traffic": kind, "out": folder, "open": False})
+        )
+    run.write("table.md", ranking(folders))
+    return run.report(
+        "Traffic that is made against egos, and planners in it",
+        plots=[],
+        parts={"Generators and planners": "table.md"},
+    )
+
+
+def _scenarios_of(args: argparse.Namespace) -> int:
+    """Make and drive the sets of one kind of traffic."""
     from ccdiff_env.bench.cross import cross_jobs, generation_jobs, set_folders, write_sets
     from ccdiff_env.bench.cross_report import avoidable_rows, write_collisions, write_cross
     from ccdiff_env.bench.planner_report import short_name, worst_scenes, worst_table

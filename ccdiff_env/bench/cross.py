@@ -36,6 +36,7 @@ __all__ = [
     "evaluate_in_set",
     "generation_jobs",
     "set_folders",
+    "traffic_named",
     "write_sets",
 ]
 
@@ -81,6 +82,19 @@ def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
     return {g: (folder / n).resolve() for g, n in zip(generators, names, strict=True)}
 
 
+def traffic_named(name: str) -> Traffic:
+    """Return traffic of the table.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of this name.
+    """
+    if name not in TRAFFIC:
+        raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
+    return TRAFFIC[name]
+
+
 def generation_jobs(
     source: Mapping[str, str],
     folders: Mapping[str, Path],
@@ -100,8 +114,7 @@ def generation_jobs(
     traffic, seed, num_plans
         As in :func:`ccdiff_env.bench.scenario_sets.generate`.
     """
-    if traffic not in TRAFFIC:
-        raise UnknownNameError(f"no traffic {traffic!r}, there are {', '.join(TRAFFIC)}")
+    traffic_named(traffic)
     pieces = chunks(scene_names(source), CHUNK)
     return [
         Job(
@@ -146,7 +159,7 @@ def write_sets(
         if generator in sets:
             continue
         settings = {
-            "ccdiff": dict(TRAFFIC[made["traffic"]].ccdiff),
+            "ccdiff": dict(traffic_named(made["traffic"]).ccdiff),
             "num_plans": made["num_plans"],
             **OPTIONS,
         }
