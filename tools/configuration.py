@@ -24,9 +24,16 @@ Table = Mapping[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python -m tools.configuration"
 #: Tables that Python has as dictionaries alone, or as a class written by hand.
-PLAIN = ("GuidanceConfig", "PythonOptions")
-#: Fields that ``WorldConfig`` of Python has in another form.
-OWN_FORM = ("policies",)
+PLAIN = (
+    "GuidanceConfig",
+    "MapConfig",
+    "ModelConfig",
+    "Normalisation",
+    "SampleOptions",
+    "TrainConfig",
+)
+#: Fields that classes of Python have in another form.
+OWN_FORM = {"WorldConfig": "policies", "PythonOptions": "model"}
 #: What a class has beside its fields.
 METHODS = {
     "RewardConfig": '''
@@ -39,15 +46,38 @@ METHODS = {
         weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
         return RewardConfig(form=self.form, **weights)
 ''',
+    "SelectionReward": '''
+    def __post_init__(self) -> None:
+        check("SelectionReward", "reward", dataclasses.asdict(self))
+''',
 }
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
+
+from ccdiff_env import _native
+
+
+def check(table: str, path: str, options: Mapping[str, Any]) -> None:
+    """Check names, types and ranges of options that stand at a path against a table of Rust.
+
+    Raises
+    ------
+    ConfigError
+        The first option that is wrong, with its path, its value and what is expected.
+    """
+    values = {
+        name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in options.items()
+    }
+    _native.check_options(table, path, json.dumps(values, default=repr))
 
 '''
 
@@ -160,7 +190,7 @@ def _class(table: Table) -> str:
     else:
         lines += [_wrapped(f'"""{summary.rstrip(".")}."""', "    ", "    "), ""]
     for entry in table["fields"]:
-        if table["name"] == "WorldConfig" and entry["name"] in OWN_FORM:
+        if OWN_FORM.get(table["name"]) == entry["name"]:
             continue
         doc = re.sub(r"`([^`]+)`", r"``\1``", _described(entry))
         lines.append(_wrapped(doc, "    #: ", "    #: "))
@@ -231,7 +261,7 @@ def _shown(entry: Mapping[str, Any], table: Table) -> str:
     if table["defaults"] is None:
         return "required"
     names = list(_tables_in(entry["form"]))
-    if names and entry["form"] == {"table": names[0]}:
+    if names and entry["form"] in ({"table": names[0]}, {"optional": {"table": names[0]}}):
         return f"[{names[0]}](#{names[0].lower()})"
     value = table["defaults"][entry["name"]]
     if isinstance(value, dict) and len(value) == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.options import PythonOptions, check
 
 if TYPE_CHECKING:
     from ccdiff_env.scenes import Scene, SceneSet
@@ -71,7 +73,7 @@ TrafficModel: TypeAlias = Callable[[TrafficBatch], Any]
 
 
 @dataclass(frozen=True)
-class PythonTraffic:
+class PythonTraffic(PythonOptions):
     """A traffic model of one's own as a driver: ``traffic=PythonTraffic(model)``.
 
     The model is called once per plan phase for all worlds that are due, and its plans are followed
@@ -86,7 +88,7 @@ class PythonTraffic:
     replan_steps
         Steps from one plan to the next, 1 to T.
     history_states
-        Past states H of each agent, the present one included, >= 1.
+        Past states H of each agent, the present one included.
 
     Examples
     --------
@@ -98,16 +100,12 @@ class PythonTraffic:
     """
 
     model: TrafficModel | str
-    replan_steps: int = 5
-    history_states: int = 31
 
     def __post_init__(self) -> None:
         if not callable(self.model) and not isinstance(self.model, str):
             raise ConfigError(f"python.model is {self.model!r}, expected a function or an object")
-        for name, most in (("replan_steps", 10_000), ("history_states", 1_000)):
-            value = getattr(self, name)
-            if type(value) is not int or not 1 <= value <= most:
-                raise ConfigError(f"python.{name} is {value!r}, expected an integer 1 to {most}")
+        steps = {f.name: getattr(self, f.name) for f in dataclasses.fields(PythonOptions)}
+        check("PythonOptions", "python", steps)
 
     @classmethod
     def load(cls, path: str) -> PythonTraffic:

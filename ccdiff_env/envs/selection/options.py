@@ -1,8 +1,7 @@
-"""What can be chosen about the selection of adversaries: actions, budget, rewards."""
+"""What can be chosen about the selection of adversaries: actions, budget; its rewards are those of `options`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -11,6 +10,7 @@ from gymnasium import spaces
 
 from ccdiff_env.config import unknown
 from ccdiff_env.errors import ActionError, ConfigError
+from ccdiff_env.options import SelectionReward
 
 __all__ = ["ActionMode", "SelectionActions", "SelectionReward"]
 
@@ -18,47 +18,6 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 ActionMode: TypeAlias = Literal["multibinary", "scores", "discrete"]
 MODES: tuple[ActionMode, ...] = ("multibinary", "scores", "discrete")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SelectionReward:
-    """Weights of the reward components of one decision; the reward is their sum.
-
-    A collision is worth more than an episode of unrealistic plans costs: else, as few choices lead
-    to one, choosing nobody would be best.
-    """
-
-    #: Per new collision that counts.
-    collision: float = 5.0
-    #: Which collisions count, of agents that were adversaries in the episode: those with the ego,
-    #: or with any vehicle.
-    count: Literal["ego", "any"] = "ego"
-    #: Whether collisions count that the ego is at fault for, such as rear-ending an adversary that
-    #: brakes; the paper counts them.
-    ego_fault: bool = True
-    #: Whether collisions of the ego count only where some ego plan would have avoided them, the
-    #: others doing as they did (:func:`ccdiff_env.counterfactual.rollout_avoidability`); the search
-    #: takes up to a second per collision.
-    avoidable_only: bool = False
-    #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
-    #: C), mean over adversaries.
-    realism: float = -0.02
-    #: Per share of steps that adversaries spend off the road.
-    off_road: float = -0.1
-    #: Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² +
-    #: (lateral a / 4 m/s²)², at most 3, mean over steps and adversaries.
-    comfort: float = -0.005
-
-    def __post_init__(self) -> None:
-        if self.count not in ("ego", "any"):
-            raise unknown("count", str(self.count), ("ego", "any"))
-        for name in ("ego_fault", "avoidable_only"):
-            if type(getattr(self, name)) is not bool:
-                raise ConfigError(f"reward.{name} is {getattr(self, name)!r}, expected a bool")
-        for name in ("collision", "realism", "off_road", "comfort"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not np.isfinite(value):
-                raise ConfigError(f"reward.{name} is {value!r}, expected a finite number")
 
 
 class SelectionActions:

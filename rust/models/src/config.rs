@@ -1,29 +1,33 @@
 //! What a network is: sizes, map view, graph thresholds, normalisation. Stored with the weights.
 
 use crate::error::{ModelError, Result};
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options::{Table, above, at_least, within};
+use ccdiff_sim::{choices, options};
 
-/// Which network it is, by its name in files, options and tables.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ModelKind {
-    /// Scene diffusion over the decision causal graph.
-    #[default]
-    Ccdiff,
-    /// One plan per agent by regression.
-    Simnet,
-    /// Latents of all agents decoded jointly, after the paper.
-    Trafficsim,
-    /// Latents of each agent under a fixed prior, as ported by others.
-    TrafficsimPort,
-    /// Latents of each agent under a learned prior, optimised.
-    Strive,
-    /// Goals on a grid, a policy that drives to them, a choice among them.
-    Bits,
-    /// Diffusion of each agent's actions.
-    Ctg,
-    /// Scene diffusion over a graph of distances.
-    Ctgpp,
+/// The tables of networks.
+pub const TABLES: &[&Table] = &[&ModelConfig::TABLE, &MapConfig::TABLE, &Normalisation::TABLE];
+
+choices! {
+    /// Which network it is, by its name in files, options and tables.
+    #[derive(Clone, Copy, Eq, Default)]
+    pub enum ModelKind {
+        /// Scene diffusion over the decision causal graph.
+        Ccdiff = "ccdiff" default,
+        /// One plan per agent by regression.
+        Simnet = "simnet",
+        /// Latents of all agents decoded jointly, after the paper.
+        Trafficsim = "trafficsim",
+        /// Latents of each agent under a fixed prior, as ported by others.
+        TrafficsimPort = "trafficsim_port",
+        /// Latents of each agent under a learned prior, optimised.
+        Strive = "strive",
+        /// Goals on a grid, a policy that drives to them, a choice among them.
+        Bits = "bits",
+        /// Diffusion of each agent's actions.
+        Ctg = "ctg",
+        /// Scene diffusion over a graph of distances.
+        Ctgpp = "ctgpp",
+    }
 }
 
 impl ModelKind {
@@ -38,20 +42,6 @@ impl ModelKind {
         Self::Ctg,
         Self::Ctgpp,
     ];
-
-    /// The name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ccdiff => "ccdiff",
-            Self::Simnet => "simnet",
-            Self::Trafficsim => "trafficsim",
-            Self::TrafficsimPort => "trafficsim_port",
-            Self::Strive => "strive",
-            Self::Bits => "bits",
-            Self::Ctg => "ctg",
-            Self::Ctgpp => "ctgpp",
-        }
-    }
 
     /// The kind of a name.
     ///
@@ -81,201 +71,164 @@ impl ModelKind {
     }
 }
 
-/// Which neighbours an agent is joined with, and in which order they take its slots.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NeighbourOrder {
-    /// Those of the decision causal graph, by time to contact or headway.
-    #[default]
-    Urgency,
-    /// All within the distance of the graph, nearest first.
-    Distance,
-}
-
-/// How an agent's history becomes tokens.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum HistoryTokens {
-    /// One token per history step, by one linear layer (paper).
-    PerStep,
-    /// One token for the whole history, by a two-layer perceptron.
-    Summary,
-}
-
-/// Which network reads the map raster.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MapEncoder {
-    /// ResNet-18: one token per agent (paper).
-    ResNet18,
-    /// Three strided convolutions: one token per 8 x 8 pixels.
-    Light,
-}
-
-/// The agent-centred map raster and its encoder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct MapConfig {
-    /// Network that reads the raster.
-    pub encoder: MapEncoder,
-    /// Width and height in pixels.
-    pub size_px: usize,
-    /// Side of a pixel, metres.
-    pub metres_per_px: f32,
-    /// Column of the agent (x runs along columns); its row is the middle one.
-    pub agent_column_px: usize,
-    /// Whether two layers with the direction of the lanes (cosine, sine) follow the three of the paper.
-    pub lane_direction: bool,
-    /// Whether one channel per history step with the agents' pixels comes first.
-    pub history_channels: bool,
-    /// Width of the encoder's tokens.
-    pub feature_width: i64,
-    /// Resolution of the scene's bitmap that rasters are cut from, pixels per metre.
-    pub bitmap_px_per_m: f32,
-    /// Decoder rounds that attend to the map.
-    pub rounds: Vec<usize>,
-}
-
-/// Means and standard deviations estimated from the training data; x_n = (x - mean) / std.
-///
-/// Differs from the released code, which adds the mean instead of subtracting it (reference.md#normalisation).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Normalisation {
-    /// Mean of the future x, y, v, yaw, acceleration, yaw rate in the agent frame.
-    pub trajectory_mean: [f64; 6],
-    /// Their standard deviations.
-    pub trajectory_std: [f64; 6],
-    /// Mean of the action knots: acceleration, yaw rate.
-    pub action_mean: [f64; 2],
-    /// Their standard deviations.
-    pub action_std: [f64; 2],
-    /// Mean of the history's x, y, v, length, width in the agent frame.
-    pub history_mean: [f64; 5],
-    /// Their standard deviations.
-    pub history_std: [f64; 5],
-    /// Standard deviation of relative positions x, y of joined pairs, metres.
-    pub edge_position_std: [f64; 2],
-    /// Standard deviation of relative velocities of joined pairs, metres per second.
-    pub edge_velocity_std: f64,
-}
-
-impl Default for Normalisation {
-    /// Round numbers of the right size; [`crate::dataset::Dataset::estimate_normalisation`] gives the real ones.
-    fn default() -> Self {
-        Self {
-            trajectory_mean: [0.0; 6],
-            trajectory_std: [12.0, 1.5, 4.0, 0.2, 0.8, 0.07],
-            action_mean: [0.0; 2],
-            action_std: [0.8, 0.07],
-            history_mean: [-6.0, 0.0, 4.0, 4.8, 2.0],
-            history_std: [7.0, 0.7, 4.0, 1.4, 0.4],
-            edge_position_std: [12.0, 8.0],
-            edge_velocity_std: 5.0,
-        }
+choices! {
+    /// Which neighbours an agent is joined with, and in which order they take its slots.
+    #[derive(Clone, Copy, Eq, Default)]
+    pub enum NeighbourOrder {
+        /// Those of the decision causal graph, by time to contact or headway.
+        Urgency = "urgency" default,
+        /// All within the distance of the graph, nearest first.
+        Distance = "distance",
     }
 }
 
-/// Sizes and switches of a planning network.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelConfig {
-    /// Which network.
-    #[serde(default)]
-    pub kind: ModelKind,
-    /// Name of the preset this came from.
-    pub preset: String,
-    /// History steps, the current one included.
-    pub history_steps: usize,
-    /// Future steps of a plan.
-    pub horizon_steps: usize,
-    /// Time between steps, seconds.
-    pub dt_s: f64,
-    /// Steps between action knots; 1: every step is a knot (paper). Knots are joined linearly.
-    pub knot_stride: usize,
-    /// How histories become tokens.
-    pub history: HistoryTokens,
-    /// Token width.
-    pub width: i64,
-    /// Attention heads.
-    pub heads: i64,
-    /// Hidden width of the temporal and plain social layers.
-    pub feed_forward: i64,
-    /// Hidden width of the edge-aware social layers.
-    pub social_feed_forward: i64,
-    /// Width of the edge features.
-    pub edge_width: i64,
-    /// Temporal layers per decoder round.
-    pub temporal_layers: usize,
-    /// Edge-aware social layers of the first round.
-    pub edge_layers: usize,
-    /// Map raster and encoder; `None`: the network is blind to the map.
-    pub map: Option<MapConfig>,
-    /// Neighbours join the decision causal graph up to this time to contact, seconds.
-    pub ttc_threshold_s: f32,
-    /// An agent ahead in one's corridor also joins the graph up to this headway, seconds; 0: by time to contact alone.
+choices! {
+    /// How an agent's history becomes tokens.
+    #[derive(Clone, Copy, Eq)]
+    pub enum HistoryTokens {
+        /// One token per history step, by one linear layer (paper).
+        PerStep = "per_step",
+        /// One token for the whole history, by a two-layer perceptron.
+        Summary = "summary",
+    }
+}
+
+choices! {
+    /// Which network reads the map raster.
+    #[derive(Clone, Copy, Eq)]
+    pub enum MapEncoder {
+        /// ResNet-18: one token per agent (paper).
+        ResNet18 = "res_net18",
+        /// Three strided convolutions: one token per 8 x 8 pixels.
+        Light = "light",
+    }
+}
+
+options! {
+    /// The agent-centred map raster and its encoder.
+    #[derive(Clone)]
+    pub struct MapConfig {
+        /// Network that reads the raster.
+        encoder: MapEncoder = MapEncoder::ResNet18;
+        /// Width and height; a multiple of 8.
+        size_px: usize = 224, unit "px", range within(8.0, 4096.0);
+        /// Side of a pixel.
+        metres_per_px: f32 = 0.5, unit "m", range above(0.0);
+        /// Column of the agent, inside the raster (x runs along columns); its row is the middle one.
+        agent_column_px: usize = 56, unit "px";
+        /// Whether two layers with the direction of the lanes (cosine, sine) follow the three of the paper.
+        lane_direction: bool = false;
+        /// Whether one channel per history step with the agents' pixels comes first.
+        history_channels: bool = true;
+        /// Width of the encoder's tokens.
+        feature_width: i64 = 256, range within(1.0, 8192.0);
+        /// Resolution of the scene's bitmap that rasters are cut from.
+        bitmap_px_per_m: f32 = 2.0, unit "px/m", range above(0.0);
+        /// Decoder rounds that attend to the map, at most 64.
+        rounds: Vec<usize> = vec![1];
+    }
+}
+
+options! {
+    /// Means and standard deviations estimated from the training data; x_n = (x - mean) / std. The defaults are round numbers
+    /// of the right size; `Dataset::estimate_normalisation` gives the real ones.
     ///
-    /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
-    #[serde(default)]
-    pub headway_threshold_s: f32,
-    /// Neighbours join the graph up to this distance, metres.
-    pub distance_threshold_m: f32,
-    /// Which neighbours are joined, and their order.
-    #[serde(default)]
-    pub neighbour_order: NeighbourOrder,
-    /// Most neighbours of an agent, the first in their order.
-    pub max_neighbours: usize,
-    /// Training samples hold the agents within this distance of the centre agent, metres.
-    pub agents_within_m: f32,
-    /// And at most so many, the nearest.
-    pub max_agents: usize,
-    /// Diffusion steps K.
-    pub diffusion_steps: usize,
-    /// Weights of x, y, v, yaw, acceleration, yaw rate in the loss.
-    pub loss_weights: [f64; 6],
-    /// Constants of the data.
-    pub normalisation: Normalisation,
+    /// Differs from the released code, which adds the mean instead of subtracting it (reference.md#normalisation).
+    #[derive(Clone)]
+    pub struct Normalisation {
+        /// Mean of the future x, y, v, yaw, acceleration, yaw rate in the agent frame.
+        trajectory_mean: [f64; 6] = [0.0; 6], unit "m, m, m/s, rad, m/s², rad/s";
+        /// Their standard deviations.
+        trajectory_std: [f64; 6] = [12.0, 1.5, 4.0, 0.2, 0.8, 0.07], unit "m, m, m/s, rad, m/s², rad/s", range above(0.0);
+        /// Mean of the action knots: acceleration, yaw rate.
+        action_mean: [f64; 2] = [0.0; 2], unit "m/s², rad/s";
+        /// Their standard deviations.
+        action_std: [f64; 2] = [0.8, 0.07], unit "m/s², rad/s", range above(0.0);
+        /// Mean of the history's x, y, v, length, width in the agent frame.
+        history_mean: [f64; 5] = [-6.0, 0.0, 4.0, 4.8, 2.0], unit "m, m, m/s, m, m";
+        /// Their standard deviations.
+        history_std: [f64; 5] = [7.0, 0.7, 4.0, 1.4, 0.4], unit "m, m, m/s, m, m", range above(0.0);
+        /// Standard deviation of relative positions x, y of joined pairs.
+        edge_position_std: [f64; 2] = [12.0, 8.0], unit "m", range above(0.0);
+        /// Standard deviation of relative velocities of joined pairs.
+        edge_velocity_std: f64 = 5.0, unit "m/s", range above(0.0);
+    }
+}
+
+options! {
+    /// Sizes and switches of a planning network; stored with its weights. The defaults are the sizes of the paper's table, the
+    /// preset `"paper"`: 83 tokens of width 128, ResNet-18 at 224 x 224.
+    ///
+    /// Differs from the released code: the map is attended to (reference.md#map), every social layer is masked by G.
+    #[derive(Clone)]
+    pub struct ModelConfig {
+        /// Which network.
+        #[serde(default)]
+        kind: ModelKind = ModelKind::Ccdiff;
+        /// Name of the preset this came from.
+        preset: String = "paper".into();
+        /// History steps, the current one included.
+        history_steps: usize = 31, range within(2.0, 1000.0);
+        /// Future steps of a plan.
+        horizon_steps: usize = 52, range within(1.0, 1000.0);
+        /// Time between steps.
+        dt_s: f64 = 0.1, unit "s", range above(0.0);
+        /// Steps between action knots, a divisor of the horizon; 1: every step is a knot (paper). Knots are joined linearly.
+        knot_stride: usize = 1, range at_least(1.0);
+        /// How histories become tokens.
+        history: HistoryTokens = HistoryTokens::PerStep;
+        /// Token width: an even multiple of the heads.
+        width: i64 = 128, range within(2.0, 4096.0);
+        /// Attention heads.
+        heads: i64 = 16, range at_least(1.0);
+        /// Hidden width of the temporal and plain social layers.
+        feed_forward: i64 = 384, range within(0.0, 65_536.0);
+        /// Hidden width of the edge-aware social layers.
+        social_feed_forward: i64 = 512, range within(0.0, 65_536.0);
+        /// Width of the edge features.
+        edge_width: i64 = 64, range within(0.0, 4096.0);
+        /// Temporal layers per decoder round.
+        temporal_layers: usize = 2, range within(1.0, 64.0);
+        /// Edge-aware social layers of the first round.
+        edge_layers: usize = 4, range within(1.0, 64.0);
+        /// Map raster and encoder; `None`: the network is blind to the map.
+        map: Option<MapConfig> = Some(MapConfig::default());
+        /// Neighbours join the decision causal graph up to this time to contact.
+        ttc_threshold_s: f32 = 3.0, unit "s";
+        /// An agent ahead in one's corridor also joins the graph up to this headway; 0: by time to contact alone.
+        ///
+        /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
+        #[serde(default)]
+        headway_threshold_s: f32 = 0.0, unit "s", range at_least(0.0);
+        /// Neighbours join the graph up to this distance.
+        distance_threshold_m: f32 = 50.0, unit "m";
+        /// Which neighbours are joined, and their order.
+        #[serde(default)]
+        neighbour_order: NeighbourOrder = NeighbourOrder::Urgency;
+        /// Most neighbours of an agent, the first in their order.
+        max_neighbours: usize = 20, range within(0.0, 4096.0);
+        /// Training samples hold the agents within this distance of the centre agent.
+        agents_within_m: f32 = 50.0, unit "m";
+        /// And at most so many, the nearest.
+        max_agents: usize = 21, range within(1.0, 4096.0);
+        /// Diffusion steps K.
+        diffusion_steps: usize = 100, range within(2.0, 10_000.0);
+        /// Weights of x, y, v, yaw, acceleration, yaw rate in the loss.
+        loss_weights: [f64; 6] = [1.0; 6];
+        /// Constants of the data.
+        normalisation: Normalisation = Normalisation::default();
+    }
+}
+
+/// The error for a preset that there is not.
+pub(crate) fn unknown_preset(name: &str) -> ModelError {
+    ModelError::Config { field: "preset", got: format!("{name:?}"), expected: "\"paper\" or \"fast\"" }
 }
 
 impl ModelConfig {
-    /// The sizes of the paper's table: 83 tokens of width 128, ResNet-18 at 224 x 224.
-    ///
-    /// Differs from the released code: the map is attended to (reference.md#map), every social layer is masked by G.
+    /// The sizes of the paper's table, which are the defaults.
     pub fn paper() -> Self {
-        Self {
-            kind: ModelKind::Ccdiff,
-            preset: "paper".into(),
-            history_steps: 31,
-            horizon_steps: 52,
-            dt_s: 0.1,
-            knot_stride: 1,
-            history: HistoryTokens::PerStep,
-            width: 128,
-            heads: 16,
-            feed_forward: 384,
-            social_feed_forward: 512,
-            edge_width: 64,
-            temporal_layers: 2,
-            edge_layers: 4,
-            map: Some(MapConfig {
-                encoder: MapEncoder::ResNet18,
-                size_px: 224,
-                metres_per_px: 0.5,
-                agent_column_px: 56,
-                lane_direction: false,
-                history_channels: true,
-                feature_width: 256,
-                bitmap_px_per_m: 2.0,
-                rounds: vec![1],
-            }),
-            ttc_threshold_s: 3.0,
-            headway_threshold_s: 0.0,
-            distance_threshold_m: 50.0,
-            neighbour_order: NeighbourOrder::Urgency,
-            max_neighbours: 20,
-            agents_within_m: 50.0,
-            max_agents: 21,
-            diffusion_steps: 100,
-            loss_weights: [1.0; 6],
-            normalisation: Normalisation::default(),
-        }
+        Self::default()
     }
 
     /// Small enough to train on one core: 14 tokens of width 64, action knots every 0.4 s, 64 x 64 map at 1 m a pixel.
@@ -317,11 +270,7 @@ impl ModelConfig {
         match name {
             "paper" => Ok(Self::paper()),
             "fast" => Ok(Self::fast()),
-            _ => Err(ModelError::Config {
-                field: "preset",
-                got: format!("{name:?}"),
-                expected: "\"paper\" or \"fast\"",
-            }),
+            _ => Err(unknown_preset(name)),
         }
     }
 
@@ -337,106 +286,35 @@ impl ModelConfig {
         }
     }
 
-    /// Checks that the sizes fit together.
+    /// Checks every range, and that the sizes fit together: a header of a weight file could say anything.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the first field that does not.
+    /// [`ModelError::Config`] and [`ModelError::Sim`] name the first field that is wrong.
     pub fn validated(self) -> Result<Self> {
+        options::check("model", &self)?;
         let fail =
             |field: &'static str, got: String, expected| Err(ModelError::Config { field, got, expected });
-        if self.heads < 1 || self.width < 2 || self.width % self.heads != 0 || self.width % 2 != 0 {
-            return fail(
-                "width",
-                format!("{} for {} heads", self.width, self.heads),
-                "an even multiple of heads",
-            );
+        if self.width % self.heads != 0 || self.width % 2 != 0 {
+            let got = format!("{} for {} heads", self.width, self.heads);
+            return fail("model.width", got, "an even multiple of heads");
         }
-        if self.history_steps < 2 || self.horizon_steps < 1 {
-            return fail(
-                "history_steps, horizon_steps",
-                format!("{}, {}", self.history_steps, self.horizon_steps),
-                "at least 2 and 1",
-            );
-        }
-        if self.knot_stride < 1 || !self.horizon_steps.is_multiple_of(self.knot_stride) {
-            return fail("knot_stride", self.knot_stride.to_string(), "a divisor of horizon_steps");
-        }
-        if !(self.dt_s > 0.0 && self.dt_s.is_finite()) {
-            return fail("dt_s", self.dt_s.to_string(), "a positive number of seconds");
-        }
-        if self.temporal_layers < 1 || self.edge_layers < 1 || self.max_agents < 1 {
-            return fail("temporal_layers, edge_layers, max_agents", "0".into(), "at least one of each");
-        }
-        if !(self.headway_threshold_s >= 0.0 && self.headway_threshold_s.is_finite()) {
-            return fail("headway_threshold_s", self.headway_threshold_s.to_string(), "at least 0");
+        if !self.horizon_steps.is_multiple_of(self.knot_stride) {
+            return fail("model.knot_stride", self.knot_stride.to_string(), "a divisor of horizon_steps");
         }
         if self.kind.has_trunk() && self.history != HistoryTokens::Summary {
-            return fail(
-                "history",
-                format!("{:?}", self.history),
-                "a summary, as in \"fast\", for this model",
-            );
+            let got = self.history.name().to_owned();
+            return fail("model.history", got, "a summary, as in \"fast\", for this model");
         }
-        if self.diffusion_steps < 2 {
-            return fail("diffusion_steps", self.diffusion_steps.to_string(), "at least 2");
+        let Some(map) = &self.map else { return Ok(self) };
+        if map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {
+            let (got, expected) =
+                (map.size_px.to_string(), "a multiple of 8 with the agent inside the raster");
+            return fail("model.map.size_px", got, expected);
         }
-        for (field, got, most) in self.sizes() {
-            if !usize::try_from(got).is_ok_and(|got| got <= most) {
-                return fail(field, got.to_string(), "a size of a network that fits into memory");
-            }
-        }
-        if let Some(map) = &self.map {
-            if map.size_px < 8 || map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {
-                return fail(
-                    "map.size_px",
-                    map.size_px.to_string(),
-                    "a multiple of 8 with the agent inside the raster",
-                );
-            }
-            if !(map.metres_per_px > 0.0 && map.bitmap_px_per_m > 0.0) {
-                return fail("map.metres_per_px", map.metres_per_px.to_string(), "a positive resolution");
-            }
-        }
-        let n = &self.normalisation;
-        let stds = n
-            .trajectory_std
-            .iter()
-            .chain(&n.action_std)
-            .chain(&n.history_std)
-            .chain(&n.edge_position_std)
-            .chain([&n.edge_velocity_std]);
-        for std in stds {
-            if !(*std > 0.0 && std.is_finite()) {
-                return fail("normalisation", std.to_string(), "positive standard deviations");
-            }
+        if map.rounds.len() > 64 {
+            return fail("model.map.rounds", format!("{} rounds", map.rounds.len()), "at most 64");
         }
         Ok(self)
-    }
-
-    /// Sizes with what they may be at most: a header of a weight file could say anything.
-    fn sizes(&self) -> Vec<(&'static str, i64, usize)> {
-        let size = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
-        let mut sizes = vec![
-            ("history_steps", size(self.history_steps), 1000),
-            ("horizon_steps", size(self.horizon_steps), 1000),
-            ("width", self.width, 4096),
-            ("feed_forward", self.feed_forward, 65_536),
-            ("social_feed_forward", self.social_feed_forward, 65_536),
-            ("edge_width", self.edge_width, 4096),
-            ("temporal_layers", size(self.temporal_layers), 64),
-            ("edge_layers", size(self.edge_layers), 64),
-            ("max_neighbours", size(self.max_neighbours), 4096),
-            ("max_agents", size(self.max_agents), 4096),
-            ("diffusion_steps", size(self.diffusion_steps), 10_000),
-        ];
-        if let Some(map) = &self.map {
-            sizes.extend([
-                ("map.size_px", size(map.size_px), 4096),
-                ("map.feature_width", map.feature_width, 8192),
-                ("map.rounds", size(map.rounds.len()), 64),
-            ]);
-        }
-        sizes
     }
 
     /// Number of action knots, which is the number of future tokens.
@@ -489,6 +367,48 @@ mod tests {
         let broken = ModelConfig { knot_stride: 5, ..ModelConfig::fast() };
         assert!(broken.validated().unwrap_err().to_string().contains("knot_stride"));
         assert!(ModelConfig::preset("huge").is_err());
+    }
+
+    #[test]
+    fn values_out_of_range_name_their_field_their_value_and_their_range() {
+        let map = MapConfig::default;
+        let wrong = |map| ModelConfig { map: Some(map), ..ModelConfig::fast() };
+        for (config, message) in [
+            (
+                ModelConfig { heads: 0, ..ModelConfig::fast() },
+                "model.heads is 0, expected a whole number >= 1",
+            ),
+            (
+                ModelConfig { width: -2, ..ModelConfig::fast() },
+                "model.width is -2, expected a whole number in [2, 4096]",
+            ),
+            (
+                ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },
+                "model.dt_s is null, expected a number > 0",
+            ),
+            (wrong(MapConfig { size_px: 4, ..map() }), "model.map.size_px is 4"),
+            (wrong(MapConfig { size_px: 60, ..map() }), "model.map.size_px is 60, expected a multiple of 8"),
+            (wrong(MapConfig { rounds: vec![0; 65], ..map() }), "model.map.rounds is 65 rounds"),
+            (
+                ModelConfig {
+                    normalisation: Normalisation { action_std: [1.0, 0.0], ..Normalisation::default() },
+                    ..ModelConfig::fast()
+                },
+                "model.normalisation.action_std is [1.0,0.0], expected 2 numbers > 0",
+            ),
+        ] {
+            let error = config.validated().unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_header_with_a_list_of_another_length_or_without_a_field_is_refused() {
+        let text = serde_json::to_string(&ModelConfig::paper()).unwrap();
+        for (part, other) in [("\"width\":128,", ""), ("[1.0,1.0,1.0,1.0,1.0,1.0]", "[1.0]")] {
+            let wrong = text.replace(part, other);
+            assert!(wrong != text && serde_json::from_str::<ModelConfig>(&wrong).is_err(), "{part}");
+        }
     }
 
     #[test]

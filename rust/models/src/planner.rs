@@ -10,7 +10,7 @@ use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guide, Situation, Wo
 use crate::optimiser::variables;
 use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
-use crate::sampler::{SampleOptions, Samples, Solver, to_vec};
+use crate::sampler::{SampleOptions, Samples, to_vec};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -75,17 +75,17 @@ impl PlanOptions {
                 (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
             return Err(ModelError::Config { field: "guidance_weight", got, expected });
         }
-        if kind.denoises() && self.sampling.solver != (Solver::Ddim { steps: 1 }) {
+        if kind.denoises() && self.sampling.solver_steps != Some(1) {
             return Ok(self);
         }
-        let default = SampleOptions::default().solver;
-        if !kind.denoises() && self.sampling.solver != default {
+        let default = SampleOptions::default().solver_steps;
+        if !kind.denoises() && self.sampling.solver_steps != default {
             let (got, expected) =
-                (format!("{:?}", self.sampling.solver), "the default: this model does not denoise");
-            return Err(ModelError::Config { field: "solver", got, expected });
+                (format!("{:?}", self.sampling.solver_steps), "the default: this model does not denoise");
+            return Err(ModelError::Config { field: "solver_steps", got, expected });
         }
         self.gradient_statistics &= kind.denoises();
-        if let (Some(guidance), Solver::Ddim { steps }) = (&mut self.guidance, default) {
+        if let (Some(guidance), Some(steps)) = (&mut self.guidance, default) {
             guidance.gradient_steps *= steps - 1;
             guidance.clip = Clip::Sigma;
             guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
@@ -188,12 +188,12 @@ impl Planner {
     ///
     /// # Errors
     /// [`ModelError::Config`] where it is asked for more.
-    pub fn check_solver(&self, solver: Solver) -> Result<()> {
-        if !self.plans_in_one_step() || solver == (Solver::Ddim { steps: 1 }) {
+    pub fn check_solver_steps(&self, steps: Option<usize>) -> Result<()> {
+        if !self.plans_in_one_step() || steps == Some(1) {
             return Ok(());
         }
         let expected = "1: these weights were taught to plan in one step";
-        Err(ModelError::Config { field: "denoising_steps", got: format!("{solver:?}"), expected })
+        Err(ModelError::Config { field: "denoising_steps", got: format!("{steps:?}"), expected })
     }
 
     /// The network's configuration.
@@ -228,7 +228,7 @@ impl Planner {
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
         let options = options.clone().validated()?.of_kind(self.config().kind)?;
-        self.check_solver(options.sampling.solver)?;
+        self.check_solver_steps(options.sampling.solver_steps)?;
         let config = self.network.space().config();
         let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {

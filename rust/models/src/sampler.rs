@@ -6,37 +6,22 @@ use crate::error::{ModelError, Result};
 use crate::guidance::{Guide, GuideStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;
-use serde::{Deserialize, Serialize};
+use ccdiff_sim::options;
+use ccdiff_sim::options::{at_least, within};
 use tch::{Device, Kind, Tensor};
 
-/// How the reverse process is run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Solver {
-    /// All K steps, noise added after each but the last (paper).
-    Ddpm,
-    /// A few evenly spaced steps, deterministic after the first noise.
-    Ddim {
-        /// Network evaluations, at least 1.
-        steps: usize,
-    },
-}
-
-/// Options of a sampling run.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct SampleOptions {
-    /// Reverse process.
-    pub solver: Solver,
-    /// Samples per plan N.
-    pub num_samples: usize,
-    /// Weight w of the conditional branch, (1 - w) · uncond + w · cond with w in [1, 2); 1 runs it alone (reference.md#open-points).
-    pub guidance_weight: f64,
-}
-
-impl Default for SampleOptions {
-    /// One sample by DDIM in five steps, conditional branch alone.
-    fn default() -> Self {
-        Self { solver: Solver::Ddim { steps: 5 }, num_samples: 1, guidance_weight: 1.0 }
+options! {
+    /// How plans are drawn from a network.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct SampleOptions {
+        /// Network evaluations of DDIM, evenly spaced, deterministic after the first noise; `None`: DDPM with all K steps, noise
+        /// added after each but the last (paper).
+        solver_steps: Option<usize> = Some(5), range at_least(1.0);
+        /// Samples per plan N.
+        num_samples: usize = 1, range at_least(1.0);
+        /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
+        guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
     }
 }
 
@@ -44,20 +29,9 @@ impl SampleOptions {
     /// Checks ranges.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the field.
+    /// [`ModelError::Sim`] names the field.
     pub fn validated(self) -> Result<Self> {
-        let fail = |field: &'static str, got: String, expected: &'static str| {
-            Err(ModelError::Config { field, got, expected })
-        };
-        if self.num_samples == 0 {
-            return fail("num_samples", "0".into(), "at least 1");
-        }
-        if !(1.0..2.0).contains(&self.guidance_weight) {
-            return fail("guidance_weight", self.guidance_weight.to_string(), "a number in [1, 2)");
-        }
-        if self.solver == (Solver::Ddim { steps: 0 }) {
-            return fail("solver.steps", "0".into(), "at least 1");
-        }
+        options::check("", &self)?;
         Ok(self)
     }
 }
@@ -175,8 +149,8 @@ pub fn sample<D: Denoiser>(
         }
     };
     let mut x = normal(schedule.len() as u64);
-    match options.solver {
-        Solver::Ddpm => {
+    match options.solver_steps {
+        None => {
             for k in (0..schedule.len()).rev() {
                 let p = schedule.posterior(k);
                 x = mean(&x, &Update { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma })?;
@@ -185,7 +159,7 @@ pub fn sample<D: Denoiser>(
                 }
             }
         }
-        Solver::Ddim { steps } => {
+        Some(steps) => {
             let ks = schedule.spaced(steps);
             for (i, &k) in ks.iter().enumerate() {
                 let to = ks.get(i + 1).copied();

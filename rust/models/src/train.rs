@@ -4,106 +4,86 @@
 
 use crate::batch::{Batch, Targets};
 use crate::checkpoint;
-use crate::config::{ModelConfig, ModelKind};
+use crate::config::{ModelConfig, ModelKind, unknown_preset};
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
 use crate::optimiser::{Adam, MovingAverage, variables};
 use crate::plan_model::{self, Lesson, PlanModel, Taught};
 use crate::planner::Planner;
-use crate::sampler::{SampleOptions, Solver};
+use crate::sampler::SampleOptions;
+use ccdiff_sim::options;
+use ccdiff_sim::options::{above, at_least, within};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
 
-/// How a network is trained.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TrainConfig {
-    /// Scenes per step.
-    pub batch_scenes: usize,
-    /// Peak learning rate.
-    pub learning_rate: f64,
-    /// Steps of linear warm-up.
-    pub warmup_steps: u64,
-    /// Decay of the moving average of the weights.
-    pub ema_decay: f64,
-    /// Until this step the average is a copy.
-    pub ema_start: u64,
-    /// Probability that a scene's G is replaced by the identity.
-    pub drop_graph: f64,
-    /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
-    #[serde(default)]
-    pub perturb: bool,
-    /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
-    /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
-    #[serde(default)]
-    pub collision_weight: f64,
-    /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
-    #[serde(default)]
-    pub teacher_steps: usize,
-    /// Largest norm of the gradient.
-    pub clip_norm: f64,
-    /// Seed of batches, noise and dropping.
-    pub seed: u64,
+options! {
+    /// How a network is trained. The defaults are those of the preset `"paper"` for CCDiff (reference.md#training-settings).
+    #[derive(Clone)]
+    pub struct TrainConfig {
+        /// Scenes per step.
+        batch_scenes: usize = 4, range at_least(1.0);
+        /// Peak learning rate.
+        learning_rate: f64 = 1e-4, range above(0.0);
+        /// Steps of linear warm-up.
+        warmup_steps: u64 = 0;
+        /// Decay of the moving average of the weights.
+        ema_decay: f64 = 0.995, range within(0.0, 1.0).open_above();
+        /// Until this step the average is a copy.
+        ema_start: u64 = 4000;
+        /// Probability that a scene's G is replaced by the identity.
+        drop_graph: f64 = 0.1, range within(0.0, 1.0);
+        /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
+        #[serde(default)]
+        perturb: bool = false;
+        /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
+        /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
+        #[serde(default)]
+        collision_weight: f64 = 0.0, range at_least(0.0);
+        /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
+        #[serde(default)]
+        teacher_steps: usize = 0;
+        /// Largest norm of the gradient.
+        clip_norm: f64 = 100.0;
+        /// Seed of batches, noise and dropping.
+        seed: u64 = 0;
+    }
 }
 
 impl TrainConfig {
     /// Settings of a preset for a kind of network (reference.md#training-settings); `fast` takes larger steps and batches,
     /// as it has minutes, not days. G is dropped in the training of CCDiff alone; contact has a loss of its own in that of
     /// TrafficSim and STRIVE.
-    pub fn preset(name: &str, kind: ModelKind) -> Self {
-        let paper = Self {
-            batch_scenes: 4,
-            learning_rate: 1e-4,
-            warmup_steps: 0,
-            ema_decay: 0.995,
-            ema_start: 4000,
-            drop_graph: if kind == ModelKind::Ccdiff { 0.1 } else { 0.0 },
-            perturb: false,
-            collision_weight: 0.0,
-            teacher_steps: 0,
-            clip_norm: 100.0,
-            seed: 0,
-        };
-        if name != "fast" {
-            return paper;
-        }
-        Self {
-            batch_scenes: 24,
-            learning_rate: 1e-3,
-            warmup_steps: 200,
-            ema_decay: 0.995,
-            ema_start: 200,
-            clip_norm: 1.0,
-            perturb: true,
-            collision_weight: match kind {
-                ModelKind::Trafficsim | ModelKind::Strive => 0.0,
-                _ => 0.2,
-            },
-            ..paper
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for another name than `paper` and `fast`.
+    pub fn preset(name: &str, kind: ModelKind) -> Result<Self> {
+        let paper = Self::default();
+        let paper =
+            Self { drop_graph: if kind == ModelKind::Ccdiff { paper.drop_graph } else { 0.0 }, ..paper };
+        match name {
+            "paper" => Ok(paper),
+            "fast" => Ok(Self {
+                batch_scenes: 24,
+                learning_rate: 1e-3,
+                warmup_steps: 200,
+                ema_start: 200,
+                clip_norm: 1.0,
+                perturb: true,
+                collision_weight: match kind {
+                    ModelKind::Trafficsim | ModelKind::Strive => 0.0,
+                    _ => 0.2,
+                },
+                ..paper
+            }),
+            _ => Err(unknown_preset(name)),
         }
     }
 
     fn validated(self) -> Result<Self> {
-        let fail = |field: &'static str, got: String, expected: &'static str| {
-            Err(ModelError::Config { field, got, expected })
-        };
-        if self.batch_scenes == 0 {
-            return fail("batch_scenes", "0".into(), "at least 1");
-        }
-        if !(self.learning_rate > 0.0 && self.learning_rate.is_finite()) {
-            return fail("learning_rate", self.learning_rate.to_string(), "a positive number");
-        }
-        if !(0.0..=1.0).contains(&self.drop_graph) {
-            return fail("drop_graph", self.drop_graph.to_string(), "a probability");
-        }
-        if !(self.collision_weight >= 0.0 && self.collision_weight.is_finite()) {
-            return fail("collision_weight", self.collision_weight.to_string(), "at least 0");
-        }
-        if !(0.0..1.0).contains(&self.ema_decay) {
-            return fail("ema_decay", self.ema_decay.to_string(), "a number in [0, 1)");
-        }
+        options::check("training", &self)?;
         Ok(self)
     }
 }
@@ -210,7 +190,7 @@ impl Trainer {
             let none = || Err(ModelError::Config { field: "teacher_steps", got, expected });
             return if steps == 0 { Ok(None) } else { none() };
         };
-        let options = SampleOptions { solver: Solver::Ddim { steps }, ..SampleOptions::default() };
+        let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());
         let plans = tch::no_grad(|| teacher.network().propose(batch, &seeds, options, None))?;
         Ok(Some(Taught { seeds, knots: plans.knots }))

@@ -13,7 +13,7 @@ use ccdiff_models::guidance::{
 };
 use ccdiff_models::plan_model::build;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
-use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_sim::scene::Scene;
 use std::path::PathBuf;
@@ -37,7 +37,7 @@ fn trainer(kind: ModelKind) -> Trainer {
     let sampling = SampleConfig { stride: 20, smooth: false };
     let data = Dataset::new(vec![common::closing_pair()], &config, sampling).unwrap();
     tch::manual_seed(11);
-    let preset = TrainConfig::preset("fast", kind);
+    let preset = TrainConfig::preset("fast", kind).unwrap();
     let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ema_start: 2, ..preset };
     Trainer::new(config, training, data, Device::Cpu).unwrap()
 }
@@ -227,7 +227,7 @@ fn a_future_without_a_log_trains_to_finite_losses() {
         let config = ModelConfig::of(kind, "fast").unwrap();
         let sampling = SampleConfig { stride: 12, smooth: false };
         let data = Dataset::new(vec![Arc::clone(&scene)], &config, sampling).unwrap();
-        let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind) };
+        let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind).unwrap() };
         let mut run = Trainer::new(config, training, data, Device::Cpu).unwrap();
         assert!(run.run(3).unwrap().iter().all(|l| l.is_finite()), "{kind:?}");
     }
@@ -242,7 +242,7 @@ fn what_means_nothing_to_a_network_is_refused_by_name() {
     };
     let default = SampleOptions::default();
     let weighted = SampleOptions { guidance_weight: 1.5, ..default };
-    let many = SampleOptions { solver: Solver::Ddpm, ..default };
+    let many = SampleOptions { solver_steps: None, ..default };
     assert!(refused(ModelKind::Ctg, weighted).contains("guidance_weight"));
     assert!(refused(ModelKind::Simnet, many).contains("solver"));
     assert!(ModelConfig::of(ModelKind::Ctg, "paper").unwrap_err().to_string().contains("history"));

@@ -9,7 +9,7 @@ use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
-use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use std::path::{Path, PathBuf};
 use tch::Device;
@@ -25,7 +25,7 @@ fn network() -> ModelConfig {
 }
 
 fn training(teacher_steps: usize) -> TrainConfig {
-    let preset = TrainConfig::preset("fast", ModelKind::Ccdiff);
+    let preset = TrainConfig::preset("fast", ModelKind::Ccdiff).unwrap();
     TrainConfig {
         batch_scenes: 4,
         warmup_steps: 0,
@@ -49,7 +49,7 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
     let scene = common::closing_pair();
     let window = Window::from_scene(&scene, 43, &vehicles(&scene), 31);
     let plans = |path: &Path, steps: usize| -> Vec<f32> {
-        let options = SampleOptions { solver: Solver::Ddim { steps }, ..SampleOptions::default() };
+        let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let mut planner = Planner::load(path, Device::Cpu).unwrap();
         let of_seed = |seed| {
             let view = WorldView { window: &window, bitmap: None, seed, guide: None };

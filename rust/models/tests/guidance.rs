@@ -13,7 +13,7 @@ use ccdiff_models::guidance::{
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
-use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::sampler::SampleOptions;
 use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
 
@@ -254,8 +254,8 @@ fn planned(
     let view =
         |seed: &u64| WorldView { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
     let views: Vec<_> = seeds.iter().map(view).collect();
-    let solver = Solver::Ddim { steps: if planner.plans_in_one_step() { 1 } else { 5 } };
-    let sampling = SampleOptions { solver, num_samples: 2, ..SampleOptions::default() };
+    let solver_steps = Some(if planner.plans_in_one_step() { 1 } else { 5 });
+    let sampling = SampleOptions { solver_steps, num_samples: 2, ..SampleOptions::default() };
     let options = PlanOptions { sampling, guidance, attention: true, gradient_statistics: false };
     planner.plan(&views, &options).unwrap()
 }

@@ -7,10 +7,11 @@ use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuide};
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
-use ccdiff_models::sampler::{SampleOptions, Solver};
+use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::{ModelError, device_named};
 use ccdiff_sim::geom::Region;
+use ccdiff_sim::options::read;
 use ccdiff_sim::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyOSError;
@@ -58,19 +59,13 @@ fn arcs(scenes: Vec<Handed>) -> Vec<Arc<Scene>> {
     scenes.into_iter().map(|handed| handed.0).collect()
 }
 
-/// DDIM in `steps` evaluations, or DDPM for `None`.
-fn options(steps: Option<usize>, num_samples: usize, guidance_weight: f64) -> SampleOptions {
-    let solver = steps.map_or(Solver::Ddpm, |steps| Solver::Ddim { steps });
-    SampleOptions { solver, num_samples, guidance_weight }
-}
-
 /// Model and training settings of a preset for a kind of network, as JSON.
 #[pyfunction]
 #[pyo3(signature = (name, model="ccdiff"))]
 fn model_preset(name: &str, model: &str) -> PyResult<(String, String)> {
     let kind = ModelKind::named(model).map_err(from_model)?;
     let model = ModelConfig::of(kind, name).map_err(from_model)?;
-    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name, kind))?))
+    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name, kind).map_err(from_model)?)?))
 }
 
 /// Settings of a guidance preset, as JSON.
@@ -110,8 +105,8 @@ impl PyTrainer {
         estimate: bool,
         teacher: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let mut model: ModelConfig = parsed("model", model)?;
-        let training: TrainConfig = parsed("training", training)?;
+        let mut model: ModelConfig = read("model", model).map_err(from_sim)?;
+        let training: TrainConfig = read("training", training).map_err(from_sim)?;
         let device = device_named(device).map_err(from_model)?;
         let (scenes, held_out) = (arcs(scenes), arcs(held_out));
         py.detach(move || {
@@ -151,7 +146,7 @@ impl PyTrainer {
         guidance_weight: f64,
     ) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(held_out) = &self.held_out else { return Ok(None) };
-        let options = options(solver_steps, num_samples, guidance_weight);
+        let options = SampleOptions { solver_steps, num_samples, guidance_weight };
         let v = py.detach(|| lock(&self.run).validate(held_out, count, options)).map_err(from_model)?;
         let dict = PyDict::new(py);
         dict.set_item("min_ade_m", v.min_ade_m)?;
@@ -257,8 +252,8 @@ impl PyPlanner {
             return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
         }
         let options = PlanOptions {
-            sampling: options(solver_steps, num_samples, guidance_weight),
-            guidance: guidance.map(|text| parsed("guidance", text)).transpose()?,
+            sampling: SampleOptions { solver_steps, num_samples, guidance_weight },
+            guidance: guidance.map(|text| read("guidance", text)).transpose().map_err(from_sim)?,
             attention,
             gradient_statistics,
         };

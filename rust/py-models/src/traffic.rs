@@ -3,10 +3,11 @@
 use crate::models::from_model;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_bridge::{Handed, contained, policy_capsule};
-use ccdiff_models::ModelKind;
-use ccdiff_models::guidance::TABLES;
+use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
-use ccdiff_sim::options::read;
+use ccdiff_models::train::TrainConfig;
+use ccdiff_models::{ModelKind, config, guidance};
+use ccdiff_sim::options::{Table, read};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::collections::BTreeMap;
@@ -19,10 +20,11 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(traffic_policy, module)?)
 }
 
-/// The tables of the options of networks and of guidance as JSON: names, defaults, units, ranges, meanings.
+/// The tables of networks, of their training, options and guidance as JSON: names, defaults, units, ranges, meanings.
 #[pyfunction]
 fn config_tables() -> PyResult<String> {
-    let tables: Vec<_> = [&CcdiffConfig::TABLE].into_iter().chain(TABLES.iter().copied()).collect();
+    let own: [&Table; 3] = [&CcdiffConfig::TABLE, &SampleOptions::TABLE, &TrainConfig::TABLE];
+    let tables = [&own, guidance::TABLES, config::TABLES].concat();
     serde_json::to_string(&tables).map_err(|e| py::ConfigError::new_err(e.to_string()))
 }
 

@@ -1,7 +1,8 @@
 //! What worlds are configured with and report, as JSON that Python reads names, units and meanings from.
 
 use crate::python_policy::PythonOptions;
-use ccdiff_bridge::errors::py;
+use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_sim::options::{Table, check_table};
 use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
 use pyo3::prelude::*;
 
@@ -9,6 +10,7 @@ use pyo3::prelude::*;
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(default_world_config, module)?)?;
     module.add_function(wrap_pyfunction!(config_tables, module)?)?;
+    module.add_function(wrap_pyfunction!(check_options, module)?)?;
     module.add_function(wrap_pyfunction!(columns_json, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_json, module)?)?;
     module.add_function(wrap_pyfunction!(candidate_features_json, module)?)
@@ -22,7 +24,19 @@ pub(crate) fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 /// The tables of the configuration of worlds as JSON: names, defaults, units, ranges, meanings.
 #[pyfunction]
 fn config_tables() -> PyResult<String> {
-    to_json(&TABLES.iter().copied().chain([&PythonOptions::TABLE]).collect::<Vec<_>>())
+    to_json(&tables().collect::<Vec<_>>())
+}
+
+fn tables() -> impl Iterator<Item = &'static Table> {
+    TABLES.iter().copied().chain([&PythonOptions::TABLE])
+}
+
+/// Checks options that are used in Python alone, as JSON, against the table of this name; `path` is where they stand.
+#[pyfunction]
+fn check_options(table: &str, path: &str, options: &str) -> PyResult<()> {
+    let known = tables().find(|t| t.name == table);
+    let known = known.ok_or_else(|| py::ConfigError::new_err(format!("no table of options {table:?}")))?;
+    check_table(known, path, options).map_err(from_sim)
 }
 
 /// The default configuration as JSON.

@@ -89,6 +89,8 @@ pub enum Form {
     Text,
     /// Lowest and highest, in order.
     Span,
+    /// So many numbers.
+    Numbers(usize),
     /// Any number of values.
     List(&'static Form),
     /// A value, or nothing.
@@ -183,11 +185,16 @@ settings! {
     bool: Form::Flag;
     usize: Form::Count;
     u64: Form::Count;
+    i64: Form::Count;
     f32: Form::Number;
     f64: Form::Number;
     String: Form::Text;
     [Real; 2]: Form::Span;
     Value: Form::Any;
+}
+
+impl<const N: usize> Setting for [f64; N] {
+    const FORM: Form = Form::Numbers(N);
 }
 
 impl<T: Setting> Setting for Vec<T> {
@@ -203,25 +210,27 @@ impl<T: Setting> Setting for BTreeMap<String, T> {
 }
 
 /// A struct of a configuration from a list `name: type = default, unit "m/s", range above(0.0);`, in which unit and range may
-/// be left out. Without defaults every field must be given, and `serde(default)` is left out, too.
+/// be left out. Without defaults every field must be given, and `serde(default)` is left out, too. `#[serde(default)]` on a
+/// field alone: files of before it are read as if its type's default stood in them.
 #[macro_export]
 macro_rules! options {
     (
         $(#[doc = $about:literal])+
         #[derive($($derive:ident),+)]
-        #[serde($($serde:ident),+)]
+        $(#[serde($($serde:ident),+)])?
         pub struct $name:ident {
             $(
                 $(#[doc = $doc:literal])+
+                $(#[serde($later:ident)])?
                 $field:ident: $type:ty $(= $default:expr)? $(, unit $unit:literal)? $(, range $range:expr)?;
             )+
         }
     ) => {
         $(#[doc = $about])+
         #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize, $($derive),+)]
-        #[serde($($serde),+)]
+        $(#[serde($($serde),+)])?
         pub struct $name {
-            $($(#[doc = $doc])+ pub $field: $type,)+
+            $($(#[doc = $doc])+ $(#[serde($later)])? pub $field: $type,)+
         }
 
         $crate::options!(@default $name; $($field $(= $default)?;)+);
@@ -260,7 +269,8 @@ macro_rules! options {
     (@defaults $($default:expr),+) => { Some(|| $crate::options::to_value(&Self::default())) };
 }
 
-/// An enum of a configuration from a list `Variant = "name",` or `Variant(Type) = "name",`.
+/// An enum of a configuration from a list `Variant = "name",` or `Variant(Type) = "name",`; `Variant = "name" default,` is the
+/// one that `derive(Default)` takes.
 #[macro_export]
 macro_rules! choices {
     (
@@ -268,14 +278,14 @@ macro_rules! choices {
         #[derive($($derive:ident),+)]
         $(#[serde(tag = $tag:literal)])?
         pub enum $name:ident {
-            $($(#[doc = $doc:literal])+ $variant:ident $(($type:ty))? = $text:literal,)+
+            $($(#[doc = $doc:literal])+ $variant:ident $(($type:ty))? = $text:literal $($mark:ident)?,)+
         }
     ) => {
         $(#[doc = $about])+
         #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize, $($derive),+)]
         $(#[serde(tag = $tag)])?
         pub enum $name {
-            $($(#[doc = $doc])+ #[serde(rename = $text)] $variant $(($type))?,)+
+            $($(#[doc = $doc])+ $(#[$mark])? #[serde(rename = $text)] $variant $(($type))?,)+
         }
 
         impl $name {
@@ -342,6 +352,15 @@ fn inside(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
 
+/// Checks JSON against a table without making a struct of it; `path` is where it stands.
+///
+/// # Errors
+/// [`SimError::Config`] names the first field that is wrong.
+pub fn check_table(table: &Table, path: &str, text: &str) -> Result<()> {
+    let value = serde_json::from_str(text).map_err(|e| wrong(path, e, "JSON of a configuration"))?;
+    table.check(path, &value)
+}
+
 impl Form {
     fn check(&self, path: &str, range: Option<&Range>, value: &Value) -> Result<()> {
         let allowed = |x: f64| range.is_none_or(|r| r.holds(x));
@@ -359,6 +378,13 @@ impl Form {
                 let ends = value.as_array().and_then(|v| <&[Value; 2]>::try_from(v.as_slice()).ok());
                 let ends = ends.and_then(|[low, high]| Some((number(low)?, number(high)?)));
                 fits(ends.is_some_and(|(low, high)| low <= high), "lowest and highest, numbers in order")
+            }
+            Self::Numbers(count) => {
+                let values = value.as_array().filter(|v| v.len() == *count);
+                fits(
+                    values.is_some_and(|v| v.iter().all(|v| number(v).is_some())),
+                    &format!("{count} numbers"),
+                )
             }
             Self::List(form) => {
                 let Some(values) = value.as_array() else { return fail("a list".into()) };

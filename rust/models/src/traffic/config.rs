@@ -4,7 +4,7 @@ use crate::config::ModelKind;
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::planner::PlanOptions;
-use crate::sampler::{SampleOptions, Solver};
+use crate::sampler::SampleOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{Form, Setting, at_least, within};
@@ -237,8 +237,11 @@ impl CcdiffConfig {
 
     /// Options of the sampler.
     pub fn sampling(&self) -> SampleOptions {
-        let solver = self.denoising_steps.map_or(Solver::Ddpm, |steps| Solver::Ddim { steps });
-        SampleOptions { solver, num_samples: self.num_samples, guidance_weight: self.cfg_weight }
+        SampleOptions {
+            solver_steps: self.denoising_steps,
+            num_samples: self.num_samples,
+            guidance_weight: self.cfg_weight,
+        }
     }
 
     /// The ranker of a plan of a scene; `ids` are those of the planned agents.

@@ -65,7 +65,7 @@ impl PlannedTraffic {
         let model = planners[0].config().clone();
         config.validate(model.horizon_steps)?;
         config.check_kind(model.kind)?;
-        planners[0].check_solver(config.sampling().solver)?;
+        planners[0].check_solver_steps(config.sampling().solver_steps)?;
         let (guided, unguided) = (config.guided()?, config.unguided());
         let planners = SyncWrapper::new(planners);
         let pool = num_threads.map(planning_pool).transpose()?;

@@ -8,7 +8,7 @@ use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuide};
 use crate::noise::Noise;
 use crate::planner::{Plan, PlanOptions, Planner, WorldView as PlannerView};
 use crate::raster::MapBitmap;
-use crate::sampler::{SampleOptions, Solver};
+use crate::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
 use rayon::prelude::*;
@@ -141,7 +141,7 @@ impl PlannedTraffic {
             return Ok(Vec::new());
         }
         let sampling = SampleOptions {
-            solver: Solver::Ddim { steps: if greedy { 1 } else { 2 } },
+            solver_steps: Some(if greedy { 1 } else { 2 }),
             num_samples: 1,
             guidance_weight: 1.0,
         };

@@ -8,6 +8,7 @@ use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
 use crate::options::{Range, Table, above, at_least, within};
 use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, IdmConfig, Traffic};
 use std::collections::BTreeMap;
 
@@ -240,6 +241,7 @@ pub const TABLES: &[&Table] = &[
     &BevConfig::TABLE,
     &RewardConfig::TABLE,
     &IdmConfig::TABLE,
+    &SelectionReward::TABLE,
 ];
 
 fn check(ok: bool, field: &'static str, got: impl ToString, expected: &str) -> Result<()> {

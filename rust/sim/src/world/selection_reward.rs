@@ -1,0 +1,43 @@
+//! What choosing adversaries is rewarded for: the options of the environments that learn it.
+
+use crate::{choices, options};
+
+choices! {
+    /// Which collisions of agents that were adversaries in the episode count.
+    #[derive(Clone, Copy, Eq)]
+    pub enum CountedCollisions {
+        /// Those with the ego.
+        Ego = "ego",
+        /// Those with any vehicle.
+        Any = "any",
+    }
+}
+
+options! {
+    /// Weights of the reward components of one decision about adversaries; the reward is their sum.
+    ///
+    /// A collision is worth more than an episode of unrealistic plans costs: else, as few choices lead to one, choosing
+    /// nobody would be best.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct SelectionReward {
+        /// Per new collision that counts.
+        collision: f64 = 5.0;
+        /// Which collisions count, of agents that were adversaries in the episode.
+        count: CountedCollisions = CountedCollisions::Ego;
+        /// Whether collisions count that the ego is at fault for, such as rear-ending an adversary that brakes; the paper
+        /// counts them.
+        ego_fault: bool = true;
+        /// Whether collisions of the ego count only where some ego plan would have avoided them, the others doing as they
+        /// did (`ccdiff_env.counterfactual.rollout_avoidability`); the search takes up to a second per collision.
+        avoidable_only: bool = false;
+        /// Per unit of realism cost (total variation between guided and unguided actions, the paper's C), mean over
+        /// adversaries.
+        realism: f64 = -0.02;
+        /// Per share of steps that adversaries spend off the road.
+        off_road: f64 = -0.1;
+        /// Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3,
+        /// mean over steps and adversaries.
+        comfort: f64 = -0.005;
+    }
+}
