@@ -1,4 +1,4 @@
-"""Evaluation metrics of recorded roll-outs, and the paper's scores.
+"""Evaluation metrics of recorded rollouts, and the paper's scores.
 
 A recorded scene is a :class:`Motion`: states of A agents over T steps. Rates over scenes are
 means of what its methods give per scene. Everything is computed by the Rust code that the running

@@ -1,6 +1,6 @@
 //! The unicycle as tensors (reference.md#unicycle), action knots, and actions from logged poses (reference.md#logged-actions).
 //!
-//! This is the roll-out of a *plan*: the cumulative sum of accelerations is clipped ("parallel" mode), which differs
+//! This is the rollout of a *plan*: the cumulative sum of accelerations is clipped ("parallel" mode), which differs
 //! from integrating step by step once a bound is hit.
 
 use crate::config::ModelConfig;

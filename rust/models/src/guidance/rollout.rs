@@ -1,4 +1,4 @@
-//! The unicycle and its adjoint in plain numbers: the same plan roll-out as [`crate::unicycle::rollout`], in the scene
+//! The unicycle and its adjoint in plain numbers: the same plan rollout as [`crate::unicycle::rollout`], in the scene
 //! frame, with the gradient of a loss on states with respect to actions.
 //!
 //! Forward, from (x₀, y₀, ψ₀, v₀), with a and ω clipped as in reference.md#unicycle:

@@ -61,10 +61,10 @@ pub struct CollisionReport {
 }
 
 impl CollisionReport {
-    /// Finds the contacts of a roll-out. `log` is the recorded traffic of the same agents and steps.
+    /// Finds the contacts of a rollout. `log` is the recorded traffic of the same agents and steps.
     ///
     /// # Errors
-    /// [`crate::SimError::Length`] where `controlled` or `log` do not fit the roll-out.
+    /// [`crate::SimError::Length`] where `controlled` or `log` do not fit the rollout.
     ///
     /// # Reference
     /// reference.md#collisions.

@@ -1,4 +1,4 @@
-//! Comfort distance (CFD): how far the accelerations and jerks of a roll-out are from those of the log.
+//! Comfort distance (CFD): how far the accelerations and jerks of a rollout are from those of the log.
 
 use super::Motion;
 use crate::error::{Result, SimError};

@@ -1,4 +1,4 @@
-//! Distance of a roll-out from the log.
+//! Distance of a rollout from the log.
 
 use super::Motion;
 use crate::error::Result;
@@ -28,7 +28,7 @@ impl Displacement {
     }
 }
 
-/// Compares a roll-out with the log of the same agents and steps.
+/// Compares a rollout with the log of the same agents and steps.
 ///
 /// # Errors
 /// [`crate::SimError::Length`] where the log has other agents or steps.

@@ -1,4 +1,4 @@
-//! Evaluation metrics: pure functions of recorded roll-outs, and of tables of results.
+//! Evaluation metrics: pure functions of recorded rollouts, and of tables of results.
 //!
 //! [`Motion`] is a view of the states of one recorded scene, agents by steps. From it come collisions, leaving the
 //! road, displacement from the log, comfort histograms and surrogate safety measures; from tables of those over

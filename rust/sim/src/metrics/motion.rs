@@ -125,7 +125,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Checks that another roll-out has the same agents and steps, and a mask the same agents.
+    /// Checks that another rollout has the same agents and steps, and a mask the same agents.
     pub(super) fn check_same(&self, other: Option<&Motion<'_>>, controlled: &[bool]) -> Result<()> {
         if controlled.len() != self.num_agents() {
             let (got, expected) = (controlled.len(), self.num_agents());
@@ -149,7 +149,7 @@ impl<'a> Motion<'a> {
 #[cfg(test)]
 pub(super) type Entry = Option<(Real, Real, Real)>;
 
-/// Arrays of a roll-out for tests: agents as rows of entries.
+/// Arrays of a rollout for tests: agents as rows of entries.
 #[cfg(test)]
 pub(super) struct Recorded {
     x_m: Vec<Real>,
