@@ -81,7 +81,7 @@ pub struct Samples {
 }
 
 /// From a noisy plan and the clean one predicted from it to the mean of the next one.
-struct Update {
+struct StepCoefficients {
     k: usize,
     from_x0: f64,
     from_xk: f64,
@@ -141,11 +141,11 @@ pub fn sample<D: Denoiser>(
             None => x0,
         })
     };
-    let mut mean = |x: &Tensor, update: &Update| -> Result<Tensor> {
-        let x0 = clean(x, update.k);
-        match guide.as_deref_mut().filter(|g| g.is_active() && update.sigma > 0.0) {
-            Some(guide) => guided_mean(guide, schedule, x, &x0, update),
-            None => Ok(x0 * update.from_x0 + x * update.from_xk),
+    let mut mean = |x: &Tensor, step: &StepCoefficients| -> Result<Tensor> {
+        let x0 = clean(x, step.k);
+        match guide.as_deref_mut().filter(|g| g.is_active() && step.sigma > 0.0) {
+            Some(guide) => guided_mean(guide, schedule, x, &x0, step),
+            None => Ok(x0 * step.from_x0 + x * step.from_xk),
         }
     };
     let mut x = normal(schedule.len() as u64);
@@ -153,20 +153,20 @@ pub fn sample<D: Denoiser>(
         None => {
             for k in (0..schedule.len()).rev() {
                 let p = schedule.posterior(k);
-                x = mean(&x, &Update { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma })?;
+                x = mean(&x, &StepCoefficients { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma })?;
                 if k > 0 {
                     x = &x + normal(k as u64) * p.sigma;
                 }
             }
         }
         Some(steps) => {
-            let ks = schedule.spaced(steps);
+            let ks = schedule.timesteps(steps);
             for (i, &k) in ks.iter().enumerate() {
                 let to = ks.get(i + 1).copied();
                 let (from_x0, from_xk) = schedule.ddim(k, to);
                 // the plan of a single step is guided against the spread of the noise that it is made of
-                let sigma = if steps == 1 { 1.0 } else { schedule.jump_sigma(k, to) };
-                x = mean(&x, &Update { k, from_x0, from_xk, sigma })?;
+                let sigma = if steps == 1 { 1.0 } else { schedule.posterior_std(k, to) };
+                x = mean(&x, &StepCoefficients { k, from_x0, from_xk, sigma })?;
             }
         }
     }
@@ -179,22 +179,22 @@ fn guided_mean(
     schedule: &Schedule,
     x: &Tensor,
     x0: &Tensor,
-    update: &Update,
+    step: &StepCoefficients,
 ) -> Result<Tensor> {
     let target = guide.config().target;
     let score = guide.wants_score().then(|| {
-        let alpha_bar = schedule.alpha_bar[update.k];
+        let alpha_bar = schedule.alpha_bar[step.k];
         to_vec(&((x0 * alpha_bar.sqrt() - x) / (1.0 - alpha_bar)))
     });
-    let mean_of = |x0: &Tensor| x0 * update.from_x0 + x * update.from_xk;
+    let mean_of = |x0: &Tensor| x0 * step.from_x0 + x * step.from_xk;
     let mut adjusted = |plan: &Tensor, gain: f64| -> Result<Tensor> {
         let mut values = to_vec(plan);
-        guide.adjust(&mut values, GuideStep { sigma: update.sigma, gain, score: score.as_deref() })?;
+        guide.adjust(&mut values, GuideStep { sigma: step.sigma, gain, score: score.as_deref() })?;
         Ok(Tensor::from_slice(&values).view_as(plan).to_device(plan.device()))
     };
     match target {
         Target::Mu => adjusted(&mean_of(x0), 1.0),
-        Target::X0 => Ok(mean_of(&adjusted(x0, update.from_x0)?)),
+        Target::X0 => Ok(mean_of(&adjusted(x0, step.from_x0)?)),
     }
 }
 

@@ -87,14 +87,14 @@ impl Schedule {
 
     /// Standard deviation of the random step from k to `to` (q(x_to | x_k, x_0)): the equal variance that guidance is measured
     /// against where a deterministic sampler takes that step. 0 for the clean end.
-    pub fn jump_sigma(&self, k: usize, to: Option<usize>) -> f64 {
+    pub fn posterior_std(&self, k: usize, to: Option<usize>) -> f64 {
         let Some(to) = to else { return 0.0 };
         let (now, next) = (self.alpha_bar[k], self.alpha_bar[to]);
         ((1.0 - next) / (1.0 - now) * (1.0 - now / next)).max(0.0).sqrt()
     }
 
     /// `count` steps from K-1 down to 0, evenly spaced, for a sampler that skips.
-    pub fn spaced(&self, count: usize) -> Vec<usize> {
+    pub fn timesteps(&self, count: usize) -> Vec<usize> {
         let last = self.len() - 1;
         let count = count.clamp(1, self.len());
         if count == 1 {
@@ -154,20 +154,20 @@ mod tests {
     fn spaced_steps_start_at_the_noisiest_and_end_at_zero() {
         let s = Schedule::cosine(100).unwrap();
         for n in 2..=100 {
-            let steps = s.spaced(n);
+            let steps = s.timesteps(n);
             assert_eq!((steps[0], steps[n - 1], steps.len()), (99, 0, n));
             assert!(steps.windows(2).all(|w| w[0] > w[1]));
         }
-        assert_eq!(s.spaced(1), [99]);
+        assert_eq!(s.timesteps(1), [99]);
     }
 
     #[test]
     fn a_jump_of_one_step_has_the_posteriors_standard_deviation() {
         let s = Schedule::cosine(100).unwrap();
         for k in 1..99 {
-            close(s.jump_sigma(k, Some(k - 1)), s.posterior(k).sigma, 1e-9);
+            close(s.posterior_std(k, Some(k - 1)), s.posterior(k).sigma, 1e-9);
         }
-        assert_eq!(s.jump_sigma(0, None), 0.0);
+        assert_eq!(s.posterior_std(0, None), 0.0);
     }
 
     #[test]
