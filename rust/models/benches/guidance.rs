@@ -8,7 +8,7 @@ use ccdiff_models::batch::Batch;
 use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::features::{self, SceneFeatures, Window};
-use ccdiff_models::guidance::{GuidanceConfig, Guide, GuideStep, KnotMap, Objective, Situation, WorldGuide};
+use ccdiff_models::guidance::{GuidanceConfig, Guide, GuideStep, KnotMap, Objective, GuidanceContext, WorldGuide};
 use ccdiff_models::noise::Noise;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;
@@ -78,7 +78,7 @@ fn main() {
             let guide = WorldGuide { road: Some(&road), ..WorldGuide::new(&who) };
             let worlds: Vec<_> = features
                 .iter()
-                .map(|f| Some(Situation::new(&guide, &window, f, &model, &config).unwrap()))
+                .map(|f| Some(GuidanceContext::new(&guide, &window, f, &model, &config).unwrap()))
                 .collect();
             let mut guide = Guide::new(&config, &model, worlds, &[VEHICLES; WORLDS], 1, false).unwrap();
             let ms = least_ms(|| {

@@ -6,7 +6,7 @@ use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
-use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guide, Situation, WorldGuide};
+use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guide, GuidanceContext, WorldGuide};
 use crate::optimiser::variables;
 use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
@@ -329,10 +329,10 @@ fn guide_of<'a>(
     let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
         return Ok(None);
     };
-    let situation = |(world, features): (&WorldView<'a>, &SceneFeatures)| {
-        world.guide.map(|g| Situation::new(&g, world.window, features, model, config)).transpose()
+    let context = |(world, features): (&WorldView<'a>, &SceneFeatures)| {
+        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, config)).transpose()
     };
-    let situations = worlds.iter().zip(features).map(situation).collect::<Result<Vec<_>>>()?;
+    let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
     let samples = options.sampling.num_samples;
-    Guide::new(config, model, situations, sizes, samples, options.gradient_statistics).map(Some)
+    Guide::new(config, model, contexts, sizes, samples, options.gradient_statistics).map(Some)
 }

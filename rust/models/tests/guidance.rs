@@ -9,7 +9,7 @@ use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, GuidanceConfig, Guide, GuideStep, MapCollision, Objective,
-    Optimiser, Rollout, Situation, Target, TargetSpeed, WorldGuide, choose_samples,
+    Optimiser, Rollout, GuidanceContext, Target, TargetSpeed, WorldGuide, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
@@ -34,7 +34,7 @@ fn guided(toy: &Toy, guide: &WorldGuide<'_>, config: &GuidanceConfig, steps: usi
     let m = toy.features.agents.len();
     let mut knots = toy.still();
     let mut all =
-        Guide::new(config, &toy.model, vec![Some(toy.situation(guide, config))], &[m], 1, false).unwrap();
+        Guide::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false).unwrap();
     for _ in 0..steps {
         all.adjust(&mut knots, GuideStep { sigma: 0.3, gain: 1.0, score: None }).unwrap();
     }
@@ -42,7 +42,7 @@ fn guided(toy: &Toy, guide: &WorldGuide<'_>, config: &GuidanceConfig, steps: usi
 }
 
 /// Least distance between the disks of agents 0 and 1 less that at which they touch, metres.
-fn gap_m(s: &Situation<'_>, plan: &Rollout) -> f32 {
+fn gap_m(s: &GuidanceContext<'_>, plan: &Rollout) -> f32 {
     let disks = |a: usize, t: usize| {
         [-1.25, 1.25].map(|o: f32| {
             (plan.x_m[a * T + t] + o * plan.cos[a * T + t], plan.y_m[a * T + t] + o * plan.sin[a * T + t])
@@ -59,7 +59,7 @@ fn a_negative_weight_turns_a_near_miss_into_a_contact_and_a_positive_one_turns_a
     let who = [true, false, true];
     let gap = |toy: &Toy, config: &GuidanceConfig| {
         let guide = WorldGuide::new(&who);
-        let s = toy.situation(&guide, config);
+        let s = toy.context(&guide, config);
         gap_m(&s, &toy.roll_knots(&s, &guided(toy, &guide, config, 6)))
     };
     let unguided = config(Vec::new());
@@ -103,8 +103,8 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true, false, false];
     let config = GuidanceConfig { learning_rate: 5.0, ..config(vec![approach(-10.0)]) };
-    let situation = toy.situation(&WorldGuide::new(&who), &config);
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(situation)], &[3], 1, false).unwrap();
+    let context = toy.context(&WorldGuide::new(&who), &config);
+    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
     let before = toy.still();
     let mut after = before.clone();
     guide.adjust(&mut after, GuideStep { sigma: 0.3, gain: 0.5, score: None }).unwrap();
@@ -151,19 +151,19 @@ fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
         still.iter().zip(noise).map(|(s, n)| s + 0.5 * n).collect()
     };
     let alone = |toy: &Toy, who: &[bool], sample: u64| {
-        let situation = toy.situation(&WorldGuide::new(who), &config);
+        let context = toy.context(&WorldGuide::new(who), &config);
         let m = toy.features.agents.len();
         let mut knots = noisy(toy, sample);
-        Guide::new(&config, &toy.model, vec![Some(situation)], &[m], 1, false)
+        Guide::new(&config, &toy.model, vec![Some(context)], &[m], 1, false)
             .unwrap()
             .adjust(&mut knots, step)
             .unwrap();
         knots
     };
     let worlds = vec![
-        Some(a.situation(&WorldGuide::new(&who_a), &config)),
+        Some(a.context(&WorldGuide::new(&who_a), &config)),
         None,
-        Some(b.situation(&WorldGuide::new(&who_b), &config)),
+        Some(b.context(&WorldGuide::new(&who_b), &config)),
     ];
     let mut guide = Guide::new(&config, &a.model, worlds, &[3, 4, 4], 2, false).unwrap();
     let parts = |sample: u64| [noisy(&a, sample), noisy(&b, sample), noisy(&b, sample)];
@@ -184,7 +184,7 @@ fn only_contacts_with_a_partner_count_where_partners_are_named() {
     let config = config(vec![approach(-10.0)]);
     let partners = [false, false, true];
     let guide = WorldGuide { partners: Some(&partners), ..WorldGuide::new(&who) };
-    let s = toy.situation(&guide, &config);
+    let s = toy.context(&guide, &config);
     let (losses, _) = evaluate(&approach(-10.0), &s, &toy.roll_knots(&s, &toy.still()));
     assert_eq!(losses, [0.0; 3]);
     assert_eq!(guided(&toy, &guide, &config, 2), toy.still());
@@ -217,8 +217,8 @@ fn gradient_statistics_say_who_pulls_which_way() {
         approach(-10.0),
         Objective::TargetSpeed(TargetSpeed { weight: 1.0, speed_mps: Some(12.0) }),
     ]);
-    let situation = toy.situation(&WorldGuide::new(&who), &config);
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(situation)], &[3], 1, true).unwrap();
+    let context = toy.context(&WorldGuide::new(&who), &config);
+    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, true).unwrap();
     let mut knots = toy.still();
     let gradients = guide.gradients(0, &knots).unwrap();
     // a score that agrees with guidance for agent 0 and contradicts it for agent 1
@@ -326,12 +326,12 @@ fn guides_of_the_wrong_length_are_refused() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig::released();
     let short = [true, false];
-    let error = Situation::new(&WorldGuide::new(&short), &toy.window, &toy.features, &toy.model, &config);
+    let error = GuidanceContext::new(&WorldGuide::new(&short), &toy.window, &toy.features, &toy.model, &config);
     assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
     let who = [true; 3];
-    let situation = toy.situation(&WorldGuide::new(&who), &config);
-    assert!(Guide::new(&config, &toy.model, vec![Some(situation.clone())], &[2], 1, false).is_err());
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(situation)], &[3], 1, false).unwrap();
+    let context = toy.context(&WorldGuide::new(&who), &config);
+    assert!(Guide::new(&config, &toy.model, vec![Some(context.clone())], &[2], 1, false).is_err());
+    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
     assert!(guide.adjust(&mut [0.0; 7], GuideStep { sigma: 1.0, gain: 1.0, score: None }).is_err());
     assert_eq!(guide.config().target, Target::Mu);
 }

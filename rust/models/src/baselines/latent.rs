@@ -67,7 +67,7 @@ pub(super) fn descended(
 mod tests {
     use super::*;
     use crate::config::{ModelConfig, ModelKind};
-    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, Objective, Situation};
+    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, Objective, GuidanceContext};
     use ccdiff_sim::geom::Pose2;
     use tch::Device;
 
@@ -90,8 +90,8 @@ mod tests {
     }
 
     /// A car, and one 12 m ahead in the next lane, both at 8 m/s; the first is guided.
-    fn pair(model: &ModelConfig) -> Situation<'static> {
-        Situation {
+    fn pair(model: &ModelConfig) -> GuidanceContext<'static> {
+        GuidanceContext {
             num_steps: model.horizon_steps,
             dt_s: model.dt_s as f32,
             poses: vec![Pose2::new(0.0, 0.0, 0.0), Pose2::new(12.0, 2.5, 0.0)],

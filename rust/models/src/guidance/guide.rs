@@ -6,7 +6,7 @@ use super::knots::KnotMap;
 use super::objective::Evaluation;
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
-use super::situation::Situation;
+use super::context::GuidanceContext;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ pub struct Guide<'a> {
     /// 1 for knots that may be moved, per number of an agent's plan.
     mask: Vec<f32>,
     /// One per world; `None` is not guided.
-    worlds: Vec<Option<Situation<'a>>>,
+    worlds: Vec<Option<GuidanceContext<'a>>>,
     sizes: Vec<usize>,
     num_samples: usize,
     /// Σ ‖δ‖²/σ² so far, [N · R].
@@ -46,7 +46,7 @@ pub struct GuideStep<'s> {
 
 /// One sample of one world.
 struct Job<'j, 'a> {
-    situation: &'j Situation<'a>,
+    context: &'j GuidanceContext<'a>,
     knots: &'j mut [f32],
     shift_sq: &'j mut [f64],
     /// Sums of the gradient statistics and the score, if asked for.
@@ -64,8 +64,8 @@ struct Scratch {
 }
 
 impl Scratch {
-    fn new(situation: &Situation<'_>, knots: &KnotMap) -> Self {
-        let (m, t) = (situation.num_agents(), situation.num_steps);
+    fn new(context: &GuidanceContext<'_>, knots: &KnotMap) -> Self {
+        let (m, t) = (context.num_agents(), context.num_steps);
         Self {
             actions: vec![0.0; 2 * t],
             of_actions: vec![0.0; 2 * t],
@@ -76,15 +76,15 @@ impl Scratch {
         }
     }
 
-    fn roll(&mut self, situation: &Situation<'_>, map: &KnotMap, agent: usize, knots: &[f32]) {
+    fn roll(&mut self, context: &GuidanceContext<'_>, map: &KnotMap, agent: usize, knots: &[f32]) {
         let width = map.width();
         map.actions(&knots[agent * width..(agent + 1) * width], &mut self.actions);
-        self.plan.roll(situation, agent, &self.actions);
+        self.plan.roll(context, agent, &self.actions);
     }
 
-    fn pull_back(&mut self, situation: &Situation<'_>, map: &KnotMap, agent: usize) {
-        self.plan.pull_back(situation, agent, &self.of_states, &mut self.of_actions);
-        map.pull_back(&self.of_actions, &mut self.of_knots);
+    fn vjp(&mut self, context: &GuidanceContext<'_>, map: &KnotMap, agent: usize) {
+        self.plan.vjp(context, agent, &self.of_states, &mut self.of_actions);
+        map.vjp(&self.of_actions, &mut self.of_knots);
     }
 }
 
@@ -96,13 +96,13 @@ impl<'a> Guide<'a> {
     pub fn new(
         config: &'a GuidanceConfig,
         model: &ModelConfig,
-        worlds: Vec<Option<Situation<'a>>>,
+        worlds: Vec<Option<GuidanceContext<'a>>>,
         sizes: &[usize],
         num_samples: usize,
         statistics: bool,
     ) -> Result<Self> {
         let found: Vec<usize> =
-            worlds.iter().zip(sizes).map(|(w, s)| w.as_ref().map_or(*s, Situation::num_agents)).collect();
+            worlds.iter().zip(sizes).map(|(w, s)| w.as_ref().map_or(*s, GuidanceContext::num_agents)).collect();
         if worlds.len() != sizes.len() || found != sizes {
             let (got, expected) = (format!("{found:?}"), format!("{sizes:?}"));
             return Err(ModelError::Shape { what: "agents of the guided worlds", got, expected });
@@ -134,7 +134,7 @@ impl<'a> Guide<'a> {
 
     /// Whether a denoising step has anything to do for it.
     pub fn is_active(&self) -> bool {
-        let guides = |s: &Situation<'_>| s.guided.iter().any(|g| *g);
+        let guides = |s: &GuidanceContext<'_>| s.guided.iter().any(|g| *g);
         !self.config.objectives.is_empty()
             && (self.wants_score()
                 || (self.config.gradient_steps > 0 && self.worlds.iter().flatten().any(guides)))
@@ -166,24 +166,24 @@ impl<'a> Guide<'a> {
         let (mut knots, mut shifts, mut at) = (knots, self.shift_sq.as_mut_slice(), 0);
         let mut sums = self.sums.as_mut().map(|s| s.iter_mut());
         for _ in 0..self.num_samples {
-            for (situation, size) in self.worlds.iter().zip(&self.sizes) {
+            for (context, size) in self.worlds.iter().zip(&self.sizes) {
                 let (part, rest) = knots.split_at_mut(size * width);
                 let (shift_sq, other) = shifts.split_at_mut(*size);
                 let score = step.score.map(|s| &s[at * width..(at + size) * width]);
                 let sums = sums.as_mut().and_then(Iterator::next);
                 (knots, shifts, at) = (rest, other, at + size);
-                if let Some(situation) = situation {
-                    jobs.push(Job { situation, knots: part, shift_sq, watch: sums.zip(score) });
+                if let Some(context) = context {
+                    jobs.push(Job { context, knots: part, shift_sq, watch: sums.zip(score) });
                 }
             }
         }
         let (config, map, mask) = (self.config, &self.knots, self.mask.as_slice());
         let run = |job: Job<'_, '_>| {
-            let mut scratch = Scratch::new(job.situation, map);
+            let mut scratch = Scratch::new(job.context, map);
             if let Some((sums, score)) = job.watch {
-                sums.add(&gradients_of(config, map, job.situation, job.knots, &mut scratch), score, width);
+                sums.add(&gradients_of(config, map, job.context, job.knots, &mut scratch), score, width);
             }
-            adjust_world(config, map, mask, job.situation, job.knots, job.shift_sq, step, &mut scratch);
+            adjust_world(config, map, mask, job.context, job.knots, job.shift_sq, step, &mut scratch);
         };
         if jobs.len() < PARALLEL_JOBS {
             jobs.into_iter().for_each(run);
@@ -210,7 +210,7 @@ impl<'a> Guide<'a> {
 
     /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
     pub fn strengths(&self) -> Vec<f32> {
-        let of = |s: &Situation<'_>, agent: usize| if s.guided[agent] { s.strength } else { 0.0 };
+        let of = |s: &GuidanceContext<'_>, agent: usize| if s.guided[agent] { s.strength } else { 0.0 };
         self.per_row(&|world, agent| self.worlds[world].as_ref().map_or(0.0, |s| of(s, agent)))
     }
 
@@ -245,14 +245,14 @@ impl<'a> Guide<'a> {
             let first = (sample * rows + offsets[world]) * width;
             let part = &knots[first..first + self.sizes[world] * width];
             let mut total = vec![0.0; part.len()];
-            let Some(situation) = self.worlds[world].as_ref().filter(|s| s.guided.contains(&true)) else {
+            let Some(context) = self.worlds[world].as_ref().filter(|s| s.guided.contains(&true)) else {
                 return Ok(total);
             };
             for gradient in self.gradients(world, part)? {
                 total.iter_mut().zip(gradient).for_each(|(t, g)| *t += g);
             }
             for (agent, row) in total.chunks_exact_mut(width).enumerate() {
-                let free = f32::from(u8::from(situation.guided[agent]));
+                let free = f32::from(u8::from(context.guided[agent]));
                 row.iter_mut().zip(&self.mask).for_each(|(g, keep)| *g *= keep * free);
             }
             Ok(total)
@@ -271,9 +271,9 @@ impl<'a> Guide<'a> {
             let (got, expected) = (knots.len().to_string(), format!("{expected:?} of world {world}"));
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
-        Ok(self.worlds[world].as_ref().map_or_else(Vec::new, |situation| {
-            let mut scratch = Scratch::new(situation, &self.knots);
-            gradients_of(self.config, &self.knots, situation, knots, &mut scratch)
+        Ok(self.worlds[world].as_ref().map_or_else(Vec::new, |context| {
+            let mut scratch = Scratch::new(context, &self.knots);
+            gradients_of(self.config, &self.knots, context, knots, &mut scratch)
         }))
     }
 
@@ -288,22 +288,22 @@ impl<'a> Guide<'a> {
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
         let offsets: Vec<usize> = crate::batch::row_offsets(&self.sizes);
-        let of_world = |(world, situation): (usize, &Option<Situation<'a>>)| {
-            let situation = situation.as_ref()?;
+        let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
+            let context = context.as_ref()?;
             let (m, n) = (self.sizes[world], self.num_samples);
             let mut losses = vec![0.0; self.config.objectives.len() * n * m];
-            let mut scratch = Scratch::new(situation, &self.knots);
+            let mut scratch = Scratch::new(context, &self.knots);
             let predicted = self.predicted.as_ref().map(|p| &p[offsets[world] * width..][..m * width]);
             for sample in 0..n {
                 let first = sample * rows + offsets[world];
                 let part = &knots[first * width..(first + m) * width];
-                (0..m).for_each(|a| scratch.roll(situation, &self.knots, a, predicted.unwrap_or(part)));
+                (0..m).for_each(|a| scratch.roll(context, &self.knots, a, predicted.unwrap_or(part)));
                 let mut evaluate = |scratch: &mut Scratch, agents: std::ops::Range<usize>| {
                     let wanted: Vec<bool> = (0..m).map(|a| agents.contains(&a)).collect();
                     for (j, objective) in self.config.objectives.iter().enumerate() {
                         scratch.losses.fill(0.0);
                         objective.evaluate(
-                            situation,
+                            context,
                             &scratch.plan,
                             &mut Evaluation {
                                 losses: &mut scratch.losses,
@@ -321,9 +321,9 @@ impl<'a> Guide<'a> {
                     continue;
                 };
                 for agent in 0..m {
-                    scratch.roll(situation, &self.knots, agent, part);
+                    scratch.roll(context, &self.knots, agent, part);
                     evaluate(&mut scratch, agent..agent + 1);
-                    scratch.roll(situation, &self.knots, agent, predicted);
+                    scratch.roll(context, &self.knots, agent, predicted);
                 }
             }
             let choose = if predicted.is_some() { choose_per_agent } else { choose_samples };
@@ -350,14 +350,14 @@ fn adjust_world(
     config: &GuidanceConfig,
     map: &KnotMap,
     mask: &[f32],
-    situation: &Situation<'_>,
+    context: &GuidanceContext<'_>,
     knots: &mut [f32],
     shift_sq: &mut [f64],
     step: GuideStep<'_>,
     scratch: &mut Scratch,
 ) {
-    let (m, width) = (situation.num_agents(), map.width());
-    let rows: Vec<usize> = (0..m).filter(|a| situation.guided[*a]).collect();
+    let (m, width) = (context.num_agents(), map.width());
+    let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
     if rows.is_empty() || config.gradient_steps == 0 {
         return;
     }
@@ -369,34 +369,34 @@ fn adjust_world(
     let part = |a: usize| a * width..(a + 1) * width;
     let mut descents: Vec<Descent<'_>> =
         rows.iter().map(|a| Descent::new(config, &before[part(*a)], limit as f32)).collect();
-    (0..m).for_each(|a| scratch.roll(situation, map, a, knots));
+    (0..m).for_each(|a| scratch.roll(context, map, a, knots));
     for turn in 0..config.gradient_steps {
         if turn > 0 {
-            rows.iter().for_each(|a| scratch.roll(situation, map, *a, knots));
+            rows.iter().for_each(|a| scratch.roll(context, map, *a, knots));
         }
         scratch.of_states.clear();
         for objective in &config.objectives {
             objective.evaluate(
-                situation,
+                context,
                 &scratch.plan,
                 &mut Evaluation {
                     losses: &mut scratch.losses,
                     gradient: &mut scratch.of_states,
-                    wanted: &situation.guided,
+                    wanted: &context.guided,
                     scale: objective.weight() / m as f32,
                 },
             );
         }
         for (a, descent) in rows.iter().zip(&mut descents) {
-            scratch.pull_back(situation, map, *a);
+            scratch.vjp(context, map, *a);
             scratch.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
             descent.step(&scratch.of_knots, &mut knots[part(*a)]);
         }
     }
     for a in rows {
-        if situation.strength != 1.0 {
+        if context.strength != 1.0 {
             let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
-            moved.for_each(|(x, start)| *x = start + situation.strength * (*x - start));
+            moved.for_each(|(x, start)| *x = start + context.strength * (*x - start));
         }
         let moved = knots[part(a)].iter().zip(&before[part(a)]);
         let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
@@ -408,17 +408,17 @@ fn adjust_world(
 fn gradients_of(
     config: &GuidanceConfig,
     map: &KnotMap,
-    situation: &Situation<'_>,
+    context: &GuidanceContext<'_>,
     knots: &[f32],
     scratch: &mut Scratch,
 ) -> Vec<Vec<f32>> {
-    let (m, width) = (situation.num_agents(), map.width());
+    let (m, width) = (context.num_agents(), map.width());
     let wanted = vec![true; m];
-    (0..m).for_each(|a| scratch.roll(situation, map, a, knots));
+    (0..m).for_each(|a| scratch.roll(context, map, a, knots));
     let of = |objective: &super::Objective| {
         scratch.of_states.clear();
         objective.evaluate(
-            situation,
+            context,
             &scratch.plan,
             &mut Evaluation {
                 losses: &mut scratch.losses,
@@ -429,7 +429,7 @@ fn gradients_of(
         );
         let mut out = vec![0.0; m * width];
         for (agent, out) in out.chunks_exact_mut(width).enumerate() {
-            scratch.pull_back(situation, map, agent);
+            scratch.vjp(context, map, agent);
             out.copy_from_slice(&scratch.of_knots);
         }
         out

@@ -50,7 +50,7 @@ impl KnotMap {
     }
 
     /// Gradient with respect to the knots [knots, 2] of one with respect to the actions [T, 2].
-    pub fn pull_back(&self, of_actions: &[f32], out: &mut [f32]) {
+    pub fn vjp(&self, of_actions: &[f32], out: &mut [f32]) {
         out.fill(0.0);
         for (action, (low, first, second)) in of_actions.chunks_exact(2).zip(&self.joints) {
             for c in 0..2 {

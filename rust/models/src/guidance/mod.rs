@@ -1,9 +1,9 @@
 //! Guidance: moving plans, while they are denoised, towards what a user wants of them (reference.md#guidance).
 //!
 //! ```text
-//! GuidanceConfig, WorldGuide ─► Situation ─► Guide::adjust in each denoising step ─► Guide::report
+//! GuidanceConfig, WorldGuide ─► GuidanceContext ─► Guide::adjust in each denoising step ─► Guide::report
 //!                                             knots ─► Rollout ─► Objective::evaluate
-//!                                             knots ◄─ pull_back ◄─ StateGradient
+//!                                             knots ◄─ vjp ◄─ StateGradient
 //! ```
 //! Plain numbers, no tensors: gradients of losses on states go through the unicycle analytically, for each sample of each world
 //! in parallel. total = Σ_j w_j · mean over agents of loss_j is minimised; a mask per agent and one per knot multiply its
@@ -20,7 +20,7 @@ mod knots;
 mod objective;
 mod report;
 mod rollout;
-mod situation;
+mod context;
 
 pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABLES, Target};
 pub use guide::{Guide, GuideStep};
@@ -28,4 +28,4 @@ pub use knots::KnotMap;
 pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};
-pub use situation::{MOVING_MPS, Situation, WorldGuide};
+pub use context::{MOVING_MPS, GuidanceContext, WorldGuide};

@@ -5,7 +5,7 @@
 //! v_t = clip(v₀ + Σ_{s≤t} a_s dt), ψ_t = ψ₀ + Σ_{s≤t} ω_s dt, p_t = p_{t-1} + ½ (v_{t-1} + v_t) dt (cos ψ_{t-1}, sin ψ_{t-1}).
 //! Backward, sums over time turn round: each clip passes a gradient where it did not act; the yaw-rate bound has none.
 
-use super::situation::Situation;
+use super::context::GuidanceContext;
 use crate::unicycle::{ACCELERATION_MPS2, SPEED_MPS};
 use ccdiff_sim::geom::math;
 
@@ -76,8 +76,8 @@ impl Rollout {
     }
 
     /// Rolls one agent's actions [T, 2] (m/s², rad/s) out.
-    pub fn roll(&mut self, situation: &Situation<'_>, agent: usize, actions: &[f32]) {
-        let (pose, start_mps, dt) = (situation.poses[agent], situation.speed_mps[agent], situation.dt_s);
+    pub fn roll(&mut self, context: &GuidanceContext<'_>, agent: usize, actions: &[f32]) {
+        let (pose, start_mps, dt) = (context.poses[agent], context.speed_mps[agent], context.dt_s);
         let (mut x, mut y) = (pose.position.x, pose.position.y);
         let (mut sin, mut cos) = (pose.sin, pose.cos);
         let (mut before, mut gained, mut turned) = (start_mps, 0.0f32, 0.0f32);
@@ -106,14 +106,14 @@ impl Rollout {
     }
 
     /// Gradient with respect to one agent's actions [T, 2] of a loss with this gradient with respect to the states.
-    pub fn pull_back(
+    pub fn vjp(
         &self,
-        situation: &Situation<'_>,
+        context: &GuidanceContext<'_>,
         agent: usize,
         of_states: &StateGradient,
         out: &mut [f32],
     ) {
-        let (pose, start_mps, dt) = (situation.poses[agent], situation.speed_mps[agent], situation.dt_s);
+        let (pose, start_mps, dt) = (context.poses[agent], context.speed_mps[agent], context.dt_s);
         let first = agent * self.num_steps;
         // suffix sums over the steps from t on: of x, y, of the gained speed, of the turned angle
         let (mut to_x, mut to_y, mut to_gained, mut to_turned) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);

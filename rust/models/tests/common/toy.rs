@@ -6,7 +6,7 @@ use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::guidance::{
-    Evaluation, GuidanceConfig, KnotMap, Objective, Rollout, Situation, StateGradient, WorldGuide,
+    Evaluation, GuidanceConfig, KnotMap, Objective, Rollout, GuidanceContext, StateGradient, WorldGuide,
 };
 
 pub(crate) const T: usize = 52;
@@ -39,15 +39,15 @@ pub(crate) fn toy(list: &[[f32; 5]], model: ModelConfig) -> Toy {
 }
 
 impl Toy {
-    pub(crate) fn situation<'a>(&self, guide: &WorldGuide<'a>, config: &GuidanceConfig) -> Situation<'a> {
-        Situation::new(guide, &self.window, &self.features, &self.model, config).unwrap()
+    pub(crate) fn context<'a>(&self, guide: &WorldGuide<'a>, config: &GuidanceConfig) -> GuidanceContext<'a> {
+        GuidanceContext::new(guide, &self.window, &self.features, &self.model, config).unwrap()
     }
 
     /// Rolled-out actions [M, T, 2].
-    pub(crate) fn roll(&self, situation: &Situation<'_>, actions: &[f32]) -> Rollout {
-        let mut plan = Rollout::zeros(situation.num_agents(), T);
+    pub(crate) fn roll(&self, context: &GuidanceContext<'_>, actions: &[f32]) -> Rollout {
+        let mut plan = Rollout::zeros(context.num_agents(), T);
         for (agent, row) in actions.chunks_exact(2 * T).enumerate() {
-            plan.roll(situation, agent, row);
+            plan.roll(context, agent, row);
         }
         plan
     }
@@ -60,18 +60,18 @@ impl Toy {
     }
 
     /// Rolled-out normalised knots.
-    pub(crate) fn roll_knots(&self, situation: &Situation<'_>, knots: &[f32]) -> Rollout {
+    pub(crate) fn roll_knots(&self, context: &GuidanceContext<'_>, knots: &[f32]) -> Rollout {
         let map = KnotMap::new(&self.model);
-        let mut actions = vec![0.0; situation.num_agents() * 2 * T];
+        let mut actions = vec![0.0; context.num_agents() * 2 * T];
         for (row, out) in knots.chunks_exact(map.width()).zip(actions.chunks_exact_mut(2 * T)) {
             map.actions(row, out);
         }
-        self.roll(situation, &actions)
+        self.roll(context, &actions)
     }
 }
 
 /// Sum over agents of the losses, each agent's loss, and the gradient.
-pub(crate) fn evaluate(o: &Objective, s: &Situation<'_>, plan: &Rollout) -> (Vec<f32>, StateGradient) {
+pub(crate) fn evaluate(o: &Objective, s: &GuidanceContext<'_>, plan: &Rollout) -> (Vec<f32>, StateGradient) {
     let m = s.num_agents();
     let (mut losses, mut gradient) = (vec![0.0; m], StateGradient::zeros(m, T));
     let wanted = vec![true; m];

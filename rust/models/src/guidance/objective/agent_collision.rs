@@ -8,7 +8,7 @@
 use super::Evaluation;
 use super::disks::{Disks, for_pairs};
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::options;
 use ccdiff_sim::options::at_least;
 
@@ -27,12 +27,12 @@ options! {
 }
 
 impl AgentCollision {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let disks = Disks::new(situation, plan, self.num_disks);
-        let share = 1.0 / situation.num_agents().max(1) as f32;
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let disks = Disks::new(context, plan, self.num_disks);
+        let share = 1.0 / context.num_agents().max(1) as f32;
         let wanted = out.wanted;
-        for_pairs(situation, wanted, |(i, j), moves| {
-            let touch_m = 0.5 * (situation.width_m[i] + situation.width_m[j]) + self.buffer_m;
+        for_pairs(context, wanted, |(i, j), moves| {
+            let touch_m = 0.5 * (context.width_m[i] + context.width_m[j]) + self.buffer_m;
             let reach_m = touch_m + disks.reach_m[i] + disks.reach_m[j];
             if !disks.may_meet(i, j, reach_m) {
                 return;
@@ -48,7 +48,7 @@ impl AgentCollision {
                 let nearest =
                     disks.pairs(plan, (i, j), t).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
                 let Some(pair) = nearest.filter(|p| p.distance_m <= touch_m) else { continue };
-                let weight = share * situation.step_weights[t];
+                let weight = share * context.step_weights[t];
                 penalty += weight * (1.0 - pair.distance_m / touch_m);
                 let derivative = -out.scale * both * weight / touch_m;
                 pair.add_gradient(plan, (i, j), t, derivative, moves, out);

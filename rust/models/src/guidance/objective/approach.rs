@@ -10,7 +10,7 @@
 use super::Evaluation;
 use super::disks::{Disks, for_pairs};
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::options;
 use ccdiff_sim::options::{above, at_least};
 
@@ -29,11 +29,11 @@ options! {
 }
 
 impl Approach {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let disks = Disks::new(situation, plan, self.num_disks);
-        let share = 1.0 / (situation.num_agents().max(1) * self.num_disks * self.num_disks) as f32;
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let disks = Disks::new(context, plan, self.num_disks);
+        let share = 1.0 / (context.num_agents().max(1) * self.num_disks * self.num_disks) as f32;
         let wanted = out.wanted;
-        for_pairs(situation, wanted, |(i, j), moves| {
+        for_pairs(context, wanted, |(i, j), moves| {
             let reach_m = self.reach_m + disks.reach_m[i] + disks.reach_m[j];
             if !disks.may_meet(i, j, reach_m) {
                 return;
@@ -41,7 +41,7 @@ impl Approach {
             let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
             let mut closeness = 0.0;
             for t in 0..plan.num_steps {
-                let weight = share * situation.step_weights[t];
+                let weight = share * context.step_weights[t];
                 for pair in disks.pairs(plan, (i, j), t).filter(|p| p.distance_m < self.reach_m) {
                     let near = 1.0 - pair.distance_m / self.reach_m;
                     closeness += weight * near * near * near;

@@ -2,7 +2,7 @@
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 
 /// Disks of all agents of a world and where their plans go.
 pub(super) struct Disks {
@@ -26,9 +26,9 @@ pub(super) struct DiskPair {
 }
 
 impl Disks {
-    pub(super) fn new(situation: &Situation<'_>, plan: &Rollout, num_disks: usize) -> Self {
-        let m = situation.num_agents();
-        let reach = |a: usize| (0.5 * (situation.length_m[a] - situation.width_m[a])).max(0.0);
+    pub(super) fn new(context: &GuidanceContext<'_>, plan: &Rollout, num_disks: usize) -> Self {
+        let m = context.num_agents();
+        let reach = |a: usize| (0.5 * (context.length_m[a] - context.width_m[a])).max(0.0);
         let place = |k: usize| match num_disks {
             1 => 0.0,
             n => 2.0 * k as f32 / (n - 1) as f32 - 1.0,
@@ -103,15 +103,15 @@ impl DiskPair {
 /// Calls `visit` with every pair of agents of which at least one is of interest, moves and counts, and with which of
 /// the two have a loss: agents that stand have none and are not moved (as released).
 pub(super) fn for_pairs(
-    situation: &Situation<'_>,
+    context: &GuidanceContext<'_>,
     wanted: &[bool],
     mut visit: impl FnMut((usize, usize), (bool, bool)),
 ) {
-    let m = situation.num_agents();
+    let m = context.num_agents();
     for i in 0..m {
         for j in i + 1..m {
-            let moves = (situation.moving[i], situation.moving[j]);
-            let counts = situation.partner[i] || situation.partner[j];
+            let moves = (context.moving[i], context.moving[j]);
+            let counts = context.partner[i] || context.partner[j];
             if counts && (wanted[i] || wanted[j]) && (moves.0 || moves.1) {
                 visit((i, j), moves);
             }

@@ -6,7 +6,7 @@
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::options;
 
 options! {
@@ -22,9 +22,9 @@ options! {
 }
 
 impl Goal {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a]) {
-            let Some(goal) = situation.goals[agent] else { continue };
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        for agent in (0..context.num_agents()).filter(|a| out.wanted[*a]) {
+            let Some(goal) = context.goals[agent] else { continue };
             let first = agent * plan.num_steps;
             let offset = |at: usize| (plan.x_m[at] - goal.x, plan.y_m[at] - goal.y);
             let distance = |at: usize| {

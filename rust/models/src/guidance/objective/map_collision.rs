@@ -12,7 +12,7 @@
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::geom::{Point2, Region};
 use ccdiff_sim::options;
 
@@ -117,10 +117,10 @@ impl Grid {
 }
 
 impl MapCollision {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let Some(road) = situation.road else { return };
-        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a] && situation.moving[*a]) {
-            let grid = Grid::new(situation.length_m[agent], situation.width_m[agent]);
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let Some(road) = context.road else { return };
+        for agent in (0..context.num_agents()).filter(|a| out.wanted[*a] && context.moving[*a]) {
+            let grid = Grid::new(context.length_m[agent], context.width_m[agent]);
             for t in 0..plan.num_steps {
                 let at = agent * plan.num_steps + t;
                 let (x, y, cos, sin) = (plan.x_m[at], plan.y_m[at], plan.cos[at], plan.sin[at]);
@@ -130,7 +130,7 @@ impl MapCollision {
                     continue;
                 }
                 let on_road = grid.on_road(road, (x, y), (cos, sin));
-                let weight = situation.step_weights[t];
+                let weight = context.step_weights[t];
                 // sums over off-road points: loss, and the gradient in the body's own axes and about its centre
                 let (mut loss, mut forward, mut left, mut turn) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
                 for row in 0..SIDE {

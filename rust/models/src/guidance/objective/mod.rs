@@ -18,7 +18,7 @@ pub use target_speed::TargetSpeed;
 
 use super::config::Objective;
 use super::rollout::{Rollout, StateGradient};
-use super::situation::Situation;
+use super::context::GuidanceContext;
 
 /// Where an objective writes to.
 #[derive(Debug)]
@@ -35,14 +35,14 @@ pub struct Evaluation<'e> {
 
 impl Objective {
     /// Adds losses and gradients of all agents of a world.
-    pub fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+    pub fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
         match self {
-            Self::AgentCollision(o) => o.evaluate(situation, plan, out),
-            Self::MapCollision(o) => o.evaluate(situation, plan, out),
-            Self::OverSpeed(o) => o.evaluate(situation, plan, out),
-            Self::TargetSpeed(o) => o.evaluate(situation, plan, out),
-            Self::Goal(o) => o.evaluate(situation, plan, out),
-            Self::Approach(o) => o.evaluate(situation, plan, out),
+            Self::AgentCollision(o) => o.evaluate(context, plan, out),
+            Self::MapCollision(o) => o.evaluate(context, plan, out),
+            Self::OverSpeed(o) => o.evaluate(context, plan, out),
+            Self::TargetSpeed(o) => o.evaluate(context, plan, out),
+            Self::Goal(o) => o.evaluate(context, plan, out),
+            Self::Approach(o) => o.evaluate(context, plan, out),
         }
     }
 }

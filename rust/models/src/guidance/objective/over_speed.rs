@@ -7,7 +7,7 @@
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::options;
 use ccdiff_sim::options::above;
 
@@ -24,10 +24,10 @@ options! {
 }
 
 impl OverSpeed {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let Some(limit_mps) = self.limit_mps.or(situation.speed_limit_mps) else { return };
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+        let Some(limit_mps) = self.limit_mps.or(context.speed_limit_mps) else { return };
         let share = 1.0 / plan.num_steps as f32;
-        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a]) {
+        for agent in (0..context.num_agents()).filter(|a| out.wanted[*a]) {
             for at in agent * plan.num_steps..(agent + 1) * plan.num_steps {
                 let over_mps = plan.speed_mps[at].abs() - limit_mps;
                 if over_mps > 0.0 {

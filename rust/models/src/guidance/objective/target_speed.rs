@@ -5,7 +5,7 @@
 
 use super::Evaluation;
 use crate::guidance::rollout::Rollout;
-use crate::guidance::situation::Situation;
+use crate::guidance::context::GuidanceContext;
 use ccdiff_sim::options;
 
 options! {
@@ -21,10 +21,10 @@ options! {
 }
 
 impl TargetSpeed {
-    pub(super) fn evaluate(&self, situation: &Situation<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
+    pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
         let share = 1.0 / plan.num_steps as f32;
-        for agent in (0..situation.num_agents()).filter(|a| out.wanted[*a]) {
-            let Some(wanted_mps) = situation.target_speed_mps[agent].or(self.speed_mps) else { continue };
+        for agent in (0..context.num_agents()).filter(|a| out.wanted[*a]) {
+            let Some(wanted_mps) = context.target_speed_mps[agent].or(self.speed_mps) else { continue };
             for at in agent * plan.num_steps..(agent + 1) * plan.num_steps {
                 let off_mps = plan.speed_mps[at] - wanted_mps;
                 if off_mps != 0.0 {

@@ -45,7 +45,7 @@ impl<'a> WorldGuide<'a> {
 
 /// One world as the objectives see it: the M agents that are planned for.
 #[derive(Debug, Clone)]
-pub struct Situation<'a> {
+pub struct GuidanceContext<'a> {
     /// Steps T of a plan.
     pub num_steps: usize,
     /// Time between steps, seconds.
@@ -78,7 +78,7 @@ pub struct Situation<'a> {
     pub step_weights: Vec<f32>,
 }
 
-impl<'a> Situation<'a> {
+impl<'a> GuidanceContext<'a> {
     /// The agents of a scene's features.
     ///
     /// # Errors
