@@ -8,7 +8,7 @@ use ccdiff_models::batch::Batch;
 use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::features::{self, SceneFeatures, Window};
-use ccdiff_models::guidance::{GuidanceConfig, Guide, GuideStep, KnotMap, Objective, GuidanceContext, WorldGuide};
+use ccdiff_models::guidance::{GuidanceConfig, Guidance, GuidanceStep, KnotMap, Objective, GuidanceContext, WorldGuidance};
 use ccdiff_models::noise::Noise;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;
@@ -75,15 +75,15 @@ fn main() {
         for objectives in sets {
             let name = objectives.iter().map(Objective::name).collect::<Vec<_>>().join(" + ");
             let config = GuidanceConfig { objectives, gradient_steps: 10, ..rl.clone() };
-            let guide = WorldGuide { road: Some(&road), ..WorldGuide::new(&who) };
+            let guide = WorldGuidance { road: Some(&road), ..WorldGuidance::new(&who) };
             let worlds: Vec<_> = features
                 .iter()
                 .map(|f| Some(GuidanceContext::new(&guide, &window, f, &model, &config).unwrap()))
                 .collect();
-            let mut guide = Guide::new(&config, &model, worlds, &[VEHICLES; WORLDS], 1, false).unwrap();
+            let mut guide = Guidance::new(&config, &model, worlds, &[VEHICLES; WORLDS], 1, false).unwrap();
             let ms = least_ms(|| {
                 let mut moved: Vec<f32> = knots.iter().map(|k| 0.2 * k).collect();
-                guide.adjust(&mut moved, GuideStep { sigma: 0.5, gain: 1.0, score: None }).unwrap();
+                guide.adjust(&mut moved, GuidanceStep { sigma: 0.5, gain: 1.0, score: None }).unwrap();
             });
             println!("{guided} guided, gradient evaluation, {name:45}: {:.3} ms", ms / 10.0);
         }

@@ -2,7 +2,7 @@
 
 use crate::batch::{Batch, Targets};
 use crate::error::Result;
-use crate::guidance::Guide;
+use crate::guidance::Guidance;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
 use crate::plan_model::{Lesson, PlanModel, Taught};
 use crate::plan_space::PlanSpace;
@@ -110,7 +110,7 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         batch: &Batch,
         seeds: &[u64],
         options: SampleOptions,
-        guide: Option<&mut Guide<'_>>,
+        guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
         sampler::sample(&self.denoiser, &self.schedule, batch, seeds, options, guide)
     }

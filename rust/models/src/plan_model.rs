@@ -6,7 +6,7 @@ use crate::ccdiff::Network;
 use crate::config::{ModelConfig, ModelKind};
 use crate::diffusion::Diffusion;
 use crate::error::Result;
-use crate::guidance::Guide;
+use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
@@ -34,7 +34,7 @@ pub trait PlanModel: Debug + Send {
         batch: &Batch,
         seeds: &[u64],
         options: SampleOptions,
-        guide: Option<&mut Guide<'_>>,
+        guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples>;
 }
 

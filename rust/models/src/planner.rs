@@ -6,7 +6,7 @@ use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
-use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guide, GuidanceContext, WorldGuide};
+use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guidance, GuidanceContext, WorldGuidance};
 use crate::optimiser::variables;
 use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;
@@ -26,7 +26,7 @@ pub struct WorldView<'a> {
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
     /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
-    pub guide: Option<WorldGuide<'a>>,
+    pub guide: Option<WorldGuidance<'a>>,
 }
 
 /// How plans are drawn.
@@ -285,7 +285,7 @@ impl Planner {
         features: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
-        guide: Option<&mut Guide<'_>>,
+        guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         let (space, n) = (self.network.space(), options.sampling.num_samples as i64);
         let features: Vec<&SceneFeatures> = features.iter().collect();
@@ -325,7 +325,7 @@ fn guide_of<'a>(
     model: &ModelConfig,
     options: &'a PlanOptions,
     sizes: &[usize],
-) -> Result<Option<Guide<'a>>> {
+) -> Result<Option<Guidance<'a>>> {
     let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
         return Ok(None);
     };
@@ -334,5 +334,5 @@ fn guide_of<'a>(
     };
     let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
     let samples = options.sampling.num_samples;
-    Guide::new(config, model, contexts, sizes, samples, options.gradient_statistics).map(Some)
+    Guidance::new(config, model, contexts, sizes, samples, options.gradient_statistics).map(Some)
 }

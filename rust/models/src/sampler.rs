@@ -3,7 +3,7 @@
 use crate::batch::{Batch, row_offsets};
 use crate::diffusion::Denoiser;
 use crate::error::{ModelError, Result};
-use crate::guidance::{Guide, GuideStep, Target};
+use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;
 use ccdiff_sim::options;
@@ -102,7 +102,7 @@ pub fn sample<D: Denoiser>(
     batch: &Batch,
     seeds: &[u64],
     options: SampleOptions,
-    mut guide: Option<&mut Guide<'_>>,
+    mut guide: Option<&mut Guidance<'_>>,
 ) -> Result<Samples> {
     let options = options.validated()?;
     check_seeds(batch, seeds)?;
@@ -175,7 +175,7 @@ pub fn sample<D: Denoiser>(
 
 /// The mean of a step with guidance on it, or on the clean plan that it is formed from.
 fn guided_mean(
-    guide: &mut Guide<'_>,
+    guide: &mut Guidance<'_>,
     schedule: &Schedule,
     x: &Tensor,
     x0: &Tensor,
@@ -189,7 +189,7 @@ fn guided_mean(
     let mean_of = |x0: &Tensor| x0 * step.from_x0 + x * step.from_xk;
     let mut adjusted = |plan: &Tensor, gain: f64| -> Result<Tensor> {
         let mut values = to_vec(plan);
-        guide.adjust(&mut values, GuideStep { sigma: step.sigma, gain, score: score.as_deref() })?;
+        guide.adjust(&mut values, GuidanceStep { sigma: step.sigma, gain, score: score.as_deref() })?;
         Ok(Tensor::from_slice(&values).view_as(plan).to_device(plan.device()))
     };
     match target {

@@ -9,7 +9,7 @@ use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuide,
+    AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuidance,
 };
 use ccdiff_models::plan_model::build;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
@@ -71,7 +71,7 @@ fn plans(
             window,
             bitmap: bitmap.as_ref(),
             seed: *seed,
-            guide: guided.map(WorldGuide::new),
+            guide: guided.map(WorldGuidance::new),
         })
         .collect();
     planner.plan(&views, options)
@@ -207,7 +207,7 @@ fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
         let mut planner = planner(kind, 1);
         // step 0: hardly any history; the window's bitmap is left out: no road anywhere
         let window = Window::from_scene(&scene, 0, &[0], 31);
-        let guide = Some(WorldGuide::new(&[true]));
+        let guide = Some(WorldGuidance::new(&[true]));
         let view = WorldView { window: &window, bitmap: None, seed: 0, guide };
         let plan = planner.plan(&[view], &options).unwrap().remove(0);
         assert!(plan.states.iter().all(|v| v.is_finite()), "{kind:?}");

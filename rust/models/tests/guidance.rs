@@ -8,8 +8,8 @@ use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, Clip, FilterWeights, GuidanceConfig, Guide, GuideStep, MapCollision, Objective,
-    Optimiser, Rollout, GuidanceContext, Target, TargetSpeed, WorldGuide, choose_samples,
+    AgentCollision, Approach, Clip, FilterWeights, GuidanceConfig, Guidance, GuidanceStep, MapCollision, Objective,
+    Optimiser, Rollout, GuidanceContext, Target, TargetSpeed, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
@@ -30,13 +30,13 @@ fn approach(weight: f32) -> Objective {
 }
 
 /// Guides a toy for a number of denoising steps of standard deviation 0.3; returns knots.
-fn guided(toy: &Toy, guide: &WorldGuide<'_>, config: &GuidanceConfig, steps: usize) -> Vec<f32> {
+fn guided(toy: &Toy, guide: &WorldGuidance<'_>, config: &GuidanceConfig, steps: usize) -> Vec<f32> {
     let m = toy.features.agents.len();
     let mut knots = toy.still();
     let mut all =
-        Guide::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false).unwrap();
+        Guidance::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false).unwrap();
     for _ in 0..steps {
-        all.adjust(&mut knots, GuideStep { sigma: 0.3, gain: 1.0, score: None }).unwrap();
+        all.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: None }).unwrap();
     }
     knots
 }
@@ -58,7 +58,7 @@ fn a_negative_weight_turns_a_near_miss_into_a_contact_and_a_positive_one_turns_a
     let miss = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true, false, true];
     let gap = |toy: &Toy, config: &GuidanceConfig| {
-        let guide = WorldGuide::new(&who);
+        let guide = WorldGuidance::new(&who);
         let s = toy.context(&guide, config);
         gap_m(&s, &toy.roll_knots(&s, &guided(toy, &guide, config, 6)))
     };
@@ -85,7 +85,7 @@ fn only_guided_agents_and_executed_knots_move_and_the_rest_keeps_its_bits() {
         for optimiser in [Optimiser::Adam, Optimiser::Sgd] {
             for clip in [Clip::Sigma, Clip::Norm] {
                 let config = GuidanceConfig { executed_steps: Some(5), optimiser, clip, ..base.clone() };
-                let (before, after) = (toy.still(), guided(&toy, &WorldGuide::new(&who), &config, 3));
+                let (before, after) = (toy.still(), guided(&toy, &WorldGuidance::new(&who), &config, 3));
                 for (k, (a, b)) in before.iter().zip(&after).enumerate() {
                     let (agent, knot) = (k / 2 / knots_per_agent, k / 2 % knots_per_agent);
                     if agent != 0 || knot >= free {
@@ -103,11 +103,11 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true, false, false];
     let config = GuidanceConfig { learning_rate: 5.0, ..config(vec![approach(-10.0)]) };
-    let context = toy.context(&WorldGuide::new(&who), &config);
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
+    let context = toy.context(&WorldGuidance::new(&who), &config);
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
     let before = toy.still();
     let mut after = before.clone();
-    guide.adjust(&mut after, GuideStep { sigma: 0.3, gain: 0.5, score: None }).unwrap();
+    guide.adjust(&mut after, GuidanceStep { sigma: 0.3, gain: 0.5, score: None }).unwrap();
     // moved in units of the mean's standard deviation: a move of x0 reaches the mean at half its size
     let sigmas: Vec<f32> = before.iter().zip(&after).map(|(a, b)| (b - a) * 0.5 / 0.3).collect();
     assert!(sigmas.iter().all(|s| s.abs() <= 1.0 + 1e-5) && sigmas.iter().any(|s| s.abs() > 0.5));
@@ -119,7 +119,7 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     assert_eq!((report.realism_cost[1], report.shift_sigmas[2]), (0.0, 0.0));
     // a step without randomness does nothing, as the last one of a plan
     let same = after.clone();
-    guide.adjust(&mut after, GuideStep { sigma: 0.0, gain: 1.0, score: None }).unwrap();
+    guide.adjust(&mut after, GuidanceStep { sigma: 0.0, gain: 1.0, score: None }).unwrap();
     assert_eq!(after, same);
 }
 
@@ -129,7 +129,7 @@ fn the_strength_scales_the_move_of_a_denoising_step() {
     let who = [true, false, false];
     let config = config(vec![approach(-10.0)]);
     let moved = |strength: f32| {
-        let guide = WorldGuide { strength, ..WorldGuide::new(&who) };
+        let guide = WorldGuidance { strength, ..WorldGuidance::new(&who) };
         let after = guided(&toy, &guide, &config, 1);
         toy.still().iter().zip(after).map(|(a, b)| b - a).collect::<Vec<f32>>()
     };
@@ -144,28 +144,28 @@ fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
     let (a, b) = (toy(&NEAR_MISS, ModelConfig::fast()), toy(&BOTH_WAYS, ModelConfig::fast()));
     let (who_a, who_b) = ([true, true, false], [true, false, true, true]);
     let config = config(vec![collision(-50.0), approach(-10.0)]);
-    let step = GuideStep { sigma: 0.4, gain: 0.7, score: None };
+    let step = GuidanceStep { sigma: 0.4, gain: 0.7, score: None };
     let noisy = |toy: &Toy, sample: u64| -> Vec<f32> {
         let still = toy.still();
         let noise = Noise::new(3, sample).normals(still.len());
         still.iter().zip(noise).map(|(s, n)| s + 0.5 * n).collect()
     };
     let alone = |toy: &Toy, who: &[bool], sample: u64| {
-        let context = toy.context(&WorldGuide::new(who), &config);
+        let context = toy.context(&WorldGuidance::new(who), &config);
         let m = toy.features.agents.len();
         let mut knots = noisy(toy, sample);
-        Guide::new(&config, &toy.model, vec![Some(context)], &[m], 1, false)
+        Guidance::new(&config, &toy.model, vec![Some(context)], &[m], 1, false)
             .unwrap()
             .adjust(&mut knots, step)
             .unwrap();
         knots
     };
     let worlds = vec![
-        Some(a.context(&WorldGuide::new(&who_a), &config)),
+        Some(a.context(&WorldGuidance::new(&who_a), &config)),
         None,
-        Some(b.context(&WorldGuide::new(&who_b), &config)),
+        Some(b.context(&WorldGuidance::new(&who_b), &config)),
     ];
-    let mut guide = Guide::new(&config, &a.model, worlds, &[3, 4, 4], 2, false).unwrap();
+    let mut guide = Guidance::new(&config, &a.model, worlds, &[3, 4, 4], 2, false).unwrap();
     let parts = |sample: u64| [noisy(&a, sample), noisy(&b, sample), noisy(&b, sample)];
     let mut knots = [parts(0).concat(), parts(1).concat()].concat();
     guide.adjust(&mut knots, step).unwrap();
@@ -183,7 +183,7 @@ fn only_contacts_with_a_partner_count_where_partners_are_named() {
     let who = [true; 3];
     let config = config(vec![approach(-10.0)]);
     let partners = [false, false, true];
-    let guide = WorldGuide { partners: Some(&partners), ..WorldGuide::new(&who) };
+    let guide = WorldGuidance { partners: Some(&partners), ..WorldGuidance::new(&who) };
     let s = toy.context(&guide, &config);
     let (losses, _) = evaluate(&approach(-10.0), &s, &toy.roll_knots(&s, &toy.still()));
     assert_eq!(losses, [0.0; 3]);
@@ -217,15 +217,15 @@ fn gradient_statistics_say_who_pulls_which_way() {
         approach(-10.0),
         Objective::TargetSpeed(TargetSpeed { weight: 1.0, speed_mps: Some(12.0) }),
     ]);
-    let context = toy.context(&WorldGuide::new(&who), &config);
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, true).unwrap();
+    let context = toy.context(&WorldGuidance::new(&who), &config);
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, true).unwrap();
     let mut knots = toy.still();
     let gradients = guide.gradients(0, &knots).unwrap();
     // a score that agrees with guidance for agent 0 and contradicts it for agent 1
     let width = 26;
     let score: Vec<f32> =
         (0..3 * width).map(|k| (gradients[0][k] + gradients[1][k]) * [-2.0, 0.5, 0.0][k / width]).collect();
-    guide.adjust(&mut knots, GuideStep { sigma: 0.3, gain: 1.0, score: Some(&score) }).unwrap();
+    guide.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: Some(&score) }).unwrap();
     assert_eq!(knots, toy.still(), "nobody is guided");
     let found = guide.report(&knots).unwrap().remove(0).unwrap().conflict.unwrap();
     assert!((found.cosine[0] - 1.0).abs() < 1e-5 && (found.cosine[1] + 1.0).abs() < 1e-5);
@@ -250,7 +250,7 @@ fn planned(
     let scene = common::following_pair();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
     let (bitmap, region) = (planner.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
-    let guide = WorldGuide { road: Some(&region), ..WorldGuide::new(guided) };
+    let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
     let view =
         |seed: &u64| WorldView { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
     let views: Vec<_> = seeds.iter().map(view).collect();
@@ -326,12 +326,12 @@ fn guides_of_the_wrong_length_are_refused() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig::released();
     let short = [true, false];
-    let error = GuidanceContext::new(&WorldGuide::new(&short), &toy.window, &toy.features, &toy.model, &config);
+    let error = GuidanceContext::new(&WorldGuidance::new(&short), &toy.window, &toy.features, &toy.model, &config);
     assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
     let who = [true; 3];
-    let context = toy.context(&WorldGuide::new(&who), &config);
-    assert!(Guide::new(&config, &toy.model, vec![Some(context.clone())], &[2], 1, false).is_err());
-    let mut guide = Guide::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
-    assert!(guide.adjust(&mut [0.0; 7], GuideStep { sigma: 1.0, gain: 1.0, score: None }).is_err());
+    let context = toy.context(&WorldGuidance::new(&who), &config);
+    assert!(Guidance::new(&config, &toy.model, vec![Some(context.clone())], &[2], 1, false).is_err());
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
+    assert!(guide.adjust(&mut [0.0; 7], GuidanceStep { sigma: 1.0, gain: 1.0, score: None }).is_err());
     assert_eq!(guide.config().target, Target::Mu);
 }

@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Goal, GuidanceConfig, KnotMap, MapCollision, Objective, OverSpeed, Rollout,
-    GuidanceContext, StateGradient, TargetSpeed, WorldGuide,
+    GuidanceContext, StateGradient, TargetSpeed, WorldGuidance,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::unicycle;
@@ -46,7 +46,7 @@ fn the_adjoint_is_that_of_torch_autograd_with_and_without_clipping() {
     let toy = toy(&BOTH_WAYS, ModelConfig::fast());
     let nobody = vec![false; 4];
     let config = GuidanceConfig::released();
-    let s = toy.context(&WorldGuide::new(&nobody), &config);
+    let s = toy.context(&WorldGuidance::new(&nobody), &config);
     for (seed, size) in [(1, 1.0), (2, 3.0), (3, 8.0), (4, 20.0)] {
         let given = actions(4, seed, size);
         let plan = toy.roll(&s, &given);
@@ -129,7 +129,7 @@ proptest! {
         let all = vec![true; 4];
         let goals: Vec<Option<Point2>> = (0..4).map(|k| Some(Point2::new(40.0 - 9.0 * k as f32, 20.0))).collect();
         let config = GuidanceConfig { discount: 0.97, ..GuidanceConfig::released() };
-        let s = toy.context(&WorldGuide { goals: Some(&goals), ..WorldGuide::new(&all) }, &config);
+        let s = toy.context(&WorldGuidance { goals: Some(&goals), ..WorldGuidance::new(&all) }, &config);
         let objective = smooth_objectives()[which];
         let plan = toy.roll(&s, &actions(4, seed, 0.5));
         let gradient = evaluate(&objective, &s, &plan).1;
@@ -172,7 +172,7 @@ fn a_goal_without_a_step_pulls_at_the_step_that_comes_nearest() {
     let config = GuidanceConfig::released();
     // agent 0 drives from (32, 0) along x at 8 m/s: it passes x = 48 after 2 s
     let goals = [Some(Point2::new(48.0, 3.0)), None, Some(Point2::new(f32::NAN, 0.0))];
-    let s = toy.context(&WorldGuide { goals: Some(&goals), ..WorldGuide::new(&all) }, &config);
+    let s = toy.context(&WorldGuidance { goals: Some(&goals), ..WorldGuidance::new(&all) }, &config);
     let (losses, gradient) =
         evaluate(&Objective::Goal(Goal::default()), &s, &toy.roll_knots(&s, &toy.still()));
     assert!((losses[0] - 3.0).abs() < 1e-3 && losses[1..] == [0.0, 0.0]);
@@ -197,7 +197,7 @@ fn the_off_road_loss_is_that_of_its_definition_and_autograd_with_frozen_points_g
     let all = vec![true; 3];
     let region = road();
     let config = GuidanceConfig::released();
-    let s = toy.context(&WorldGuide { road: Some(&region), ..WorldGuide::new(&all) }, &config);
+    let s = toy.context(&WorldGuidance { road: Some(&region), ..WorldGuidance::new(&all) }, &config);
     let plan = toy.roll(&s, &actions(3, 5, 0.3));
     let objective = Objective::MapCollision(MapCollision::default());
     let (losses, gradient) = evaluate(&objective, &s, &plan);

@@ -5,7 +5,7 @@ use ccdiff_bridge::errors::{from_sim, policy_failed, py};
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
-use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuide};
+use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuidance};
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
@@ -308,10 +308,10 @@ fn plan_logged(
             window,
             bitmap: bitmaps[k].as_ref(),
             seed: logged.seeds[k],
-            guide: guided.as_ref().map(|flags| WorldGuide {
+            guide: guided.as_ref().map(|flags| WorldGuidance {
                 road: roads[k].as_ref(),
                 partners: partners.as_ref().map(|p| p[k].as_slice()),
-                ..WorldGuide::new(&flags[k])
+                ..WorldGuidance::new(&flags[k])
             }),
         })
         .collect();

@@ -12,7 +12,7 @@ use super::simnet::HIDDEN;
 use crate::batch::{Batch, row_offsets};
 use crate::config::{MapConfig, ModelConfig};
 use crate::error::{ModelError, Result};
-use crate::guidance::Guide;
+use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::noise::Noise;
@@ -206,7 +206,7 @@ impl PlanModel for Bits {
         batch: &Batch,
         seeds: &[u64],
         options: SampleOptions,
-        mut guide: Option<&mut Guide<'_>>,
+        mut guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
         check_seeds(batch, seeds)?;
         let n = options.num_samples;

@@ -15,7 +15,7 @@ use super::simnet::HIDDEN;
 use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, ModelKind};
 use crate::error::Result;
-use crate::guidance::{Guide, MOVING_MPS};
+use crate::guidance::{Guidance, MOVING_MPS};
 use crate::layers::perceptron::Perceptron;
 use crate::layers::social::EdgeAwareLayer;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
@@ -196,7 +196,7 @@ impl PlanModel for Cvae {
         batch: &Batch,
         seeds: &[u64],
         options: SampleOptions,
-        guide: Option<&mut Guide<'_>>,
+        guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
         check_seeds(batch, seeds)?;
         let n = options.num_samples as i64;

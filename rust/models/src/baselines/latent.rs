@@ -5,7 +5,7 @@
 
 use super::distributions::Gaussian;
 use crate::error::Result;
-use crate::guidance::Guide;
+use crate::guidance::Guidance;
 use crate::sampler::to_vec;
 use tch::{Kind, Tensor};
 
@@ -41,7 +41,7 @@ fn gradient(
 pub(super) fn descended(
     start: &Tensor,
     prior: Option<&Gaussian>,
-    guide: &Guide<'_>,
+    guide: &Guidance<'_>,
     decode: &dyn Fn(&Tensor) -> Tensor,
 ) -> Result<Tensor> {
     let column = |v: Vec<f32>| Tensor::from_slice(&v).unsqueeze(1).to_device(start.device());
@@ -121,7 +121,7 @@ mod tests {
             learning_rate: 0.1,
             ..GuidanceConfig::rl()
         };
-        let guide = Guide::new(&config, &model, vec![Some(pair(&model))], &[2], 1, false).unwrap();
+        let guide = Guidance::new(&config, &model, vec![Some(pair(&model))], &[2], 1, false).unwrap();
         let start = Tensor::from_slice(&[1f32, -0.5, 0.7, 0.2]).view([2, 2]);
         // two latents: all accelerations, all yaw rates
         let decode = |z: &Tensor| z.view([2, 1, 2]).expand([2, 13, 2], false) * 0.5;

@@ -17,16 +17,16 @@ pub use cvae::Cvae;
 pub use simnet::Simnet;
 
 use crate::error::Result;
-use crate::guidance::{Guide, GuideStep};
+use crate::guidance::{Guidance, GuidanceStep};
 use crate::sampler::to_vec;
 use tch::Tensor;
 
 /// Finished plans [N · R, knots, 2] moved by guidance, all its steps at once.
-fn moved(knots: &Tensor, guide: Option<&mut Guide<'_>>) -> Result<Tensor> {
+fn moved(knots: &Tensor, guide: Option<&mut Guidance<'_>>) -> Result<Tensor> {
     let Some(guide) = guide.filter(|g| g.is_active()) else {
         return Ok(knots.shallow_clone());
     };
     let mut values = to_vec(knots);
-    guide.adjust(&mut values, GuideStep { sigma: 1.0, gain: 1.0, score: None })?;
+    guide.adjust(&mut values, GuidanceStep { sigma: 1.0, gain: 1.0, score: None })?;
     Ok(Tensor::from_slice(&values).view_as(knots).to_device(knots.device()))
 }

@@ -7,7 +7,7 @@ use super::moved;
 use crate::batch::Batch;
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guide;
+use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::plan_model::{Lesson, PlanModel};
@@ -61,7 +61,7 @@ impl PlanModel for Simnet {
         batch: &Batch,
         seeds: &[u64],
         options: SampleOptions,
-        guide: Option<&mut Guide<'_>>,
+        guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
         check_seeds(batch, seeds)?;
         let knots = self.plan(batch, false).repeat([options.num_samples as i64, 1, 1]);

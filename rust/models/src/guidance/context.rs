@@ -11,7 +11,7 @@ pub const MOVING_MPS: f32 = 0.5;
 
 /// Guidance of one world, as the caller knows it. A is the number of agents in the window.
 #[derive(Debug, Clone, Copy)]
-pub struct WorldGuide<'a> {
+pub struct WorldGuidance<'a> {
     /// Whose plans are moved, [A].
     pub guided: &'a [bool],
     /// Share of each guided move that is made, at least 0; 1 is the configured guidance itself.
@@ -28,7 +28,7 @@ pub struct WorldGuide<'a> {
     pub speed_limit_mps: Option<f32>,
 }
 
-impl<'a> WorldGuide<'a> {
+impl<'a> WorldGuidance<'a> {
     /// Guides these agents, with nothing else known.
     pub fn new(guided: &'a [bool]) -> Self {
         Self {
@@ -84,7 +84,7 @@ impl<'a> GuidanceContext<'a> {
     /// # Errors
     /// [`ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
     pub fn new(
-        guide: &WorldGuide<'a>,
+        guide: &WorldGuidance<'a>,
         window: &Window,
         features: &SceneFeatures,
         model: &ModelConfig,

@@ -16,7 +16,7 @@ const PARALLEL_JOBS: usize = 4;
 
 /// Guidance of a batch of worlds: N samples of R rows, all agents of all worlds. Made anew for every plan.
 #[derive(Debug)]
-pub struct Guide<'a> {
+pub struct Guidance<'a> {
     config: &'a GuidanceConfig,
     knots: KnotMap,
     /// 1 for knots that may be moved, per number of an agent's plan.
@@ -35,7 +35,7 @@ pub struct Guide<'a> {
 
 /// A denoising step as guidance sees it.
 #[derive(Debug, Clone, Copy)]
-pub struct GuideStep<'s> {
+pub struct GuidanceStep<'s> {
     /// Standard deviation σ of the step, normalised units; of the random step that a deterministic one stands for.
     pub sigma: f64,
     /// How much of a move reaches the step's mean: 1 if the mean itself is moved, the coefficient of x₀ if that is.
@@ -88,7 +88,7 @@ impl Scratch {
     }
 }
 
-impl<'a> Guide<'a> {
+impl<'a> Guidance<'a> {
     /// Guidance of `sizes.len()` worlds with that many agents each. `statistics` turns the gradient statistics on.
     ///
     /// # Errors
@@ -150,7 +150,7 @@ impl<'a> Guide<'a> {
     ///
     /// # Errors
     /// [`ModelError::Shape`] for knots or a score of another length.
-    pub fn adjust(&mut self, knots: &mut [f32], step: GuideStep<'_>) -> Result<()> {
+    pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) -> Result<()> {
         let width = self.knots.width();
         let expected = self.shift_sq.len() * width;
         for (what, got) in [("knots", knots.len()), ("score", step.score.map_or(expected, <[f32]>::len))] {
@@ -353,7 +353,7 @@ fn adjust_world(
     context: &GuidanceContext<'_>,
     knots: &mut [f32],
     shift_sq: &mut [f64],
-    step: GuideStep<'_>,
+    step: GuidanceStep<'_>,
     scratch: &mut Scratch,
 ) {
     let (m, width) = (context.num_agents(), map.width());

@@ -1,7 +1,7 @@
 //! Guidance: moving plans, while they are denoised, towards what a user wants of them (reference.md#guidance).
 //!
 //! ```text
-//! GuidanceConfig, WorldGuide ─► GuidanceContext ─► Guide::adjust in each denoising step ─► Guide::report
+//! GuidanceConfig, WorldGuidance ─► GuidanceContext ─► Guidance::adjust in each denoising step ─► Guidance::report
 //!                                             knots ─► Rollout ─► Objective::evaluate
 //!                                             knots ◄─ vjp ◄─ StateGradient
 //! ```
@@ -23,9 +23,9 @@ mod rollout;
 mod context;
 
 pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABLES, Target};
-pub use guide::{Guide, GuideStep};
+pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};
-pub use context::{MOVING_MPS, GuidanceContext, WorldGuide};
+pub use context::{MOVING_MPS, GuidanceContext, WorldGuidance};

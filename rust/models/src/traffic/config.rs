@@ -93,14 +93,14 @@ choices! {
 /// Guidance by the name of a preset, or as settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Guidance {
+pub enum GuidanceChoice {
     /// Name of a preset.
     Preset(String),
     /// Settings.
     Settings(Box<GuidanceConfig>),
 }
 
-impl Setting for Guidance {
+impl Setting for GuidanceChoice {
     const FORM: Form = Form::Named(&GuidanceConfig::FORM);
 }
 
@@ -145,7 +145,7 @@ options! {
         /// be told another one at any time.
         criticality: Real = 0.0, range at_least(0.0);
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings, see `ccdiff_env.models.guidance_preset`.
-        guidance: Guidance = Guidance::Preset("rl".into());
+        guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
         /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
         mask_guidance: bool = true;
         /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
@@ -205,8 +205,8 @@ impl CcdiffConfig {
     /// [`ModelError::Config`] for an unknown preset or settings of another form.
     pub fn guided(&self) -> Result<PlanOptions> {
         let guidance = match &self.guidance {
-            Guidance::Preset(name) => GuidanceConfig::preset(name)?,
-            Guidance::Settings(settings) => (**settings).clone(),
+            GuidanceChoice::Preset(name) => GuidanceConfig::preset(name)?,
+            GuidanceChoice::Settings(settings) => (**settings).clone(),
         };
         Ok(PlanOptions {
             sampling: self.sampling(),

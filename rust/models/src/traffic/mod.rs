@@ -12,7 +12,7 @@ mod memory;
 mod planning;
 mod roster;
 
-pub use config::{CcdiffConfig, DeviceName, Frozen, GraphMode, Guidance, Others, Partners, Ranking};
+pub use config::{CcdiffConfig, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};

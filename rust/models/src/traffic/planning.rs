@@ -4,7 +4,7 @@ use super::config::{Others, Partners, Ranking};
 use super::roster::{self, Hints, Roster};
 use super::{Memory, PlannedTraffic};
 use crate::error::Result;
-use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuide};
+use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
 use crate::noise::Noise;
 use crate::planner::{Plan, PlanOptions, Planner, WorldView as PlannerView};
 use crate::raster::MapBitmap;
@@ -167,12 +167,12 @@ impl PlannedTraffic {
                 window: &d.roster.window,
                 bitmap: d.bitmap.as_deref(),
                 seed: d.request.world.noise_seed,
-                guide: options.guidance.is_some().then(|| WorldGuide {
+                guide: options.guidance.is_some().then(|| WorldGuidance {
                     strength: d.criticality,
                     road: d.request.world.scene.road.as_ref(),
                     partners: d.is_guided().then_some(&d.partners),
                     speed_limit_mps: Some(d.request.world.config.speed_limit_mps),
-                    ..WorldGuide::new(if moves && d.is_guided() { &d.guided } else { nobody })
+                    ..WorldGuidance::new(if moves && d.is_guided() { &d.guided } else { nobody })
                 }),
             })
             .collect();
