@@ -128,8 +128,8 @@ fn the_strength_scales_the_move_of_a_denoising_step() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true, false, false];
     let config = config(vec![approach(-10.0)]);
-    let moved = |strength: f32| {
-        let guide = WorldGuidance { strength, ..WorldGuidance::new(&who) };
+    let moved = |guidance_scale: f32| {
+        let guide = WorldGuidance { guidance_scale, ..WorldGuidance::new(&who) };
         let after = guided(&toy, &guide, &config, 1);
         toy.still().iter().zip(after).map(|(a, b)| b - a).collect::<Vec<f32>>()
     };

@@ -45,8 +45,8 @@ pub(super) fn descended(
     decode: &dyn Fn(&Tensor) -> Tensor,
 ) -> Result<Tensor> {
     let column = |v: Vec<f32>| Tensor::from_slice(&v).unsqueeze(1).to_device(start.device());
-    let (strength, share) = (column(guide.strengths()), column(guide.shares()));
-    let guided = strength.gt(0.0);
+    let (guidance_scale, share) = (column(guide.guidance_scales()), column(guide.shares()));
+    let guided = guidance_scale.gt(0.0);
     let (mut z, mut first, mut second) = (start.copy(), start.zeros_like(), start.zeros_like());
     let config = guide.config();
     for step in 1..=config.gradient_steps as i32 {
@@ -60,7 +60,7 @@ pub(super) fn descended(
         let change = (&first / unbias_1) / ((&second / unbias_2).sqrt() + 1e-8);
         z -= change * f64::from(config.learning_rate);
     }
-    Ok((start + strength * (z - start)).where_self(&guided, start))
+    Ok((start + guidance_scale * (z - start)).where_self(&guided, start))
 }
 
 #[cfg(test)]
@@ -100,7 +100,7 @@ mod tests {
             width_m: vec![2.0; 2],
             moving: vec![true; 2],
             guided: vec![true, false],
-            strength: 1.0,
+            guidance_scale: 1.0,
             partner: vec![true; 2],
             road: None,
             goals: vec![None; 2],

@@ -15,7 +15,7 @@ pub struct WorldGuidance<'a> {
     /// Whose plans are moved, [A].
     pub guided: &'a [bool],
     /// Share of each guided move that is made, at least 0; 1 is the configured guidance itself.
-    pub strength: f32,
+    pub guidance_scale: f32,
     /// Where vehicles may drive; map collision is zero without.
     pub road: Option<&'a Region>,
     /// If given, only contacts with one of these agents count, [A]: such as the ego.
@@ -33,7 +33,7 @@ impl<'a> WorldGuidance<'a> {
     pub fn new(guided: &'a [bool]) -> Self {
         Self {
             guided,
-            strength: 1.0,
+            guidance_scale: 1.0,
             road: None,
             partners: None,
             goals: None,
@@ -63,7 +63,7 @@ pub struct GuidanceContext<'a> {
     /// Whether the agent's plan is moved, [M].
     pub guided: Vec<bool>,
     /// Share of each guided move that is made.
-    pub strength: f32,
+    pub guidance_scale: f32,
     /// Whether contacts with the agent count, [M].
     pub partner: Vec<bool>,
     /// Where vehicles may drive.
@@ -113,7 +113,7 @@ impl<'a> GuidanceContext<'a> {
             width_m: rows.iter().map(|a| window.width_m[*a]).collect(),
             moving: features.speed_mps.iter().map(|v| v.abs() > MOVING_MPS).collect(),
             guided: rows.iter().map(|a| guide.guided[*a]).collect(),
-            strength: guide.strength,
+            guidance_scale: guide.guidance_scale,
             partner: rows.iter().map(|a| guide.partners.is_none_or(|p| p[*a])).collect(),
             road: guide.road,
             goals: rows.iter().map(|a| guide.goals.and_then(|g| g[*a]).filter(finite)).collect(),

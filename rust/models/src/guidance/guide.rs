@@ -209,8 +209,8 @@ impl<'a> Guidance<'a> {
     }
 
     /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
-    pub fn strengths(&self) -> Vec<f32> {
-        let of = |s: &GuidanceContext<'_>, agent: usize| if s.guided[agent] { s.strength } else { 0.0 };
+    pub fn guidance_scales(&self) -> Vec<f32> {
+        let of = |s: &GuidanceContext<'_>, agent: usize| if s.guided[agent] { s.guidance_scale } else { 0.0 };
         self.per_row(&|world, agent| self.worlds[world].as_ref().map_or(0.0, |s| of(s, agent)))
     }
 
@@ -394,9 +394,9 @@ fn adjust_world(
         }
     }
     for a in rows {
-        if context.strength != 1.0 {
+        if context.guidance_scale != 1.0 {
             let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
-            moved.for_each(|(x, start)| *x = start + context.strength * (*x - start));
+            moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
         }
         let moved = knots[part(a)].iter().zip(&before[part(a)]);
         let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();

@@ -168,7 +168,7 @@ impl PlannedTraffic {
                 bitmap: d.bitmap.as_deref(),
                 seed: d.request.world.noise_seed,
                 guide: options.guidance.is_some().then(|| WorldGuidance {
-                    strength: d.criticality,
+                    guidance_scale: d.criticality,
                     road: d.request.world.scene.road.as_ref(),
                     partners: d.is_guided().then_some(&d.partners),
                     speed_limit_mps: Some(d.request.world.config.speed_limit_mps),
