@@ -8,7 +8,9 @@ use ccdiff_models::batch::Batch;
 use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::features::{self, SceneFeatures, Window};
-use ccdiff_models::guidance::{GuidanceConfig, Guidance, GuidanceStep, KnotMap, Objective, GuidanceContext, WorldGuidance};
+use ccdiff_models::guidance::{
+    Guidance, GuidanceConfig, GuidanceContext, GuidanceStep, KnotMap, Objective, WorldGuidance,
+};
 use ccdiff_models::noise::Noise;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;

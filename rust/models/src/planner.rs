@@ -6,7 +6,7 @@ use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window};
 use crate::grad::guarded;
-use crate::guidance::{Clip, GuidanceConfig, GuidanceReport, Guidance, GuidanceContext, WorldGuidance};
+use crate::guidance::{Clip, Guidance, GuidanceConfig, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::optimiser::variables;
 use crate::plan_model::{self, PlanModel};
 use crate::raster::MapBitmap;

@@ -153,7 +153,10 @@ pub fn sample<D: Denoiser>(
         None => {
             for k in (0..schedule.len()).rev() {
                 let p = schedule.posterior(k);
-                x = mean(&x, &StepCoefficients { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma })?;
+                x = mean(
+                    &x,
+                    &StepCoefficients { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma },
+                )?;
                 if k > 0 {
                     x = &x + normal(k as u64) * p.sigma;
                 }

@@ -8,8 +8,8 @@ use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, Clip, FilterWeights, GuidanceConfig, Guidance, GuidanceStep, MapCollision, Objective,
-    Optimiser, Rollout, GuidanceContext, Target, TargetSpeed, WorldGuidance, choose_samples,
+    AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
+    MapCollision, Objective, Optimiser, Rollout, Target, TargetSpeed, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
@@ -326,7 +326,8 @@ fn guides_of_the_wrong_length_are_refused() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig::released();
     let short = [true, false];
-    let error = GuidanceContext::new(&WorldGuidance::new(&short), &toy.window, &toy.features, &toy.model, &config);
+    let error =
+        GuidanceContext::new(&WorldGuidance::new(&short), &toy.window, &toy.features, &toy.model, &config);
     assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
     let who = [true; 3];
     let context = toy.context(&WorldGuidance::new(&who), &config);

@@ -6,8 +6,8 @@ mod common;
 
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, Goal, GuidanceConfig, KnotMap, MapCollision, Objective, OverSpeed, Rollout,
-    GuidanceContext, StateGradient, TargetSpeed, WorldGuidance,
+    AgentCollision, Approach, Goal, GuidanceConfig, GuidanceContext, KnotMap, MapCollision, Objective,
+    OverSpeed, Rollout, StateGradient, TargetSpeed, WorldGuidance,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::unicycle;

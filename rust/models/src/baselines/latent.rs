@@ -67,7 +67,7 @@ pub(super) fn descended(
 mod tests {
     use super::*;
     use crate::config::{ModelConfig, ModelKind};
-    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, Objective, GuidanceContext};
+    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, GuidanceContext, Objective};
     use ccdiff_sim::geom::Pose2;
     use tch::Device;
 

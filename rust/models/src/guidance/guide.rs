@@ -1,12 +1,12 @@
 //! Moving the plans of a batch down the guidance loss, in every denoising step.
 
 use super::config::{Clip, GuidanceConfig};
+use super::context::GuidanceContext;
 use super::descent::Descent;
 use super::knots::KnotMap;
 use super::objective::Evaluation;
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
-use super::context::GuidanceContext;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use rayon::prelude::*;
@@ -101,8 +101,11 @@ impl<'a> Guidance<'a> {
         num_samples: usize,
         statistics: bool,
     ) -> Result<Self> {
-        let found: Vec<usize> =
-            worlds.iter().zip(sizes).map(|(w, s)| w.as_ref().map_or(*s, GuidanceContext::num_agents)).collect();
+        let found: Vec<usize> = worlds
+            .iter()
+            .zip(sizes)
+            .map(|(w, s)| w.as_ref().map_or(*s, GuidanceContext::num_agents))
+            .collect();
         if worlds.len() != sizes.len() || found != sizes {
             let (got, expected) = (format!("{found:?}"), format!("{sizes:?}"));
             return Err(ModelError::Shape { what: "agents of the guided worlds", got, expected });

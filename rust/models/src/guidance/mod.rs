@@ -14,18 +14,18 @@
 //! answer to those that are, one denoising step later.
 
 mod config;
+mod context;
 mod descent;
 mod guide;
 mod knots;
 mod objective;
 mod report;
 mod rollout;
-mod context;
 
 pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABLES, Target};
+pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};
-pub use context::{MOVING_MPS, GuidanceContext, WorldGuidance};

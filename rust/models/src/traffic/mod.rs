@@ -9,8 +9,8 @@
 
 mod config;
 mod memory;
+mod planned_agents;
 mod planning;
-mod roster;
 
 pub use config::{CcdiffConfig, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking};
 

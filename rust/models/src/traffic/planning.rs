@@ -1,7 +1,7 @@
-//! One round of planning: rosters, rankings, the network, and who follows what.
+//! One round of planning: planned agents, rankings, the network, and who follows what.
 
 use super::config::{Others, Partners, Ranking};
-use super::roster::{self, Hints, Roster};
+use super::planned_agents::{self, PlannedAgents, RankingInputs};
 use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
@@ -18,10 +18,10 @@ use std::sync::Arc;
 const SHARD_WORLDS: usize = 16;
 
 /// A world that is planned for.
-struct Due<'a> {
+struct PreparedRequest<'a> {
     request: &'a PlanRequest<'a>,
     memory: Memory,
-    roster: Roster,
+    planned: PlannedAgents,
     bitmap: Option<Arc<MapBitmap>>,
     /// Agents of the scene that may be guided, by falling importance.
     ranking: Vec<usize>,
@@ -35,7 +35,7 @@ struct Due<'a> {
     partners: Vec<bool>,
 }
 
-impl Due<'_> {
+impl PreparedRequest<'_> {
     fn is_guided(&self) -> bool {
         self.criticality > 0.0 && self.guided.contains(&true)
     }
@@ -49,7 +49,7 @@ impl PlannedTraffic {
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
         let mut due = requests.iter().map(|r| self.prepare(r)).collect::<Result<Vec<_>>>()?;
         self.rank(&mut due)?;
-        let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(Due::is_guided);
+        let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(PreparedRequest::is_guided);
         let mut made = Vec::with_capacity(requests.len());
         for (worlds, options) in [(with, self.guided.clone()), (without, self.unguided.clone())] {
             if !worlds.is_empty() {
@@ -62,12 +62,12 @@ impl PlannedTraffic {
         Ok(made)
     }
 
-    fn prepare<'a>(&mut self, request: &'a PlanRequest<'a>) -> Result<Due<'a>> {
+    fn prepare<'a>(&mut self, request: &'a PlanRequest<'a>) -> Result<PreparedRequest<'a>> {
         let world = &request.world;
         let memory = match request.plan {
             Some(plan) => Memory::of(plan, world.states.len())?,
             None => Memory {
-                frozen: roster::frozen(world, self.config.frozen),
+                frozen: planned_agents::frozen(world, self.config.frozen),
                 left_log: vec![false; world.states.len()],
                 noise_seed: world.noise_seed,
                 first_ranking: Vec::new(),
@@ -75,18 +75,18 @@ impl PlannedTraffic {
         };
         let stands = |(frozen, halted): (&bool, &bool)| *frozen || *halted;
         let still: Vec<bool> = memory.frozen.iter().zip(world.halted).map(stands).collect();
-        let mut roster = Roster::new(request, &still, self.model.history_steps)?;
-        self.tie(request, &memory, &mut roster);
+        let mut planned = PlannedAgents::new(request, &still, self.model.history_steps)?;
+        self.tie(request, &memory, &mut planned);
         let bitmap = self.bitmap(&world.scene.scene);
         let partners = match self.config.partners {
-            Partners::All => vec![true; roster.agents.len()],
-            Partners::Ego => roster.agents.iter().map(|a| roster::is_ego(world, *a)).collect(),
+            Partners::All => vec![true; planned.agents.len()],
+            Partners::Ego => planned.agents.iter().map(|a| planned_agents::is_ego(world, *a)).collect(),
         };
-        let (guided, criticality) = (vec![false; roster.agents.len()], 0.0);
-        Ok(Due {
+        let (guided, criticality) = (vec![false; planned.agents.len()], 0.0);
+        Ok(PreparedRequest {
             request,
             memory,
-            roster,
+            planned,
             bitmap,
             ranking: Vec::new(),
             chosen: Vec::new(),
@@ -97,11 +97,11 @@ impl PlannedTraffic {
     }
 
     /// Tells the plans of vehicles where they go on from: the noise of the plan before, and its motion now.
-    fn tie(&self, request: &PlanRequest<'_>, memory: &Memory, roster: &mut Roster) {
-        let (states, window) = (request.world.states, &mut roster.window);
+    fn tie(&self, request: &PlanRequest<'_>, memory: &Memory, planned: &mut PlannedAgents) {
+        let (states, window) = (request.world.states, &mut planned.window);
         if self.config.keep_noise {
             let of = |a: &usize| Noise::new(memory.noise_seed, *a as u64).block(0);
-            let seeds = roster.agents.iter().map(of).map(|w| u64::from(w[0]) << 32 | u64::from(w[1]));
+            let seeds = planned.agents.iter().map(of).map(|w| u64::from(w[0]) << 32 | u64::from(w[1]));
             window.noise_seed = seeds.collect();
         }
         let followed = |a: &usize| {
@@ -110,32 +110,33 @@ impl PlannedTraffic {
             row.map(|_| [states.acceleration_mps2[*a], states.yaw_rate_radps[*a]])
         };
         if self.config.tie_first_knot {
-            window.first_action = roster.agents.iter().map(followed).collect();
+            window.first_action = planned.agents.iter().map(followed).collect();
         }
     }
 
     /// Fills in rankings and who is guided.
-    fn rank(&mut self, due: &mut [Due<'_>]) -> Result<()> {
-        let mut hints = self.hints(due)?.into_iter();
+    fn rank(&mut self, due: &mut [PreparedRequest<'_>]) -> Result<()> {
+        let mut ranking_inputs = self.ranking_inputs(due)?.into_iter();
         for d in due {
-            let hints = hints.next().unwrap_or_default();
+            let ranking_inputs = ranking_inputs.next().unwrap_or_default();
             d.ranking = if self.config.rerank || d.request.plan.is_none() {
-                d.roster.ranking(&d.request.world, &self.config, &hints)?
+                d.planned.ranking(&d.request.world, &self.config, &ranking_inputs)?
             } else {
                 d.memory.first_ranking.clone()
             };
             let command = d.request.command;
-            d.chosen = roster::singled_out(&d.ranking, command, self.config.num_guided);
+            d.chosen = planned_agents::select_guided(&d.ranking, command, self.config.num_guided);
             d.criticality = command.criticality.unwrap_or(self.config.criticality);
             let masked = self.config.mask_guidance;
-            let is_guided = |a: &usize| d.chosen.contains(a) || (!masked && d.roster.is_ours(*a));
-            d.guided = d.roster.agents.iter().map(is_guided).collect();
+            let is_guided =
+                |a: &usize| d.chosen.contains(a) || (!masked && d.planned.is_controlled_by_policy(*a));
+            d.guided = d.planned.agents.iter().map(is_guided).collect();
         }
         Ok(())
     }
 
     /// What some rankings ask the network for: attention, or how the gradients agree. Nothing is guided here.
-    fn hints(&mut self, due: &[Due<'_>]) -> Result<Vec<Hints>> {
+    fn ranking_inputs(&mut self, due: &[PreparedRequest<'_>]) -> Result<Vec<RankingInputs>> {
         let greedy = self.config.ranking == Ranking::Greedy;
         if !greedy && self.config.ranking != Ranking::Gradient {
             return Ok(Vec::new());
@@ -150,7 +151,7 @@ impl PlannedTraffic {
         let plans = self.draw(due, &options, false)?;
         Ok(plans
             .into_iter()
-            .map(|plan| Hints {
+            .map(|plan| RankingInputs {
                 attention: plan.attention_matrix(),
                 scores: plan.guidance.and_then(|g| g.conflict).map(|c| c.alignment),
                 graph: Some(plan.features.graph),
@@ -158,13 +159,13 @@ impl PlannedTraffic {
             .collect())
     }
 
-    fn draw(&mut self, due: &[Due<'_>], options: &PlanOptions, moves: bool) -> Result<Vec<Plan>> {
+    fn draw(&mut self, due: &[PreparedRequest<'_>], options: &PlanOptions, moves: bool) -> Result<Vec<Plan>> {
         let nobody: Vec<Vec<bool>> = due.iter().map(|d| vec![false; d.guided.len()]).collect();
         let views: Vec<PlannerView<'_>> = due
             .iter()
             .zip(&nobody)
             .map(|(d, nobody)| PlannerView {
-                window: &d.roster.window,
+                window: &d.planned.window,
                 bitmap: d.bitmap.as_deref(),
                 seed: d.request.world.noise_seed,
                 guide: options.guidance.is_some().then(|| WorldGuidance {
@@ -196,13 +197,13 @@ impl PlannedTraffic {
     }
 
     /// The plan that a world follows from now on.
-    fn adopt(&self, mut due: Due<'_>, plan: Plan, options: &PlanOptions) -> PlanState {
+    fn adopt(&self, mut due: PreparedRequest<'_>, plan: Plan, options: &PlanOptions) -> PlanState {
         let (others, mut memory) = (self.config.others, std::mem::take(&mut due.memory));
         let (n, m) = (plan.num_samples, plan.agents.len());
         let steps = plan.states.len() / (n * m * 6).max(1);
-        let agents: Vec<usize> = plan.agents.iter().map(|row| due.roster.agents[*row]).collect();
+        let agents: Vec<usize> = plan.agents.iter().map(|row| due.planned.agents[*row]).collect();
         let follows = |a: &usize| {
-            due.roster.is_ours(*a)
+            due.planned.is_controlled_by_policy(*a)
                 && match others {
                     Others::Ccdiff => true,
                     Others::Idm => due.chosen.contains(a),

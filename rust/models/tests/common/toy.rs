@@ -6,7 +6,7 @@ use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::guidance::{
-    Evaluation, GuidanceConfig, KnotMap, Objective, Rollout, GuidanceContext, StateGradient, WorldGuidance,
+    Evaluation, GuidanceConfig, GuidanceContext, KnotMap, Objective, Rollout, StateGradient, WorldGuidance,
 };
 
 pub(crate) const T: usize = 52;
@@ -39,7 +39,11 @@ pub(crate) fn toy(list: &[[f32; 5]], model: ModelConfig) -> Toy {
 }
 
 impl Toy {
-    pub(crate) fn context<'a>(&self, guide: &WorldGuidance<'a>, config: &GuidanceConfig) -> GuidanceContext<'a> {
+    pub(crate) fn context<'a>(
+        &self,
+        guide: &WorldGuidance<'a>,
+        config: &GuidanceConfig,
+    ) -> GuidanceContext<'a> {
         GuidanceContext::new(guide, &self.window, &self.features, &self.model, config).unwrap()
     }
 

@@ -7,8 +7,8 @@
 
 use super::Evaluation;
 use super::disks::{Disks, for_pairs};
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
 use ccdiff_sim::options::at_least;
 

@@ -1,8 +1,8 @@
 //! Vehicles as rows of disks: radius W/2, centres evenly spaced on [-(L/2 - W/2), L/2 - W/2] along the body axis.
 
 use super::Evaluation;
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 
 /// Disks of all agents of a world and where their plans go.
 pub(super) struct Disks {

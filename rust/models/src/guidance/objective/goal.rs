@@ -5,8 +5,8 @@
 //! recorded there; this one is ours. The loss is zero for agents without a goal.
 
 use super::Evaluation;
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
 
 options! {

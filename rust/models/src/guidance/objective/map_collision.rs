@@ -11,8 +11,8 @@
 //! sides, are: that settles most boxes without looking at the other 88.
 
 use super::Evaluation;
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 use ccdiff_sim::geom::{Point2, Region};
 use ccdiff_sim::options;
 

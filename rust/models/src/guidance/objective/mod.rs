@@ -17,8 +17,8 @@ pub use over_speed::OverSpeed;
 pub use target_speed::TargetSpeed;
 
 use super::config::Objective;
-use super::rollout::{Rollout, StateGradient};
 use super::context::GuidanceContext;
+use super::rollout::{Rollout, StateGradient};
 
 /// Where an objective writes to.
 #[derive(Debug)]

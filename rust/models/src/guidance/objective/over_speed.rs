@@ -6,8 +6,8 @@
 //! loss is zero without either.
 
 use super::Evaluation;
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
 use ccdiff_sim::options::above;
 

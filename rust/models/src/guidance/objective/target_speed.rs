@@ -4,8 +4,8 @@
 //! (reference.md#guidance). The speed is the world's for that agent, else the objective's; the loss is zero without either.
 
 use super::Evaluation;
-use crate::guidance::rollout::Rollout;
 use crate::guidance::context::GuidanceContext;
+use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
 
 options! {

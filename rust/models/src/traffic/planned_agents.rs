@@ -16,18 +16,18 @@ const STANDING_REACH_M: Real = 20.0;
 const STANDING_MPS: Real = 0.5;
 
 /// The vehicles of a world at a moment.
-pub(super) struct Roster {
+pub(super) struct PlannedAgents {
     /// Agents of the scene, one per row of the window, in the scene's order.
     pub(super) agents: Vec<usize>,
     /// Whether this policy drives the agent and it is free to move, by row.
-    ours: Vec<bool>,
+    controlled_by_policy: Vec<bool>,
     /// Their states over the history.
     pub(super) window: Window,
 }
 
 /// What the network says about the importance of agents, where a ranking asks for it.
 #[derive(Debug, Default)]
-pub(super) struct Hints {
+pub(super) struct RankingInputs {
     /// Attention [M, M].
     pub(super) attention: Option<Vec<Real>>,
     /// Alignment of the gradients of realism and guidance, [M].
@@ -55,14 +55,14 @@ pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
 }
 
 /// Agents that are to be guided: those asked for, else the first K of the ranking.
-pub(super) fn singled_out(ranking: &[usize], command: &Command, num_guided: Option<usize>) -> Vec<usize> {
+pub(super) fn select_guided(ranking: &[usize], command: &Command, num_guided: Option<usize>) -> Vec<usize> {
     match &command.guided {
         Some(agents) => agents.iter().copied().filter(|a| ranking.contains(a)).collect(),
         None => ranking.iter().copied().take(num_guided.unwrap_or(usize::MAX)).collect(),
     }
 }
 
-impl Roster {
+impl PlannedAgents {
     /// Vehicles that are there now: all that move, and the standing ones near them.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl Roster {
             moving.any(|b| (states.position(*b) - p).norm() < STANDING_REACH_M)
         };
         let agents: Vec<usize> = there.iter().copied().filter(|a| !frozen[*a] || near_moving(*a)).collect();
-        let ours = agents.iter().map(|a| request.drives(*a) && !frozen[*a]).collect();
+        let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !frozen[*a]).collect();
         let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
             let message = "the world keeps too short a history".into();
             ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
@@ -96,12 +96,15 @@ impl Roster {
                 window.valid.push(past.valid);
             }
         }
-        Ok(Self { agents, ours, window })
+        Ok(Self { agents, controlled_by_policy, window })
     }
 
     /// Whether this policy may drive an agent of the scene.
-    pub(super) fn is_ours(&self, agent_idx: usize) -> bool {
-        self.agents.iter().zip(&self.ours).any(|(a, ours)| *a == agent_idx && *ours)
+    pub(super) fn is_controlled_by_policy(&self, agent_idx: usize) -> bool {
+        self.agents
+            .iter()
+            .zip(&self.controlled_by_policy)
+            .any(|(a, controlled_by_policy)| *a == agent_idx && *controlled_by_policy)
     }
 
     /// Agents of the scene that may be guided, by falling importance. The times to contact stay in the window, for the
@@ -113,7 +116,7 @@ impl Roster {
         &mut self,
         world: &WorldView<'_>,
         config: &CcdiffConfig,
-        hints: &Hints,
+        ranking_inputs: &RankingInputs,
     ) -> Result<Vec<usize>> {
         let (m, steps) = (self.agents.len(), self.window.num_steps);
         let by_step = |v: &[Real]| -> Vec<Real> {
@@ -133,13 +136,18 @@ impl Roster {
             valid: &now,
             ttc: &ttc,
             distance: &distance,
-            graph: hints.graph.as_ref(),
-            attention: hints.attention.as_deref(),
-            scores: hints.scores.as_deref(),
+            graph: ranking_inputs.graph.as_ref(),
+            attention: ranking_inputs.attention.as_deref(),
+            scores: ranking_inputs.scores.as_deref(),
         };
         let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();
         let ranker = config.ranker(&world.scene.scene.name, &ids, world.noise_seed);
         let ranked = ranker.rank(&input, m)?;
-        Ok(ranked.agents.into_iter().filter(|row| self.ours[*row]).map(|row| self.agents[row]).collect())
+        Ok(ranked
+            .agents
+            .into_iter()
+            .filter(|row| self.controlled_by_policy[*row])
+            .map(|row| self.agents[row])
+            .collect())
     }
 }
