@@ -4,7 +4,7 @@ use crate::batch::{Batch, Targets};
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Lesson, PlanModel, Taught};
+use crate::plan_model::{PlanModel, Taught, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{self, SampleOptions, Samples};
 use crate::schedule::Schedule;
@@ -73,24 +73,24 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
 
     /// The loss of the plan predicted from the noised log, each scene at a diffusion step of its own, with G replaced by
     /// the identity in some scenes; with a teacher, the distance from its plans.
-    fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
-        if let Some(taught) = lesson.taught {
-            return self.distillation_loss(lesson.batch, taught);
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        if let Some(taught) = step.taught {
+            return self.distillation_loss(step.batch, taught);
         }
-        let (batch, targets, space) = (lesson.batch, lesson.targets, self.space());
+        let (batch, targets, space) = (step.batch, step.targets, self.space());
         let device = batch.speed_mps.device();
-        let (of_step, of_drop) = (lesson.draw(0), lesson.draw(1));
+        let (of_step, of_drop) = (step.draw(0), step.draw(1));
         let per_scene = |f: &dyn Fn(u64) -> i64| -> Vec<i64> {
             let scenes = batch.scene_sizes.iter().zip(0u64..);
             scenes.flat_map(|(size, s)| std::iter::repeat_n(f(s), *size)).collect()
         };
         let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
-        let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < lesson.config.drop_graph));
+        let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < step.config.drop_graph));
         let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
         let batch = batch.with_graph_dropped(&dropped, space.config());
 
         let clean = space.knots_of(&logged_actions(targets));
-        let numbers = lesson.draw(2).normals(clean.numel());
+        let numbers = step.draw(2).normals(clean.numel());
         let noise = Tensor::from_slice(&numbers).view_as(&clean).to_device(device);
         let of_noise = |f: &dyn Fn(f64) -> f64| {
             let values: Vec<f32> = k.iter().map(|k| f(self.schedule.alpha_bar[*k as usize]) as f32).collect();
@@ -102,7 +102,7 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         let steps = Tensor::from_slice(&k).to_device(device);
         let (predicted, _) = self.denoiser.predict(&context, &noisy, &steps);
         let share = || of_noise(&f64::sqrt).flatten(0, 2);
-        plan_loss(space, &predicted, &batch, targets, lesson.config.collision_weight, share)
+        plan_loss(space, &predicted, &batch, targets, step.config.collision_weight, share)
     }
 
     fn propose(

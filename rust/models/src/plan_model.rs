@@ -23,7 +23,7 @@ pub trait PlanModel: Debug + Send {
     fn space(&self) -> &PlanSpace;
 
     /// Loss of one batch of a training step, with its gradient.
-    fn loss(&self, lesson: &Lesson<'_>) -> Tensor;
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor;
 
     /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves the plans on the way.
     ///
@@ -49,7 +49,7 @@ pub struct Taught {
 
 /// One training step's batch and random numbers.
 #[derive(Debug, Clone, Copy)]
-pub struct Lesson<'a> {
+pub struct TrainingStep<'a> {
     /// Inputs.
     pub batch: &'a Batch,
     /// Logged futures.
@@ -62,7 +62,7 @@ pub struct Lesson<'a> {
     pub taught: Option<&'a Taught>,
 }
 
-impl Lesson<'_> {
+impl TrainingStep<'_> {
     /// A stream of the step's random numbers, 0 to 2.
     pub(crate) fn draw(&self, stream: u64) -> Noise {
         stream_of(self.config, self.step, stream)

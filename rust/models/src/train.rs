@@ -9,7 +9,7 @@ use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
 use crate::optimiser::{Adam, MovingAverage, variables};
-use crate::plan_model::{self, Lesson, PlanModel, Taught};
+use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
 use crate::planner::Planner;
 use crate::sampler::SampleOptions;
 use ccdiff_sim::options;
@@ -241,14 +241,14 @@ impl Trainer {
                 let push = self.config.perturb.then(|| plan_model::pushes(&self.config, self.step));
                 let (batch, targets) = self.dataset.batch(&indices, push, self.store.device())?;
                 let taught = self.taught(&batch)?;
-                let lesson = Lesson {
+                let step = TrainingStep {
                     batch: &batch,
                     targets: &targets,
                     config: &self.config,
                     step: self.step,
                     taught: taught.as_ref(),
                 };
-                let loss = self.network.loss(&lesson);
+                let loss = self.network.loss(&step);
                 let value = loss.double_value(&[]);
                 if !value.is_finite() {
                     return Err(ModelError::Diverged { step: self.step, loss: value });

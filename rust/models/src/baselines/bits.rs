@@ -16,7 +16,7 @@ use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::noise::Noise;
-use crate::plan_model::{Lesson, PlanModel};
+use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
 use crate::sampler::{SampleOptions, Samples, check_seeds, to_vec};
@@ -168,8 +168,8 @@ impl PlanModel for Bits {
 
     /// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the
     /// plan to that goal and of the prediction.
-    fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
-        let (batch, targets) = (lesson.batch, lesson.targets);
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        let (batch, targets) = (step.batch, step.targets);
         let seen = self.trunk.forward(batch, true);
         let maps = self.maps(&seen);
         let steps = targets.valid.size()[1];
@@ -190,7 +190,7 @@ impl PlanModel for Bits {
         let turned = 1f64 - (heading.select(1, 0) * &cos + heading.select(1, 1) * &sin);
         let (x, y, border) = self.grid.decode(&cell, &within);
         let share = || Tensor::ones([batch.num_rows()], (Kind::Float, maps.device()));
-        let weight = lesson.config.collision_weight;
+        let weight = step.config.collision_weight;
         let to_log = |knots: &Tensor| plan_loss(&self.space, knots, batch, targets, weight, share);
         let plan = self.plans(&seen.state, &[x, y, cos, sin, border]);
         mean(entropy.squeeze_dim(1))

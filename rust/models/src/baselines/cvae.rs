@@ -19,7 +19,7 @@ use crate::guidance::{Guidance, MOVING_MPS};
 use crate::layers::perceptron::Perceptron;
 use crate::layers::social::EdgeAwareLayer;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Lesson, PlanModel};
+use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples, check_seeds, noise};
 use crate::trunk::{Encoded, Trunk};
@@ -123,13 +123,13 @@ impl Cvae {
     }
 
     /// Distance of plans to the log, and what else the form asks of them.
-    fn imitation(&self, lesson: &Lesson<'_>, knots: &Tensor) -> Tensor {
-        let (batch, targets) = (lesson.batch, lesson.targets);
+    fn imitation(&self, step: &TrainingStep<'_>, knots: &Tensor) -> Tensor {
+        let (batch, targets) = (step.batch, step.targets);
         let states = || self.space.states(knots, &batch.speed_mps);
         match self.form {
             Form::TrafficsimPort => {
                 let share = || Tensor::ones([batch.num_rows()], (Kind::Float, knots.device()));
-                let weight = lesson.config.collision_weight;
+                let weight = step.config.collision_weight;
                 let yaw_rate = self.space.actions(knots).select(2, 1);
                 plan_loss(&self.space, knots, batch, targets, weight, share)
                     + yaw_rate.square().mean(Kind::Float) * PORT_YAW
@@ -140,8 +140,8 @@ impl Cvae {
     }
 
     /// What sampled plans of all agents may not do to each other and to the road.
-    fn together(&self, lesson: &Lesson<'_>, knots: &Tensor) -> Tensor {
-        let batch = lesson.batch;
+    fn together(&self, step: &TrainingStep<'_>, knots: &Tensor) -> Tensor {
+        let batch = step.batch;
         let states = self.space.states(knots, &batch.speed_mps);
         let zero = || knots.sum(Kind::Float) * 0.0;
         let pairs = Pairs::new(batch);
@@ -168,25 +168,25 @@ impl PlanModel for Cvae {
 
     /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and,
     /// but for the port, what a sample of the prior does.
-    fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
-        let (batch, targets) = (lesson.batch, lesson.targets);
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        let (batch, targets) = (step.batch, step.targets);
         let seen = self.trunk.forward(batch, true);
         let (prior, posterior) = (self.prior(&seen), self.posterior(&seen, targets));
         let normals = |stream: u64| {
-            let numbers = lesson.draw(stream).normals(posterior.mean.numel());
+            let numbers = step.draw(stream).normals(posterior.mean.numel());
             Tensor::from_slice(&numbers).view_as(&posterior.mean).to_device(posterior.mean.device())
         };
         let knots = self.decode(&seen, &posterior.sample(&normals(0)));
         let logged = targets.valid.amax([1i64].as_slice(), false);
         let divergence =
             (posterior.kl(&prior) * &logged).sum(Kind::Float) / logged.sum(Kind::Float).clamp_min(1.0);
-        let imitation = self.imitation(lesson, &knots);
+        let imitation = self.imitation(step, &knots);
         if self.form == Form::TrafficsimPort {
             return imitation + divergence * PORT_DIVERGENCE;
         }
-        let risen = (lesson.step as f64 / lesson.config.warmup_steps.max(1) as f64).min(1.0);
+        let risen = (step.step as f64 / step.config.warmup_steps.max(1) as f64).min(1.0);
         let sampled = self.decode(&seen, &prior.sample(&normals(1)));
-        imitation + divergence * (DIVERGENCE * risen) + self.together(lesson, &sampled)
+        imitation + divergence * (DIVERGENCE * risen) + self.together(step, &sampled)
     }
 
     /// Plans of samples of the prior; the first of STRIVE is its mean. Guidance moves the latents, those of STRIVE

@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
-use crate::plan_model::{Lesson, PlanModel};
+use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples, check_seeds};
 use crate::trunk::Trunk;
@@ -48,11 +48,11 @@ impl PlanModel for Simnet {
         &self.space
     }
 
-    fn loss(&self, lesson: &Lesson<'_>) -> Tensor {
-        let knots = self.plan(lesson.batch, true);
-        let share = || Tensor::ones([lesson.batch.num_rows()], (Kind::Float, knots.device()));
-        let weight = lesson.config.collision_weight;
-        plan_loss(&self.space, &knots, lesson.batch, lesson.targets, weight, share)
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        let knots = self.plan(step.batch, true);
+        let share = || Tensor::ones([step.batch.num_rows()], (Kind::Float, knots.device()));
+        let weight = step.config.collision_weight;
+        plan_loss(&self.space, &knots, step.batch, step.targets, weight, share)
     }
 
     /// The one plan, N times.
