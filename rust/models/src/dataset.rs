@@ -4,9 +4,9 @@ use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
 use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
+use crate::lateral_perturbation::LateralPerturbation;
+use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
-use crate::pace::{Pace, Trail};
-use crate::perturb::Push;
 use crate::raster::MapBitmap;
 use crate::smooth::smoothed;
 use ccdiff_sim::geom::Pose2;
@@ -49,16 +49,16 @@ pub struct Dataset {
 #[derive(Debug)]
 enum Move {
     /// Sideways, off the path.
-    Aside(Push),
+    Aside(LateralPerturbation),
     /// Along the path, with the poses after now.
-    Along(Pace, Trail, Vec<Pose2>),
+    Along(LongitudinalPerturbation, Trail, Vec<Pose2>),
 }
 
 impl Move {
     /// Draws a move for the agent of a slot; `trail` gives its path and the time step.
     fn draw(noise: &Noise, slot: u64, speed_mps: f32, trail: impl FnOnce() -> (Trail, f32)) -> Option<Self> {
-        let Some(pace) = Pace::draw(noise, slot, speed_mps) else {
-            return Push::draw(noise, slot, speed_mps).map(Self::Aside);
+        let Some(pace) = LongitudinalPerturbation::draw(noise, slot, speed_mps) else {
+            return LateralPerturbation::draw(noise, slot, speed_mps).map(Self::Aside);
         };
         let (trail, dt_s) = trail();
         let pace = pace.within(&trail, dt_s);

@@ -1,6 +1,6 @@
 //! Agents moved along their logged path in training, with a future that falls back into the log's pace.
 //!
-//! Ours, not the paper's, like [`crate::perturb`]: a log holds few drivers who are too close or too fast for what is
+//! Ours, not the paper's, like [`crate::lateral_perturbation`]: a log holds few drivers who are too close or too fast for what is
 //! ahead and brake for it, closed loop holds many. The agent is put ahead of or behind its place, its history is replayed
 //! faster or slower, and the future, still on the logged path, joins the log again after [`RECOVERY_S`].
 
@@ -21,7 +21,7 @@ const CHANGE_MPS: f32 = 3.0;
 const LEAST_SPEED_MPS: f32 = 2.0;
 /// Seconds until the log is joined again.
 const RECOVERY_S: f32 = 4.0;
-/// First counter of the draws, past those of [`crate::perturb`].
+/// First counter of the draws, past those of [`crate::lateral_perturbation`].
 const FIRST_COUNTER: u64 = 1 << 48;
 
 /// Logged poses of an agent by the distance driven since now.
@@ -78,13 +78,13 @@ impl Trail {
 
 /// How far an agent is out of its place and pace.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Pace {
+pub(crate) struct LongitudinalPerturbation {
     along_m: f32,
     scale: f32,
     speed_mps: f32,
 }
 
-impl Pace {
+impl LongitudinalPerturbation {
     /// Draws whether and how the agent of a row is moved. `slot` numbers the row among all of this draw's.
     pub(crate) fn draw(noise: &Noise, slot: u64, speed_mps: f32) -> Option<Self> {
         let counter = FIRST_COUNTER + slot;
@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn the_future_starts_at_the_moved_state_and_joins_the_log_on_its_path() {
         let trail = trail();
-        let pace = Pace { along_m: 3.0, scale: 1.3, speed_mps: 8.3 }.within(&trail, 0.1);
+        let pace = LongitudinalPerturbation { along_m: 3.0, scale: 1.3, speed_mps: 8.3 }.within(&trail, 0.1);
         let future = pace.future(&trail, 0.1);
         assert_eq!(future.len(), 60);
         let start = trail.at(pace.along_m);
@@ -187,7 +187,7 @@ mod tests {
         trail.now = 50;
         let now = trail.driven_m[50];
         trail.driven_m.iter_mut().for_each(|s| *s -= now);
-        let pace = Pace { along_m: 4.0, scale: 1.2, speed_mps: 1.7 };
+        let pace = LongitudinalPerturbation { along_m: 4.0, scale: 1.2, speed_mps: 1.7 };
         assert!(pace.within(&trail, 0.1).along_m <= 0.5 * trail.driven_m[70] + 1e-5);
         let future = pace.future(&trail, 0.1);
         let driven: Vec<f32> = future.iter().map(|p| 40.0 * p.heading_rad).collect();
@@ -208,7 +208,11 @@ mod tests {
             width_m: vec![2.0],
             ..Window::default()
         };
-        Pace { along_m: -2.0, scale: 0.9, speed_mps: 8.0 }.move_history(&mut window, 0, &trail);
+        LongitudinalPerturbation { along_m: -2.0, scale: 0.9, speed_mps: 8.0 }.move_history(
+            &mut window,
+            0,
+            &trail,
+        );
         assert_eq!(window.valid.iter().filter(|v| **v).count(), 11);
         let last = (0..15).map(|s| window.pose(0, s)).collect::<Vec<_>>();
         assert!((last[14].position - trail.at(-2.0).position).norm() < 1e-4);

@@ -1,4 +1,4 @@
-//! Agents pushed off their logged path in training (and along it: [`crate::pace`]), with a future that leads back.
+//! Agents pushed off their logged path in training (and along it: [`crate::longitudinal_perturbation`]), with a future that leads back.
 //!
 //! Ours, not the paper's: in closed loop the network meets states that no log holds; without such samples small errors
 //! grow. The current pose is moved sideways and turned, the history moves along rigidly, and the future joins the log
@@ -21,12 +21,12 @@ const RECOVERY_S: f32 = 3.0;
 
 /// How far an agent is pushed off its path.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Push {
+pub(crate) struct LateralPerturbation {
     lateral_m: f32,
     heading_rad: f32,
 }
 
-impl Push {
+impl LateralPerturbation {
     /// Draws whether and how the agent of a row is pushed. `slot` numbers the row among all of this draw's.
     pub(crate) fn draw(noise: &Noise, slot: u64, speed_mps: f32) -> Option<Self> {
         if noise.uniform(slot) >= SHARE || speed_mps < LEAST_SPEED_MPS {
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn the_way_back_starts_at_the_pushed_pose_and_ends_on_the_log() {
-        let push = Push { lateral_m: 0.7, heading_rad: -0.1 };
+        let push = LateralPerturbation { lateral_m: 0.7, heading_rad: -0.1 };
         let speed = 8.0;
         let log = |t: f32| Pose2::new(speed * t, 3.0, 0.0);
         let start = push.recover(log(0.0), 0.0, speed);
@@ -106,7 +106,7 @@ mod tests {
             width_m: vec![2.0],
             ..Window::default()
         };
-        Push { lateral_m: 0.5, heading_rad: 0.1 }.move_history(&mut window, 0);
+        LateralPerturbation { lateral_m: 0.5, heading_rad: 0.1 }.move_history(&mut window, 0);
         assert!((window.x_m[2] - 2.0).abs() < 1e-6 && (window.y_m[2] - 0.5).abs() < 1e-6);
         let back = window.pose(0, 2).to_local(window.pose(0, 0).position);
         assert!((back.x + 2.0).abs() < 1e-5 && back.y.abs() < 1e-5);
