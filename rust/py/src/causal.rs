@@ -165,7 +165,7 @@ fn causal_rank(
         "distance" => Ranker::Distance(settings),
         "first" => Ranker::FirstK,
         "random" => Ranker::Random { seed },
-        "given" => Ranker::Human(agents.unwrap_or_default()),
+        "given" => Ranker::Listed(agents.unwrap_or_default()),
         "scores" => Ranker::Scores,
         _ => {
             let expected = "\"cliques\", \"distance\", \"first\", \"random\", \"given\" or \"scores\"";

@@ -247,15 +247,15 @@ impl CcdiffConfig {
     /// The ranker of a plan of a scene; `ids` are those of the planned agents.
     pub(super) fn ranker(&self, scene: &str, ids: &[&str], seed: u64) -> Ranker {
         match &self.ranking {
-            Ranking::Cliques => Ranker::CliqueOccurrence(CliqueSettings::PARITY),
-            Ranking::Distance => Ranker::Distance(CliqueSettings::PARITY),
+            Ranking::Cliques => Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL),
+            Ranking::Distance => Ranker::Distance(CliqueSettings::REFERENCE_IMPL),
             Ranking::Greedy => Ranker::Greedy(GreedyOrder::default()),
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },
             Ranking::Gradient => Ranker::Scores,
             Ranking::List(lists) => {
                 let listed = lists.get(scene).into_iter().flatten();
-                Ranker::Human(listed.filter_map(|id| ids.iter().position(|i| i == id)).collect())
+                Ranker::Listed(listed.filter_map(|id| ids.iter().position(|i| i == id)).collect())
             }
         }
     }

@@ -32,7 +32,7 @@ pub enum Ranker {
         seed: u64,
     },
     /// A given list, as of a human.
-    Human(Vec<usize>),
+    Listed(Vec<usize>),
     /// By falling score of every agent, such as the alignment of the gradients of realism and guidance.
     Scores,
 }
@@ -85,7 +85,7 @@ impl Ranker {
             Self::Greedy(order) => greedy_order(num_agents, &graph_weights(input)?, *order)?,
             Self::FirstK => (0..num_agents).collect(),
             Self::Random { seed } => shuffled(num_agents, *seed),
-            Self::Human(list) => human_list(list, num_agents)?,
+            Self::Listed(list) => listed(list, num_agents)?,
             Self::Scores => by_falling_score(input)?,
         };
         let mut agents = Vec::with_capacity(top_k.min(num_agents));
@@ -125,7 +125,7 @@ fn graph_weights(input: &RankInput<'_>) -> Result<Vec<f64>> {
     Ok(graph.as_slice().iter().enumerate().map(|(k, &joined)| if joined { weight(k) } else { 0.0 }).collect())
 }
 
-fn human_list(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
+fn listed(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
     match list.iter().find(|&&agent| agent >= num_agents) {
         Some(agent) => Err(SimError::Unknown {
             what: "agent index",
@@ -218,17 +218,17 @@ mod tests {
         let mut distance = [0.0; 16];
         distance[1] = 0.3; // agents 0 and 1
         let input = RankInput { valid: &[true; 4], ttc: &NEAR, distance: &distance, ..RankInput::default() };
-        let named = Ranker::Human(vec![1]).rank(&input, 4).unwrap();
+        let named = Ranker::Listed(vec![1]).rank(&input, 4).unwrap();
         assert_eq!(named, Ranking { agents: vec![1, 2, 3, 0], num_named: 1, exact: true });
-        assert_eq!(rank(&Ranker::CliqueOccurrence(CliqueSettings::PARITY), &input, 3), [2, 3, 0]);
-        assert_eq!(rank(&Ranker::Distance(CliqueSettings::PARITY), &input, 3), [0, 1, 2]);
+        assert_eq!(rank(&Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL), &input, 3), [2, 3, 0]);
+        assert_eq!(rank(&Ranker::Distance(CliqueSettings::REFERENCE_IMPL), &input, 3), [0, 1, 2]);
     }
 
     #[test]
     fn absent_agents_are_never_chosen() {
         let valid = [false, true, true, false];
         let input = RankInput { valid: &valid, ttc: &NEAR, ..RankInput::default() };
-        for ranker in [Ranker::FirstK, Ranker::Human(vec![3, 1, 1]), Ranker::Random { seed: 3 }] {
+        for ranker in [Ranker::FirstK, Ranker::Listed(vec![3, 1, 1]), Ranker::Random { seed: 3 }] {
             let mut agents = rank(&ranker, &input, 10);
             agents.sort_unstable();
             assert_eq!(agents, [1, 2]);
@@ -275,7 +275,7 @@ mod tests {
         let text = Ranker::Scores.rank(&input, 1).unwrap_err().to_string();
         assert!(text.contains("rank.scores"), "{text}");
         assert!(Ranker::Greedy(GreedyOrder::default()).rank(&input, 1).is_err());
-        assert!(Ranker::Human(vec![2]).rank(&input, 1).is_err());
+        assert!(Ranker::Listed(vec![2]).rank(&input, 1).is_err());
         let ragged = RankInput { ttc: &[0.0; 3], ..input };
         assert!(Ranker::FirstK.rank(&ragged, 1).is_err());
     }

@@ -21,16 +21,16 @@ impl CliqueSettings {
     pub const NODE_LIMIT: usize = 20_000;
 
     /// What made the released lists of key agents: any contact within 20 s joins, pairs count (reference.md#shipped-lists).
-    pub const PARITY: Self =
+    pub const REFERENCE_IMPL: Self =
         Self { threshold: 0.0, min_size: 2, top_per_frame: 3, node_limit: Self::NODE_LIMIT };
 
     /// What stands in the released script: contact within 10 s joins, triples and larger count (reference.md#released-script).
-    pub const RELEASED_SCRIPT: Self = Self { threshold: 0.5, min_size: 3, ..Self::PARITY };
+    pub const RELEASED_SCRIPT: Self = Self { threshold: 0.5, min_size: 3, ..Self::REFERENCE_IMPL };
 }
 
 impl Default for CliqueSettings {
     fn default() -> Self {
-        Self::PARITY
+        Self::REFERENCE_IMPL
     }
 }
 
@@ -109,7 +109,7 @@ mod tests {
         join(0, 1, 2, 0.9);
         join(0, 0, 3, 0.2);
         join(1, 3, 0, 0.4);
-        let found = clique_occurrences(4, &measure, &CliqueSettings::PARITY).unwrap();
+        let found = clique_occurrences(4, &measure, &CliqueSettings::REFERENCE_IMPL).unwrap();
         assert_eq!(found.counts, [(0, 2), (3, 2), (1, 1), (2, 1)]);
         assert_eq!(found.num_cliques, 3);
         let strict = clique_occurrences(4, &measure, &CliqueSettings::RELEASED_SCRIPT).unwrap();
@@ -118,17 +118,17 @@ mod tests {
 
     #[test]
     fn bad_measures_are_refused() {
-        assert!(clique_occurrences(2, &[0.0; 5], &CliqueSettings::PARITY).is_err());
-        assert!(clique_occurrences(2, &[0.0, 2.0, 0.0, 0.0], &CliqueSettings::PARITY).is_err());
-        let negative = CliqueSettings { threshold: -0.1, ..CliqueSettings::PARITY };
+        assert!(clique_occurrences(2, &[0.0; 5], &CliqueSettings::REFERENCE_IMPL).is_err());
+        assert!(clique_occurrences(2, &[0.0, 2.0, 0.0, 0.0], &CliqueSettings::REFERENCE_IMPL).is_err());
+        let negative = CliqueSettings { threshold: -0.1, ..CliqueSettings::REFERENCE_IMPL };
         assert!(clique_occurrences(2, &[0.0; 4], &negative).is_err());
-        assert!(clique_occurrences(0, &[0.0; 0], &CliqueSettings::PARITY).unwrap().counts.is_empty());
+        assert!(clique_occurrences(0, &[0.0; 0], &CliqueSettings::REFERENCE_IMPL).unwrap().counts.is_empty());
     }
 
     #[test]
     fn absent_agents_are_not_ranked() {
         let nan = f64::NAN;
-        let found = clique_occurrences(2, &[1.0, nan, nan, nan], &CliqueSettings::PARITY).unwrap();
+        let found = clique_occurrences(2, &[1.0, nan, nan, nan], &CliqueSettings::REFERENCE_IMPL).unwrap();
         assert!(found.counts.is_empty());
     }
 }
