@@ -8,9 +8,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// The process in which an object was made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Home(u32);
+pub(crate) struct ProcessGuard(u32);
 
-impl Home {
+impl ProcessGuard {
     /// This process.
     pub(crate) fn here() -> Self {
         Self(std::process::id())

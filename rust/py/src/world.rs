@@ -1,11 +1,11 @@
 //! `VecWorld`: many worlds stepped as one batch, writing into the caller's arrays.
 
 use crate::drivers;
-use crate::enter::{Home, enter};
+use crate::enter::{ProcessGuard, enter};
 use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::schemas::to_json;
-use crate::world_picture::{self, Shot, Trails};
+use crate::world_picture::{self, Trails, ViewOptions};
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
@@ -31,7 +31,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 pub(crate) struct PyVecWorld {
     world: VecWorld,
     trails: Option<Trails>,
-    home: Home,
+    home: ProcessGuard,
     /// Actions of the present step.
     actions: Vec<f32>,
 }
@@ -157,7 +157,7 @@ impl PyVecWorld {
             VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
-        Ok(Self { world, trails, home: Home::here(), actions: Vec::new() })
+        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new() })
     }
 
     /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
@@ -409,7 +409,7 @@ impl PyVecWorld {
     }
 
     /// Pairs of agents that touch: (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
-    fn contacts(&self, world_idx: usize) -> PyResult<Vec<world_state::Touch>> {
+    fn contacts(&self, world_idx: usize) -> PyResult<Vec<world_state::ContactRow>> {
         Ok(world_state::contacts(&self.world.contacts(world_idx).map_err(from_sim)?))
     }
 
@@ -463,8 +463,8 @@ impl PyVecWorld {
         labels: bool,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         self.home.check()?;
-        let shot = Shot { size, span_m, centre, heading_up, route, labels };
+        let view = ViewOptions { size, span_m, centre, heading_up, route, labels };
         let trails = self.trails.as_ref().filter(|_| trails).map(|t| t.of(world_idx));
-        world_picture::draw(py, &self.world, world_idx, trails, shot)
+        world_picture::draw(py, &self.world, world_idx, trails, view)
     }
 }

@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 use std::collections::VecDeque;
 
 /// What a picture of a world takes.
-pub(crate) struct Shot {
+pub(crate) struct ViewOptions {
     pub(crate) size: (i64, i64),
     pub(crate) span_m: f32,
     /// The first slot's agent by default.
@@ -122,7 +122,7 @@ pub(crate) fn draw<'py>(
     world: &VecWorld,
     world_idx: usize,
     trail: Option<Option<&Trail>>,
-    shot: Shot,
+    view: ViewOptions,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let status = world.status(world_idx).map_err(from_sim)?;
     let scene = world.scene(status.scene_idx).map_err(from_sim)?;
@@ -130,7 +130,7 @@ pub(crate) fn draw<'py>(
     let states = status.states;
     let focus_slot = slots.iter().position(Option::is_some);
     let focus = focus_slot.and_then(|c| slots[c]);
-    let pose = match shot.centre {
+    let pose = match view.centre {
         Some(CentreArg::Point((x, y))) => Pose2::new(x, y, std::f32::consts::FRAC_PI_2),
         Some(CentreArg::Id(id)) => states.pose(scene.agent_index(&id).ok_or_else(|| {
             py::UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))
@@ -179,7 +179,7 @@ pub(crate) fn draw<'py>(
     };
     let trails: Vec<Line<'_>> =
         past.iter().map(|(points, driver)| Line { points, driver: *driver }).collect();
-    let way = match focus_slot.filter(|_| shot.route) {
+    let way = match focus_slot.filter(|_| view.route) {
         Some(c) => world.slot_route(world_idx, c).map_err(from_sim)?,
         None => None,
     };
@@ -187,14 +187,14 @@ pub(crate) fn draw<'py>(
         (Some((points, goal)), Some(a)) => route_ahead(points, states.position(a), *goal),
         _ => &[],
     };
-    let caption = if shot.labels {
+    let caption = if view.labels {
         caption(&scene.name.to_uppercase(), scene.dt_s, &status, focus)
     } else {
         String::new()
     };
-    let (width, height) = pixels(shot.size)?;
-    let camera = Camera::over(pose.position, shot.span_m, width, height);
-    let camera = if shot.heading_up { camera.heading_up(pose.heading_rad) } else { camera };
+    let (width, height) = pixels(view.size)?;
+    let camera = Camera::over(pose.position, view.span_m, width, height);
+    let camera = if view.heading_up { camera.heading_up(pose.heading_rad) } else { camera };
     let layers = layers_of(&scene.map)?;
     let picture = Picture {
         map: Some(&layers),
@@ -203,7 +203,7 @@ pub(crate) fn draw<'py>(
         boxes: &boxes,
         collisions: &marks,
         caption: &caption,
-        scale_bar: shot.labels,
+        scale_bar: view.labels,
         ..Picture::default()
     };
     let image = py.detach(|| render(&picture, &camera)).map_err(from_render)?;

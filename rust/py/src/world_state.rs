@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 /// Route [P, 2] and goal [2], `None` for an empty slot.
 pub(crate) type Route<'py> = Option<(Bound<'py, PyArray2<f32>>, (f32, f32))>;
 /// (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
-pub(crate) type Touch = (u32, u32, &'static str, f32, bool);
+pub(crate) type ContactRow = (u32, u32, &'static str, f32, bool);
 /// Off the road with a corner [A], and with the centre [A].
 pub(crate) type OffRoadArrays<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>);
 
@@ -44,7 +44,7 @@ pub(crate) fn route(py: Python<'_>, route: Option<(Vec<Point2>, Point2)>) -> PyR
 }
 
 /// Contacts, each pair from both sides.
-pub(crate) fn contacts(pairs: &[(Contact, Contact)]) -> Vec<Touch> {
+pub(crate) fn contacts(pairs: &[(Contact, Contact)]) -> Vec<ContactRow> {
     let name = |kind| match kind {
         ContactKind::Front => "front",
         ContactKind::Rear => "rear",
