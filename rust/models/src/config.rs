@@ -1,6 +1,7 @@
 //! What a network is: sizes, map view, graph thresholds, normalisation. Stored with the weights.
 
 use crate::error::{ModelError, Result};
+use ccdiff_sim::causal::graph::GraphThresholds;
 use ccdiff_sim::options::{Table, above, at_least, within};
 use ccdiff_sim::{choices, options};
 
@@ -194,14 +195,14 @@ options! {
         /// Map raster and encoder; `None`: the network is blind to the map.
         map: Option<MapConfig> = Some(MapConfig::default());
         /// Neighbours join the decision causal graph up to this time to contact.
-        ttc_threshold_s: f32 = 3.0, unit "s";
+        ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s";
         /// An agent ahead in one's corridor also joins the graph up to this headway; 0: by time to contact alone.
         ///
         /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
         #[serde(default)]
         headway_threshold_s: f32 = 0.0, unit "s", range at_least(0.0);
         /// Neighbours join the graph up to this distance.
-        distance_threshold_m: f32 = 50.0, unit "m";
+        distance_threshold_m: f32 = GraphThresholds::PAPER.distance_m, unit "m";
         /// Which neighbours are joined, and their order.
         #[serde(default)]
         neighbour_order: NeighbourOrder = NeighbourOrder::Urgency;

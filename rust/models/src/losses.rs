@@ -3,17 +3,19 @@
 use crate::batch::{Batch, Targets};
 use crate::collision::Neighbours;
 use crate::plan_space::PlanSpace;
+use crate::unicycle::plan_limits;
 use tch::{Kind, Tensor};
 
-/// Bounds of logged actions before they are fitted: jumps of the log beyond them are label noise.
-const ACTION_BOUNDS: [(f64, f64); 2] = [(-10.0, 8.0), (-1.5, 1.5)];
+/// Bound of logged yaw rates before they are fitted, as of accelerations: jumps of the log beyond it are label noise.
+const YAW_RATE_RADPS: f64 = 1.5;
 
 /// Logged actions [R, T, 2], bounded, zero where not logged.
 pub(crate) fn logged_actions(targets: &Targets) -> Tensor {
-    let bounded: Vec<Tensor> = ACTION_BOUNDS
+    let bounds = [plan_limits().acceleration_mps2.map(f64::from), [-YAW_RATE_RADPS, YAW_RATE_RADPS]];
+    let bounded: Vec<Tensor> = bounds
         .iter()
         .zip(4..)
-        .map(|((low, high), c)| targets.states.select(2, c).clamp(*low, *high) * &targets.valid)
+        .map(|([low, high], c)| targets.states.select(2, c).clamp(*low, *high) * &targets.valid)
         .collect();
     Tensor::stack(&bounded, 2)
 }

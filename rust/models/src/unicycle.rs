@@ -4,12 +4,14 @@
 //! from integrating step by step once a bound is hit.
 
 use crate::config::ModelConfig;
+use ccdiff_sim::dynamics::UnicycleLimits;
 use ccdiff_sim::geom::math::wrap_angle;
 use tch::{Kind, Tensor};
 
-/// Bounds of acceleration (m/s²) and speed (m/s) of a plan.
-pub(crate) const ACCELERATION_MPS2: (f64, f64) = (-10.0, 8.0);
-pub(crate) const SPEED_MPS: (f64, f64) = (-10.0, 30.0);
+/// Limits of a plan: those of the simulator's unicycle, but that plans may reverse, as those of the released models may.
+pub(crate) fn plan_limits() -> UnicycleLimits {
+    UnicycleLimits { speed_mps: [-10.0, 30.0], ..UnicycleLimits::default() }
+}
 
 /// Rolls actions out from the origin, heading +x.
 ///
@@ -17,15 +19,20 @@ pub(crate) const SPEED_MPS: (f64, f64) = (-10.0, 30.0);
 /// `actions` [R, T, 2] (m/s², rad/s), `speed_mps` [R] → states [R, T, 6]: x, y, v, yaw, acceleration, yaw rate. The last
 /// two are the actions as given, not clipped. Differentiable; the yaw-rate bound has no gradient.
 pub fn rollout(actions: &Tensor, speed_mps: &Tensor, dt_s: f64) -> Tensor {
+    let limits = plan_limits();
+    let (slowest, fastest) = limits.speed_mps.map(f64::from).into();
+    let (hardest, strongest) = limits.acceleration_mps2.map(f64::from).into();
     let (acceleration, yaw_rate) = (actions.select(2, 0), actions.select(2, 1));
-    let gained = (acceleration.clamp(ACCELERATION_MPS2.0, ACCELERATION_MPS2.1) * dt_s).cumsum(1, Kind::Float);
+    let gained = (acceleration.clamp(hardest, strongest) * dt_s).cumsum(1, Kind::Float);
     let start = speed_mps.unsqueeze(1);
-    let after = (&gained + &start).clamp(SPEED_MPS.0, SPEED_MPS.1);
+    let after = (&gained + &start).clamp(slowest, fastest);
     let steps = after.size()[1];
     let before = Tensor::cat(&[start, after.narrow(1, 0, steps - 1)], 1);
     let pace = before.detach().abs();
-    let bound =
-        (&pace * 0.5).minimum(&(pace.clamp_min(0.1).reciprocal() * std::f64::consts::TAU)).clamp_min(0.1);
+    let by_curvature = &pace * f64::from(limits.max_curvature_1pm);
+    let slow = pace.clamp_min(f64::from(UnicycleLimits::LEAST_PACE_MPS));
+    let by_lateral = slow.reciprocal() * f64::from(limits.max_lateral_acceleration_mps2);
+    let bound = by_curvature.minimum(&by_lateral).clamp_min(f64::from(limits.min_yaw_rate_radps));
     let turned = yaw_rate.minimum(&bound).maximum(&bound.neg()) * dt_s;
     let yaw_after = turned.cumsum(1, Kind::Float);
     let yaw_before = &yaw_after - &turned;
@@ -99,6 +106,8 @@ impl Knots {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ccdiff_sim::dynamics::{Dynamics, KinState};
+    use ccdiff_sim::state::Body;
 
     fn roll(speed: f32, actions: &[[f32; 2]]) -> Vec<f32> {
         let flat: Vec<f32> = actions.iter().flatten().copied().collect();
@@ -108,6 +117,20 @@ mod tests {
             0.1,
         );
         Vec::<f32>::try_from(states.view([-1])).unwrap()
+    }
+
+    #[test]
+    fn plans_move_as_the_simulator_does_where_no_bound_of_the_speed_acts() {
+        let actions: Vec<[f32; 2]> =
+            (0..40).map(|t| [(t as f32 * 0.7).sin() * 3.0, (t as f32 * 0.4).cos() * 1.2]).collect();
+        let (plan, body) = (roll(6.0, &actions), Body::new(4.5, 2.0));
+        let unicycle = Dynamics::Unicycle(plan_limits());
+        let mut state = KinState { x: 0.0, y: 0.0, heading_rad: 0.0, speed_mps: 6.0 };
+        for (action, at) in actions.iter().zip(plan.chunks_exact(6)) {
+            unicycle.step(&mut state, [action[0], action[1], 0.0], 0.1, &body);
+            let own = [state.x, state.y, state.speed_mps, state.heading_rad];
+            assert!(own.iter().zip(at).all(|(a, b)| (a - b).abs() < 1e-4), "{own:?} {at:?}");
+        }
     }
 
     fn check(speed: f32, actions: &[[f32; 2]], want: &[[f32; 4]]) {

@@ -6,7 +6,7 @@
 //! Backward, sums over time turn round: each clip passes a gradient where it did not act; the yaw-rate bound has none.
 
 use super::context::GuidanceContext;
-use crate::unicycle::{ACCELERATION_MPS2, SPEED_MPS};
+use crate::unicycle::plan_limits;
 use ccdiff_sim::geom::math;
 
 const ACCELERATION_FREE: u8 = 1;
@@ -79,16 +79,16 @@ impl Rollout {
     pub fn roll(&mut self, context: &GuidanceContext<'_>, agent: usize, actions: &[f32]) {
         let (pose, start_mps, dt) = (context.poses[agent], context.speed_mps[agent], context.dt_s);
         let (mut x, mut y) = (pose.position.x, pose.position.y);
+        let limits = plan_limits();
         let (mut sin, mut cos) = (pose.sin, pose.cos);
         let (mut before, mut gained, mut turned) = (start_mps, 0.0f32, 0.0f32);
         let first = agent * self.num_steps;
         for (at, action) in (first..first + self.num_steps).zip(actions.chunks_exact(2)) {
-            let acceleration = action[0].clamp(ACCELERATION_MPS2.0 as f32, ACCELERATION_MPS2.1 as f32);
+            let acceleration = action[0].clamp(limits.acceleration_mps2[0], limits.acceleration_mps2[1]);
             gained += acceleration * dt;
             let wanted = gained + start_mps;
-            let after = wanted.clamp(SPEED_MPS.0 as f32, SPEED_MPS.1 as f32);
-            let pace = before.abs();
-            let bound = (0.5 * pace).min(std::f32::consts::TAU / pace.max(0.1)).max(0.1);
+            let after = wanted.clamp(limits.speed_mps[0], limits.speed_mps[1]);
+            let bound = limits.yaw_rate_bound(before);
             let yaw_rate = action[1].clamp(-bound, bound);
             let step_m = (before + after) * (0.5 * dt);
             x += step_m * cos;

@@ -12,10 +12,14 @@ pub struct GraphThresholds {
     pub distance_m: Real,
 }
 
+impl GraphThresholds {
+    /// The paper's table of hyper-parameters.
+    pub const PAPER: Self = Self { ttc_s: 3.0, distance_m: 50.0 };
+}
+
 impl Default for GraphThresholds {
-    /// 3.0 s and 50 m, the paper's table of hyper-parameters.
     fn default() -> Self {
-        Self { ttc_s: 3.0, distance_m: 50.0 }
+        Self::PAPER
     }
 }
 

@@ -26,12 +26,15 @@ options! {
 }
 
 impl UnicycleLimits {
+    /// Speed below which the bound by lateral acceleration stays what it is there, m/s.
+    pub const LEAST_PACE_MPS: Real = 0.1;
+
     /// Highest yaw rate at a speed, radians per second.
     #[inline]
     pub fn yaw_rate_bound(&self, speed_mps: Real) -> Real {
         let speed = speed_mps.abs();
-        let by_speed =
-            (self.max_curvature_1pm * speed).min(self.max_lateral_acceleration_mps2 / speed.max(0.1));
+        let by_speed = (self.max_curvature_1pm * speed)
+            .min(self.max_lateral_acceleration_mps2 / speed.max(Self::LEAST_PACE_MPS));
         by_speed.max(self.min_yaw_rate_radps)
     }
 
