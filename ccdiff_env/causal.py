@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError
+from ccdiff_env.errors import ShapeError, renamed
 
 TTC_CAP_S = 20.0
 """Times to contact are capped here, seconds."""
@@ -23,9 +23,13 @@ DISTANCE_CAP_M = 20.0
 """Distances beyond this are 0 in the normalised form, metres."""
 NODE_LIMIT = 20_000
 """Cliques that a search visits per step at most, unless told otherwise."""
+GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
+"""Agents are joined in the causal graph up to this time to contact, s, and distance, m."""
 
 __all__ = [
     "DISTANCE_CAP_M",
+    "GRAPH_DISTANCE_M",
+    "GRAPH_TTC_S",
     "NODE_LIMIT",
     "TTC_CAP_S",
     "CliqueCounts",
@@ -196,8 +200,8 @@ def graph(
     ttc_s: npt.ArrayLike,
     distance_m: npt.ArrayLike,
     *,
-    max_ttc_s: float = 3.0,
-    max_distance_m: float = 50.0,
+    max_ttc_s: float = GRAPH_TTC_S,
+    max_distance_m: float = GRAPH_DISTANCE_M,
     symmetric: bool = False,
 ) -> Graph:
     """Build the decision causal graph: pairs near in time to contact and in distance, and every
@@ -385,7 +389,7 @@ class Ranking:
 
 
 def rank(
-    ranker: Literal["cliques", "distance", "first", "random", "given", "scores"],
+    ranker: Literal["cliques", "distance_cliques", "first", "random", "listed", "scores"],
     *,
     top_k: int,
     valid: npt.ArrayLike,
@@ -404,13 +408,13 @@ def rank(
 
     Parameters
     ----------
-    ranker : ``"cliques"`` and ``"distance"`` count clique occurrences, ``"first"`` takes agents in
-        their order, ``"random"`` shuffles by the seed, ``"given"`` takes ``agents``, ``"scores"``
+    ranker : ``"cliques"`` and ``"distance_cliques"`` count clique occurrences, ``"first"`` takes agents in
+        their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``, ``"scores"``
         sorts by falling ``scores``.
     top_k : agents to choose; fewer only where fewer are there.
     valid : bool [M], whether an agent is there.
     ttc, distance : [T, M, M] or [M, M], normalised; for their rankers and for filling up.
-    agents : a list, as of a human, for ``"given"``.
+    agents : a list, as of a human, for ``"listed"``.
     scores : [M], for ``"scores"``, such as the alignment of the gradients of realism and guidance.
     seed : for ``"random"``.
     threshold, min_size, top_per_frame, node_limit : as in :func:`rank_cliques`.
@@ -428,7 +432,7 @@ def rank(
         return array
 
     chosen, num_named, exact = _native.causal_rank(
-        ranker,
+        renamed("ranker", ranker, {"distance": "distance_cliques", "given": "listed"}),
         top_k,
         there,
         pairs("ttc", ttc),

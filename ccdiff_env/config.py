@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from ccdiff_env.errors import ConfigError, UnknownOptionError
+from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed
 from ccdiff_env.files import parsed_object
 from ccdiff_env.options import (
     DYNAMICS,
@@ -206,6 +206,8 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
             return None
         if hint == Ranking and str(value).endswith(".json"):
             return read_ranking(value)
+        if hint == Ranking and isinstance(value, str):
+            value = renamed(path, value, {"distance": "distance_cliques"})
         if isinstance(value, Mapping) and set(value) == {"list"}:
             value = value["list"]
         if isinstance(value, Mapping):

@@ -6,6 +6,9 @@ refuses; each is also the built-in kind that fits, so that generic handlers work
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
+
 
 class CcdiffError(Exception):
     """Anything that the package refuses."""
@@ -69,3 +72,12 @@ class ForkError(CcdiffError, RuntimeError):
 
 class MissingFeatureError(CcdiffError, ImportError):
     """An optional dependency is not installed; the message names the install command."""
+
+
+def renamed(what: str, name: str, names: Mapping[str, str]) -> str:
+    """Return a name, or what it is called now, with a :class:`DeprecationWarning`."""
+    if name not in names:
+        return name
+    message = f"{what} {name!r} is called {names[name]!r}; the old name goes with the next release"
+    warnings.warn(message, DeprecationWarning, stacklevel=3)
+    return names[name]

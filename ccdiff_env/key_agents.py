@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy.typing as npt
 from ccdiff_env import causal
 from ccdiff_env._native import Scene
 from ccdiff_env.config import unknown
+from ccdiff_env.errors import renamed
 
 __all__ = ["RANKINGS", "KeyRanking", "logged_vehicles", "rank_agents", "ranking_named"]
 
@@ -31,10 +31,7 @@ def ranking_named(name: str) -> KeyRanking:
     ConfigError
         For another name.
     """
-    if name == "distance":
-        message = 'ranking="distance" is called "nearest"; the old name goes with the next release'
-        warnings.warn(message, DeprecationWarning, stacklevel=3)
-        return "nearest"
+    name = renamed("ranking", name, {"distance": "nearest"})
     for known in RANKINGS:
         if name == known:
             return known

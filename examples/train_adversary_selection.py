@@ -83,7 +83,7 @@ def main() -> None:
 
     choosers = {"PPO": learned}
     for name in (
-        ("none", "causal") if args.smoke else ("none", "random", "distance", "ttc", "causal")
+        ("none", "causal") if args.smoke else ("none", "random", "nearest", "ttc", "causal")
     ):
         choosers[name] = lambda env, obs, name=name: env.baseline(name)
     print(f"{len(held_out)} held-out scenes, ego {args.ego}, at most {args.budget} adversaries:")

@@ -192,7 +192,7 @@ def test_only_the_control_set_leaves_the_log():
 
 def test_control_sets_grow_by_one_vehicle_at_a_time():
     scene = ccdiff_env.embedded_scenes("val")[0]
-    for ranking in ("cliques", "distance", "first", "random"):
+    for ranking in ("cliques", "distance_cliques", "first", "random"):
         sets = [control_set(scene, ranking, k) for k in (1, 2, 3, None)]
         assert [len(s) for s in sets[:3]] == [1, 2, 3]
         assert sets[0] == sets[1][:1] == sets[3][:1]
@@ -206,7 +206,7 @@ def test_control_sets_hold_moving_vehicles_only():
         listed = list(scene.agent_ids)
         everyone = control_set(scene, "first", None)
         moving = {i for i in everyone if speed[i] > 0.5}
-        for ranking in ("cliques", "distance", "first", "random", "given"):
+        for ranking in ("cliques", "distance_cliques", "first", "random", "listed"):
             names = [listed[i] for i in everyone] if ranking == "given" else ()
             assert set(control_set(scene, ranking, 100, listed=names)) == moving
             assert set(control_set(scene, ranking, None, listed=names)) == set(everyone)
@@ -433,13 +433,13 @@ def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     choice = {"source": VAL, "names": names, "ego": "replay", "seed": 0}
     rows = {
         (chooser, strength): selection.choose(chooser=chooser, strength=strength, **choice)
-        for chooser, strength in (("none", 0.0), ("distance", 1.0), ("fork", 1.0), (policy, 1.0))
+        for chooser, strength in (("none", 0.0), ("nearest", 1.0), ("fork", 1.0), (policy, 1.0))
     }
     assert all([row["scene"] for row in found] == names for found in rows.values())
     assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
-    assert min(row["realism_cost"] for row in rows["distance", 1.0]) > 0.0
+    assert min(row["realism_cost"] for row in rows["nearest", 1.0]) > 0.0
     assert min(row["share_guided"] for row in rows["fork", 1.0]) > 0.0
-    assert rows["distance", 1.0] == selection.choose(chooser="distance", strength=1.0, **choice)
+    assert rows["nearest", 1.0] == selection.choose(chooser="nearest", strength=1.0, **choice)
 
 
 def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():

@@ -289,7 +289,7 @@ def test_short_rankings_are_filled_by_contact_then_distance_then_index():
     ttc[3, 2] = 0.9
     near = np.zeros((4, 4))
     near[1, 0] = 0.1
-    ranking = causal.rank("given", top_k=4, valid=[True] * 4, ttc=ttc, distance=near, agents=[1])
+    ranking = causal.rank("listed", top_k=4, valid=[True] * 4, ttc=ttc, distance=near, agents=[1])
     assert ranking == causal.Ranking(agents=[1, 2, 3, 0], num_named=1, exact=True)
     assert causal.rank("first", top_k=2, valid=[False, True, True]).agents == [1, 2]
     assert causal.rank("scores", top_k=2, valid=[True] * 3, scores=[0.1, np.nan, 0.3]).agents == [
@@ -316,7 +316,7 @@ def test_bad_input_is_refused_with_the_offending_part():
     with pytest.raises(ConfigError, match=r"graph\.ttc_s"):
         causal.graph(np.zeros((2, 2)), np.zeros((2, 2)), max_ttc_s=-1)
     with pytest.raises(UnknownNameError, match="agent"):
-        causal.rank("given", top_k=1, valid=[True], agents=[1])
+        causal.rank("listed", top_k=1, valid=[True], agents=[1])
     assert issubclass(ShapeError, CcdiffError)
 
 

@@ -74,5 +74,5 @@ def test_a_recorder_made_after_a_reset_has_started(scenes):
     chooser = ccdiff_env.AdversarySelectionEnv(scenes=scenes)
     chooser.reset(seed=0)
     recorder = ccdiff_env.Recorder(chooser)
-    chooser.step(chooser.baseline("distance"))
+    chooser.step(chooser.baseline("nearest"))
     assert recorder.rollout().num_steps == chooser.unwrapped.worlds.config.ccdiff.replan_steps + 1

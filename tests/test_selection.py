@@ -117,7 +117,7 @@ def test_pictures_show_adversaries_in_their_colour(scenes):
     picture = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
     env = AdversarySelectionEnv(scenes=scenes, render_mode="rgb_array", picture=picture, **QUICK)
     colour = render.legend()["adversary"]
-    for name, shown in (("none", False), ("distance", True)):
+    for name, shown in (("none", False), ("nearest", True)):
         env.reset(seed=1)
         env.step(env.baseline(name))
         assert (env.render() == colour).all(axis=-1).any() == shown
@@ -205,7 +205,7 @@ def test_baselines_choose_what_their_names_say(scenes):
     obs, _ = env.reset(seed=2)
     mask = obs["mask"] > 0
     rows = {name: env._batch.actions.rows(env.baseline(name), mask) for name in BASELINES}
-    assert rows["distance"] == [0, 1][: mask.sum()]
+    assert rows["nearest"] == [0, 1][: mask.sum()]
     soonest = np.lexsort((np.arange(mask.sum()), -obs["ttc"][0, 1:][mask]))
     if obs["ttc"][0, 1:][mask][soonest[0]] > obs["ttc"][0, 1:][mask][soonest[1]]:
         assert rows["ttc"][0] == soonest[0]
@@ -311,7 +311,7 @@ def test_any_planner_drives_the_ego(scenes, tmp_path):
     for ego in ("replay", "idm", model, tmp_path / "ego.zip", str(tmp_path / "ego.zip")):
         env = AdversarySelectionEnv(scenes=scenes, ego=ego, **PLAIN)
         env.reset(seed=0)
-        assert np.isfinite(env.step(env.baseline("distance"))[1])
+        assert np.isfinite(env.step(env.baseline("nearest"))[1])
     driver, act = ego_driver(tmp_path / "ego.zip")
     obs = np.zeros((2, train.worlds.layout.size), np.float32)
     assert driver == "external"

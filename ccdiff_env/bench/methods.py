@@ -23,9 +23,9 @@ class Method:
     driver
         Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking
-        ``cliques``, ``distance``, ``first`` or ``random``: who is in the control set. With
+        ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control set. With
         ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
-        ``given``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
+        ``listed``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
     ccdiff
         Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
     num_guided
@@ -95,12 +95,12 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff_one_step_one_sample": Method(
             "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
         ),
-        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance", _GUIDED),
+        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance_cliques", _GUIDED),
         "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
         "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
         "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
         "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
-        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "given", _GUIDED),
+        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "listed", _GUIDED),
         "ccdiff_no_enc": Method(
             "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
         ),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.config import IdmConfig
 from ccdiff_env.counterfactual import Steering
 from ccdiff_env.envs.worlds import Worlds
 
@@ -23,9 +24,8 @@ SPEED_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 OFFSETS_M = (0.0, 1.0, -1.0)
 #: Roll-out: step and length, s.
 STEP_S, HORIZON_S = 0.2, 4.0
-#: IDM of the proposals: headway (s), gap (m), acceleration and comfortable braking (m/s²).
-HEADWAY_S, GAP_M, ACCELERATION_MPS2, BRAKING_MPS2 = 1.2, 2.0, 1.5, 3.0
-HARDEST_BRAKING_MPS2 = 8.0
+#: IDM of the proposals.
+IDM = IdmConfig(deceleration_mps2=3.0)
 
 
 class PdmPlanner:
@@ -118,11 +118,18 @@ class PdmPlanner:
 
 
 def _idm(speed: F64, desired: F64, gap: F64) -> F64:
-    free = 1.0 - (speed / np.maximum(desired, 0.1)) ** 4
-    wanted = GAP_M + speed * HEADWAY_S + speed**2 / (2 * np.sqrt(ACCELERATION_MPS2 * BRAKING_MPS2))
+    """Return the accelerations of the proposals, m/s².
+
+    A second IDM beside that of the traffic (``rust/sim/src/policy/idm.rs``), on purpose: it takes
+    many proposals at once, in float64, and whoever is ahead as standing, so that a proposal that
+    brakes in time is safe whatever the other does. Both take their parameters from one class.
+    """
+    rise, fall = IDM.acceleration_mps2, IDM.deceleration_mps2
+    free = 1.0 - (speed / np.maximum(desired, 0.1)) ** IDM.exponent
+    wanted = IDM.min_gap_m + speed * IDM.headway_s + speed**2 / (2 * np.sqrt(rise * fall))
     pressure = np.where(np.isfinite(gap), wanted / np.maximum(gap, 0.1), 0.0)
-    a: F64 = ACCELERATION_MPS2 * (free - pressure**2)
-    return np.clip(a, -HARDEST_BRAKING_MPS2, ACCELERATION_MPS2)
+    a: F64 = rise * (free - pressure**2)
+    return np.clip(a, -IDM.max_braking_mps2, rise)
 
 
 class _Path:

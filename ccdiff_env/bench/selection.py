@@ -31,7 +31,7 @@ __all__ = [
 
 #: The simple choosers, see :meth:`AdversarySelectionVectorEnv.baseline`; ``fork`` tries every
 #: candidate in forks of the world and takes the one that comes nearest to the ego.
-CHOOSERS = ("none", "random", "distance", "ttc", "causal", "fork")
+CHOOSERS = ("none", "random", "nearest", "ttc", "causal", "fork")
 #: Strengths of the guidance at which the simple choosers are measured; PPO chooses at 1.
 STRENGTHS = (0.25, 0.5, 0.75, 1.0)
 NUM_ENVS = 32

@@ -117,7 +117,7 @@ def traffic_jobs(
                 "seed": seed,
                 **(
                     {"lists": {scene: list(lists[scene]) for scene in piece}}
-                    if METHODS[method].ranking == "given"
+                    if METHODS[method].ranking == "listed"
                     else {}
                 ),
             },
@@ -166,7 +166,7 @@ def control_set(
 ) -> list[int]:
     """Return the first K moving vehicles of a ranking at the start of the episode.
 
-    With ``given`` they are those that are ``listed`` by their ids. A short list is filled up by
+    With ``listed`` they are those that are ``listed`` by their ids. A short list is filled up by
     time to contact, then distance. Vehicles that stand at the start never move in CCDiff traffic:
     all rankings pass them over. ``None`` is all vehicles, the standing ones last.
     """
@@ -223,7 +223,7 @@ def episodes(
     explain
         Whether guided plans say how their gradients agree; it changes nothing else.
     lists
-        Ids of vehicles by scene name, for the ranking ``given``.
+        Ids of vehicles by scene name, for the ranking ``listed``.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {

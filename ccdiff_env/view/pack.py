@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
+from ccdiff_env.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
 from ccdiff_env.rollout import Rollout, RolloutPlan
 from ccdiff_env.view.contacts import TTC_CAP_S, contacts
 from ccdiff_env.view.facts import (
@@ -36,9 +37,6 @@ LENGTH_STEP_M = 0.01
 ANGLE_STEP_RAD = 1e-4
 SPEED_STEP_MPS = 0.01
 TTC_STEP_S = 0.05
-GRAPH_TTC_S = 3.0
-GRAPH_DISTANCE_M = 50.0
-"""Bounds of the graph that is drawn where a rollout has no plans; those of the causal graph."""
 PLAN_SPACING_S = 0.4
 """Time between the points of planned samples, at least."""
 PLAN_SAMPLES = 12

@@ -21,6 +21,8 @@ DT_S = 0.1
 WARM_UP_S = 2.0
 """Simulated before the scene begins, so that it begins with settled speeds."""
 
+# A second IDM beside that of the traffic (rust/sim/src/policy/idm.rs), on purpose: the embedded
+# scenes are made by this one, bit for bit, and it is softer where somebody cuts in, see `_follow`.
 ACCELERATION_MPS2 = 1.6
 BRAKING_MPS2 = 2.0
 HEADWAY_S = 1.2

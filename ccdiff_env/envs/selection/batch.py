@@ -13,7 +13,7 @@ from ccdiff_env.envs.selection.match import Match, Outcome
 from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
 from ccdiff_env.envs.selection.view import observation_space
 from ccdiff_env.envs.worlds import Scenes, Worlds, scene_set, world_config
-from ccdiff_env.errors import ConfigError, ResetNeededError
+from ccdiff_env.errors import ConfigError, ResetNeededError, renamed
 from ccdiff_env.key_agents import KeyRanking
 from ccdiff_env.planners import Ego, ego_driver
 
@@ -24,7 +24,7 @@ __all__ = ["BASELINES", "SelectionBatch"]
 BASELINES: dict[str, KeyRanking | None] = {
     "none": None,
     "random": "random",
-    "distance": "nearest",
+    "nearest": "nearest",
     "ttc": "ttc",
     "causal": "cliques",
 }
@@ -144,6 +144,7 @@ class SelectionBatch:
 
     def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
         """Return the action that a simple chooser of :data:`BASELINES` would take in a world."""
+        name = renamed("baseline", name, {"distance": "nearest"})
         if name not in BASELINES:
             raise unknown("baseline", str(name), BASELINES)
         ranking = BASELINES[name]

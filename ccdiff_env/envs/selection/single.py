@@ -200,7 +200,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         Parameters
         ----------
         name
-            ``"none"``, ``"random"``, ``"distance"``, ``"ttc"`` or ``"causal"``.
+            ``"none"``, ``"random"``, ``"nearest"``, ``"ttc"`` or ``"causal"``.
         seed
             For ``"random"``.
         """

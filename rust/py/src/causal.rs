@@ -15,6 +15,8 @@ use pyo3::prelude::*;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let GraphThresholds { ttc_s, distance_m } = GraphThresholds::PAPER;
+    module.add("GRAPH_THRESHOLDS", (ttc_s, distance_m))?;
     module.add_function(wrap_pyfunction!(causal_ttc, module)?)?;
     module.add_function(wrap_pyfunction!(causal_distance, module)?)?;
     module.add_function(wrap_pyfunction!(causal_graph, module)?)?;
@@ -162,13 +164,14 @@ fn causal_rank(
     let settings = CliqueSettings { threshold, min_size, top_per_frame, node_limit };
     let ranker = match ranker {
         "cliques" => Ranker::CliqueOccurrence(settings),
-        "distance" => Ranker::Distance(settings),
+        "distance_cliques" => Ranker::DistanceCliques(settings),
         "first" => Ranker::FirstK,
         "random" => Ranker::Random { seed },
-        "given" => Ranker::Listed(agents.unwrap_or_default()),
+        "listed" => Ranker::Listed(agents.unwrap_or_default()),
         "scores" => Ranker::Scores,
         _ => {
-            let expected = "\"cliques\", \"distance\", \"first\", \"random\", \"given\" or \"scores\"";
+            let expected =
+                "\"cliques\", \"distance_cliques\", \"first\", \"random\", \"listed\" or \"scores\"";
             return Err(unknown("ranker", ranker, expected));
         }
     };

@@ -34,7 +34,7 @@ choices! {
         /// The paper's greedy cliques on G times attention.
         Greedy = "greedy",
         /// Occurrence in heavy cliques of the distance graph.
-        Distance = "distance",
+        DistanceCliques = "distance_cliques",
         /// The order of the scene, the ego first: what the release calls random.
         First = "first",
         /// A shuffle from the world's own seed.
@@ -248,7 +248,7 @@ impl CcdiffConfig {
     pub(super) fn ranker(&self, scene: &str, ids: &[&str], seed: u64) -> Ranker {
         match &self.ranking {
             Ranking::Cliques => Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL),
-            Ranking::Distance => Ranker::Distance(CliqueSettings::REFERENCE_IMPL),
+            Ranking::DistanceCliques => Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL),
             Ranking::Greedy => Ranker::Greedy(GreedyOrder::default()),
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },

@@ -21,7 +21,7 @@ pub enum Ranker {
     /// Occurrence in heavy cliques of the time-to-contact graph over the history.
     CliqueOccurrence(CliqueSettings),
     /// The same on relative distances in place of times to contact (the ablation "Dist").
-    Distance(CliqueSettings),
+    DistanceCliques(CliqueSettings),
     /// The paper's greedy cliques on G times attention.
     Greedy(GreedyOrder),
     /// Agents in their own order, the ego first: what the release calls random.
@@ -81,7 +81,7 @@ impl Ranker {
         };
         let named: Vec<usize> = match self {
             Self::CliqueOccurrence(settings) => cliques(input.ttc, settings)?,
-            Self::Distance(settings) => cliques(input.distance, settings)?,
+            Self::DistanceCliques(settings) => cliques(input.distance, settings)?,
             Self::Greedy(order) => greedy_order(num_agents, &graph_weights(input)?, *order)?,
             Self::FirstK => (0..num_agents).collect(),
             Self::Random { seed } => shuffled(num_agents, *seed),
@@ -221,7 +221,7 @@ mod tests {
         let named = Ranker::Listed(vec![1]).rank(&input, 4).unwrap();
         assert_eq!(named, Ranking { agents: vec![1, 2, 3, 0], num_named: 1, exact: true });
         assert_eq!(rank(&Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL), &input, 3), [2, 3, 0]);
-        assert_eq!(rank(&Ranker::Distance(CliqueSettings::REFERENCE_IMPL), &input, 3), [0, 1, 2]);
+        assert_eq!(rank(&Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL), &input, 3), [0, 1, 2]);
     }
 
     #[test]
