@@ -26,6 +26,7 @@ def causal_clique_occurrences(
     measure: F64, threshold: float, min_size: int, top_per_frame: int, node_limit: int
 ) -> tuple[list[int], list[int], int, bool]: ...
 def causal_greedy_order(weights: F64, order: str) -> list[int]: ...
+
 GRAPH_THRESHOLDS: tuple[float, float]
 
 def causal_rank(

@@ -177,7 +177,8 @@ def test_kept_noise_is_an_agents_own_and_part_of_snapshots(scenes):
 
 
 @pytest.mark.parametrize(
-    "ranking", ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "list", "file"]
+    "ranking",
+    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "list", "file"],
 )
 def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, tmp_path):
     scene = scenes[0]

@@ -46,10 +46,10 @@ METHODS = {
         weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
         return RewardConfig(form=self.form, **weights)
 ''',
-    "SelectionReward": '''
+    "SelectionReward": """
     def __post_init__(self) -> None:
         check("SelectionReward", "reward", dataclasses.asdict(self))
-''',
+""",
 }
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 
@@ -74,7 +74,7 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
         The first option that is wrong, with its path, its value and what is expected.
     """
     values = {
-        name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+    name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in options.items()
     }
     _native.check_options(table, path, json.dumps(values, default=repr))

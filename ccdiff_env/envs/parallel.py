@@ -23,7 +23,7 @@ from ccdiff_env.envs.worlds import (
     Scenes,
     StepArrays,
     Worlds,
-    fold_seed,
+    normalize_seed,
     scene_set,
     world_config,
 )
@@ -213,12 +213,12 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         """
         drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
         scene_idx = self.worlds.scene_index((options or {}).get("scene"))
-        folded = None if seed is None else fold_seed(seed)
-        if folded is None and not self._seeded:
-            folded = int(np.random.default_rng().integers(2**63))
+        normalized = None if seed is None else normalize_seed(seed)
+        if normalized is None and not self._seeded:
+            normalized = int(np.random.default_rng().integers(2**63))
         self._seeded = True
         out = self.worlds.arrays()
-        self.worlds.native.reset([folded], [scene_idx], None, out)
+        self.worlds.native.reset([normalized], [scene_idx], None, out)
         self.worlds.assign(0, drivers)
         self._begin()
         common = self.worlds.reset_info(0, self._info)

@@ -24,7 +24,7 @@ from ccdiff_env.envs.worlds import (
     Scenes,
     StepArrays,
     Worlds,
-    fold_seed,
+    normalize_seed,
     scene_set,
     world_config,
 )
@@ -194,10 +194,12 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             return fresh
         if isinstance(seed, (list, tuple, np.ndarray)):
             pairs = zip(self._per_world("seed", seed), fresh, strict=True)
-            return [new if one is None else fold_seed(one) for one, new in pairs]
-        first = fold_seed(seed)
+            return [new if one is None else normalize_seed(one) for one, new in pairs]
+        first = normalize_seed(seed)
         super().reset(seed=first)
-        return [fold_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_worlds)]
+        return [
+            normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_worlds)
+        ]
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Advance all worlds by one step.

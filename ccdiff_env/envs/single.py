@@ -20,7 +20,7 @@ from ccdiff_env.envs.worlds import (
     FollowsTraining,
     Scenes,
     Worlds,
-    fold_seed,
+    normalize_seed,
     scene_set,
     world_config,
 )
@@ -136,13 +136,13 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
                 raise unknown("reset option", str(name), ("scene", "drivers"))
         drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
         scene_idx = self.worlds.scene_index((options or {}).get("scene"))
-        folded = None if seed is None else fold_seed(seed)
-        super().reset(seed=folded)
-        if folded is None and not self._seeded:
-            folded = int(self.np_random.integers(2**63))
+        normalized = None if seed is None else normalize_seed(seed)
+        super().reset(seed=normalized)
+        if normalized is None and not self._seeded:
+            normalized = int(self.np_random.integers(2**63))
         self._seeded = self._begun = True
         out = self.worlds.arrays()
-        self.worlds.native.reset([folded], [scene_idx], None, out)
+        self.worlds.native.reset([normalized], [scene_idx], None, out)
         self.worlds.assign(0, drivers)
         self._actions = []
         if self.render_mode == "human":

@@ -23,7 +23,7 @@ from ccdiff_env.envs.worlds import (
     Scenes,
     StepArrays,
     Worlds,
-    fold_seed,
+    normalize_seed,
     scene_set,
     world_config,
 )
@@ -356,15 +356,17 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
                 raise ConfigError(
                     f"seed has {len(seed)} entries, expected num_envs={self.num_envs}"
                 )
-            seeds = [None if s is None else fold_seed(s) for s in seed]
+            seeds = [None if s is None else normalize_seed(s) for s in seed]
             if not self._seeded:
                 fresh = self.np_random.integers(2**63, size=self.num_envs)
                 pairs = zip(seeds, fresh, strict=True)
                 seeds = [int(new) if given is None else given for given, new in pairs]
         else:
-            first = fold_seed(seed)
+            first = normalize_seed(seed)
             super().reset(seed=first)
-            seeds = [fold_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)]
+            seeds = [
+                normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)
+            ]
         self._seeded = True
         return seeds
 

@@ -79,7 +79,7 @@ def world_config(
     return settled
 
 
-def fold_seed(seed: Any) -> int:
+def normalize_seed(seed: Any) -> int:
     """Fold any integer into 0 .. 2^63 - 1; those within are themselves."""
     try:
         number = operator.index(seed)

@@ -13,7 +13,7 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
-from ccdiff_env.envs.worlds import Scenes, fold_seed
+from ccdiff_env.envs.worlds import Scenes, normalize_seed
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners import Ego
 
@@ -134,12 +134,12 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
             if name != "scene":
                 raise unknown("reset option", str(name), ("scene",))
         scene_idx = self.worlds.scene_index((options or {}).get("scene"))
-        folded = None if seed is None else fold_seed(seed)
-        super().reset(seed=folded)
-        if folded is None and not self._seeded:
-            folded = int(self.np_random.integers(2**63))
+        normalized = None if seed is None else normalize_seed(seed)
+        super().reset(seed=normalized)
+        if normalized is None and not self._seeded:
+            normalized = int(self.np_random.integers(2**63))
         self._seeded = True
-        self._batch.reset([folded], [scene_idx])
+        self._batch.reset([normalized], [scene_idx])
         if self.render_mode == "human":
             self.render()
         return self._batch.observe(0), {

@@ -19,7 +19,7 @@ from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.match import FIGURES
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
-from ccdiff_env.envs.worlds import Scenes, Worlds, fold_seed
+from ccdiff_env.envs.worlds import Scenes, Worlds, normalize_seed
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners import Ego
 
@@ -143,9 +143,9 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
             if len(seed) != self.num_envs:
                 raise ConfigError(f"seed has {len(seed)} entries, expected {self.num_envs}")
             pairs = zip(seed, fresh, strict=True)
-            return [new if one is None else fold_seed(one) for one, new in pairs]
-        super().reset(seed=fold_seed(seed))
-        return [fold_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)]
+            return [new if one is None else normalize_seed(one) for one, new in pairs]
+        super().reset(seed=normalize_seed(seed))
+        return [normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)]
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Choose adversaries in all worlds and advance until the next plans.
