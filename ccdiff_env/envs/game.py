@@ -24,7 +24,7 @@ MAX_SLOTS = 512
 
 
 @dataclass(frozen=True)
-class Cast:
+class AgentSelection:
     """Who is controlled from outside, in every scene.
 
     Parameters
@@ -47,7 +47,7 @@ class Cast:
         agents: Agents,
         ranking: KeyRanking,
         adversaries: Adversaries,
-    ) -> Cast:
+    ) -> AgentSelection:
         """Choose the agents.
 
         Parameters

@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.curriculum import Criticality
-from ccdiff_env.envs.game import Adversaries, Agents, Cast, Names
+from ccdiff_env.envs.game import Adversaries, Agents, AgentSelection, Names
 from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
@@ -120,14 +120,14 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             options = {"horizon_steps": max_cycles * held, **options}
         chosen = scene_set(scenes)
         settled = world_config(chosen, config, options, observation)
-        cast = Cast.of(
+        selection = AgentSelection.of(
             chosen,
             settled.history_steps,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = cast.config(chosen, settled, adversary_shaping)
+        settled = selection.config(chosen, settled, adversary_shaping)
         settled = settled.with_options(autoreset="disabled")
         self.worlds = Worlds(
             chosen,
@@ -151,11 +151,11 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             "picture": picture,
             "criticality": criticality,
         }
-        self._cast = cast
+        self._selection = selection
         self._by_token = names == "token"
         self.max_cycles = -(-settled.horizon_steps // settled.decision_steps)
         self.render_mode = render_mode
-        self.possible_agents: list[str] = list(cast.names(names))
+        self.possible_agents: list[str] = list(selection.names(names))
         self.agents: list[str] = []
         self._form: Form = observation
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
@@ -241,7 +241,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             ids[agent] if self._by_token else self.possible_agents[slot]: slot
             for slot, agent in self._agent_of.items()
         }
-        self._adversary = self._cast.adversary_slots(self._scene_idx())
+        self._adversary = self._selection.adversary_slots(self._scene_idx())
         self.agents = list(self._slots)
 
     def role(self, agent: str) -> str:

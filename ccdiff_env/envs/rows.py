@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.game import Adversaries, Agents, Cast
+from ccdiff_env.envs.game import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
@@ -95,14 +95,14 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
                 raise ConfigError(f"{name} is not an option of games: use agents")
         chosen = scene_set(scenes)
         settled = world_config(chosen, config, options, observation)
-        cast_of = Cast.of(
+        selection = AgentSelection.of(
             chosen,
             settled.history_steps,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = cast_of.config(chosen, settled, adversary_shaping)
+        settled = selection.config(chosen, settled, adversary_shaping)
         settled = settled.with_options(autoreset="same_step")
         self.worlds = Worlds(
             chosen,
@@ -124,7 +124,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._action_shape = (self.num_envs, *(self.single_action_space.shape or ()))
-        self._cast = cast_of
+        self._selection = selection
         self._info = info
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
         self._adversary = np.zeros((num_worlds, self.num_slots), np.bool_)
@@ -299,7 +299,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         """Note who plays in the worlds that began an episode, and say so in their rows."""
         for e in np.flatnonzero(begun):
             scene_idx = self.worlds.native.status(int(e)).scene_idx
-            self._adversary[e] = self._cast.adversary_slots(scene_idx)
+            self._adversary[e] = self._selection.adversary_slots(scene_idx)
             ids = self.worlds.scenes[scene_idx].agent_ids
             common = self.worlds.reset_info(int(e), self._info)
             for c, agent in enumerate(self.worlds.native.slot_agents(int(e))):
