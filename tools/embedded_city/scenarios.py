@@ -1,7 +1,7 @@
-"""The kinds of scene of the embedded set: who is on the stage, and what makes it one of its kind.
+"""The kinds of scene of the embedded set: who is on the builder, and what makes it one of its kind.
 
 Each function puts the ego first and then the others that the kind is about;
-:func:`tools.embedded_city.scenes` adds bystanders. Numbers are drawn anew for each scene.
+:func:`tools.embedded_city.scenes` adds background actors. Numbers are drawn anew for each scene.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tools.embedded_city.paths import lanes_path
-from tools.embedded_city.stage import EGO_KIND, FOREVER_S, Stage
+from tools.embedded_city.scenario_builder import EGO_KIND, FOREVER_S, ScenarioBuilder
 from tools.embedded_city.traffic import Braking
 
 Lanes = tuple[str, ...]
 
 
-def _oncoming(stage: Stage, approach: str) -> Lanes:
+def _oncoming(builder: ScenarioBuilder, approach: str) -> Lanes:
     """Return the lane opposite to an approach and the one straight on from it."""
-    city = stage.city
+    city = builder.city
     junction = next(c.road for c in map(city.lanes.__getitem__, city.lanes[approach].outgoing))
     straight = [c for c in city.lanes.values() if c.road == junction and c.turn == "straight"]
     ahead = next(c for c in straight if c.incoming == [approach]).outgoing[0].split(":")[0]
     lanes = [
         (c.incoming[0], c.outgoing[0]) for c in straight if c.incoming[0].startswith(ahead + ":")
     ]
-    return stage.draw.pick(lanes)
+    return builder.draw.pick(lanes)
 
 
 LEFT_TURNS: list[Lanes] = [
@@ -44,21 +44,21 @@ LEFT_TURNS: list[Lanes] = [
 ]
 
 
-def left_turn(stage: Stage) -> None:
+def left_turn(builder: ScenarioBuilder) -> None:
     """Let the ego turn left through oncoming traffic, at times behind another who does."""
-    draw = stage.draw
+    draw = builder.draw
     lanes = draw.pick(LEFT_TURNS)
-    junction = stage.city.lanes["{}>{}".format(*lanes)].road
-    if junction in stage.green:
-        stage.green[junction] = (lanes[0].split(":")[0], FOREVER_S)
+    junction = builder.city.lanes["{}>{}".format(*lanes)].road
+    if junction in builder.green:
+        builder.green[junction] = (lanes[0].split(":")[0], FOREVER_S)
     speed, before = draw.between(7.5, 10.0), draw.between(48.0, 66.0)
-    stage.through(lanes, before, speed, kind=EGO_KIND)
+    builder.through(lanes, before, speed, kind=EGO_KIND)
     if draw.chance(0.75):
-        stage.through(lanes, before - draw.between(15.0, 19.0), speed)
+        builder.through(lanes, before - draw.between(15.0, 19.0), speed)
     arrival = before / speed - draw.between(0.5, 1.5)
     for _ in range(draw.whole(1, 3)):
         oncoming = draw.between(8.0, 10.5)
-        stage.through(_oncoming(stage, lanes[0]), arrival * oncoming, oncoming)
+        builder.through(_oncoming(builder, lanes[0]), arrival * oncoming, oncoming)
         arrival += draw.between(1.7, 2.6)
 
 
@@ -98,40 +98,40 @@ TEES: list[tuple[Lanes, list[Lanes]]] = [
 ]
 
 
-def tee_crossing(stage: Stage) -> None:
+def tee_crossing(builder: ScenarioBuilder) -> None:
     """Let the ego join or cross the main road from the stem of a T-junction."""
-    draw = stage.draw
+    draw = builder.draw
     lanes, main = draw.pick(TEES)
     speed, before = draw.between(7.0, 9.5), draw.between(45.0, 62.0)
-    stage.through(lanes, before, speed, kind=EGO_KIND)
+    builder.through(lanes, before, speed, kind=EGO_KIND)
     arrival = before / speed - draw.between(0.0, 1.5)
     for i in range(draw.whole(3, 5)):
         cross = draw.between(8.0, 10.5)
-        stage.through(main[i % len(main)], arrival * cross, cross)
+        builder.through(main[i % len(main)], arrival * cross, cross)
         arrival += draw.between(0.8, 1.7)
 
 
 CUT_IN_ROADS = ["parade-south:f", "parade-south:b", "parade-north:f", "parade-north:b"]
 
 
-def cut_in(stage: Stage) -> None:
+def cut_in(builder: ScenarioBuilder) -> None:
     """Let a neighbour change into the ego's lane, close ahead, and slow down."""
-    draw = stage.draw
+    draw = builder.draw
     road, own = draw.pick(CUT_IN_ROADS), draw.whole(0, 1)
     mine, other = f"{road}{own}", f"{road}{1 - own}"
     speed = draw.between(9.5, 12.0)
-    length = stage.city.lanes[mine].curve.length
+    length = builder.city.lanes[mine].curve.length
     before = length - draw.between(8.0, 14.0)
-    stage.through((mine,), before, speed, kind=EGO_KIND)
+    builder.through((mine,), before, speed, kind=EGO_KIND)
     start = length - before + draw.between(10.0, 13.0)
     at = start + speed * draw.between(2.6, 4.0)
-    way = [other, *stage.way([mine], 0.0, 190.0)]
-    path = lanes_path(stage.city, way, changes={other: (at, draw.between(18.0, 24.0))})
-    cutter = stage.drive(draw.car(), way, path, start, speed)
+    way = [other, *builder.way([mine], 0.0, 190.0)]
+    path = lanes_path(builder.city, way, changes={other: (at, draw.between(18.0, 24.0))})
+    cutter = builder.drive(draw.car(), way, path, start, speed)
     cutter.cuts_in = True
     cutter.slower = (draw.between(4.5, 6.0), speed * draw.between(0.3, 0.5))
     if draw.chance(0.6):
-        stage.through((mine,), before - draw.between(42.0, 50.0), speed * 0.95)
+        builder.through((mine,), before - draw.between(42.0, 50.0), speed * 0.95)
 
 
 BRAKING_LANES = [
@@ -150,18 +150,18 @@ BRAKING_LANES = [
 ]
 
 
-def hard_brake(stage: Stage) -> None:
+def hard_brake(builder: ScenarioBuilder) -> None:
     """Let the driver ahead of the ego stop as hard as it can, stand for a while and go on."""
-    draw = stage.draw
+    draw = builder.draw
     lane = draw.pick(BRAKING_LANES)
     speed = draw.between(9.0, 12.0)
-    before = stage.city.lanes[lane].curve.length - draw.between(8.0, 25.0)
-    stage.through((lane,), before, speed, kind=EGO_KIND)
+    before = builder.city.lanes[lane].curve.length - draw.between(8.0, 25.0)
+    builder.through((lane,), before, speed, kind=EGO_KIND)
     gap = draw.between(19.0, 25.0)
-    leader = stage.through((lane,), before - gap, speed)
+    leader = builder.through((lane,), before - gap, speed)
     leader.braking = Braking(draw.between(3.3, 5.5), draw.between(2.0, 4.0), draw.between(4.5, 6.0))
     if draw.chance(0.5):
-        stage.through((lane,), before + draw.between(22.0, 26.0), speed)
+        builder.through((lane,), before + draw.between(22.0, 26.0), speed)
 
 
 QUEUES = [
@@ -180,23 +180,23 @@ QUEUES = [
 ]
 
 
-def queue(stage: Stage) -> None:
+def queue(builder: ScenarioBuilder) -> None:
     """Let the ego arrive at the tail of a queue at a red light that turns green later on."""
-    draw = stage.draw
+    draw = builder.draw
     lane = draw.pick(QUEUES)
     road = lane.split(":")[0]
-    junction = stage.city.lanes[stage.city.lanes[lane].outgoing[0]].road
-    arms = [a.road.name for a in stage.city.arms[junction]]
-    stage.green[junction] = (arms[(arms.index(road) + 1) % len(arms)], draw.between(6.0, 9.0))
+    junction = builder.city.lanes[builder.city.lanes[lane].outgoing[0]].road
+    arms = [a.road.name for a in builder.city.arms[junction]]
+    builder.green[junction] = (arms[(arms.index(road) + 1) % len(arms)], draw.between(6.0, 9.0))
     speed = draw.between(8.5, 11.0)
-    stage.through((lane,), draw.between(62.0, 80.0), speed, kind=EGO_KIND)
+    builder.through((lane,), draw.between(62.0, 80.0), speed, kind=EGO_KIND)
     for name in (lane, lane[:-1] + ("1" if lane.endswith("0") else "0")):
-        if name not in stage.city.lanes:
+        if name not in builder.city.lanes:
             continue
         back = 4.5
         for _ in range(draw.whole(2, 3)):
             kind = draw.car()
-            waiting = stage.through((name,), back + kind.length / 2.0, 0.0, kind=kind)
+            waiting = builder.through((name,), back + kind.length / 2.0, 0.0, kind=kind)
             waiting.wanted_mps = draw.between(8.5, 10.5)
             back += kind.length + draw.between(2.0, 2.8)
 
@@ -207,21 +207,23 @@ DOUBLE_LEFTS: list[tuple[str, str, list[Lanes]]] = [
 ]
 
 
-def double_left(stage: Stage) -> None:
+def double_left(builder: ScenarioBuilder) -> None:
     """Let the ego and a neighbour turn left side by side from two left-turn lanes."""
-    draw = stage.draw
+    draw = builder.draw
     stem, target, main = draw.pick(DOUBLE_LEFTS)
     own = draw.whole(0, 1)
     speed, before = draw.between(7.0, 9.0), draw.between(42.0, 58.0)
-    stage.through((f"{stem}{own}", f"{target}{own}"), before, speed, kind=EGO_KIND)
+    builder.through((f"{stem}{own}", f"{target}{own}"), before, speed, kind=EGO_KIND)
     beside = 1 - own
-    stage.through((f"{stem}{beside}", f"{target}{beside}"), before + draw.between(-6.0, 7.0), speed)
-    stage.through(
+    builder.through(
+        (f"{stem}{beside}", f"{target}{beside}"), before + draw.between(-6.0, 7.0), speed
+    )
+    builder.through(
         (f"{stem}{beside}", f"{target}{beside}"), before + draw.between(16.0, 24.0), speed
     )
     arrival = before / speed - draw.between(0.0, 1.5)
     for lanes in main[: draw.whole(1, 2)]:
-        stage.through(lanes, arrival * 9.0, draw.between(8.0, 9.5))
+        builder.through(lanes, arrival * 9.0, draw.between(8.0, 9.5))
         arrival += draw.between(0.5, 1.5)
 
 
@@ -232,21 +234,21 @@ MERGES = [
 ]
 
 
-def merge_in(stage: Stage) -> None:
+def merge_in(builder: ScenarioBuilder) -> None:
     """Let the ego merge from a lane that ends into one that others drive on."""
-    draw = stage.draw
+    draw = builder.draw
     road, after = draw.pick(MERGES)
     speed = draw.between(7.5, 9.0)
     before = draw.between(48.0, 66.0)
-    ego = stage.through((f"{road}1", after), before, speed, kind=EGO_KIND)
+    ego = builder.through((f"{road}1", after), before, speed, kind=EGO_KIND)
     ego.rank = 9
     place = before + draw.between(-14.0, -6.0)
     for _ in range(draw.whole(2, 4)):
-        other = stage.through((f"{road}0", after), place, speed * draw.between(0.95, 1.05))
+        other = builder.through((f"{road}0", after), place, speed * draw.between(0.95, 1.05))
         other.rank = 0
         place += draw.between(13.0, 24.0)
     if draw.chance(0.5):
-        stage.through((f"{road}1", after), before - draw.between(16.0, 22.0), speed).rank = 8
+        builder.through((f"{road}1", after), before - draw.between(16.0, 22.0), speed).rank = 8
 
 
 CURVES: list[tuple[str, float]] = [
@@ -263,17 +265,17 @@ CURVES: list[tuple[str, float]] = [
 ]
 
 
-def free_curve(stage: Stage) -> None:
+def free_curve(builder: ScenarioBuilder) -> None:
     """Let the ego follow a winding road by itself, with traffic the other way."""
-    draw = stage.draw
+    draw = builder.draw
     lane, start = draw.pick(CURVES)
     speed = draw.between(8.5, 11.5)
-    before = stage.city.lanes[lane].curve.length - start - draw.between(0.0, 15.0)
-    stage.through((lane,), before, speed, kind=EGO_KIND)
+    before = builder.city.lanes[lane].curve.length - start - draw.between(0.0, 15.0)
+    builder.through((lane,), before, speed, kind=EGO_KIND)
     back = lane.split(":")[0] + (":b0" if ":f" in lane else ":f0")
-    length = stage.city.lanes[back].curve.length
+    length = builder.city.lanes[back].curve.length
     for _ in range(draw.whole(2, 3)):
-        stage.through((back,), length * draw.between(0.2, 0.95), draw.between(8.0, 10.5))
+        builder.through((back,), length * draw.between(0.2, 0.95), draw.between(8.0, 10.5))
 
 
 WALKED: list[Lanes] = [
@@ -291,28 +293,32 @@ WALKED: list[Lanes] = [
 ]
 
 
-def pedestrians(stage: Stage) -> None:
+def pedestrians(builder: ScenarioBuilder) -> None:
     """Let pedestrians walk over a crossing that the ego comes to."""
-    draw = stage.draw
+    draw = builder.draw
     lanes = draw.pick(WALKED)
     speed = draw.between(7.5, 10.0)
-    room = stage.city.lanes[lanes[0]].curve.length - 6.0
+    room = builder.city.lanes[lanes[0]].curve.length - 6.0
     before = min(draw.between(48.0, 68.0), room)
-    stage.through(lanes, before, speed, kind=EGO_KIND)
-    connector = stage.city.lanes[f"{lanes[0]}>{lanes[1]}"]
+    builder.through(lanes, before, speed, kind=EGO_KIND)
+    connector = builder.city.lanes[f"{lanes[0]}>{lanes[1]}"]
     road = lanes[0].split(":")[0]
     crossing = next(
-        c for c in stage.city.crossings if (c.junction, c.road) == (connector.road, road)
+        c for c in builder.city.crossings if (c.junction, c.road) == (connector.road, road)
     )
     meets = before / speed
     back = draw.chance(0.5)
     for _ in range(draw.whole(2, 4)):
         pace = draw.between(1.1, 1.6)
         departs = meets + draw.between(-4.2, -1.8)
-        stage.walk_over(crossing, departs, pace, back=back if draw.chance(0.7) else not back)
-    others = [c for c in stage.city.crossings if c.junction == connector.road and c is not crossing]
+        builder.walk_over(crossing, departs, pace, back=back if draw.chance(0.7) else not back)
+    others = [
+        c for c in builder.city.crossings if c.junction == connector.road and c is not crossing
+    ]
     for _ in range(draw.whole(1, 2)):
-        stage.walk_over(draw.pick(others), meets + draw.between(-3.0, 3.0), draw.between(1.1, 1.5))
+        builder.walk_over(
+            draw.pick(others), meets + draw.between(-3.0, 3.0), draw.between(1.1, 1.5)
+        )
 
 
 @dataclass(frozen=True)
@@ -321,7 +327,7 @@ class ScenarioKind:
 
     name: str
     description: str
-    build: Callable[[Stage], None]
+    build: Callable[[ScenarioBuilder], None]
     train: int
     val: int
     hardest_mps2: float = 4.2

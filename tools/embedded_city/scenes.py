@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tools.embedded_city.bystanders import add_bystanders
+from tools.embedded_city.background_actors import add_background_actors
 from tools.embedded_city.checks import (
     KEY_FRAME_S,
     DrivableArea,
@@ -21,7 +21,7 @@ from tools.embedded_city.checks import (
 from tools.embedded_city.city import City
 from tools.embedded_city.curves import Pose
 from tools.embedded_city.scenarios import KINDS, ScenarioKind
-from tools.embedded_city.stage import Draw, Stage
+from tools.embedded_city.scenario_builder import Draw, ScenarioBuilder
 from tools.embedded_city.traffic import DT_S, Actor, Simulation
 
 SEED = "ccdiff-town-1"
@@ -91,24 +91,24 @@ def _tracks(
     """Return the tracks of the first draw that passes all checks, and its number."""
     for number in range(FIRST_DRAWS.get(name, 0), NUM_TRIES):
         draw = Draw(f"{SEED}/{name}/{number}")
-        stage = Stage(city, draw)
-        kind.build(stage)
-        if any(not _is_apart(stage, i) for i in range(len(stage.actors))):
+        builder = ScenarioBuilder(city, draw)
+        kind.build(builder)
+        if any(not _is_apart(builder, i) for i in range(len(builder.actors))):
             continue
-        add_bystanders(stage, draw.whole(13, NUM_MOST))
-        Simulation(stage.actors).run(DURATION_S)
-        if not fault(tracks := _logged(stage.actors), area, kind.hardest_mps2):
+        add_background_actors(builder, draw.whole(13, NUM_MOST))
+        Simulation(builder.actors).run(DURATION_S)
+        if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2):
             return tracks, number
     raise RuntimeError(f"no draw of {name} passed the checks")
 
 
-def _is_apart(stage: Stage, index: int) -> bool:
+def _is_apart(builder: ScenarioBuilder, index: int) -> bool:
     """Return whether an actor starts clear of those staged before it."""
-    me = stage.actors[index]
+    me = builder.actors[index]
     if me.kind.is_walker or me.path is None:
         return True
     place = me.path.at(me.along_m)
-    for other in stage.actors[:index]:
+    for other in builder.actors[:index]:
         if other.path is None or other.kind.is_walker:
             continue
         there = other.path.at(other.along_m)

@@ -1,4 +1,4 @@
-"""The stage of one embedded scene: what scenarios place their actors on."""
+"""The builder of one embedded scene: what scenarios place their actors on."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Draw:
         return Kind("human.pedestrian.adult", 0.7, 0.65, round(self.between(1.6, 1.9), 3))
 
 
-class Stage:
+class ScenarioBuilder:
     """Actors of a scene under construction; the ego comes first."""
 
     def __init__(self, city: City, draw: Draw) -> None:
