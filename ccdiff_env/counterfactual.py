@@ -71,7 +71,7 @@ class Avoidability:
     avoidable
         Whether one of the plans tried does.
     plan
-        The first of them, mildest first; ``None`` if there is none.
+        The first of them, least aggressive first; ``None`` if there is none.
     num_tried, num_safe
         Plans tried, and plans among them that avoid all collisions. The search stops after the
         batch of plans in which one was found.
@@ -253,7 +253,7 @@ class Steering:
 
 
 def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
-    """Return plans to try, mildest first.
+    """Return plans to try, least aggressive first.
 
     The first 45 brake or accelerate evenly, or brake and go on, each on the route and up to 2.5 m
     beside it; the rest is drawn at random.

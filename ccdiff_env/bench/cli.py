@@ -173,7 +173,7 @@ def _planners(args: argparse.Namespace) -> int:
     write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages)
     return run.report(
         "Planners in traffic",
-        plots=["weakness.png"],
+        plots=["robustness.png"],
         parts={"Scores": "table.md", "Worst scenes": "worst.md"},
     )
 

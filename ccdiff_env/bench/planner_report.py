@@ -1,4 +1,4 @@
-"""Report of the planner benchmark: table, weakness curve, worst scenes."""
+"""Report of the planner benchmark: table, robustness curve, worst scenes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def write_report(
     worst: int = 10,
     pages: Mapping[tuple[str, str, str], str] | None = None,
 ) -> None:
-    """Write ``scores.csv``, ``table.md``, ``weakness.png`` and ``worst.md``.
+    """Write ``scores.csv``, ``table.md``, ``robustness.png`` and ``worst.md``.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def write_report(
     )
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
-    _plot(found, planners, traffic, folder / "weakness.png")
+    _plot(found, planners, traffic, folder / "robustness.png")
 
 
 def short_name(planner: str) -> str:
