@@ -1,6 +1,6 @@
 """Everything that can be chosen about a world, as frozen dataclasses.
 
-Fields, defaults and what is said of them come from Rust (``ccdiff_env.options``), which checks the
+Fields, defaults and their documentation come from Rust (``ccdiff_env.options``), which checks the
 ranges; here is what keywords and JSON need.
 """
 

@@ -31,7 +31,7 @@ def _short(value: object) -> bool:
 
 @dataclass
 class ScenarioFields:
-    """The fields of one file, what was dropped of them, and what is to be said about them."""
+    """The fields of one file, what was dropped of them, and what is to be reported about them."""
 
     path: Path
     data: dict[str, Any]

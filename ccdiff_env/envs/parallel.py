@@ -119,19 +119,19 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
             options = {"horizon_steps": max_cycles * held, **options}
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options, observation)
+        resolved = world_config(chosen, config, options, observation)
         selection = AgentSelection.of(
             chosen,
-            settled.history_steps,
+            resolved.history_steps,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = selection.config(chosen, settled, adversary_shaping)
-        settled = settled.with_options(autoreset="disabled")
+        resolved = selection.config(chosen, resolved, adversary_shaping)
+        resolved = resolved.with_options(autoreset="disabled")
         self.worlds = Worlds(
             chosen,
-            settled,
+            resolved,
             num_worlds=1,
             num_threads=1,
             trails=render_mode is not None,
@@ -139,7 +139,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         )
         self._kept: dict[str, Any] = {
             "scenes": chosen,
-            "config": settled,
+            "config": resolved,
             "agents": agents,
             "ranking": ranking,
             "adversaries": adversaries,
@@ -153,7 +153,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         }
         self._selection = selection
         self._by_token = names == "token"
-        self.max_cycles = -(-settled.horizon_steps // settled.decision_steps)
+        self.max_cycles = -(-resolved.horizon_steps // resolved.decision_steps)
         self.render_mode = render_mode
         self.possible_agents: list[str] = list(selection.names(names))
         self.agents: list[str] = []

@@ -94,19 +94,19 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             if name in options:
                 raise ConfigError(f"{name} is not an option of games: use agents")
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options, observation)
+        resolved = world_config(chosen, config, options, observation)
         selection = AgentSelection.of(
             chosen,
-            settled.history_steps,
+            resolved.history_steps,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
         )
-        settled = selection.config(chosen, settled, adversary_shaping)
-        settled = settled.with_options(autoreset="same_step")
+        resolved = selection.config(chosen, resolved, adversary_shaping)
+        resolved = resolved.with_options(autoreset="same_step")
         self.worlds = Worlds(
             chosen,
-            settled,
+            resolved,
             num_worlds=num_worlds,
             num_threads=num_threads,
             trails=render_mode is not None,

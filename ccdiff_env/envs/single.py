@@ -87,12 +87,12 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         check_render_mode(render_mode, ("human", "rgb_array"))
         self._picture = picture_options(picture)
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options, observation).with_options(
+        resolved = world_config(chosen, config, options, observation).with_options(
             autoreset="disabled"
         )
         self.worlds = Worlds(
             chosen,
-            settled,
+            resolved,
             num_worlds=1,
             num_threads=1,
             trails=render_mode is not None,

@@ -141,12 +141,12 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         check_render_mode(render_mode, ("rgb_array",))
         self._picture = picture_options(picture)
         chosen = scene_set(scenes)
-        settled = world_config(chosen, config, options, observation).with_options(
+        resolved = world_config(chosen, config, options, observation).with_options(
             autoreset=_AUTORESET[mode]
         )
         self.worlds = Worlds(
             chosen,
-            settled,
+            resolved,
             num_worlds=num_envs,
             num_threads=num_threads,
             trails=render_mode is not None,

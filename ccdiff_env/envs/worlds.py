@@ -68,15 +68,15 @@ def world_config(
     """
     if config is None and "dt_s" not in options:
         options = {**options, "dt_s": scenes[0].dt}
-    settled = (config or WorldConfig()).with_options(**options)
-    if observation == "bev" and settled.observation.bev is None:
-        return settled.with_options(bev=BevConfig())
-    if observation not in ("dict", "bev") and settled.observation.bev is not None:
+    resolved = (config or WorldConfig()).with_options(**options)
+    if observation == "bev" and resolved.observation.bev is None:
+        return resolved.with_options(bev=BevConfig())
+    if observation not in ("dict", "bev") and resolved.observation.bev is not None:
         raise ConfigError(
-            f"observation.bev is {settled.observation.bev}, expected None: rasters are shown by "
+            f"observation.bev is {resolved.observation.bev}, expected None: rasters are shown by "
             'environments of one ego with observation="dict" or "bev"'
         )
-    return settled
+    return resolved
 
 
 def normalize_seed(seed: Any) -> int:
@@ -331,7 +331,7 @@ class Worlds:
 
         Level ``"none"`` has numbers alone: some learners take no text.
 
-        With a curriculum, the episode's criticality is drawn, set and said here.
+        With a curriculum, the episode's criticality is drawn, set and reported here.
         """
         status = self.native.status(world_idx)
         scene, seed, episode_idx = self.scenes[status.scene_idx], status.seed, status.episode - 1

@@ -78,10 +78,10 @@ class SelectionBatch:
         options = {"traffic": "ccdiff", **options}
         if config is None and isinstance(options.get("ccdiff", {}), dict):
             options["ccdiff"] = {"criticality": 1.0, **options.get("ccdiff", {})}
-        settled = world_config(chosen, config, options)
-        settled = settled.with_options(driver=driver, autoreset="disabled", decision_steps=1)
+        resolved = world_config(chosen, config, options)
+        resolved = resolved.with_options(driver=driver, autoreset="disabled", decision_steps=1)
         self.worlds = Worlds(
-            chosen, settled, num_worlds=num_worlds, num_threads=num_threads, trails=trails
+            chosen, resolved, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )
         self._began = False
         self.matches: list[Match | None] = [None] * num_worlds
@@ -90,7 +90,7 @@ class SelectionBatch:
         self._reward = reward
         #: Called after every step of the worlds, of which a decision has several.
         self.on_step: Callable[[], object] | None = None
-        self.decision_steps = settled.ccdiff.replan_steps
+        self.decision_steps = resolved.ccdiff.replan_steps
 
     def match(self, world_idx: int) -> Match:
         """Return the episode of a world.
