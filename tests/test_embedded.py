@@ -33,8 +33,8 @@ from tools.embedded_city.city import signed_area
 from tools.embedded_city.curves import Pose, connection, filleted
 from tools.embedded_city.dataset import generate
 from tools.embedded_city.layout import LOCATION, build_city
-from tools.embedded_city.scenarios import KINDS
 from tools.embedded_city.scenario_builder import EGO_KIND
+from tools.embedded_city.scenarios import KINDS
 from tools.embedded_city.traffic import Kind
 
 

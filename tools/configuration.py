@@ -73,10 +73,10 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
     ConfigError
         The first option that is wrong, with its path, its value and what is expected.
     """
-    values = {
-    name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+    values = {{
+        name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in options.items()
-    }
+    }}
     _native.check_options(table, path, json.dumps(values, default=repr))
 
 '''

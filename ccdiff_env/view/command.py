@@ -15,8 +15,8 @@ from ccdiff_env.files import file_name
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.terminal import say_page, shown
 from ccdiff_env.traffic import NETWORKS, driver_names
+from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
-from ccdiff_env.view.facts import DRIVER_TITLES
 from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page

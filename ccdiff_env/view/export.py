@@ -10,7 +10,7 @@ import numpy as np
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.view.facts import driver_of
+from ccdiff_env.view.captions import driver_of
 from ccdiff_env.view.page import colours
 
 __all__ = ["export"]

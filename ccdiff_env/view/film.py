@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout, RolloutPlan
-from ccdiff_env.view.facts import driver_of, is_collision
+from ccdiff_env.view.captions import driver_of, is_collision
 
 TRAIL_S = 3.0
 MARK_S = 1.0

@@ -12,7 +12,7 @@ from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.files import file_name
 from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.view.facts import subtitle
+from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.film import Film
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page

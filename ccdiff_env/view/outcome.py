@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.view.facts import agent_titles, guided_agents, is_collision, is_log
+from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log
 
 Lane = Literal["ego", "guided", "others"]
 Tone = Literal["bad", "good", "plain"]

@@ -22,8 +22,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
 from ccdiff_env.rollout import Rollout, RolloutPlan
-from ccdiff_env.view.contacts import TTC_CAP_S, contacts
-from ccdiff_env.view.facts import (
+from ccdiff_env.view.captions import (
     about,
     agent_titles,
     driver_of,
@@ -31,6 +30,7 @@ from ccdiff_env.view.facts import (
     is_log,
     subtitle,
 )
+from ccdiff_env.view.contacts import TTC_CAP_S, contacts
 from ccdiff_env.view.outcome import happenings, outcome
 
 LENGTH_STEP_M = 0.01

@@ -13,7 +13,7 @@ from urllib.parse import quote, urlencode
 from ccdiff_env import _native, render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.view.facts import DRIVER_TITLES, subtitle
+from ccdiff_env.view.captions import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
 
 #: Scripts in the order in which they run.

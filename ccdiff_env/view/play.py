@@ -16,7 +16,7 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, with_tracks
-from ccdiff_env.view.facts import DRIVER_TITLES
+from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
 from ccdiff_env.view.sources import log_rollout, play_scene

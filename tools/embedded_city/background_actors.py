@@ -20,7 +20,7 @@ CONE = Kind("movable_object.trafficcone", 0.35, 0.35, 0.75)
 
 
 def add_background_actors(builder: ScenarioBuilder, num_most: int) -> None:
-    """Add background actors near the ego's way until the builder holds about ``num_most`` actors."""
+    """Add background actors near the ego's way, up to about ``num_most`` actors in all."""
     draw = builder.draw
     spare = num_most - len(builder.actors)
     num_parked = draw.whole(1, 4)

@@ -20,8 +20,8 @@ from tools.embedded_city.checks import (
 )
 from tools.embedded_city.city import City
 from tools.embedded_city.curves import Pose
-from tools.embedded_city.scenarios import KINDS, ScenarioKind
 from tools.embedded_city.scenario_builder import Draw, ScenarioBuilder
+from tools.embedded_city.scenarios import KINDS, ScenarioKind
 from tools.embedded_city.traffic import DT_S, Actor, Simulation
 
 SEED = "ccdiff-town-1"

@@ -1,4 +1,4 @@
-"""What can be chosen about the selection of adversaries: actions, budget; its rewards are those of `options`."""
+"""Actions and budget of the selection of adversaries."""
 
 from __future__ import annotations
 

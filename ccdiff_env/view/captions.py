@@ -1,4 +1,4 @@
-"""What is said of rollouts and their agents in words, the same on pages and pictures."""
+"""Captions of rollouts and their agents, the same on pages and pictures."""
 
 from __future__ import annotations
 
