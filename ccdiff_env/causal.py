@@ -409,8 +409,8 @@ def rank(
     Parameters
     ----------
     ranker : ``"cliques"`` and ``"distance_cliques"`` count clique occurrences, ``"first"`` takes
-        agents in their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``, ``"scores"``
-        sorts by falling ``scores``.
+        agents in their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``,
+        ``"scores"`` sorts by falling ``scores``.
     top_k : agents to choose; fewer only where fewer are there.
     valid : bool [M], whether an agent is there.
     ttc, distance : [T, M, M] or [M, M], normalised; for their rankers and for filling up.

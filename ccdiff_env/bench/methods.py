@@ -95,7 +95,9 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff_one_step_one_sample": Method(
             "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
         ),
-        "ccdiff_distance": Method("CCDiff, ranking by distance", "ccdiff", "distance_cliques", _GUIDED),
+        "ccdiff_distance": Method(
+            "CCDiff, ranking by distance", "ccdiff", "distance_cliques", _GUIDED
+        ),
         "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
         "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
         "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
