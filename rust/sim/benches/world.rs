@@ -123,12 +123,12 @@ impl Bench {
         for _ in 0..steps {
             let mut last = Instant::now();
             let (world, out, actions) = self.parts();
-            let mut lap = |phase: TickPhase| {
+            let mut on_phase_end = |phase: TickPhase| {
                 let now = Instant::now();
                 sums[phase as usize] += (now - last).as_secs_f64();
                 last = now;
             };
-            world.step_in_phases(actions, out, &mut lap)?;
+            world.step_in_phases(actions, out, &mut on_phase_end)?;
         }
         let total: f64 = sums.iter().sum();
         Ok(sums.map(|s| 100.0 * s / total))

@@ -8,11 +8,11 @@ use crate::world::tick::{Shared, World};
 use std::sync::Arc;
 
 impl World {
-    /// Begins the next episode: in NEXT_STEP mode the one that is `owed` since the last step, in SAME_STEP mode after
+    /// Begins the next episode: in NEXT_STEP mode the one that is `reset_pending` since the last step, in SAME_STEP mode after
     /// the last observations of the present one, `since` the elapsed steps before the decision, are written aside.
     pub(super) fn autoreset(
         &mut self,
-        owed: bool,
+        reset_pending: bool,
         since: usize,
         shared: &Shared<'_>,
         next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
@@ -24,7 +24,7 @@ impl World {
             out.final_bev.copy_from_slice(out.bev);
             self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev);
         }
-        if owed || ends_now {
+        if reset_pending || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
             self.begin(scene, scene_idx, shared);
             out.was_reset[0] = true;

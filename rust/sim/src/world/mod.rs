@@ -284,7 +284,7 @@ impl VecWorld {
         run(self.pool.as_ref(), &mut self.worlds, actions, width, out, shared.extent, &job);
     }
 
-    /// [`VecWorld::step`] on the calling thread that calls `lap` after each phase of each world: for measuring what
+    /// [`VecWorld::step`] on the calling thread that calls `on_phase_end` after each phase of each world: for measuring what
     /// each phase costs. Policies plan before the first of the steps alone.
     ///
     /// # Errors
@@ -293,7 +293,7 @@ impl VecWorld {
         &mut self,
         actions: &[Real],
         mut out: StepBuffers<'_>,
-        lap: &mut impl FnMut(TickPhase),
+        on_phase_end: &mut impl FnMut(TickPhase),
     ) -> Result<()> {
         self.check_step(actions, None, &out)?;
         self.plan(0, None, &out)?;
@@ -309,7 +309,7 @@ impl VecWorld {
             let next = |episode: &mut Episode| self.scenes.next(episode, order, num_worlds);
             let actions = &actions[i * width..(i + 1) * width];
             let mut out = out.world(i, shared.extent);
-            world.step(actions, 0..self.config.decision_steps, &shared, next, &mut out, lap);
+            world.step(actions, 0..self.config.decision_steps, &shared, next, &mut out, on_phase_end);
         }
         Ok(())
     }

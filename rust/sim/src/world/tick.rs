@@ -156,17 +156,17 @@ impl World {
         is_first: bool,
         shared: &Shared<'_>,
         out: &mut StepBuffers<'_>,
-        lap: &mut impl FnMut(TickPhase),
+        on_phase_end: &mut impl FnMut(TickPhase),
     ) -> bool {
         self.remember();
         self.decide(actions, shared);
-        lap(TickPhase::Decide);
+        on_phase_end(TickPhase::Decide);
         self.move_agents(shared);
-        lap(TickPhase::Move);
+        on_phase_end(TickPhase::Move);
         self.find_events(shared.config, false);
-        lap(TickPhase::Events);
+        on_phase_end(TickPhase::Events);
         let done = self.reward(shared.config, is_first, out);
-        lap(TickPhase::Reward);
+        on_phase_end(TickPhase::Reward);
         done
     }
 
@@ -179,7 +179,7 @@ impl World {
         shared: &Shared<'_>,
         next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
         out: &mut StepBuffers<'_>,
-        lap: &mut impl FnMut(TickPhase),
+        on_phase_end: &mut impl FnMut(TickPhase),
     ) {
         if held.start == 0 {
             out.clear_step();
@@ -188,11 +188,11 @@ impl World {
             return;
         }
         // the batch has refused ended worlds before, in every mode but NEXT_STEP
-        let owed = self.episode.phase == Phase::Ended;
+        let reset_pending = self.episode.phase == Phase::Ended;
         let since = self.episode.elapsed_steps.saturating_sub(held.start);
         let goes_on = held.end < shared.config.decision_steps;
-        for step in held.filter(|_| !owed) {
-            out.done[0] = self.advance(actions, step == 0, shared, out, lap);
+        for step in held.filter(|_| !reset_pending) {
+            out.done[0] = self.advance(actions, step == 0, shared, out, on_phase_end);
             if out.done[0] {
                 break;
             }
@@ -204,13 +204,13 @@ impl World {
                 self.observe(shared.config, shared.extent, since, out.obs, out.bev);
             }
         }
-        if !owed && (out.done[0] || !goes_on) && self.play_roles(shared.config, since, out) {
+        if !reset_pending && (out.done[0] || !goes_on) && self.play_roles(shared.config, since, out) {
             out.done[0] = true;
         }
-        self.autoreset(owed, since, shared, next_scene, out);
+        self.autoreset(reset_pending, since, shared, next_scene, out);
         if out.done[0] || out.was_reset[0] || !goes_on {
             self.finish(shared, since, out);
-            lap(TickPhase::Observe);
+            on_phase_end(TickPhase::Observe);
         }
     }
 
