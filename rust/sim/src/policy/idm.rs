@@ -37,7 +37,7 @@ fn acceleration(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Rea
 
 impl Idm {
     /// Acceleration of an agent on its route, m/s².
-    fn wish(&self, world: &WorldView<'_>, agent_idx: usize) -> Real {
+    fn wanted_acceleration(&self, world: &WorldView<'_>, agent_idx: usize) -> Real {
         let (idm, route) = (&self.config, &world.scene.routes[agent_idx]);
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
@@ -55,7 +55,7 @@ impl Idm {
 /// vehicles.
 pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Option<Real> {
     let idm = Idm { config: world.config.idm };
-    (!world.scene.routes[agent_idx].is_parked()).then(|| idm.wish(world, agent_idx))
+    (!world.scene.routes[agent_idx].is_parked()).then(|| idm.wanted_acceleration(world, agent_idx))
 }
 
 impl TrafficPolicy for Idm {
@@ -72,7 +72,7 @@ impl TrafficPolicy for Idm {
         let dt = world.config.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
-        let next_speed = (speed + self.wish(world, agent_idx) * dt).max(0.0);
+        let next_speed = (speed + self.wanted_acceleration(world, agent_idx) * dt).max(0.0);
         let next_s = s + 0.5 * (speed + next_speed) * dt;
         if next_s >= route.path.length_m() - 0.5 {
             return Motion::Leave;

@@ -8,7 +8,7 @@ use crate::world::tick::{Shared, World};
 use std::sync::Arc;
 
 impl World {
-    /// Begins the next episode: in NEXT_STEP mode the one that is `reset_pending` since the last step, in SAME_STEP mode after
+    /// Begins the next episode: in NEXT_STEP mode the one that is pending since the last step, in SAME_STEP mode after
     /// the last observations of the present one, `since` the elapsed steps before the decision, are written aside.
     pub(super) fn autoreset(
         &mut self,

@@ -5,11 +5,11 @@ use crate::policy::{Command, Driver, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::config::{Controlled, WorldConfig};
+use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::history::History;
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
 use crate::world::rng::Rng;
-use crate::world::tally::Tally;
 use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
@@ -54,7 +54,7 @@ pub(crate) struct Slot {
     pub(crate) route_heading_error_rad: Real,
     pub(crate) lane_distance_m: Option<Real>,
     pub(crate) speed_limit_mps: Real,
-    pub(crate) tally: Tally,
+    pub(crate) statistics: EpisodeStatistics,
 }
 
 /// State of one world.
@@ -255,7 +255,7 @@ impl Episode {
                 route_heading_error_rad: 0.0,
                 lane_distance_m: None,
                 speed_limit_mps: config.speed_limit_mps,
-                tally: Tally::default(),
+                statistics: EpisodeStatistics::default(),
             });
         }
     }

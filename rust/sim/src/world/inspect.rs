@@ -315,7 +315,7 @@ impl VecWorld {
     /// # Errors
     /// As [`VecWorld::status`].
     pub fn metrics(&self, world_idx: usize) -> Result<Vec<Metrics>> {
-        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.tally.metrics()).collect())
+        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.statistics.metrics()).collect())
     }
 
     /// Metrics of a world's slots in its last episode that ended; empty before.

@@ -16,6 +16,7 @@ mod config;
 mod decide;
 mod detect;
 mod episode;
+mod episode_statistics;
 mod executor;
 mod halt;
 mod history;
@@ -33,7 +34,6 @@ mod selection_reward;
 mod snapshot;
 mod step_metrics;
 mod surroundings;
-mod tally;
 mod termination;
 mod tick;
 mod traffic;
@@ -46,6 +46,7 @@ pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, RewardConfig, RewardForm, SceneOrder, TABLES,
     TrafficCollision, WorldConfig,
 };
+pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use history::{History, PastState};
 pub use inspect::WorldStatus;
 pub use prepared::PreparedScene;
@@ -53,7 +54,6 @@ pub use rng::Rng;
 pub use route::Route;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use step_metrics::StepMetrics;
-pub use tally::{METRICS, Metrics, NUM_METRICS};
 pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, IdmConfig, Traffic};
 

@@ -76,7 +76,7 @@ impl World {
             slot.stopped |= outcome.stands;
             let ended = out.terminated[c] || out.truncated[c];
             columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot));
-            slot.tally.add(reward, columns);
+            slot.statistics.add(reward, columns);
             out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {
                 slot.alive = false;
@@ -97,7 +97,7 @@ impl World {
     pub(super) fn end(&mut self) {
         self.episode.phase = Phase::Ended;
         self.ended.clear();
-        self.ended.extend(self.episode.slots.iter().map(|s| s.tally.metrics()));
+        self.ended.extend(self.episode.slots.iter().map(|s| s.statistics.metrics()));
     }
 }
 

@@ -10,10 +10,10 @@ use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::WorldConfig;
 use crate::world::episode::{Episode, Phase};
+use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
 use crate::world::policies::Policies;
 use crate::world::prepared::PreparedScene;
-use crate::world::tally::Metrics;
 use std::ops::Range;
 use std::sync::Arc;
 

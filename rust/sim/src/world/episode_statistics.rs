@@ -47,7 +47,7 @@ const MEAN: [Col; 2] = [Col::Speed, Col::LogDistance];
 
 /// Running sums of one agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Tally {
+pub(crate) struct EpisodeStatistics {
     steps: u32,
     total: f64,
     components: [f64; NUM_COMPONENTS],
@@ -57,7 +57,7 @@ pub(crate) struct Tally {
     min_ttc_s: Real,
 }
 
-impl Default for Tally {
+impl Default for EpisodeStatistics {
     fn default() -> Self {
         Self {
             steps: 0,
@@ -71,7 +71,7 @@ impl Default for Tally {
     }
 }
 
-impl Tally {
+impl EpisodeStatistics {
     /// Adds a step.
     pub(crate) fn add(&mut self, reward: Real, columns: &[Real]) {
         debug_assert_eq!(columns.len(), NUM_COLUMNS);
@@ -129,19 +129,19 @@ mod tests {
 
     #[test]
     fn sums_means_extremes_and_last_values() {
-        let mut tally = Tally::default();
+        let mut statistics = EpisodeStatistics::default();
         let mut columns = [0.0; NUM_COLUMNS];
         columns[Col::Ttc as usize] = 4.0;
         columns[Col::Speed as usize] = 2.0;
         columns[Col::OffRoad as usize] = 1.0;
         columns[Col::RewardOffRoad as usize] = -1.0;
-        tally.add(-1.0, &columns);
+        statistics.add(-1.0, &columns);
         columns = [0.0; NUM_COLUMNS];
         columns[Col::Ttc as usize] = 9.0;
         columns[Col::Speed as usize] = 4.0;
         columns[Col::Progress as usize] = 7.0;
-        tally.add(0.5, &columns);
-        let metrics = tally.metrics();
+        statistics.add(0.5, &columns);
+        let metrics = statistics.metrics();
         for (name, expected) in [
             ("return", -0.5),
             ("length", 2.0),
