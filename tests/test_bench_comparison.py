@@ -86,7 +86,7 @@ def test_pairs_are_counted_in_the_papers_order():
     assert paper_pairs(table(1.0), (5, 5), "scr", "ccdiff") == (15, 0, 0, 0)
 
 
-def test_the_page_holds_differences_to_ccdiff_of_equal_training_and_the_papers_figures(tmp_path):
+def test_the_page_holds_differences_to_ccdiff_and_the_papers_figures(tmp_path):
     hits = [True] * 20 + [False] * 20
     table = {
         Condition("replay", 0, 5): figures([False] * 40, np.zeros(40)),

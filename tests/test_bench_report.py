@@ -153,7 +153,7 @@ def test_a_click_on_a_head_sorts_by_number(browser, tmp_path):
     page.close()
 
 
-def test_cells_of_a_matrix_are_tinted_by_their_number_and_the_best_is_emphasised():
+def test_cells_of_a_matrix_are_tinted_and_the_best_is_emphasised():
     text = markdown_html("| score | x |\n|---|---:|\n| a | **0.90** [0.8, 1.0] |\n| b | |\n")
     assert 'style="--v:0.90"' in text
     assert "<b>0.90</b><small>[0.8, 1.0]</small>" in text

@@ -78,7 +78,7 @@ def test_a_run_writes_weights_curves_and_a_header_that_rebuilds_the_network(weig
     assert float(validation[1][validation[0].index("constant_velocity_ade_m")]) > 0.0
 
 
-def test_plans_have_the_documented_shapes_and_roll_out_from_where_the_vehicles_are(
+def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(
     weights: Path,
 ) -> None:
     scene = road()

@@ -71,7 +71,7 @@ def test_heading_up_is_north_up_turned_by_a_quarter_for_an_ego_that_heads_east(s
     assert (difference.max(axis=2) > 40).mean() < 0.005
 
 
-def test_every_option_changes_the_picture_and_the_same_call_gives_the_same_bytes(scene):
+def test_every_option_changes_the_picture_and_the_same_call_repeats_it(scene):
     plain = scene.render(8, **PLAIN)
     assert np.array_equal(plain, scene.render(8, **PLAIN))
     for name in PLAIN:

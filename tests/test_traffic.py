@@ -367,7 +367,7 @@ def test_an_agent_environment_takes_ccdiff_traffic_by_name(scenes):
 
 
 @pytest.mark.nuscenes
-def test_unguided_traffic_on_real_scenes_stays_on_the_road_and_beats_constant_velocity(data_root):
+def test_unguided_traffic_stays_on_real_roads_and_beats_constant_velocity(data_root):
     scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-trainval", "ccdiff100")[:16]
     from ccdiff_env.bench.methods import METHODS
     from ccdiff_env.bench.traffic import episodes

@@ -65,7 +65,7 @@ def test_a_page_holds_the_states_to_a_centimetre():
     ]  # fmt: skip
 
 
-def test_a_page_holds_plans_with_the_chosen_sample_first_and_edges_from_cause_to_effect():
+def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
     run = planned_rollout()
     header, arrays = unpacked(elements(page_html(run))[0])
     plan = header["plans"][2]

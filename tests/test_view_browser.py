@@ -48,7 +48,7 @@ def test_a_page_plays_from_two_seconds_before_the_collision(visit):
     page.until("replay.time > replay.start + 1.1")
 
 
-def test_a_page_waits_where_less_motion_is_wanted_and_where_a_moment_is_asked_for(visit):
+def test_a_page_waits_where_less_motion_or_a_moment_is_asked_for(visit):
     assert visit("one.html", hash="").state("playing") is False
     assert visit("one.html", reduced_motion="no-preference").state("playing") is False
     asked = visit("one.html", hash="#t=2&play=1", reduced_motion="no-preference")

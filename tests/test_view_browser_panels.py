@@ -75,7 +75,7 @@ def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
     assert page.get_attribute(".events-head .chip", "aria-pressed") == "false"
 
 
-def test_the_soonest_contacts_are_those_of_the_chosen_agent_and_a_click_shows_both(visit):
+def test_the_soonest_contacts_are_of_the_chosen_agent_and_a_click_shows_both(visit):
     page = visit("one.html")
     page.evaluate("replay.seek(2)")
     page.frames()

@@ -1,0 +1,51 @@
+"""Words: what has one name keeps it. The former names come back nowhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ENDINGS = {".rs", ".py", ".pyi", ".md", ".js", ".html", ".toml"}
+#: Former name -> present one, and the folders in which it was used.
+FORMER = {
+    r"[Rr]oll-out": ("rollout", "rust ccdiff_env docs tools examples benchmarks"),
+    r"\bjump_sigma\b": ("posterior_std", "rust docs"),
+    r"\bSituation\b": ("GuidanceContext", "rust docs"),
+    r"\bpull_back\b": ("vjp", "rust docs"),
+    r"\b(WorldGuide|GuideStep|Guide)\b": ("WorldGuidance, GuidanceStep, Guidance", "rust"),
+    r"\bstrengths?\b": ("guidance_scale", "rust/models/src/guidance"),
+    r"\b(Roster|Hints|Due)\b": ("PlannedAgents, RankingInputs, PreparedRequest", "rust"),
+    r"\bsingled_out\b": ("select_guided", "rust docs"),
+    r"\bLesson\b": ("TrainingStep", "rust"),
+    r"\b(Push|Pace)\b": ("LateralPerturbation, LongitudinalPerturbation", "rust"),
+    r"\bRanker::(Human|Distance)\b": ("Ranker::Listed, Ranker::DistanceCliques", "rust docs"),
+    r"\bPARITY\b": ("REFERENCE_IMPL", "rust"),
+    r"\b(Home|Shot|Touch)\b": ("ProcessGuard, ViewOptions, ContactRow", "rust/py"),
+    r"\blap\b|\bowed\b": ("on_phase_end, reset_pending", "rust/sim"),
+    r"\b[Tt]ally\b": ("EpisodeStatistics", "rust docs"),
+    r"\bfold_seed\b": ("normalize_seed", "ccdiff_env"),
+    r"\bsettled\b": ("resolved", "ccdiff_env/envs"),
+    r"\bCast\b": ("AgentSelection", "ccdiff_env docs"),
+    r"\bStage\b|\bbystanders?\b": ("ScenarioBuilder, background actors", "tools docs"),
+    r"\bweakness (curve|plot)\b": ("robustness curve", "ccdiff_env docs"),
+    r"\bmildest\b": ("least aggressive", "ccdiff_env rust docs"),
+    r"\bExplanation\b": ("PlanRecord", "rust ccdiff_env docs"),
+    r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
+}
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_former_names_do_not_come_back(former):
+    present, folders = FORMER[former]
+    files = [f for folder in folders.split() for f in (ROOT / folder).rglob("*")]
+    found = [
+        f"{file.relative_to(ROOT)}: {line.strip()}"
+        for file in files
+        if file.suffix in ENDINGS and "_build" not in file.parts
+        for line in file.read_text(encoding="utf-8").splitlines()
+        if re.search(former, line)
+    ]
+    assert not found, f"now {present}: {found}"
