@@ -22,7 +22,7 @@ F64 = npt.NDArray[np.float64]
 #: Proposals: share of the desired speed, and distance from the route, m.
 SPEED_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 OFFSETS_M = (0.0, 1.0, -1.0)
-#: Roll-out: step and length, s.
+#: Rollout: step and length, s.
 STEP_S, HORIZON_S = 0.2, 4.0
 #: IDM of the proposals.
 IDM = IdmConfig(deceleration_mps2=3.0)

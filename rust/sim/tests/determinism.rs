@@ -127,7 +127,7 @@ fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
         ));
     }
     assert_eq!(batch.world.digest(2).unwrap(), digest);
-    // a reset that NEXT_STEP owes is still owed after a rest
+    // a reset that NEXT_STEP leaves pending is still pending after a rest
     let next = WorldConfig { autoreset: Autoreset::NextStep, horizon_steps: 5, ..config("idm") };
     let mut batch = Batch::new(vec![city(12)], next, 1, 1);
     batch.reset_all(0);
