@@ -3,9 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
+
+from ccdiff_env import _native
+
+
+def check(table: str, path: str, options: Mapping[str, Any]) -> None:
+    """Check names, types and ranges of options that stand at a path against a table of Rust.
+
+    Raises
+    ------
+    ConfigError
+        The first option that is wrong, with its path, its value and what is expected.
+    """
+    values = {
+        name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in options.items()
+    }
+    _native.check_options(table, path, json.dumps(values, default=repr))
+
 
 #: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
@@ -321,6 +341,53 @@ class WorldOptions:
     scene_order: SceneOrder = "random"
 
 
+#: Which collisions of agents that were adversaries in the episode count.
+CountedCollisions: TypeAlias = Literal["ego", "any"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionReward:
+    """Weights of the reward components of one decision about adversaries; the reward is their sum.
+
+    A collision is worth more than an episode of unrealistic plans costs: else, as few choices lead
+    to one, choosing nobody would be best.
+    """
+
+    #: Per new collision that counts.
+    collision: float = 5.0
+    #: Which collisions count, of agents that were adversaries in the episode.
+    count: CountedCollisions = "ego"
+    #: Whether collisions count that the ego is at fault for, such as rear-ending an adversary that
+    #: brakes; the paper counts them.
+    ego_fault: bool = True
+    #: Whether collisions of the ego count only where some ego plan would have avoided them, the
+    #: others doing as they did (``ccdiff_env.counterfactual.rollout_avoidability``); the search
+    #: takes up to a second per collision.
+    avoidable_only: bool = False
+    #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
+    #: C), mean over adversaries.
+    realism: float = -0.02
+    #: Per share of steps that adversaries spend off the road.
+    off_road: float = -0.1
+    #: Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4
+    #: m/s²)², at most 3, mean over steps and adversaries.
+    comfort: float = -0.005
+
+    def __post_init__(self) -> None:
+        check("SelectionReward", "reward", dataclasses.asdict(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PythonOptions:
+    """Options of a traffic model of one's own, written in Python:
+    ``ccdiff_env.traffic.PythonTraffic``."""
+
+    #: Steps from one plan to the next (in [1, 10000]).
+    replan_steps: int = 5
+    #: Past states of each agent, the present one included (in [1, 1000]).
+    history_states: int = 31
+
+
 #: Where a network runs.
 DeviceName: TypeAlias = Literal["cpu", "cuda"]
 
@@ -331,7 +398,7 @@ GraphMode: TypeAlias = Literal["causal", "full"]
 
 #: How the vehicles to be guided are found.
 Ranking: TypeAlias = (
-    Literal["cliques", "greedy", "distance", "first", "random", "gradient"]
+    Literal["cliques", "greedy", "distance_cliques", "first", "random", "gradient"]
     | Mapping[str, tuple[str, ...]]
 )
 
