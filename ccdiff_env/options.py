@@ -380,7 +380,8 @@ class SelectionReward:
 @dataclass(frozen=True, kw_only=True)
 class PythonOptions:
     """Options of a traffic model of one's own, written in Python:
-    ``ccdiff_env.traffic.PythonTraffic``."""
+    ``ccdiff_env.traffic.PythonTraffic``.
+    """
 
     #: Steps from one plan to the next (in [1, 10000]).
     replan_steps: int = 5
