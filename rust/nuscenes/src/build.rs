@@ -1,9 +1,10 @@
 //! From the logged facts of one scene to a [`Scene`].
 
+use crate::category::kind_of_category;
 use crate::crop::crop;
 use crate::error::Result;
 use crate::map_file::{Bounds, GlobalMap};
-use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, kind_of_category};
+use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S};
 use crate::report::SceneReport;
 use crate::resample::{Resampled, resample};
 use crate::tables::{LoggedScene, LoggedTrack, SceneEntry};

@@ -12,12 +12,14 @@
 //! - `resample`: key frames to steps
 //! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
 //! - `build`: one scene
+//! - `category`: categories as kinds of agents
 //! - `cache`: built scenes on disk
 //! - `load`: all of it
 
 mod arcline;
 mod build;
 mod cache;
+mod category;
 mod codec;
 mod crop;
 mod error;
@@ -34,10 +36,9 @@ mod stream;
 mod tables;
 mod token;
 
+pub use category::kind_of_category;
 pub use codec::{decode_scene, encode_scene, scene_hash};
 pub use error::{NuscenesError, Result};
 pub use load::{Loaded, load};
-pub use options::{
-    BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, LoadOptions, Selection, kind_of_category,
-};
+pub use options::{BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, LoadOptions, Selection};
 pub use report::{CacheReport, Dropped, LoadReport, MapReport, SceneReport, Timing};
