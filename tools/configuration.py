@@ -188,7 +188,8 @@ def _class(table: Table) -> str:
         lines += "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs).split("\n")
         lines += ['    """', ""]
     else:
-        lines += [_wrapped(f'"""{summary.rstrip(".")}."""', "    ", "    "), ""]
+        text = _wrapped(f'"""{summary.rstrip(".")}."""', "    ", "    ")
+        lines += [text.removesuffix('"""') + '\n    """' if "\n" in text else text, ""]
     for entry in table["fields"]:
         if OWN_FORM.get(table["name"]) == entry["name"]:
             continue
