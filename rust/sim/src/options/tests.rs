@@ -1,0 +1,82 @@
+#![allow(unreachable_pub, reason = "the tables of configurations are public")]
+use super::*;
+
+options! {
+    /// A part.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields)]
+    pub struct Part {
+        /// Sizes.
+        sizes_m: Vec<f32>, unit "m", range within(0.0, 2.0).open_below();
+    }
+}
+
+choices! {
+    /// A way.
+    #[derive(Clone)]
+    pub enum Way {
+        /// Plain.
+        Plain = "plain",
+        /// With a part.
+        Parted(Part) = "parted",
+    }
+}
+
+options! {
+    /// A whole.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Whole {
+        /// A number.
+        speed_mps: f32 = 0.1, unit "m/s", range above(0.0);
+        /// Its way.
+        way: Way = Way::Plain;
+        /// A count, or none.
+        count: Option<usize> = None, range at_least(1.0);
+        /// Two ends.
+        span_m: [f32; 2] = [-1.0, 1.0], unit "m";
+    }
+}
+
+#[test]
+fn what_is_legal_is_read() {
+    let whole: Whole = read("", r#"{"way": {"parted": {"sizes_m": [2, 0.5]}}, "count": 3}"#).unwrap();
+    assert_eq!(whole.way, Way::Parted(Part { sizes_m: vec![2.0, 0.5] }));
+    assert_eq!((whole.way.name(), Way::Plain.name()), ("parted", "plain"));
+    assert_eq!((whole.speed_mps, whole.count), (0.1, Some(3)));
+    check("", &whole).unwrap();
+}
+
+#[test]
+fn what_is_wrong_is_named_with_its_path_and_its_rule() {
+    for (json, message) in [
+        (r#"{"speed_mps": 0}"#, "config: speed_mps is 0, expected a number > 0"),
+        (r#"{"speed_mps": 1e39}"#, "config: speed_mps is 1e+39, expected a number > 0"),
+        (r#"{"count": 0}"#, "config: count is 0, expected a whole number >= 1"),
+        (r#"{"count": 1.5}"#, "config: count is 1.5, expected a whole number >= 1"),
+        (r#"{"sped": 1}"#, "config: sped is no option, expected one of speed_mps, way, count, span_m"),
+        (r#"{"way": "parted"}"#, "config: way is \"parted\", expected one of plain, parted"),
+        (r#"{"way": {"parted": {}}}"#, "config: way.parted.sizes_m is missing, expected a value"),
+        (
+            r#"{"way": {"parted": {"sizes_m": [1, 2.5]}}}"#,
+            "config: way.parted.sizes_m[1] is 2.5, expected a number in (0, 2]",
+        ),
+        (r#"{"span_m": [2, 1]}"#, "config: span_m is [2,1], expected lowest and highest, numbers in order"),
+        ("[]", "config: json is [], expected the fields of Whole"),
+    ] {
+        assert_eq!(read::<Whole>("", json).unwrap_err().to_string(), message);
+    }
+    let bad = Whole { speed_mps: Real::NAN, ..Whole::default() };
+    assert_eq!(
+        check("a.b", &bad).unwrap_err().to_string(),
+        "config: a.b.speed_mps is null, expected a number > 0"
+    );
+}
+
+#[test]
+fn tables_say_what_they_hold() {
+    let table = serde_json::to_value(Whole::TABLE).unwrap();
+    assert_eq!(table["defaults"]["speed_mps"], 0.1);
+    assert_eq!(table["fields"][0]["range"], "> 0");
+    assert_eq!(table["fields"][1]["form"]["one_of"]["variants"][1]["form"]["table"], "Part");
+}
