@@ -113,11 +113,12 @@ fn report(name: &str, city: &City, config: &ObservationConfig) -> Result<()> {
     let layout = Layout::new(config)?;
     let (num_agents, size) = (city.scene.num_agents(), layout.size);
     let mut observer = Observer::new(layout);
+    observer.enter(&city.bodies, &city.kinds);
     let mut out = vec![0.0_f32; num_agents * size];
     let mut tick = 0;
     let write_ns = best_ns(num_agents, || {
         tick += 1;
-        observer.prepare(&city.states[tick % city.states.len()], &city.bodies);
+        observer.prepare(&city.states[tick % city.states.len()]);
         for (a, row) in out.chunks_exact_mut(size).enumerate() {
             observer.write(&city.view(tick, a), row);
         }

@@ -390,7 +390,12 @@ proptest! {
         let line = Polyline::new(line).unwrap();
         let at = line.at(along * line.length_m());
         let p = at.to_outer(Point2::new(0.0, aside));
-        let (sparse, whole) = (line.project_sparsely(p, at.position.x, 200.0), line.project(p));
+        // many at once are those one by one
+        let (mut found, points) = (Vec::new(), [p, at.position, p, p, p, p, p, p, p, p]);
+        line.project_sparsely(&points, at.position.x, 200.0, &mut found);
+        prop_assert_eq!(found.len(), points.len());
+        prop_assert_eq!(found[0], found[9]);
+        let (sparse, whole) = (found[9], line.project(p));
         prop_assert!((sparse.distance_m - whole.distance_m).abs() < 1e-4);
         prop_assert!((sparse.s_m - whole.s_m).abs() < 1e-2);
     }
@@ -430,7 +435,7 @@ proptest! {
             }
             if let Some(line) = &line {
                 std::hint::black_box((line.project(p), line.at(x), line.project_near(p, x, y)));
-                std::hint::black_box(line.project_sparsely(p, x, y));
+                line.project_sparsely(&[p], x, y, &mut Vec::new());
             }
         }
     }

@@ -6,6 +6,7 @@
 use crate::geom::{OrientedBox, Real};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Body};
+use crate::wide::wide;
 
 /// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
 const SWEEP_FROM_AGENTS: usize = 80;
@@ -81,6 +82,8 @@ pub struct Collisions {
     x: Vec<Real>,
     y: Vec<Real>,
     radius: Vec<Real>,
+    /// 1 for circles that touch one of them.
+    near: Vec<u8>,
     /// Order-preserving bits of the left end (high half) and agent index (low half).
     order: Vec<u64>,
 }
@@ -99,7 +102,8 @@ impl Collisions {
         self.describe(states, bodies);
     }
 
-    fn find(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+    /// The pairs of [`Self::detect`] alone: what is told of single agents is not made anew.
+    pub fn find(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
         let num_agents = states.len().min(bodies.len()).min(kinds.len());
         let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
         if num_active < SWEEP_FROM_AGENTS {
@@ -150,26 +154,19 @@ impl Collisions {
         self.gather(states, bodies, kinds);
         let num_active = self.agent.len();
         for row in 0..num_active {
-            let (x, y, radius) = (self.x[row], self.y[row], self.radius[row]);
-            let blocks = (num_active - row - 1).div_ceil(LANES);
-            let columns = row + 1..row + 1 + blocks * LANES;
-            let xs = self.x[columns.clone()].chunks_exact(LANES);
-            let ys = self.y[columns.clone()].chunks_exact(LANES);
-            let radii = self.radius[columns].chunks_exact(LANES);
-            for (block, ((xs, ys), radii)) in xs.zip(ys).zip(radii).enumerate() {
-                let mut near = [false; LANES];
-                for lane in 0..LANES {
-                    let (dx, dy, reach) = (xs[lane] - x, ys[lane] - y, radii[lane] + radius);
-                    near[lane] = dx * dx + dy * dy <= reach * reach;
-                }
-                if near == [false; LANES] {
-                    continue;
-                }
-                for lane in 0..LANES {
-                    if near[lane] {
-                        let (a, b) = (self.agent[row], self.agent[row + 1 + block * LANES + lane]);
-                        push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
-                    }
+            let (first, blocks) = (row + 1, (num_active - row - 1).div_ceil(LANES));
+            let columns = first..first + blocks * LANES;
+            let circle = [self.x[row], self.y[row], self.radius[row]];
+            let near = &mut self.near[..blocks * LANES];
+            let circles = [&self.x, &self.y, &self.radius].map(|column| &column[columns.clone()]);
+            find_near(circle, &circles, near);
+            for (block, near) in near.as_chunks::<LANES>().0.iter().enumerate() {
+                let mut left = u64::from_le_bytes(*near);
+                while left != 0 {
+                    let column = first + block * LANES + left.trailing_zeros() as usize / 8;
+                    let (a, b) = (self.agent[row], self.agent[column]);
+                    push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
+                    left &= left - 1;
                 }
             }
         }
@@ -251,6 +248,7 @@ impl Collisions {
         self.x.resize(padded, Real::INFINITY);
         self.y.resize(padded, Real::INFINITY);
         self.radius.resize(padded, 0.0);
+        self.near.resize(padded, 0);
     }
 
     /// Fills what is known per agent from the pairs.
@@ -265,6 +263,18 @@ impl Collisions {
                 self.at_fault[agent as usize] |= contact.at_fault;
                 self.first[agent as usize].get_or_insert(contact);
             }
+        }
+    }
+}
+
+wide! {
+    /// Which circles (x, y, radius) touch another one.
+    fn find_near(circle: [Real; 3], circles: &[&[Real]; 3], near: &mut [u8]) {
+        let n = near.len();
+        let [xs, ys, radii] = circles.map(|column| &column[..n]);
+        for i in 0..n {
+            let (dx, dy, reach) = (xs[i] - circle[0], ys[i] - circle[1], radii[i] + circle[2]);
+            near[i] = u8::from(dx * dx + dy * dy <= reach * reach);
         }
     }
 }

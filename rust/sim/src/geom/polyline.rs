@@ -59,6 +59,7 @@ fn nearest_on(x: Real, y: Real, cos: Real, sin: Real, length_m: Real) -> (Real, 
     (x * x + y * y, along)
 }
 
+#[derive(Debug, Clone, Copy)]
 struct Nearest {
     distance_sq: Real,
     segment_idx: usize,
@@ -68,38 +69,73 @@ struct Nearest {
 /// Segments that are looked at together.
 const LANES: usize = 8;
 
-wide! {
-    /// Puts the nearest of some segments in the place of `best` if it is nearer; the first of those equally near.
-    fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
-        let [x, y, cos, sin, length_m] =
-            [&segments.x, &segments.y, &segments.cos, &segments.sin, &segments.length_m]
-                .map(|column| column[first..end].as_chunks::<LANES>().0);
-        let mut distance_sq = [best.distance_sq; LANES];
-        let (mut along_m, mut blocks) = ([0.0; LANES], [0u32; LANES]);
-        for block in 0..x.len() {
-            for lane in 0..LANES {
-                let (x, y) = (point.x - x[block][lane], point.y - y[block][lane]);
-                let (d, along) = nearest_on(x, y, cos[block][lane], sin[block][lane], length_m[block][lane]);
-                let nearer = d < distance_sq[lane];
-                distance_sq[lane] = if nearer { d } else { distance_sq[lane] };
-                along_m[lane] = if nearer { along } else { along_m[lane] };
-                blocks[lane] = if nearer { block as u32 } else { blocks[lane] };
-            }
-        }
+/// Puts the nearest of some segments in the place of `best` if it is nearer; the first of those equally near.
+#[inline(always)]
+fn nearest_of(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
+    let [x, y, cos, sin, length_m] =
+        [&segments.x, &segments.y, &segments.cos, &segments.sin, &segments.length_m]
+            .map(|column| column[first..end].as_chunks::<LANES>().0);
+    let mut distance_sq = [best.distance_sq; LANES];
+    let (mut along_m, mut blocks) = ([0.0; LANES], [0u32; LANES]);
+    for block in 0..x.len() {
         for lane in 0..LANES {
-            let segment_idx = first + blocks[lane] as usize * LANES + lane;
-            let d = distance_sq[lane];
-            if d < best.distance_sq || (d == best.distance_sq && segment_idx < best.segment_idx) {
-                *best = Nearest { distance_sq: d, segment_idx, along_m: along_m[lane] };
+            let (x, y) = (point.x - x[block][lane], point.y - y[block][lane]);
+            let (d, along) = nearest_on(x, y, cos[block][lane], sin[block][lane], length_m[block][lane]);
+            let nearer = d < distance_sq[lane];
+            distance_sq[lane] = if nearer { d } else { distance_sq[lane] };
+            along_m[lane] = if nearer { along } else { along_m[lane] };
+            blocks[lane] = if nearer { block as u32 } else { blocks[lane] };
+        }
+    }
+    for lane in 0..LANES {
+        let segment_idx = first + blocks[lane] as usize * LANES + lane;
+        let d = distance_sq[lane];
+        if d < best.distance_sq || (d == best.distance_sq && segment_idx < best.segment_idx) {
+            *best = Nearest { distance_sq: d, segment_idx, along_m: along_m[lane] };
+        }
+    }
+    for segment_idx in first + x.len() * LANES..end {
+        let (x, y) = (point.x - segments.x[segment_idx], point.y - segments.y[segment_idx]);
+        let (cos, sin) = (segments.cos[segment_idx], segments.sin[segment_idx]);
+        let (d, along_m) = nearest_on(x, y, cos, sin, segments.length_m[segment_idx]);
+        if d < best.distance_sq {
+            *best = Nearest { distance_sq: d, segment_idx, along_m };
+        }
+    }
+}
+
+wide! {
+    /// See [`nearest_of`].
+    fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
+        nearest_of(segments, first, end, point, best);
+    }
+
+    /// The nearest segment to each of up to eight places among those next to the nearest of every fourth point from the
+    /// start of segment `first` to that of `last`.
+    fn nearest_segments(
+        segments: &Segments, first: usize, last: usize, places: &[Point2], nearest: &mut [Nearest; LANES],
+    ) {
+        let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
+        for (lane, place) in places.iter().enumerate().take(LANES) {
+            (x[lane], y[lane]) = (place.x, place.y);
+        }
+        let mut least_sq = [Real::INFINITY; LANES];
+        let mut best = [0u32; LANES];
+        let starts = segments.x[first..=last].iter().zip(&segments.y[first..=last]);
+        for (k, (at_x, at_y)) in starts.step_by(SPARSE).enumerate() {
+            for lane in 0..LANES {
+                let (dx, dy) = (x[lane] - at_x, y[lane] - at_y);
+                let d = dx * dx + dy * dy;
+                let nearer = d < least_sq[lane];
+                least_sq[lane] = if nearer { d } else { least_sq[lane] };
+                best[lane] = if nearer { k as u32 } else { best[lane] };
             }
         }
-        for segment_idx in first + x.len() * LANES..end {
-            let (x, y) = (point.x - segments.x[segment_idx], point.y - segments.y[segment_idx]);
-            let (cos, sin) = (segments.cos[segment_idx], segments.sin[segment_idx]);
-            let (d, along_m) = nearest_on(x, y, cos, sin, segments.length_m[segment_idx]);
-            if d < best.distance_sq {
-                *best = Nearest { distance_sq: d, segment_idx, along_m };
-            }
+        for (lane, (place, nearest)) in places.iter().zip(nearest).enumerate() {
+            let at = first + best[lane] as usize * SPARSE;
+            let from = at.saturating_sub(SPARSE).max(first);
+            *nearest = Nearest { distance_sq: Real::INFINITY, segment_idx: from, along_m: 0.0 };
+            nearest_of(segments, from, (at + SPARSE - 1).min(last) + 1, *place, nearest);
         }
     }
 }
@@ -221,26 +257,36 @@ impl Polyline {
         self.project_onto(point, first, last)
     }
 
-    /// As [`Self::project_near`], but only the segments next to the nearest of every fourth point are looked at.
+    /// As [`Self::project_near`] of many points, but only the segments next to the nearest of every fourth point of the
+    /// line are looked at. Fills `out` [points].
     ///
     /// For wide windows and lines of evenly spaced points that bend little within four of them: there it finds what
     /// `project_near` finds, except where two places of the line are about equally near.
-    pub fn project_sparsely(&self, point: Point2, hint_s_m: Real, window_m: Real) -> Projection {
+    pub fn project_sparsely(
+        &self,
+        points: &[Point2],
+        hint_s_m: Real,
+        window_m: Real,
+        out: &mut Vec<Projection>,
+    ) {
         let first = self.segment_at(hint_s_m - window_m);
         let last = self.segment_at(hint_s_m + window_m).max(first);
-        let (mut best_sq, mut best) = (Real::INFINITY, first);
-        for (i, p) in self.points[first..=last].iter().enumerate().step_by(SPARSE) {
-            let distance_sq = (point - p).norm_squared();
-            if distance_sq < best_sq {
-                (best_sq, best) = (distance_sq, first + i);
-            }
+        out.clear();
+        let mut nearest = [Nearest { distance_sq: 0.0, segment_idx: first, along_m: 0.0 }; LANES];
+        for places in points.chunks(LANES) {
+            nearest_segments(&self.segments, first, last, places, &mut nearest);
+            out.extend(places.iter().zip(&nearest).map(|(place, nearest)| self.projection(*place, nearest)));
         }
-        self.project_onto(point, best.saturating_sub(SPARSE).max(first), (best + SPARSE - 1).min(last))
     }
 
     fn project_onto(&self, point: Point2, first: usize, last: usize) -> Projection {
         let mut best = Nearest { distance_sq: Real::INFINITY, segment_idx: first, along_m: 0.0 };
         nearest_segment(&self.segments, first, last + 1, point, &mut best);
+        self.projection(point, &best)
+    }
+
+    #[inline]
+    fn projection(&self, point: Point2, best: &Nearest) -> Projection {
         let direction = self.directions[best.segment_idx].0;
         let offset = point - self.points[best.segment_idx];
         Projection {

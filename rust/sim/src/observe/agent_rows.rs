@@ -1,102 +1,101 @@
 //! Rows of other agents.
 
-use super::frame::{Eight, Frame, Lanes, Unturned, clip, put_rows};
-use super::layout::{AGENT, Layout, TTC_SCALE_S};
+use super::column::{Column, clip};
+use super::columns::{AGENTS, Entry};
+use super::frame::{Eight, Frame, Group, LANES, fill_agents};
 use super::nearest_agents::NearestAgents;
+use super::source::{OfAgent, Pairs, Target, agent_of};
 use super::view::View;
-use crate::events::time_to_contact;
-use crate::geom::Real;
+use crate::geom::{Point2, Projection, Real};
+use crate::scene::AgentKind;
 use crate::state::{AgentStates, Body};
-use crate::wide::wide;
 
-/// Index of `ttc` among the columns.
-const TTC: usize = 10;
-/// Index of the first kind among the columns.
-const KINDS: usize = 11;
-/// Index of `route_position`, the first of the three columns about the observer's route.
-const ROUTE_POSITION: usize = 16;
-const PLACE_FACTOR: [Real; 4] =
-    [1.0 / AGENT[0].scale, 1.0 / AGENT[1].scale, 1.0 / AGENT[2].scale, 1.0 / AGENT[3].scale];
-const VELOCITY_FACTOR: Real = 1.0 / AGENT[4].scale;
-const SPEED_FACTOR: Real = 1.0 / AGENT[6].scale;
-const LENGTH_FACTOR: Real = 2.0 / AGENT[7].scale;
-const WIDTH_FACTOR: Real = 2.0 / AGENT[8].scale;
-const DISTANCE_FACTOR: Real = 1.0 / AGENT[9].scale;
-const ROUTE_FACTOR: [Real; 3] = [1.0 / AGENT[16].scale, 1.0 / AGENT[17].scale, 1.0 / AGENT[18].scale];
+/// Indices of the first numbers of an agent: place, direction, velocity, speed.
+const PLACE: usize = 0;
+const DIRECTION: usize = 2;
+const VELOCITY: usize = 4;
+const SPEED: usize = 7;
 
-/// Columns of the comparison with other simulators: place, direction, speed, size.
-const COMPARISON: [usize; 7] = [0, 1, 2, 3, 6, 7, 8];
+/// Eight of the chosen columns; those of pairs are left out.
+#[derive(Debug, Clone)]
+struct Columns {
+    entries: Vec<&'static Entry<OfAgent>>,
+    /// Those that change with the states.
+    moving: Group,
+    /// For each agent the columns that stay what they are in a scene, zeros elsewhere.
+    fixed: Vec<Eight>,
+}
 
-const COMPARISON_FACTOR: [Real; 8] = [
-    PLACE_FACTOR[0],
-    PLACE_FACTOR[1],
-    PLACE_FACTOR[2],
-    PLACE_FACTOR[3],
-    SPEED_FACTOR,
-    LENGTH_FACTOR,
-    WIDTH_FACTOR,
-    0.0,
-];
-
-const NOTHING: Eight = Eight([0.0; 8]);
-
-/// What the chosen columns need beside places, velocities and sizes.
-#[derive(Debug, Clone, Copy)]
-struct Wants {
-    ttc: bool,
-    /// How far along the route agents are looked for, metres, where columns about the route are chosen.
-    route_reach_m: Option<Real>,
+/// A chosen column of pairs, and its place in the row.
+#[derive(Debug, Clone)]
+struct PairColumn {
+    at: usize,
+    column: &'static Column,
+    factor: Real,
+    fill: fn(&Pairs<'_>, Target<'_>),
 }
 
 /// Writes the nearest agents.
 #[derive(Debug, Clone)]
 pub(super) struct AgentRows {
-    chosen: Vec<usize>,
     num_rows: usize,
-    wants: Wants,
+    width: usize,
+    /// How far along the route agents are looked for, metres, where columns about the route are chosen.
+    route_reach_m: Option<Real>,
+    groups: Vec<Columns>,
+    /// The numbers of all agents that change with the states, see [`PLACE`].
+    agents: Vec<Eight>,
+    pairs: Vec<PairColumn>,
     nearest: NearestAgents,
-    /// Rows of all agents before they are turned; only for the columns of the comparison.
-    rows: Vec<Unturned>,
+    /// Places of the nearest agents, and these along the route.
+    places: Vec<Point2>,
+    on_route: Vec<Projection>,
 }
 
 impl AgentRows {
-    pub(super) fn new(layout: &Layout) -> Self {
-        let chosen = layout.chosen[1].clone();
-        let config = &layout.config;
+    pub(super) fn new(chosen: &[usize], num_rows: usize, radius_m: Real) -> Self {
+        let entries: Vec<&'static Entry<OfAgent>> = chosen.iter().map(|c| &AGENTS[*c]).collect();
+        let pair = |(at, entry): (usize, &&'static Entry<OfAgent>)| match entry.source {
+            OfAgent::Pair(fill) | OfAgent::OnRoute(fill) => {
+                let column = &entry.column;
+                Some(PairColumn { at, column, factor: 1.0 / column.scale, fill })
+            }
+            _ => None,
+        };
+        let on_route = entries.iter().any(|e| matches!(e.source, OfAgent::OnRoute(_)));
         Self {
-            num_rows: config.num_agents,
-            wants: Wants {
-                ttc: chosen.contains(&TTC),
-                route_reach_m: chosen.iter().any(|c| *c >= ROUTE_POSITION).then_some(config.radius_m),
-            },
-            nearest: NearestAgents::new(config.num_agents, config.radius_m),
-            rows: Vec::new(),
-            chosen,
+            num_rows,
+            width: chosen.len(),
+            route_reach_m: on_route.then_some(radius_m),
+            groups: chosen.chunks(LANES).map(Columns::new).collect(),
+            agents: Vec::new(),
+            pairs: entries.iter().enumerate().filter_map(pair).collect(),
+            nearest: NearestAgents::new(num_rows, radius_m),
+            places: Vec::new(),
+            on_route: Vec::new(),
         }
     }
 
+    /// Takes the numbers that stay what they are in a scene.
+    pub(super) fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
+        self.groups.iter_mut().for_each(|columns| columns.enter(bodies, kinds));
+    }
+
     /// Takes what the rows of all observers have in common from the states.
-    pub(super) fn prepare(&mut self, states: &AgentStates, bodies: &[Body]) {
-        self.rows.clear();
-        if self.num_rows > 0 && self.chosen == COMPARISON {
-            self.rows.extend(bodies.iter().enumerate().map(|(j, body)| {
-                Eight([
-                    states.x[j],
-                    states.y[j],
-                    states.cos[j],
-                    states.sin[j],
-                    states.speed_mps[j],
-                    body.half_length_m,
-                    body.half_width_m,
-                    0.0,
-                ])
-            }));
-        }
+    pub(super) fn prepare(&mut self, states: &AgentStates) {
+        let places = states.x.iter().zip(&states.y);
+        let directions = states.cos.iter().zip(&states.sin);
+        let velocities = states.velocity_x_mps.iter().zip(&states.velocity_y_mps);
+        let motions = velocities.zip(&states.speed_mps);
+        self.agents.clear();
+        self.agents.extend(places.zip(directions.zip(motions)).map(
+            |((x, y), ((cos, sin), ((vx, vy), speed)))| Eight([*x, *y, *cos, *sin, *vx, *vy, 0.0, *speed]),
+        ));
     }
 
     /// Floats of all rows.
     pub(super) fn size(&self) -> usize {
-        self.num_rows * self.chosen.len()
+        self.num_rows * self.width
     }
 
     /// Fills [K, F] and the mask [K] (or nothing, where there is no mask).
@@ -104,18 +103,41 @@ impl AgentRows {
         if out.is_empty() {
             return;
         }
-        let keys = self.nearest.find(view.states, view.agent_idx);
-        let width = self.chosen.len();
+        let (width, keys) = (self.width, self.nearest.find(view.states, view.agent_idx));
         let (rows, absent) = out.split_at_mut(keys.len() * width);
-        if self.chosen == COMPARISON {
-            fill_comparison(&self.rows, keys, &frame.lanes(COMPARISON_FACTOR), rows);
-        } else {
-            for (row, key) in rows.chunks_exact_mut(width).zip(keys) {
-                let full = full_row(self.wants, view, frame, *key);
-                for (to, column) in row.iter_mut().zip(&self.chosen) {
-                    *to = full[*column];
+        let [x, y, _, _, vx, vy, ..] = self.agents[view.agent_idx].0;
+        let origin = Eight([x, y, 0.0, 0.0, vx, vy, 0.0, 0.0]);
+        for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
+            let first = pass * 2 * LANES;
+            let (room, agents) = (width - first, &self.agents);
+            let Some(rows) = rows.get_mut(first..) else { break };
+            match columns {
+                [a, b] => fill_agents(
+                    &[&a.moving, &b.moving],
+                    frame,
+                    &origin,
+                    &[&a.fixed, &b.fixed],
+                    agents,
+                    keys,
+                    width,
+                    room.min(2 * LANES),
+                    rows,
+                ),
+                [a] => {
+                    fill_agents(&[&a.moving], frame, &origin, &[&a.fixed], agents, keys, width, room, rows)
                 }
+                _ => {}
             }
+        }
+        if let Some(reach_m) = self.route_reach_m {
+            self.places.clear();
+            self.places.extend(keys.iter().map(|key| view.states.position(agent_of(*key))));
+            view.route.project_sparsely(&self.places, view.route_s_m, reach_m, &mut self.on_route);
+        }
+        let pairs = Pairs { view, keys, on_route: &self.on_route };
+        for PairColumn { at, column, factor, fill } in &self.pairs {
+            let (low, high) = (column.low, column.high);
+            fill(&pairs, Target { rows: &mut *rows, width, at: *at, factor: *factor, low, high });
         }
         absent.fill(0.0);
         if !mask.is_empty() {
@@ -125,61 +147,33 @@ impl AgentRows {
     }
 }
 
-wide! {
-    fn fill_comparison(all: &[Unturned], keys: &[u64], lanes: &Lanes, rows: &mut [Real])
-    with turn [Fn(&Lanes, (&Unturned, &Eight)) -> [Real; 8]] = Lanes::turn, Lanes::turn_avx2 {
-        put_rows::<_, { COMPARISON.len() }, 8, 29>(rows, keys, |key| {
-            turn(lanes, (&all[(key & 0xffff_ffff) as usize], &NOTHING))
-        });
+impl Columns {
+    fn new(chosen: &[usize]) -> Self {
+        let entries: Vec<_> = chosen.iter().map(|c| &AGENTS[*c]).collect();
+        let mut moving = Group::new();
+        for (lane, entry) in entries.iter().enumerate() {
+            match entry.source {
+                OfAgent::Place(axis) => moving.set_vector(lane, PLACE, axis, &entry.column),
+                OfAgent::Direction(axis) => moving.set_vector(lane, DIRECTION, axis, &entry.column),
+                OfAgent::Velocity(axis) => moving.set_vector(lane, VELOCITY, axis, &entry.column),
+                OfAgent::Speed => moving.set_number(lane, SPEED, &entry.column),
+                OfAgent::Fixed(_) | OfAgent::Pair(_) | OfAgent::OnRoute(_) => {}
+            }
+        }
+        Self { entries, moving, fixed: Vec::new() }
     }
-}
 
-#[inline(always)]
-fn place(view: &View<'_>, frame: &Frame, j: usize) -> [Real; 4] {
-    let s = view.states;
-    frame.turn([s.x[j] - frame.x, s.y[j] - frame.y, s.cos[j], s.sin[j]], PLACE_FACTOR)
-}
-
-#[inline(always)]
-fn speed_and_size(view: &View<'_>, j: usize) -> [Real; 3] {
-    let body = &view.bodies[j];
-    [
-        clip(view.states.speed_mps[j] * SPEED_FACTOR, -1.0, 1.0),
-        clip(body.half_length_m * LENGTH_FACTOR, 0.0, 1.0),
-        clip(body.half_width_m * WIDTH_FACTOR, 0.0, 1.0),
-    ]
-}
-
-/// Position, distance and speed along the observer's route.
-fn along_route(view: &View<'_>, j: usize, reach_m: Real) -> [Real; 3] {
-    let s = view.states;
-    let nearest = view.route.project_sparsely(s.position(j), view.route_s_m, reach_m);
-    let along = view.route.tangent_at(nearest.s_m);
-    let quantities = [
-        nearest.s_m - view.route_s_m,
-        nearest.lateral_m,
-        s.velocity_x_mps[j] * along.x + s.velocity_y_mps[j] * along.y,
-    ];
-    std::array::from_fn(|i| clip(quantities[i] * ROUTE_FACTOR[i], -1.0, 1.0))
-}
-
-fn full_row(wants: Wants, view: &View<'_>, frame: &Frame, key: u64) -> [Real; AGENT.len()] {
-    let (s, a, j) = (view.states, view.agent_idx, (key & 0xffff_ffff) as usize);
-    let velocity_x = s.velocity_x_mps[j] - s.velocity_x_mps[a];
-    let velocity_y = s.velocity_y_mps[j] - s.velocity_y_mps[a];
-    let velocity = frame.turn([velocity_x, velocity_y, 0.0, 0.0], [VELOCITY_FACTOR; 4]);
-    let mut row = [0.0; AGENT.len()];
-    row[..4].copy_from_slice(&place(view, frame, j));
-    row[4..6].copy_from_slice(&velocity[..2]);
-    row[6..9].copy_from_slice(&speed_and_size(view, j));
-    row[9] = clip(Real::from_bits((key >> 32) as u32).sqrt() * DISTANCE_FACTOR, 0.0, 1.0);
-    row[KINDS + view.kinds[j] as usize] = 1.0;
-    if wants.ttc {
-        let ttc_s = time_to_contact(s, view.bodies, a, j, TTC_SCALE_S);
-        row[TTC] = ttc_s.map_or(1.0, |t| clip(t * (1.0 / TTC_SCALE_S), 0.0, 1.0));
+    fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
+        self.fixed.clear();
+        self.fixed.resize(bodies.len(), Eight::default());
+        for (lane, entry) in self.entries.iter().enumerate() {
+            let (Column { scale, low, high, .. }, OfAgent::Fixed(number)) = (&entry.column, entry.source)
+            else {
+                continue;
+            };
+            for (fixed, (body, kind)) in self.fixed.iter_mut().zip(bodies.iter().zip(kinds)) {
+                fixed.0[lane] = clip(number(body, *kind) * (1.0 / scale), *low, *high);
+            }
+        }
     }
-    if let Some(reach_m) = wants.route_reach_m {
-        row[ROUTE_POSITION..].copy_from_slice(&along_route(view, j, reach_m));
-    }
-    row
 }

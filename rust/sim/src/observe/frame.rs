@@ -1,15 +1,16 @@
-//! The frame of the observing agent, and the clipping of numbers to their bounds.
+//! The frame of the observing agent, and rows of any columns in it, eight numbers at a time.
 
+use super::column::{Axis, Column, clip};
 use crate::geom::{Pose2, Real};
+use crate::wide::wide;
 
-/// Eight numbers of a row.
+/// Columns that are written at once.
+pub(super) const LANES: usize = 8;
+
+/// Eight numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(align(32))]
-pub(super) struct Eight(pub(super) [Real; 8]);
-
-/// Eight numbers of a row before they are turned: x, y, cosine and sine in the scene frame, then four numbers that are
-/// the same in every frame. Unscaled.
-pub(super) type Unturned = Eight;
+pub(super) struct Eight(pub(super) [Real; LANES]);
 
 /// The frame of an observing agent.
 #[derive(Debug, Clone, Copy)]
@@ -18,14 +19,6 @@ pub(super) struct Frame {
     pub(super) y: Real,
     cos: Real,
     sin: Real,
-}
-
-/// A frame written out for eight lanes; cosines and sines times the factors of the columns.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Lanes {
-    origin: [Real; 8],
-    cos: [Real; 8],
-    sin: [Real; 8],
 }
 
 impl Frame {
@@ -38,89 +31,202 @@ impl Frame {
     pub(super) fn turn(&self, [x0, y0, x1, y1]: [Real; 4], factor: [Real; 4]) -> [Real; 4] {
         let (v, w) = ([x0, y0, x1, y1], [y0, x0, y1, x1]);
         let sin = [self.sin, -self.sin, self.sin, -self.sin];
-        // in the order of [`Lanes::turn`], for the same bits
+        // in the order of [`Turn::portable`], for the same bits
         std::array::from_fn(|i| clip(v[i] * (self.cos * factor[i]) + w[i] * (sin[i] * factor[i]), -1.0, 1.0))
     }
+}
 
-    pub(super) fn lanes(&self, factor: [Real; 8]) -> Lanes {
-        let (c, s) = (self.cos, self.sin);
-        let cos = [c, c, c, c, 1.0, 1.0, 1.0, 1.0];
-        let sin = [s, -s, s, -s, 0.0, 0.0, 0.0, 0.0];
-        Lanes {
-            origin: [self.x, self.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            cos: std::array::from_fn(|i| cos[i] * factor[i]),
-            sin: std::array::from_fn(|i| sin[i] * factor[i]),
+/// Up to eight columns that are made from the eight numbers of an item, in the frame of any observer:
+/// clip((own − its origin) · cos + (other − its origin) · sin, low, high), where `own` and `other` are two of these
+/// numbers, by index. For a component of a vector they are both its components.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Group {
+    own: [i32; LANES],
+    other: [i32; LANES],
+    /// All bits for components of vectors, none for numbers that are the same in every frame.
+    turned: [u32; LANES],
+    /// The bit of the sign where the sine is taken negative.
+    sign: [u32; LANES],
+    factor: [Real; LANES],
+    low: Eight,
+    high: Eight,
+}
+
+/// A [`Group`] in the frame of one observer.
+#[derive(Debug, Clone, Copy)]
+struct Turn {
+    own: [i32; LANES],
+    other: [i32; LANES],
+    cos: Eight,
+    sin: Eight,
+    low: Eight,
+    high: Eight,
+    origin: Eight,
+}
+
+/// An index of numbers that are zero for all items.
+pub(super) const ZERO: usize = 6;
+const SIGN: u32 = 1 << 31;
+
+impl Group {
+    /// Columns that are +0, until they are set.
+    pub(super) fn new() -> Self {
+        let (zero, nothing) = (Eight([0.0; LANES]), [ZERO as i32; LANES]);
+        let (none, factor) = ([0; LANES], [0.0; LANES]);
+        Self { own: nothing, other: nothing, turned: none, sign: none, factor, low: zero, high: zero }
+    }
+
+    /// Makes a column a component of the vector whose components are the numbers `first` and `first + 1`.
+    pub(super) fn set_vector(&mut self, lane: usize, first: usize, axis: Axis, column: &Column) {
+        (self.own[lane], self.other[lane]) = axis.own_and_other([first as i32, first as i32 + 1]);
+        self.turned[lane] = u32::MAX;
+        self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
+        self.scale(lane, column);
+    }
+
+    /// Makes a column one of the numbers.
+    pub(super) fn set_number(&mut self, lane: usize, at: usize, column: &Column) {
+        self.own[lane] = at as i32;
+        // −0 added to a number leaves its bits
+        self.sign[lane] = SIGN;
+        self.scale(lane, column);
+    }
+
+    fn scale(&mut self, lane: usize, column: &Column) {
+        self.factor[lane] = 1.0 / column.scale;
+        (self.low.0[lane], self.high.0[lane]) = (column.low, column.high);
+    }
+
+    #[inline(always)]
+    fn in_frame(&self, frame: &Frame, origin: &Eight) -> Turn {
+        let [cos, sin, one] = [frame.cos, frame.sin, 1.0].map(Real::to_bits);
+        let cos = |i: usize| Real::from_bits(cos & self.turned[i] | one & !self.turned[i]) * self.factor[i];
+        let sin = |i: usize| Real::from_bits(sin & self.turned[i] ^ self.sign[i]) * self.factor[i];
+        Turn {
+            own: self.own,
+            other: self.other,
+            cos: Eight(std::array::from_fn(cos)),
+            sin: Eight(std::array::from_fn(sin)),
+            low: self.low,
+            high: self.high,
+            origin: *origin,
         }
     }
 }
 
-impl Lanes {
-    /// A row in the frame, scaled and clipped, and the numbers of another one where this one's are +0.
+impl Turn {
+    /// The columns of an item, and the numbers of `added` where these are +0.
     #[inline(always)]
-    pub(super) fn turn(&self, (row, added): (&Unturned, &Eight)) -> [Real; 8] {
-        let v: [Real; 8] = std::array::from_fn(|i| row.0[i] - self.origin[i]);
-        let w = [v[1], v[0], v[3], v[2], v[5], v[4], v[7], v[6]];
-        let sum = |i: usize| v[i] * self.cos[i] + w[i] * self.sin[i];
-        let joined = |i: usize| clip(sum(i), -1.0, 1.0).to_bits() | added.0[i].to_bits();
-        std::array::from_fn(|i| Real::from_bits(joined(i)))
+    fn portable(&self, (item, added): (&Eight, &Eight)) -> [Real; LANES] {
+        std::array::from_fn(|i| {
+            let pick = |at: i32| item.0[at as usize % LANES] - self.origin.0[at as usize % LANES];
+            let sum = pick(self.own[i]) * self.cos.0[i] + pick(self.other[i]) * self.sin.0[i];
+            let turned = clip(sum, self.low.0[i], self.high.0[i]);
+            Real::from_bits(turned.to_bits() | added.0[i].to_bits())
+        })
     }
 
-    /// [`Self::turn`] in one vector.
+    /// [`Self::portable`] in one vector.
     #[cfg(target_arch = "x86_64")]
     #[inline]
     #[target_feature(enable = "avx2")]
     #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
-    pub(super) fn turn_avx2(&self, (row, added): (&Unturned, &Eight)) -> [Real; 8] {
+    fn avx2(&self, (item, added): (&Eight, &Eight)) -> [Real; LANES] {
         use std::arch::x86_64::*;
         // SAFETY: eight floats each
-        let [row, added, origin, cos, sin]: [__m256; 5] =
-            unsafe { std::mem::transmute([row.0, added.0, self.origin, self.cos, self.sin]) };
-        let v = _mm256_sub_ps(row, origin);
-        let w = _mm256_permute_ps::<0b10_11_00_01>(v);
-        let sum = _mm256_add_ps(_mm256_mul_ps(v, cos), _mm256_mul_ps(w, sin));
-        let clipped = _mm256_min_ps(_mm256_max_ps(sum, _mm256_set1_ps(-1.0)), _mm256_set1_ps(1.0));
+        let [item, added, origin]: [__m256; 3] = unsafe { std::mem::transmute([*item, *added, self.origin]) };
         // SAFETY: as above
+        let [cos, sin, low, high]: [__m256; 4] =
+            unsafe { std::mem::transmute([self.cos, self.sin, self.low, self.high]) };
+        // SAFETY: eight numbers of 32 bits each
+        let [own, other]: [__m256i; 2] = unsafe { std::mem::transmute([self.own, self.other]) };
+        let item = _mm256_sub_ps(item, origin);
+        let (v, w) = (_mm256_permutevar8x32_ps(item, own), _mm256_permutevar8x32_ps(item, other));
+        let sum = _mm256_add_ps(_mm256_mul_ps(v, cos), _mm256_mul_ps(w, sin));
+        let clipped = _mm256_min_ps(_mm256_max_ps(sum, low), high);
+        // SAFETY: eight floats
         unsafe { std::mem::transmute(_mm256_or_ps(clipped, added)) }
     }
 }
 
-/// A value within bounds; the lower bound for NaN. Two instructions.
+/// Puts `G` times eight numbers for each index `width` numbers apart, of which `room` are its own. Where the output ends
+/// within those of an index, its own alone.
 #[inline(always)]
-pub(super) fn clip(value: Real, low: Real, high: Real) -> Real {
-    let value = if value > low { value } else { low };
-    if value < high { value } else { high }
-}
-
-/// Writes rows of `W` numbers, made from items one after the other. What is left of the padding of a row lies under the
-/// next one, which is written later; the last row is written exactly.
-///
-/// Four rows at a time, for which there is one check whether they fit: `FOUR` is their room, padding included.
-#[inline(always)]
-pub(super) fn put_rows<T: Copy, const W: usize, const PADDED: usize, const FOUR: usize>(
-    mut out: &mut [Real],
-    items: &[T],
-    row: impl Fn(T) -> [Real; PADDED],
+fn put_each<const G: usize, T: Copy>(
+    indices: &[T],
+    width: usize,
+    room: usize,
+    out: &mut [Real],
+    row: impl Fn(T, usize) -> [Real; LANES],
 ) {
-    const { assert!(W <= PADDED && FOUR == 3 * W + PADDED) };
-    let mut rest = items;
-    while let (Some((four, after)), Some(to)) = (rest.split_first_chunk::<4>(), out.first_chunk_mut::<FOUR>())
-    {
-        for (i, item) in four.iter().enumerate() {
-            if let Some(to) = to[i * W..].first_chunk_mut::<PADDED>() {
-                *to = row(*item);
+    let (mut at, mut left) = (0, indices);
+    if let Some(most) = out.len().checked_sub(G * LANES) {
+        while let Some((index, rest)) = left.split_first()
+            && at <= most
+        {
+            if let Some(to) = out[at..].get_mut(..G * LANES) {
+                for (g, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+                    *to = row(*index, g);
+                }
+            }
+            (at, left) = (at + width, rest);
+        }
+    }
+    for index in left {
+        if let Some(to) = out.get_mut(at..at + room) {
+            for (g, to) in to.chunks_mut(LANES).enumerate() {
+                to.copy_from_slice(&row(*index, g)[..to.len()]);
             }
         }
-        rest = after;
-        out = &mut out[4 * W..];
+        at += width;
     }
-    for item in rest {
-        if let Some(to) = out.first_chunk_mut::<PADDED>() {
-            *to = row(*item);
-            out = &mut out[W..];
-        } else if let Some(to) = out.first_chunk_mut::<W>() {
-            to.copy_from_slice(&row(*item)[..W]);
-            out = &mut [];
-        }
+}
+
+/// Kinds of pieces, a power of two.
+pub(super) const KINDS: usize = 8;
+
+/// The number 1 with a kind in its low bits: a float like any other, from which the kind is read by a mask.
+pub(super) fn of_kind(kind: usize) -> Real {
+    Real::from_bits(Real::to_bits(1.0) | (kind << KIND_BIT) as u32)
+}
+
+/// The bit from which on a kind stands, so that it counts arrays of 32 bytes.
+const KIND_BIT: usize = 5;
+
+/// The kind that [`of_kind`] put into the last number.
+#[inline(always)]
+pub(super) fn kind_idx(piece: &Eight) -> usize {
+    (piece.0[7].to_bits() >> KIND_BIT) as usize % KINDS
+}
+
+wide! {
+    /// Fills the columns of some groups in the rows of agents, `width` numbers from row to row, of which `room` are theirs.
+    /// `added` holds numbers for each agent.
+    ///
+    /// Fewer than eight columns in the last group leave something in the columns that follow them: the last columns are
+    /// to be filled first.
+    pub(super) fn fill_agents<G>(
+        groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight]; G], agents: &[Eight], keys: &[u64], width: usize, room: usize,
+        out: &mut [Real],
+    ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
+        let added = added.map(|added| &added[..agents.len()]);
+        let turns = groups.map(|group| group.in_frame(frame, origin));
+        put_each::<G, _>(keys, width, room, out, |key, g| {
+            let agent_idx = (key & 0xffff_ffff) as usize;
+            turn(&turns[g], (&agents[agent_idx], &added[g][agent_idx]))
+        });
+    }
+
+    /// The same in the rows of pieces of the map; `added` holds numbers for each kind.
+    pub(super) fn fill_pieces<G>(
+        groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight; KINDS]; G], pieces: &[Eight], nearest: &[u32], width: usize,
+        room: usize, out: &mut [Real],
+    ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
+        let turns = groups.map(|group| group.in_frame(frame, origin));
+        put_each::<G, _>(nearest, width, room, out, |k, g| {
+            let piece = &pieces[k as usize];
+            turn(&turns[g], (piece, &added[g][kind_idx(piece)]))
+        });
     }
 }
 
@@ -134,14 +240,28 @@ mod tests {
         #[test]
         #[allow(unsafe_code, reason = "the function is called where the processor has the instructions")]
         fn both_ways_to_turn_a_row_give_the_same_bits(
-            row in prop::array::uniform8(-500f32..500.0), pose in prop::array::uniform3(-300f32..300.0),
-            factor in prop::array::uniform8(0f32..1.0), added in prop::array::uniform8(0f32..1.0),
+            item in prop::array::uniform8(-500f32..500.0), pose in prop::array::uniform3(-300f32..300.0),
+            scale in prop::array::uniform8(1f32..100.0), added in prop::array::uniform8(0f32..1.0),
+            at in prop::array::uniform8(0usize..7),
         ) {
-            let lanes = Frame::new(&Pose2::new(pose[0], pose[1], pose[2])).lanes(factor);
+            let frame = Frame::new(&Pose2::new(pose[0], pose[1], pose[2]));
+            let mut group = Group::new();
+            for lane in 0..LANES {
+                let column = Column {
+                    name: "", unit: "", scale: scale[lane], low: -1.0, high: 1.0, doc: "", in_default: true,
+                };
+                match lane % 3 {
+                    0 => group.set_vector(lane, at[lane], Axis::X, &column),
+                    1 => group.set_vector(lane, at[lane], Axis::Y, &column),
+                    _ => group.set_number(lane, at[lane], &column),
+                }
+            }
+            let turn = group.in_frame(&frame, &Eight([frame.x, frame.y, 0.0, 0.0, 1.5, -1.5, 0.0, 0.0]));
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: just asked
-                let wide = unsafe { lanes.turn_avx2((&Eight(row), &Eight(added))) };
-                prop_assert_eq!(wide.map(Real::to_bits), lanes.turn((&Eight(row), &Eight(added))).map(Real::to_bits));
+                let wide = unsafe { turn.avx2((&Eight(item), &Eight(added))) };
+                let portable = turn.portable((&Eight(item), &Eight(added)));
+                prop_assert_eq!(wide.map(Real::to_bits), portable.map(Real::to_bits));
             }
         }
     }

@@ -1,9 +1,11 @@
 //! The schema of an observation row.
 
+use super::bev::{BEV_CHANNELS, BevChannel, BevConfig};
+use super::column::Column;
+use super::columns::{self, AGENTS, EGO, MAP, ROUTE};
+use super::map_pieces::MAX_PIECES;
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::observe::bev::{BEV_CHANNELS, BevChannel, BevConfig};
-use crate::observe::map_pieces::MAX_PIECES;
 use crate::options;
 use crate::options::within;
 use serde::Serialize;
@@ -35,23 +37,6 @@ options! {
         /// Bird's-eye raster beside the row; `None`: none.
         bev: Option<BevConfig> = None;
     }
-}
-
-/// One number of a row: what it is, and value = clip(quantity / scale, low, high).
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Column {
-    /// Name.
-    pub name: &'static str,
-    /// Unit of the quantity.
-    pub unit: &'static str,
-    /// Divisor.
-    pub scale: Real,
-    /// Least value.
-    pub low: Real,
-    /// Greatest value.
-    pub high: Real,
-    /// What it is.
-    pub doc: &'static str,
 }
 
 /// Whether an entry holds quantities or tells which rows are there.
@@ -104,103 +89,14 @@ pub struct Layout {
     pub(crate) chosen: [Vec<usize>; 3],
 }
 
-/// Time to contact counts up to here, seconds.
-pub(crate) const TTC_SCALE_S: Real = 10.0;
-
-const fn column(
-    name: &'static str,
-    unit: &'static str,
-    scale: Real,
-    low: Real,
-    high: Real,
-    doc: &'static str,
-) -> Column {
-    Column { name, unit, scale, low, high, doc }
+fn columns_of<W>(table: &[columns::Entry<W>]) -> Vec<Column> {
+    table.iter().map(|entry| entry.column.clone()).collect()
 }
 
-pub(crate) const EGO: [Column; 19] = [
-    column("speed", "m/s", 20.0, -1.0, 1.0, "along the heading"),
-    column("acceleration", "m/s2", 10.0, -1.0, 1.0, "change of speed over the last step"),
-    column("yaw_rate", "rad/s", 1.0, -1.0, 1.0, "change of heading over the last step"),
-    column("length", "m", 10.0, 0.0, 1.0, "of the box"),
-    column("width", "m", 4.0, 0.0, 1.0, "of the box"),
-    column("last_action_0", "", 1.0, -1.0, 1.0, "first column of the last normalised action"),
-    column("last_action_1", "", 1.0, -1.0, 1.0, "second column of the last normalised action"),
-    column("speed_limit", "m/s", 20.0, 0.0, 1.0, "of the lane, else the configured one"),
-    column("route_distance", "m", 5.0, -1.0, 1.0, "signed distance from the route, left positive"),
-    column("route_sin", "", 1.0, -1.0, 1.0, "sine of the heading against the route"),
-    column("route_cos", "", 1.0, -1.0, 1.0, "cosine of the heading against the route"),
-    column("has_lane", "", 1.0, 0.0, 1.0, "1 if a lane is near"),
-    column("lane_distance", "m", 5.0, 0.0, 1.0, "distance to the nearest lane centre, 0 without one"),
-    column("off_road", "", 1.0, 0.0, 1.0, "1 if a corner of the box is off the road"),
-    column("collided", "", 1.0, 0.0, 1.0, "1 while touching another agent"),
-    column("route_remaining", "m", 100.0, 0.0, 1.0, "along the route to the goal"),
-    column("time_remaining", "", 1.0, 0.0, 1.0, "share of the episode that is left"),
-    column(
-        "leader_gap",
-        "m",
-        60.0,
-        0.0,
-        1.0,
-        "bumper to bumper to the next agent on the route, 1: none near",
-    ),
-    column(
-        "leader_closing",
-        "m/s",
-        20.0,
-        -1.0,
-        1.0,
-        "speed less the speed of that agent along the route, 0 without one",
-    ),
-];
-
-pub(crate) const ROUTE: [Column; 4] = [
-    column("x", "m", 60.0, -1.0, 1.0, "ahead"),
-    column("y", "m", 60.0, -1.0, 1.0, "to the left"),
-    column("cos", "", 1.0, -1.0, 1.0, "cosine of the direction"),
-    column("sin", "", 1.0, -1.0, 1.0, "sine of the direction"),
-];
-
-pub(crate) const AGENT: [Column; 19] = [
-    column("x", "m", 60.0, -1.0, 1.0, "centre, ahead"),
-    column("y", "m", 60.0, -1.0, 1.0, "centre, to the left"),
-    column("cos", "", 1.0, -1.0, 1.0, "cosine of the heading"),
-    column("sin", "", 1.0, -1.0, 1.0, "sine of the heading"),
-    column("velocity_x", "m/s", 20.0, -1.0, 1.0, "velocity relative to the observer's, ahead"),
-    column("velocity_y", "m/s", 20.0, -1.0, 1.0, "velocity relative to the observer's, to the left"),
-    column("speed", "m/s", 20.0, -1.0, 1.0, "along its own heading"),
-    column("length", "m", 10.0, 0.0, 1.0, "of the box"),
-    column("width", "m", 4.0, 0.0, 1.0, "of the box"),
-    column("distance", "m", 60.0, 0.0, 1.0, "between centres"),
-    column("ttc", "s", TTC_SCALE_S, 0.0, 1.0, "time to contact at constant velocities, 1: none"),
-    column("is_vehicle", "", 1.0, 0.0, 1.0, "kind"),
-    column("is_pedestrian", "", 1.0, 0.0, 1.0, "kind"),
-    column("is_cyclist", "", 1.0, 0.0, 1.0, "kind"),
-    column("is_motorcycle", "", 1.0, 0.0, 1.0, "kind"),
-    column("is_static", "", 1.0, 0.0, 1.0, "kind"),
-    column("route_position", "m", 60.0, -1.0, 1.0, "along the observer's route, from the observer on"),
-    column("route_distance", "m", 10.0, -1.0, 1.0, "signed distance from that route, left positive"),
-    column("route_speed", "m/s", 20.0, -1.0, 1.0, "velocity along that route, at the nearest place"),
-];
-
-pub(crate) const MAP: [Column; 13] = [
-    column("x", "m", 60.0, -1.0, 1.0, "middle of the piece, ahead"),
-    column("y", "m", 60.0, -1.0, 1.0, "middle of the piece, to the left"),
-    column("cos", "", 1.0, -1.0, 1.0, "cosine of its direction"),
-    column("sin", "", 1.0, -1.0, 1.0, "sine of its direction"),
-    column("half_length", "m", 5.0, 0.0, 1.0, "half its length"),
-    column("is_lane", "", 1.0, 0.0, 1.0, "centre line of a lane"),
-    column("is_connector", "", 1.0, 0.0, 1.0, "centre line of a lane connector"),
-    column("is_road_divider", "", 1.0, 0.0, 1.0, "line between directions"),
-    column("is_lane_divider", "", 1.0, 0.0, 1.0, "line between lanes"),
-    column("is_road_edge", "", 1.0, 0.0, 1.0, "edge of the drivable area"),
-    column("is_crossing", "", 1.0, 0.0, 1.0, "edge of a pedestrian crossing"),
-    column("is_stop_line", "", 1.0, 0.0, 1.0, "edge of a stop line area"),
-    column("is_walkway", "", 1.0, 0.0, 1.0, "edge of a walkway"),
-];
-
 fn choose(field: &'static str, all: &[Column], names: Option<&Vec<String>>) -> Result<Vec<usize>> {
-    let Some(names) = names else { return Ok((0..all.len()).collect()) };
+    let Some(names) = names else {
+        return Ok((0..all.len()).filter(|i| all[*i].in_default).collect());
+    };
     let index = |name: &String| {
         all.iter().position(|c| c.name == name).ok_or_else(|| SimError::Config {
             field: field.into(),
@@ -223,10 +119,11 @@ impl Layout {
             shape: [BEV_CHANNELS.len(), b.size_px, b.size_px],
             channels: BEV_CHANNELS,
         };
+        let [ego, agent, map] = [columns_of(EGO), columns_of(AGENTS), columns_of(MAP)];
         let chosen = [
-            choose("observation.ego_columns", &EGO, c.ego_columns.as_ref())?,
-            choose("observation.agent_columns", &AGENT, c.agent_columns.as_ref())?,
-            choose("observation.map_columns", &MAP, c.map_columns.as_ref())?,
+            choose("observation.ego_columns", &ego, c.ego_columns.as_ref())?,
+            choose("observation.agent_columns", &agent, c.agent_columns.as_ref())?,
+            choose("observation.map_columns", &map, c.map_columns.as_ref())?,
         ];
         let pick = |all: &[Column], which: &[usize]| which.iter().map(|i| all[*i].clone()).collect();
         let mut layout = Self {
@@ -236,10 +133,10 @@ impl Layout {
             config: config.clone(),
             chosen: chosen.clone(),
         };
-        layout.push("ego", None, pick(&EGO, &chosen[0]));
-        layout.push("route", Some(("route_mask", c.num_route_points)), ROUTE.to_vec());
-        layout.push("agents", Some(("agents_mask", c.num_agents)), pick(&AGENT, &chosen[1]));
-        layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&MAP, &chosen[2]));
+        layout.push("ego", None, pick(&ego, &chosen[0]));
+        layout.push("route", Some(("route_mask", c.num_route_points)), columns_of(&ROUTE));
+        layout.push("agents", Some(("agents_mask", c.num_agents)), pick(&agent, &chosen[1]));
+        layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&map, &chosen[2]));
         if layout.size == 0 {
             let expected = "at least one number".into();
             return Err(SimError::Config { field: "observation".into(), got: "nothing".into(), expected });

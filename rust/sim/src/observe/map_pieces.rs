@@ -1,6 +1,6 @@
 //! The map as short straight pieces, and the nearest of them for every place.
 
-use super::frame::{Eight, Unturned};
+use super::frame::{Eight, KINDS, kind_idx, of_kind};
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::OnceLock;
@@ -41,9 +41,7 @@ pub enum PieceKind {
 }
 
 impl PieceKind {
-    /// Number of kinds, a power of two.
-    pub(crate) const COUNT: usize = 8;
-    const ALL: [Self; Self::COUNT] = [
+    const ALL: [Self; KINDS] = [
         Self::Lane,
         Self::Connector,
         Self::RoadDivider,
@@ -53,16 +51,6 @@ impl PieceKind {
         Self::StopLine,
         Self::Walkway,
     ];
-}
-
-/// The number 1 with a kind in its lowest bits: a float like any other, from which the kind is read by a mask.
-fn of_kind(kind: PieceKind) -> Real {
-    Real::from_bits(Real::to_bits(1.0) | kind as u32)
-}
-
-#[inline(always)]
-fn kind_idx(of_kind: Real) -> usize {
-    of_kind.to_bits() as usize % PieceKind::COUNT
 }
 
 /// A short straight part of a line of the map.
@@ -92,7 +80,7 @@ pub struct Piece {
 #[derive(Debug, Default)]
 pub struct MapPieces {
     /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each piece.
-    places: Vec<Unturned>,
+    places: Vec<Eight>,
     low: [Real; 2],
     cell_m: Real,
     num_cells: [usize; 2],
@@ -135,16 +123,20 @@ impl MapPieces {
     /// All pieces.
     pub fn pieces(&self) -> impl ExactSizeIterator<Item = Piece> {
         self.places.iter().map(|place| {
-            let [x, y, cos, sin, half_length_m, _, _, kind] = place.0;
-            Piece { x, y, cos, sin, half_length_m, kind: PieceKind::ALL[kind_idx(kind)] }
+            let [x, y, cos, sin, half_length_m, ..] = place.0;
+            Piece { x, y, cos, sin, half_length_m, kind: PieceKind::ALL[kind_idx(place)] }
         })
     }
 
-    /// A piece as a row to be turned, whose last number is to be ignored, and the index of its kind.
+    /// Indices of the first numbers of [`Self::places`].
+    pub(super) const PLACE: usize = 0;
+    pub(super) const DIRECTION: usize = 2;
+    pub(super) const HALF_LENGTH: usize = 4;
+
+    /// The numbers of all pieces.
     #[inline(always)]
-    pub(super) fn row(&self, piece_idx: u32) -> (&Unturned, usize) {
-        let row = &self.places[piece_idx as usize];
-        (row, kind_idx(row.0[7]))
+    pub(super) fn places(&self) -> &[Eight] {
+        &self.places
     }
 
     /// Number of pieces.
@@ -184,7 +176,7 @@ impl MapPieces {
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
-        let key = |(k, place): (usize, &Unturned)| {
+        let key = |(k, place): (usize, &Eight)| {
             let (dx, dy) = (place.0[0] - centre.x, place.0[1] - centre.y);
             // distances are not negative, so their bits sort as they do
             u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
@@ -206,7 +198,16 @@ impl MapPieces {
         }
         let middle = nalgebra::center(&a, &b);
         let (cos, sin) = (d.x / length, d.y / length);
-        self.places.push(Eight([middle.x, middle.y, cos, sin, 0.5 * length, 0.0, 0.0, of_kind(kind)]));
+        self.places.push(Eight([
+            middle.x,
+            middle.y,
+            cos,
+            sin,
+            0.5 * length,
+            0.0,
+            0.0,
+            of_kind(kind as usize),
+        ]));
     }
 
     /// Joins the short segments of a line to pieces up to a bend, and cuts the long ones.

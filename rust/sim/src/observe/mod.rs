@@ -7,16 +7,22 @@
 
 mod agent_rows;
 mod bev;
+mod column;
+mod columns;
+mod ego_row;
 mod frame;
 mod layout;
 mod map_pieces;
 mod map_rows;
 mod nearest_agents;
 mod observer;
+mod route_rows;
+mod source;
 mod view;
 
 pub use bev::{BEV_CHANNELS, BevChannel, BevConfig};
-pub use layout::{Column, Entry, EntryKind, Layout, ObservationConfig};
+pub use column::Column;
+pub use layout::{Entry, EntryKind, Layout, ObservationConfig};
 pub use map_pieces::{MapPieces, Piece, PieceKind};
 pub use observer::Observer;
 pub use view::{EgoFacts, View};

@@ -21,7 +21,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
     e.halted.resize(e.states.len(), false);
     e.given_contacts.clear();
     if (0..e.states.len()).any(|a| is_driven(e, a)) {
-        collisions.detect(&e.states, &scene.bodies, &scene.kinds);
+        collisions.find(&e.states, &scene.bodies, &scene.kinds);
         e.given_contacts.extend_from_slice(collisions.pairs());
     }
 }
@@ -30,7 +30,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
 /// back to the moment of the contact; their velocity is that of the step, zero from the next one on. `before` holds
 /// the poses before the step.
 pub(super) fn halt(e: &mut Episode, scene: &PreparedScene, collisions: &mut Collisions, before: &[Pose2]) {
-    collisions.detect(&e.states, &scene.bodies, &scene.kinds);
+    collisions.find(&e.states, &scene.bodies, &scene.kinds);
     let pairs = collisions.pairs();
     e.given_contacts.retain(|pair| pairs.contains(pair));
     for (i, j) in pairs {

@@ -13,7 +13,8 @@ impl World {
         let e = &mut self.episode;
         e.step_idx += 1;
         e.elapsed_steps += 1;
-        let stops = config.on_traffic_collision == TrafficCollision::Stop;
+        let stops = config.on_traffic_collision == TrafficCollision::Stop
+            && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY));
         self.before.clear();
         if stops {
             self.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
@@ -50,7 +51,7 @@ impl World {
                 _ => e.states.active[a] = false,
             }
         }
-        if stops && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY)) {
+        if stops {
             halt::halt(e, &self.scene, &mut self.collisions, &self.before);
         }
         for a in 0..e.states.len() {

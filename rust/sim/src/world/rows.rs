@@ -19,7 +19,7 @@ impl World {
         bev: &mut [u8],
     ) {
         let e = &self.episode;
-        self.observer.prepare(&e.states, &self.scene.bodies);
+        self.observer.prepare(&e.states);
         let bytes = extent.raster.iter().product::<usize>();
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];

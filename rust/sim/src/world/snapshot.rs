@@ -64,7 +64,7 @@ impl VecWorld {
             return refuse("its arrays do not fit the scene".into());
         }
         let world = &mut self.worlds[world_idx];
-        world.scene = Arc::clone(&scene);
+        world.enter(Arc::clone(&scene));
         world.episode = episode;
         world.cast(&self.config);
         world.forget();

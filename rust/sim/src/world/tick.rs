@@ -75,7 +75,7 @@ pub(crate) struct Shared<'a> {
 impl World {
     pub(crate) fn new(idx: usize, num_scenes: usize, scene: Arc<PreparedScene>, observer: Observer) -> Self {
         let episode = Episode::new(idx, num_scenes);
-        Self {
+        let mut world = Self {
             idx,
             scene,
             episode,
@@ -91,7 +91,15 @@ impl World {
             collisions: Collisions::new(),
             least_times: LeastTimes::default(),
             observer,
-        }
+        };
+        world.enter(Arc::clone(&world.scene));
+        world
+    }
+
+    /// Puts another scene under the world.
+    pub(super) fn enter(&mut self, scene: Arc<PreparedScene>) {
+        self.scene = scene;
+        self.observer.enter(&self.scene.bodies, &self.scene.kinds);
     }
 
     pub(crate) fn view<'a>(&'a self, config: &'a WorldConfig) -> WorldView<'a> {
@@ -124,7 +132,7 @@ impl World {
 
     /// Begins an episode in a scene.
     pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
-        self.scene = scene;
+        self.enter(scene);
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
         halt::begin(&mut self.episode, &self.scene, &mut self.collisions);
         self.cast(shared.config);

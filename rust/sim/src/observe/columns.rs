@@ -1,0 +1,201 @@
+//! The table of columns: what each number of a row means and how it is computed. A new column is one entry here.
+
+use super::column::{Axis, Column};
+use super::map_pieces::PieceKind;
+use super::source::{OfAgent, OfEgo, OfPiece};
+use crate::events::time_to_contact;
+use crate::geom::Real;
+use crate::scene::AgentKind;
+use OfAgent::{Direction, Fixed, OnRoute, Pair, Place, Speed, Velocity};
+
+/// A column and where its quantity comes from.
+#[derive(Debug, Clone)]
+pub(super) struct Entry<S> {
+    pub(super) column: Column,
+    pub(super) source: S,
+}
+
+const fn entry<S: Copy>(
+    name: &'static str,
+    unit: &'static str,
+    scale: Real,
+    [low, high]: [Real; 2],
+    doc: &'static str,
+    source: S,
+) -> Entry<S> {
+    Entry { column: Column { name, unit, scale, low, high, doc, in_default: true }, source }
+}
+
+/// Bounds of numbers of either sign, and of numbers that are not negative.
+const SIGNED: [Real; 2] = [-1.0, 1.0];
+const POSITIVE: [Real; 2] = [0.0, 1.0];
+
+/// Time to contact counts up to here, seconds.
+const TTC_SCALE_S: Real = 10.0;
+
+fn flag(is: bool) -> Real {
+    if is { 1.0 } else { 0.0 }
+}
+
+/// Columns of `ego`.
+pub(super) static EGO: &[Entry<OfEgo>] = &[
+    entry("speed", "m/s", 20.0, SIGNED, "along the heading", |e| e.state(|s| &s.speed_mps)),
+    entry("acceleration", "m/s2", 10.0, SIGNED, "change of speed over the last step", |e| {
+        e.state(|s| &s.acceleration_mps2)
+    }),
+    entry("yaw_rate", "rad/s", 1.0, SIGNED, "change of heading over the last step", |e| {
+        e.state(|s| &s.yaw_rate_radps)
+    }),
+    entry("length", "m", 10.0, POSITIVE, "of the box", |e| 2.0 * e.body().half_length_m),
+    entry("width", "m", 4.0, POSITIVE, "of the box", |e| 2.0 * e.body().half_width_m),
+    entry("last_action_0", "", 1.0, SIGNED, "first column of the last normalised action", |e| {
+        e.view.facts.last_action[0]
+    }),
+    entry("last_action_1", "", 1.0, SIGNED, "second column of the last normalised action", |e| {
+        e.view.facts.last_action[1]
+    }),
+    entry("speed_limit", "m/s", 20.0, POSITIVE, "of the lane, else the configured one", |e| {
+        e.view.facts.speed_limit_mps
+    }),
+    entry("route_distance", "m", 5.0, SIGNED, "signed distance from the route, left positive", |e| {
+        e.view.facts.lateral_m
+    }),
+    entry("route_sin", "", 1.0, SIGNED, "sine of the heading against the route", |e| e.route_turn().0),
+    entry("route_cos", "", 1.0, SIGNED, "cosine of the heading against the route", |e| e.route_turn().1),
+    entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
+        flag(e.view.facts.lane_distance_m.is_some())
+    }),
+    entry("lane_distance", "m", 5.0, POSITIVE, "distance to the nearest lane centre, 0 without one", |e| {
+        e.view.facts.lane_distance_m.unwrap_or(0.0)
+    }),
+    entry("off_road", "", 1.0, POSITIVE, "1 if a corner of the box is off the road", |e| {
+        flag(e.view.facts.off_road)
+    }),
+    entry("collided", "", 1.0, POSITIVE, "1 while touching another agent", |e| flag(e.view.facts.collided)),
+    entry("route_remaining", "m", 100.0, POSITIVE, "along the route to the goal", |e| {
+        e.view.facts.route_remaining_m
+    }),
+    entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
+        e.view.facts.time_remaining
+    }),
+    entry(
+        "leader_gap",
+        "m",
+        60.0,
+        POSITIVE,
+        "bumper to bumper to the next agent on the route, 1: none near",
+        |e| e.leader().map_or(Real::MAX, |l| l.gap_m),
+    ),
+    entry(
+        "leader_closing",
+        "m/s",
+        20.0,
+        SIGNED,
+        "speed less the speed of that agent along the route, 0 without one",
+        |e| e.leader().map_or(0.0, |l| e.state(|s| &s.speed_mps) - l.speed_mps),
+    ),
+];
+
+/// Columns of `route`: place and direction of a point, turned into the frame together.
+pub(super) const ROUTE: [Entry<()>; 4] = [
+    entry("x", "m", 60.0, SIGNED, "ahead", ()),
+    entry("y", "m", 60.0, SIGNED, "to the left", ()),
+    entry("cos", "", 1.0, SIGNED, "cosine of the direction", ()),
+    entry("sin", "", 1.0, SIGNED, "sine of the direction", ()),
+];
+
+/// Columns of `agents`.
+pub(super) static AGENTS: &[Entry<OfAgent>] = &[
+    entry("x", "m", 60.0, SIGNED, "centre, ahead", Place(Axis::X)),
+    entry("y", "m", 60.0, SIGNED, "centre, to the left", Place(Axis::Y)),
+    entry("cos", "", 1.0, SIGNED, "cosine of the heading", Direction(Axis::X)),
+    entry("sin", "", 1.0, SIGNED, "sine of the heading", Direction(Axis::Y)),
+    entry("velocity_x", "m/s", 20.0, SIGNED, "velocity relative to the observer's, ahead", Velocity(Axis::X)),
+    entry(
+        "velocity_y",
+        "m/s",
+        20.0,
+        SIGNED,
+        "velocity relative to the observer's, to the left",
+        Velocity(Axis::Y),
+    ),
+    entry("speed", "m/s", 20.0, SIGNED, "along its own heading", Speed),
+    entry("length", "m", 10.0, POSITIVE, "of the box", Fixed(|body, _| 2.0 * body.half_length_m)),
+    entry("width", "m", 4.0, POSITIVE, "of the box", Fixed(|body, _| 2.0 * body.half_width_m)),
+    entry(
+        "distance",
+        "m",
+        60.0,
+        POSITIVE,
+        "between centres",
+        Pair(|all, to| all.each(to, |p| p.distance_sq.sqrt())),
+    ),
+    entry(
+        "ttc",
+        "s",
+        TTC_SCALE_S,
+        POSITIVE,
+        "time to contact at constant velocities, 1: none",
+        Pair(|all, to| {
+            all.each(to, |p| {
+                let v = p.view;
+                time_to_contact(v.states, v.bodies, v.agent_idx, p.other, TTC_SCALE_S).unwrap_or(Real::MAX)
+            });
+        }),
+    ),
+    entry("is_vehicle", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Vehicle))),
+    entry("is_pedestrian", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Pedestrian))),
+    entry("is_cyclist", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Cyclist))),
+    entry("is_motorcycle", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Motorcycle))),
+    entry("is_static", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Static))),
+    entry(
+        "route_position",
+        "m",
+        60.0,
+        SIGNED,
+        "along the observer's route, from the observer on",
+        OnRoute(|all, to| all.each_on_route(to, |p, place| place.s_m - p.view.route_s_m)),
+    ),
+    entry(
+        "route_distance",
+        "m",
+        10.0,
+        SIGNED,
+        "signed distance from that route, left positive",
+        OnRoute(|all, to| all.each_on_route(to, |_, place| place.lateral_m)),
+    ),
+    entry(
+        "route_speed",
+        "m/s",
+        20.0,
+        SIGNED,
+        "velocity along that route, at the nearest place",
+        OnRoute(|all, to| {
+            all.each_on_route(to, |p, place| {
+                let (v, along) = (p.velocity(), p.view.route.tangent_at(place.s_m));
+                v.x * along.x + v.y * along.y
+            });
+        }),
+    ),
+];
+
+/// Columns of `map`.
+pub(super) static MAP: &[Entry<OfPiece>] = &[
+    entry("x", "m", 60.0, SIGNED, "middle of the piece, ahead", OfPiece::Place(Axis::X)),
+    entry("y", "m", 60.0, SIGNED, "middle of the piece, to the left", OfPiece::Place(Axis::Y)),
+    entry("cos", "", 1.0, SIGNED, "cosine of its direction", OfPiece::Direction(Axis::X)),
+    entry("sin", "", 1.0, SIGNED, "sine of its direction", OfPiece::Direction(Axis::Y)),
+    entry("half_length", "m", 5.0, POSITIVE, "half its length", OfPiece::HalfLength),
+    kind("is_lane", "centre line of a lane", PieceKind::Lane),
+    kind("is_connector", "centre line of a lane connector", PieceKind::Connector),
+    kind("is_road_divider", "line between directions", PieceKind::RoadDivider),
+    kind("is_lane_divider", "line between lanes", PieceKind::LaneDivider),
+    kind("is_road_edge", "edge of the drivable area", PieceKind::RoadEdge),
+    kind("is_crossing", "edge of a pedestrian crossing", PieceKind::Crossing),
+    kind("is_stop_line", "edge of a stop line area", PieceKind::StopLine),
+    kind("is_walkway", "edge of a walkway", PieceKind::Walkway),
+];
+
+const fn kind(name: &'static str, doc: &'static str, kind: PieceKind) -> Entry<OfPiece> {
+    entry(name, "", 1.0, POSITIVE, doc, OfPiece::Is(kind))
+}

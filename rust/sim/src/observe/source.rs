@@ -1,0 +1,146 @@
+//! What the numbers of a row are taken from: one kind of source for each part of the row.
+
+use super::column::{Axis, clip};
+use super::map_pieces::PieceKind;
+use super::view::View;
+use crate::events::{Leader, leader};
+use crate::geom::{Projection, Real, Vector2, math};
+use crate::scene::AgentKind;
+use crate::state::{AgentStates, Body};
+use std::cell::OnceCell;
+
+/// The observing agent.
+pub(super) struct Ego<'a> {
+    pub(super) view: &'a View<'a>,
+    leader: OnceCell<Option<Leader>>,
+    route_turn: OnceCell<(Real, Real)>,
+}
+
+/// A number about the observing agent.
+pub(super) type OfEgo = fn(&Ego<'_>) -> Real;
+
+impl<'a> Ego<'a> {
+    pub(super) fn new(view: &'a View<'a>) -> Self {
+        Self { view, leader: OnceCell::new(), route_turn: OnceCell::new() }
+    }
+
+    /// The agent's number in one of the arrays of the states.
+    pub(super) fn state(&self, of: impl Fn(&AgentStates) -> &[Real]) -> Real {
+        of(self.view.states)[self.view.agent_idx]
+    }
+
+    /// Its body.
+    pub(super) fn body(&self) -> &Body {
+        &self.view.bodies[self.view.agent_idx]
+    }
+
+    /// Sine and cosine of its heading against the route.
+    pub(super) fn route_turn(&self) -> (Real, Real) {
+        *self.route_turn.get_or_init(|| math::sin_cos(self.view.facts.heading_error_rad))
+    }
+
+    /// The next agent on its route.
+    pub(super) fn leader(&self) -> Option<Leader> {
+        let v = self.view;
+        let find = || leader(v.states, v.bodies, v.route, v.route_s_m, v.agent_idx, v.anticipation_s);
+        *self.leader.get_or_init(find)
+    }
+}
+
+/// Where a number about another agent comes from.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum OfAgent {
+    /// A component of its place, from the observer's.
+    Place(Axis),
+    /// A component of its direction.
+    Direction(Axis),
+    /// A component of its velocity, less the observer's.
+    Velocity(Axis),
+    /// Its speed along its heading.
+    Speed,
+    /// A number that stays what it is in a scene.
+    Fixed(fn(&Body, AgentKind) -> Real),
+    /// Any number of the agent and its observer: fills a column by [`Pairs::each`].
+    Pair(fn(&Pairs<'_>, Target<'_>)),
+    /// The same of the agent's place along the observer's route: fills a column by [`Pairs::each_on_route`].
+    OnRoute(fn(&Pairs<'_>, Target<'_>)),
+}
+
+/// The agents that an observer sees, nearest first.
+pub(super) struct Pairs<'a> {
+    pub(super) view: &'a View<'a>,
+    /// See [`super::nearest_agents::NearestAgents::find`].
+    pub(super) keys: &'a [u64],
+    /// Their places along the observer's route, where they are asked for.
+    pub(super) on_route: &'a [Projection],
+}
+
+/// An agent and its observer.
+#[derive(Clone, Copy)]
+pub(super) struct Pair<'a> {
+    pub(super) view: &'a View<'a>,
+    /// The agent.
+    pub(super) other: usize,
+    /// Distance of the two, squared, m².
+    pub(super) distance_sq: Real,
+}
+
+/// A column in rows of numbers: value = clip(quantity · factor, low, high).
+pub(super) struct Target<'a> {
+    pub(super) rows: &'a mut [Real],
+    pub(super) width: usize,
+    pub(super) at: usize,
+    pub(super) factor: Real,
+    pub(super) low: Real,
+    pub(super) high: Real,
+}
+
+/// The agent of a key.
+#[inline(always)]
+pub(super) fn agent_of(key: u64) -> usize {
+    (key & 0xffff_ffff) as usize
+}
+
+impl<'a> Pairs<'a> {
+    /// Fills a column with a number of each pair.
+    #[inline(always)]
+    pub(super) fn each(&self, to: Target<'_>, quantity: impl Fn(Pair<'a>) -> Real) {
+        for (row, key) in to.rows.chunks_exact_mut(to.width).zip(self.keys) {
+            let distance_sq = Real::from_bits((key >> 32) as u32);
+            let number = quantity(Pair { view: self.view, other: agent_of(*key), distance_sq });
+            row[to.at] = clip(number * to.factor, to.low, to.high);
+        }
+    }
+
+    /// The same of numbers of the agent's place along the route.
+    #[inline(always)]
+    pub(super) fn each_on_route(&self, to: Target<'_>, quantity: impl Fn(Pair<'a>, &Projection) -> Real) {
+        for (row, (key, place)) in to.rows.chunks_exact_mut(to.width).zip(self.keys.iter().zip(self.on_route))
+        {
+            let distance_sq = Real::from_bits((key >> 32) as u32);
+            let number = quantity(Pair { view: self.view, other: agent_of(*key), distance_sq }, place);
+            row[to.at] = clip(number * to.factor, to.low, to.high);
+        }
+    }
+}
+
+impl Pair<'_> {
+    /// The agent's velocity, m/s.
+    #[inline(always)]
+    pub(super) fn velocity(&self) -> Vector2 {
+        self.view.states.velocity(self.other)
+    }
+}
+
+/// Where a number about a piece of the map comes from.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum OfPiece {
+    /// A component of its middle.
+    Place(Axis),
+    /// A component of its direction.
+    Direction(Axis),
+    /// Half its length.
+    HalfLength,
+    /// 1 for pieces of a kind.
+    Is(PieceKind),
+}
