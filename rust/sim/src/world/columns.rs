@@ -1,5 +1,13 @@
-//! The schema of per-slot figures that a step reports beside observation and reward: `info` is made from it.
+//! The table of rewards and figures of a step: a new reward component, or a new figure of `info`, is one entry here.
+//!
+//! The weights of the configuration, the columns of the buffers, the metrics of episodes and the tables of the pages are
+//! made from it.
 
+use crate::choices;
+use crate::events::{Contact, ContactKind};
+use crate::geom::Real;
+use crate::options;
+use crate::options::{Range, within};
 use serde::Serialize;
 
 /// One figure.
@@ -13,54 +21,214 @@ pub struct Column {
     pub doc: &'static str,
 }
 
+choices! {
+    /// How the reward is made.
+    #[derive(Clone, Copy, Eq)]
+    pub enum RewardForm {
+        /// Weighted sum of the components.
+        Sum = "sum",
+        /// New progress times factors for comfort, speed, time to contact and distance from the route, as in CaRL (Jaeger
+        /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
+        Product = "product",
+    }
+}
+
+/// What the rewards and figures of a slot's step are made from.
+pub(crate) struct Step {
+    /// A contact that begins in this step.
+    pub(crate) contact: Option<Contact>,
+    /// Whether it counts in the form of the reward.
+    pub(crate) contact_counts: bool,
+    /// Worth of progress in the form of the reward, 0 to 1.
+    pub(crate) worth: Real,
+    /// 1 where discomfort, speeding and distance from the route are components, 0 where they are factors.
+    pub(crate) soft: Real,
+    /// New progress of this step.
+    pub(crate) progress_m: Real,
+    /// Progress since the start.
+    pub(crate) travelled_m: Real,
+    pub(crate) completion: Real,
+    /// The goal is reached in this step.
+    pub(crate) reached: bool,
+    pub(crate) off_road: bool,
+    pub(crate) off_road_centroid: bool,
+    pub(crate) wrong_way: bool,
+    pub(crate) lane_distance_m: Option<Real>,
+    pub(crate) route_distance_m: Real,
+    pub(crate) speed_limit_mps: Real,
+    pub(crate) speed_mps: Real,
+    pub(crate) acceleration_mps2: Real,
+    pub(crate) lateral_acceleration_mps2: Real,
+    pub(crate) jerk_mps3: Real,
+    pub(crate) discomfort: Real,
+    pub(crate) ttc_s: Real,
+    pub(crate) log_distance_m: Real,
+}
+
+/// Distance from the route counts up to here, metres.
+const MAX_LANE_KEEPING_M: Real = 3.0;
+
+impl Step {
+    /// Speed above the limit, m/s.
+    pub(crate) fn speeding_mps(&self) -> Real {
+        (self.speed_mps - self.speed_limit_mps).max(0.0)
+    }
+
+    /// Distance from the route as far as it counts, metres.
+    fn aside_m(&self) -> Real {
+        self.route_distance_m.abs().min(MAX_LANE_KEEPING_M)
+    }
+
+    /// The same as a share.
+    pub(crate) fn aside(&self) -> Real {
+        self.aside_m() / MAX_LANE_KEEPING_M
+    }
+
+    /// Number of the side that is hit.
+    fn contact_number(&self) -> Real {
+        match self.contact.map(|c| c.kind) {
+            None => 0.0,
+            Some(ContactKind::Front) => 1.0,
+            Some(ContactKind::Rear) => 2.0,
+            Some(ContactKind::Side) => 3.0,
+        }
+    }
+}
+
+fn flag(is: bool) -> Real {
+    if is { 1.0 } else { 0.0 }
+}
+
+/// Weights of rewards.
+pub(crate) const WEIGHT: Range = within(-1e6, 1e6);
+
 macro_rules! columns {
-    ($($variant:ident, $name:literal, $unit:literal, $doc:literal;)*) => {
+    (
+        rewards {$(
+            $(#[doc = $about:literal])+
+            $component:ident, $weight:ident = $default:expr, $what:literal, $reward:expr;
+        )*}
+        figures {$($variant:ident, $name:literal, $unit:literal, $doc:literal, $value:expr;)*}
+    ) => {
+        options! {
+            /// Weights of the reward components; the reward is their sum, or a product of factors.
+            ///
+            /// Also by the name of a form: `reward="product"`.
+            #[derive(Clone, Copy)]
+            #[serde(deny_unknown_fields, default)]
+            pub struct RewardConfig {
+                /// How the reward is made.
+                form: RewardForm = RewardForm::Sum;
+                $($(#[doc = $about])+ $weight: Real = $default, range WEIGHT;)*
+            }
+        }
+
         /// Position of each figure in a slot's row.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         #[repr(usize)]
-        pub enum Col { $(#[doc = $doc] $variant),* }
+        pub enum Col { $(#[doc = $what] $component,)* $(#[doc = $doc] $variant,)* }
 
-        /// All figures in the order of [`Col`].
-        pub const COLUMNS: &[Column] = &[$(Column { name: $name, unit: $unit, doc: $doc }),*];
+        /// All figures in the order of [`Col`]: those of the reward components come first.
+        pub const COLUMNS: &[Column] = &[
+            $(Column { name: concat!("reward_", stringify!($weight)), unit: "", doc: $what },)*
+            $(Column { name: $name, unit: $unit, doc: $doc },)*
+        ];
+
+        /// Number of reward components, whose columns come first.
+        pub(crate) const NUM_COMPONENTS: usize = [$(Col::$component),*].len();
+
+        /// Fills a slot's row, but for what the end of an episode decides, and returns the reward.
+        pub(crate) fn fill(step: &Step, weights: &RewardConfig, row: &mut [Real]) -> Real {
+            let mut total = 0.0;
+            $(
+                let reward: fn(Real, &Step) -> Real = $reward;
+                row[Col::$component as usize] = reward(weights.$weight, step);
+                total += row[Col::$component as usize];
+            )*
+            $(
+                let value: fn(&Step) -> Real = $value;
+                row[Col::$variant as usize] = value(step);
+            )*
+            total
+        }
     };
 }
 
 columns! {
-    RewardProgress, "reward_progress", "", "weighted reward of new progress along the route";
-    RewardCollision, "reward_collision", "", "weighted reward of the step of a collision";
-    RewardOffRoad, "reward_off_road", "", "weighted reward of a step with a corner off the road";
-    RewardComfort, "reward_comfort", "", "weighted reward of acceleration, jerk and lateral acceleration";
-    RewardSpeedLimit, "reward_speed_limit", "", "weighted reward of speed above the limit";
-    RewardLaneKeeping, "reward_lane_keeping", "", "weighted reward of distance from the route";
-    RewardGoal, "reward_goal", "", "weighted reward of reaching the goal";
-    Collision, "collision", "", "1 at the step at which the agent begins to touch another one";
-    CollisionKind, "collision_kind", "", "side of this agent that is hit: 0 none, 1 front, 2 rear, 3 side";
-    CollisionPartner, "collision_partner", "", "1 + index of the other agent in the scene's list; 0 for none";
-    AtFault, "at_fault", "", "1 if the collision counts against this agent";
-    OffRoad, "off_road", "", "1 while a corner of the box is off the road";
-    OffRoadCentroid, "off_road_centroid", "", "1 while the centre is off the road";
-    WrongWay, "wrong_way", "", "1 while the agent drives against the only lane near";
-    GoalReached, "goal_reached", "", "1 at the step at which the goal is reached";
-    HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance and wrong_way mean something";
-    LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one";
-    RouteDistance, "route_distance", "m", "signed distance from the route, left positive";
-    Progress, "progress", "m", "farthest position along the route since the start";
-    RouteCompletion, "route_completion", "", "progress over the distance to the goal, 0 to 1";
-    Speed, "speed", "m/s", "speed along the heading";
-    Acceleration, "acceleration", "m/s2", "change of speed over the step";
-    LateralAcceleration, "lateral_acceleration", "m/s2", "speed times yaw rate";
-    Jerk, "jerk", "m/s3", "change of acceleration over the step";
-    Ttc, "ttc", "s", "least time to contact with any agent at constant velocities, at most 10";
-    LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended";
-    Success, "is_success", "", "1 at the end of an episode with at least 95 % of the route, no collision and no step off the road";
-    TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode";
+    // weight, default, what it is, and the reward from the weight and the step
+    rewards {
+        /// Per metre of new progress along the route.
+        RewardProgress, progress = 0.1, "weighted reward of new progress along the route",
+            |weight, s| weight * s.progress_m * s.worth;
+        /// At the step of a collision.
+        RewardCollision, collision = -10.0, "weighted reward of the step of a collision",
+            |weight, s| weight * flag(s.contact_counts);
+        /// At each step with a corner off the road.
+        RewardOffRoad, off_road = -5.0, "weighted reward of a step with a corner off the road",
+            |weight, s| weight * flag(s.off_road);
+        /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
+        RewardComfort, comfort = -0.004, "weighted reward of acceleration, jerk and lateral acceleration",
+            |weight, s| weight * s.soft * s.discomfort;
+        /// Per m/s above the speed limit, per step.
+        RewardSpeedLimit, speed_limit = -0.05, "weighted reward of speed above the limit",
+            |weight, s| weight * s.soft * s.speeding_mps();
+        /// Per metre of distance from the route, at most 3, per step.
+        RewardLaneKeeping, lane_keeping = -0.02, "weighted reward of distance from the route",
+            |weight, s| weight * s.soft * s.aside_m();
+        /// When the goal is reached.
+        RewardGoal, goal = 2.0, "weighted reward of reaching the goal",
+            |weight, s| weight * flag(s.reached);
+    }
+    // name, unit, what it is, and the value from the step; the last two are known when the rest is
+    figures {
+        Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
+            |s| flag(s.contact.is_some());
+        CollisionKind, "collision_kind", "", "side of this agent that is hit: 0 none, 1 front, 2 rear, 3 side",
+            Step::contact_number;
+        CollisionPartner, "collision_partner", "", "1 + index of the other agent in the scene's list; 0 for none",
+            |s| s.contact.map_or(0.0, |c| (c.partner + 1) as Real);
+        AtFault, "at_fault", "", "1 if the collision counts against this agent",
+            |s| flag(s.contact.is_some_and(|c| c.at_fault));
+        OffRoad, "off_road", "", "1 while a corner of the box is off the road",
+            |s| flag(s.off_road);
+        OffRoadCentroid, "off_road_centroid", "", "1 while the centre is off the road",
+            |s| flag(s.off_road_centroid);
+        WrongWay, "wrong_way", "", "1 while the agent drives against the only lane near",
+            |s| flag(s.wrong_way);
+        GoalReached, "goal_reached", "", "1 at the step at which the goal is reached",
+            |s| flag(s.reached);
+        HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance and wrong_way mean something",
+            |s| flag(s.lane_distance_m.is_some());
+        LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
+            |s| s.lane_distance_m.unwrap_or(0.0);
+        RouteDistance, "route_distance", "m", "signed distance from the route, left positive",
+            |s| s.route_distance_m;
+        Progress, "progress", "m", "farthest position along the route since the start",
+            |s| s.travelled_m;
+        RouteCompletion, "route_completion", "", "progress over the distance to the goal, 0 to 1",
+            |s| s.completion;
+        Speed, "speed", "m/s", "speed along the heading",
+            |s| s.speed_mps;
+        Acceleration, "acceleration", "m/s2", "change of speed over the step",
+            |s| s.acceleration_mps2;
+        LateralAcceleration, "lateral_acceleration", "m/s2", "speed times yaw rate",
+            |s| s.lateral_acceleration_mps2;
+        Jerk, "jerk", "m/s3", "change of acceleration over the step",
+            |s| s.jerk_mps3;
+        Ttc, "ttc", "s", "least time to contact with any agent at constant velocities, at most 10",
+            |s| s.ttc_s;
+        LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
+            |s| s.log_distance_m;
+        Success, "is_success", "", "1 at the end of an episode with at least 95 % of the route, no collision and no step off the road",
+            |_| 0.0;
+        TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
+            |_| 0.0;
+    }
 }
 
 /// Number of figures M.
 pub const NUM_COLUMNS: usize = COLUMNS.len();
 
-/// Columns of the reward components, which come first.
-pub(crate) const NUM_COMPONENTS: usize = 7;
 /// What stays in the figures of a decision once it has happened: the collision, with its facts.
 const CONTACT: [Col; 4] = [Col::Collision, Col::CollisionKind, Col::CollisionPartner, Col::AtFault];
 

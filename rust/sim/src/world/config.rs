@@ -6,8 +6,9 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
-use crate::options::{Range, Table, above, at_least, within};
+use crate::options::{Table, above, at_least, within};
 use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::world::columns::{RewardConfig, WEIGHT};
 use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, IdmConfig, Traffic};
 use std::collections::BTreeMap;
@@ -88,47 +89,6 @@ choices! {
         Random = "random",
         /// World i of E plays scenes i, i + E, i + 2E … in the order of the scene list, and round again.
         Sequential = "sequential",
-    }
-}
-
-choices! {
-    /// How the reward is made.
-    #[derive(Clone, Copy, Eq)]
-    pub enum RewardForm {
-        /// Weighted sum of the components.
-        Sum = "sum",
-        /// New progress times factors for comfort, speed, time to contact and distance from the route, as in CaRL (Jaeger
-        /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
-        Product = "product",
-    }
-}
-
-/// Weights of the reward.
-const WEIGHT: Range = within(-1e6, 1e6);
-
-options! {
-    /// Weights of the reward components; the reward is their sum, or a product of factors.
-    ///
-    /// Also by the name of a form: `reward="product"`.
-    #[derive(Clone, Copy)]
-    #[serde(deny_unknown_fields, default)]
-    pub struct RewardConfig {
-        /// How the reward is made.
-        form: RewardForm = RewardForm::Sum;
-        /// Per metre of new progress along the route.
-        progress: Real = 0.1, range WEIGHT;
-        /// At the step of a collision.
-        collision: Real = -10.0, range WEIGHT;
-        /// At each step with a corner off the road.
-        off_road: Real = -5.0, range WEIGHT;
-        /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
-        comfort: Real = -0.004, range WEIGHT;
-        /// Per m/s above the speed limit, per step.
-        speed_limit: Real = -0.05, range WEIGHT;
-        /// Per metre of distance from the route, at most 3, per step.
-        lane_keeping: Real = -0.02, range WEIGHT;
-        /// When the goal is reached.
-        goal: Real = 2.0, range WEIGHT;
     }
 }
 

@@ -1,15 +1,29 @@
 //! What is summed up over an episode, from the figures of its steps.
 
 use crate::geom::Real;
-use crate::world::columns::{Col, Column, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
+use crate::world::columns::{COLUMNS, Col, Column, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
 use serde::{Deserialize, Serialize};
 
 const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> Column {
     Column { name, unit, doc }
 }
 
-/// Metrics of an episode, in the order of [`Metrics`].
-pub const METRICS: &[Column] = &[
+/// Metrics of an episode, in the order of [`Metrics`]: those below, then the sums of the reward components.
+pub const METRICS: &[Column] = &{
+    let mut all = [OWN[0]; OWN.len() + NUM_COMPONENTS];
+    let mut i = 0;
+    while i < all.len() {
+        all[i] = if i < OWN.len() {
+            OWN[i]
+        } else {
+            metric(COLUMNS[i - OWN.len()].name, "", "sum of this component")
+        };
+        i += 1;
+    }
+    all
+};
+
+const OWN: &[Column] = &[
     metric("return", "", "sum of the rewards"),
     metric("length", "", "steps"),
     metric("collision", "", "1 if the agent ever collided"),
@@ -23,13 +37,6 @@ pub const METRICS: &[Column] = &[
     metric("min_ttc", "s", "least time to contact with any agent, at most 10"),
     metric("mean_speed", "m/s", "mean speed along the heading"),
     metric("mean_log_distance", "m", "mean distance from the agent's own log"),
-    metric("reward_progress", "", "sum of this component"),
-    metric("reward_collision", "", "sum of this component"),
-    metric("reward_off_road", "", "sum of this component"),
-    metric("reward_comfort", "", "sum of this component"),
-    metric("reward_speed_limit", "", "sum of this component"),
-    metric("reward_lane_keeping", "", "sum of this component"),
-    metric("reward_goal", "", "sum of this component"),
 ];
 
 /// Number of metrics.
@@ -109,7 +116,6 @@ impl EpisodeStatistics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::columns::COLUMNS;
 
     fn value(metrics: &Metrics, name: &str) -> f64 {
         metrics[METRICS.iter().position(|m| m.name == name).unwrap()]

@@ -1,10 +1,10 @@
-//! Reward of a step: the sum of named components, each also reported as a column.
+//! Reward of a step: what the entries of the table in [`columns`] are made from.
 
-use crate::events::{Contact, ContactKind};
+use crate::events::Contact;
 use crate::geom::Real;
 use crate::state::AgentStates;
-use crate::world::columns::Col;
-use crate::world::config::{RewardForm, WorldConfig};
+use crate::world::columns::{self, RewardForm, Step};
+use crate::world::config::WorldConfig;
 use crate::world::episode::{STANDING_M, Slot};
 
 /// Scale of accelerations in the discomfort, m/s².
@@ -13,8 +13,6 @@ const COMFORT_MPS2: Real = 4.0;
 const COMFORT_MPS3: Real = 10.0;
 /// A step costs no more discomfort than this.
 const MAX_DISCOMFORT: Real = 3.0;
-/// Distance from the route counts up to here, metres.
-const MAX_LANE_KEEPING_M: Real = 3.0;
 /// Limits of nuPlan's comfort: braking and acceleration, sideways (m/s²), jerk (m/s³).
 const COMFORT_BOUNDS: [(Real, Real); 3] = [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37)];
 /// Speed above the limit at which progress is worth nothing, m/s.
@@ -30,18 +28,6 @@ pub(crate) struct StepFacts {
     pub(crate) contact: Option<Contact>,
     pub(crate) ttc_s: Real,
     pub(crate) log_distance_m: Real,
-}
-
-impl StepFacts {
-    /// Number of the side that is hit, as in the columns.
-    pub(crate) fn contact_number(&self) -> Real {
-        match self.contact.map(|c| c.kind) {
-            None => 0.0,
-            Some(ContactKind::Front) => 1.0,
-            Some(ContactKind::Rear) => 2.0,
-            Some(ContactKind::Side) => 3.0,
-        }
-    }
 }
 
 /// How uncomfortable a step is, 0 to 3, from acceleration and lateral acceleration (m/s²) and jerk (m/s³).
@@ -62,74 +48,51 @@ pub(crate) fn score(
     config: &WorldConfig,
     columns: &mut [Real],
 ) -> Real {
-    let weights = &config.reward;
-    let flag = |b: bool| if b { 1.0 } else { 0.0 };
     let (speed, acceleration) = (states.speed_mps[agent_idx], states.acceleration_mps2[agent_idx]);
     let lateral = speed * states.yaw_rate_radps[agent_idx];
     let jerk = (acceleration - slot.acceleration_mps2) / config.dt_s;
     slot.acceleration_mps2 = acceleration;
-
-    let discomfort = discomfort(acceleration, lateral, jerk);
-    let collided = facts.contact.is_some();
-    slot.ever_collided |= collided;
-    slot.ever_off_road |= slot.off_road;
     let standing = slot.goal_s_m - slot.start_s_m < STANDING_M;
     let reached = !standing && !slot.goal_reached && slot.best_s_m >= slot.goal_s_m;
+    slot.ever_collided |= facts.contact.is_some();
+    slot.ever_off_road |= slot.off_road;
     slot.goal_reached |= reached;
-
-    let at_fault = facts.contact.is_some_and(|c| c.at_fault);
-    let (worth, counts, soft) = match weights.form {
-        RewardForm::Sum => (1.0, collided, 1.0),
-        RewardForm::Product => {
-            let calm = [acceleration, lateral, jerk]
-                .iter()
-                .zip(COMFORT_BOUNDS)
-                .all(|(x, (low, high))| (low..=high).contains(x));
-            let half = |ok: bool| if ok { 1.0 } else { 0.5 };
-            let over = (speed - slot.speed_limit_mps).max(0.0) / SPEEDING_MPS;
-            let beside = slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M) / MAX_LANE_KEEPING_M;
-            let worth = half(calm) * half(facts.ttc_s >= LEAST_TTC_S) * (1.0 - over).max(0.0);
-            (worth * (1.0 - 0.5 * beside), at_fault, 0.0)
-        }
+    let mut step = Step {
+        contact: facts.contact,
+        contact_counts: facts.contact.is_some(),
+        worth: 1.0,
+        soft: 1.0,
+        progress_m: slot.best_s_m - progress_before_m,
+        travelled_m: slot.best_s_m - slot.start_s_m,
+        completion: slot.completion(),
+        reached,
+        off_road: slot.off_road,
+        off_road_centroid: slot.off_road_centroid,
+        wrong_way: slot.wrong_way,
+        lane_distance_m: slot.lane_distance_m,
+        route_distance_m: slot.route_distance_m,
+        speed_limit_mps: slot.speed_limit_mps,
+        speed_mps: speed,
+        acceleration_mps2: acceleration,
+        lateral_acceleration_mps2: lateral,
+        jerk_mps3: jerk,
+        discomfort: discomfort(acceleration, lateral, jerk),
+        ttc_s: facts.ttc_s,
+        log_distance_m: facts.log_distance_m,
     };
-    let mut set = |column: Col, value: Real| columns[column as usize] = value;
-    let components = [
-        (Col::RewardProgress, weights.progress * (slot.best_s_m - progress_before_m) * worth),
-        (Col::RewardCollision, weights.collision * flag(counts)),
-        (Col::RewardOffRoad, weights.off_road * flag(slot.off_road)),
-        (Col::RewardComfort, weights.comfort * soft * discomfort),
-        (Col::RewardSpeedLimit, weights.speed_limit * soft * (speed - slot.speed_limit_mps).max(0.0)),
-        (
-            Col::RewardLaneKeeping,
-            weights.lane_keeping * soft * slot.route_distance_m.abs().min(MAX_LANE_KEEPING_M),
-        ),
-        (Col::RewardGoal, weights.goal * flag(reached)),
-    ];
-    let mut total = 0.0;
-    for (column, value) in components {
-        set(column, value);
-        total += value;
+    if config.reward.form == RewardForm::Product {
+        let calm = [acceleration, lateral, jerk]
+            .iter()
+            .zip(COMFORT_BOUNDS)
+            .all(|(x, (low, high))| (low..=high).contains(x));
+        let half = |ok: bool| if ok { 1.0 } else { 0.5 };
+        let over = step.speeding_mps() / SPEEDING_MPS;
+        let worth = half(calm) * half(facts.ttc_s >= LEAST_TTC_S) * (1.0 - over).max(0.0);
+        step.worth = worth * (1.0 - 0.5 * step.aside());
+        step.contact_counts = facts.contact.is_some_and(|c| c.at_fault);
+        step.soft = 0.0;
     }
-    set(Col::Collision, flag(collided));
-    set(Col::CollisionKind, facts.contact_number());
-    set(Col::CollisionPartner, facts.contact.map_or(0.0, |c| (c.partner + 1) as Real));
-    set(Col::AtFault, flag(at_fault));
-    set(Col::OffRoad, flag(slot.off_road));
-    set(Col::OffRoadCentroid, flag(slot.off_road_centroid));
-    set(Col::WrongWay, flag(slot.wrong_way));
-    set(Col::GoalReached, flag(reached));
-    set(Col::HasLane, flag(slot.lane_distance_m.is_some()));
-    set(Col::LaneDistance, slot.lane_distance_m.unwrap_or(0.0));
-    set(Col::RouteDistance, slot.route_distance_m);
-    set(Col::Progress, slot.best_s_m - slot.start_s_m);
-    set(Col::RouteCompletion, slot.completion());
-    set(Col::Speed, speed);
-    set(Col::Acceleration, acceleration);
-    set(Col::LateralAcceleration, lateral);
-    set(Col::Jerk, jerk);
-    set(Col::Ttc, facts.ttc_s);
-    set(Col::LogDistance, facts.log_distance_m);
-    total
+    columns::fill(&step, &config.reward, columns)
 }
 
 /// Whether an episode that ends now was a success.
