@@ -26,6 +26,11 @@ const fn entry<S: Copy>(
     Entry { column: Column { name, unit, scale, low, high, doc, in_default: true }, source }
 }
 
+/// A column that rows have only where it is asked for by name.
+const fn on_request<S: Copy>(entry: Entry<S>) -> Entry<S> {
+    Entry { column: Column { in_default: false, ..entry.column }, source: entry.source }
+}
+
 /// Bounds of numbers of either sign, and of numbers that are not negative.
 const SIGNED: [Real; 2] = [-1.0, 1.0];
 const POSITIVE: [Real; 2] = [0.0, 1.0];
@@ -177,6 +182,14 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
             });
         }),
     ),
+    on_request(entry(
+        "acceleration",
+        "m/s2",
+        10.0,
+        SIGNED,
+        "change of its speed over the last step",
+        Pair(|all, to| all.each(to, |p| p.view.states.acceleration_mps2[p.other])),
+    )),
 ];
 
 /// Columns of `map`.

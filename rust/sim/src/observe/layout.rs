@@ -28,11 +28,11 @@ options! {
         radius_m: Real = 60.0, unit "m", range within(0.0, 1000.0).open_below();
         /// Whether masks are part of the row.
         masks: bool = true;
-        /// Columns of `ego`; `None`: all.
+        /// Columns of `ego`; `None`: all but those on request.
         ego_columns: Option<Vec<String>> = None;
-        /// Columns of `agents`; `None`: all.
+        /// Columns of `agents`; `None`: all but those on request.
         agent_columns: Option<Vec<String>> = None;
-        /// Columns of `map`; `None`: all.
+        /// Columns of `map`; `None`: all but those on request.
         map_columns: Option<Vec<String>> = None;
         /// Bird's-eye raster beside the row; `None`: none.
         bev: Option<BevConfig> = None;
@@ -202,8 +202,29 @@ impl Layout {
                 );
             }
         }
-        text + &bev_markdown()
+        text + &requested_markdown() + &bev_markdown()
     }
+}
+
+/// The part of `docs/observation.md` about columns that are not in the default rows.
+fn requested_markdown() -> String {
+    let mut text = String::from(
+        "\n## Columns on request\n\nRows have these where `ego_columns`, `agent_columns` or `map_columns` names them.\n\n\
+         | entry | column | unit | scale | low | high | what |\n|---|---|---|---:|---:|---:|---|\n",
+    );
+    for (entry, columns) in
+        [("ego", columns_of(EGO)), ("agents", columns_of(AGENTS)), ("map", columns_of(MAP))]
+    {
+        for c in columns.iter().filter(|c| !c.in_default) {
+            // writing to a String cannot fail
+            let _ = writeln!(
+                text,
+                "| `{entry}` | {} | {} | {} | {} | {} | {} |",
+                c.name, c.unit, c.scale, c.low, c.high, c.doc
+            );
+        }
+    }
+    text
 }
 
 /// The part of `docs/observation.md` about the raster.
