@@ -65,6 +65,8 @@ pub(crate) struct Step {
     pub(crate) log_distance_m: Real,
 }
 
+/// Jerk counts up to here, m/s³.
+const MAX_JERK_MPS3: Real = 10.0;
 /// Distance from the route counts up to here, metres.
 const MAX_LANE_KEEPING_M: Real = 3.0;
 
@@ -178,6 +180,9 @@ columns! {
         /// When the goal is reached.
         RewardGoal, goal = 2.0, "weighted reward of reaching the goal",
             |weight, s| weight * flag(s.reached);
+        /// Per m/s³ of jerk either way, at most 10, per step.
+        RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
+            |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
     }
     // name, unit, what it is, and the value from the step; the last two are known when the rest is
     figures {
