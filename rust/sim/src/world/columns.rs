@@ -184,7 +184,7 @@ columns! {
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
     }
-    // name, unit, what it is, and the value from the step; the last two are known when the rest is
+    // name, unit, what it is, and the value from the step; success and time limit are known when the rest is
     figures {
         Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
             |s| flag(s.contact.is_some());
@@ -228,6 +228,8 @@ columns! {
             |_| 0.0;
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
             |_| 0.0;
+        Speeding, "speeding", "m/s", "speed above the limit, 0 below it",
+            Step::speeding_mps;
     }
 }
 
