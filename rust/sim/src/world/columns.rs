@@ -224,7 +224,7 @@ columns! {
             |s| s.ttc_s;
         LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
             |s| s.log_distance_m;
-        Success, "is_success", "", "1 at the end of an episode with at least 95 % of the route, no collision and no step off the road",
+        Success, "is_success", "", "1 at the end of an episode with enough of the route (`success_completion`), no collision and no step off the road",
             |_| 0.0;
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
             |_| 0.0;

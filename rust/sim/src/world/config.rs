@@ -168,6 +168,8 @@ options! {
         adversaries: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// Share of the rewards for its own road departures and discomfort that an adversary gets besides.
         adversary_shaping: Real = 0.0, range WEIGHT;
+        /// Share of the way to the goal that makes an episode without accident a success.
+        success_completion: Real = 0.95, range within(0.0, 1.0);
         /// Speed limit where the map has none.
         speed_limit_mps: Real = 15.0, unit "m/s", range above(0.0);
         /// Actions.

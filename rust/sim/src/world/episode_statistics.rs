@@ -33,7 +33,11 @@ const OWN: &[Column] = &[
     metric("goal_reached", "", "1 if the goal was reached"),
     metric("progress", "m", "way along the route"),
     metric("route_completion", "", "progress over the distance to the goal, 0 to 1"),
-    metric("is_success", "", "1 for at least 95 % of the route, no collision and no step off the road"),
+    metric(
+        "is_success",
+        "",
+        "1 for enough of the route (`success_completion`), no collision and no step off the road",
+    ),
     metric("min_ttc", "s", "least time to contact with any agent, at most 10"),
     metric("mean_speed", "m/s", "mean speed along the heading"),
     metric("mean_log_distance", "m", "mean distance from the agent's own log"),

@@ -19,8 +19,6 @@ const COMFORT_BOUNDS: [(Real, Real); 3] = [(-4.05, 2.40), (-4.89, 4.89), (-8.37,
 const SPEEDING_MPS: Real = 5.0;
 /// Times to contact below this halve the worth of progress, seconds.
 const LEAST_TTC_S: Real = 0.95;
-/// Share of the route that makes an episode a success.
-const SUCCESS_COMPLETION: Real = 0.95;
 
 /// What a slot's reward is made from, besides its state.
 pub(crate) struct StepFacts {
@@ -96,6 +94,6 @@ pub(crate) fn score(
 }
 
 /// Whether an episode that ends now was a success.
-pub(crate) fn is_success(slot: &Slot) -> bool {
-    !slot.ever_collided && !slot.ever_off_road && slot.completion() >= SUCCESS_COMPLETION
+pub(crate) fn is_success(slot: &Slot, config: &WorldConfig) -> bool {
+    !slot.ever_collided && !slot.ever_off_road && slot.completion() >= config.success_completion
 }

@@ -75,7 +75,7 @@ impl World {
             columns[Col::TimeLimit as usize] = f32::from(out.truncated[c]);
             slot.stopped |= outcome.stands;
             let ended = out.terminated[c] || out.truncated[c];
-            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot));
+            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot, config));
             slot.statistics.add(reward, columns);
             out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {
