@@ -196,11 +196,11 @@ class ObservationConfig:
     radius_m: float = 60.0
     #: Whether masks are part of the row.
     masks: bool = True
-    #: Columns of ``ego``; ``None``: all.
+    #: Columns of ``ego``; ``None``: all but those on request.
     ego_columns: tuple[str, ...] | None = None
-    #: Columns of ``agents``; ``None``: all.
+    #: Columns of ``agents``; ``None``: all but those on request.
     agent_columns: tuple[str, ...] | None = None
-    #: Columns of ``map``; ``None``: all.
+    #: Columns of ``map``; ``None``: all but those on request.
     map_columns: tuple[str, ...] | None = None
     #: Bird's-eye raster beside the row; ``None``: none.
     bev: BevConfig | None = None
@@ -234,6 +234,8 @@ class RewardConfig:
     lane_keeping: float = -0.02
     #: When the goal is reached (in [-1000000, 1000000]).
     goal: float = 2.0
+    #: Per m/s³ of jerk either way, at most 10, per step (in [-1000000, 1000000]).
+    jerk: float = 0.0
 
     def scaled(self, factor: float) -> RewardConfig:
         """Return all weights times a factor.
@@ -325,6 +327,8 @@ class WorldOptions:
     #: Share of the rewards for its own road departures and discomfort that an adversary gets
     #: besides (in [-1000000, 1000000]).
     adversary_shaping: float = 0.0
+    #: Share of the way to the goal that makes an episode without accident a success (in [0, 1]).
+    success_completion: float = 0.95
     #: Speed limit where the map has none (m/s, > 0).
     speed_limit_mps: float = 15.0
     #: Actions.

@@ -140,6 +140,7 @@ macro_rules! columns {
         pub(crate) const NUM_COMPONENTS: usize = [$(Col::$component),*].len();
 
         /// Fills a slot's row, but for what the end of an episode decides, and returns the reward.
+        #[allow(clippy::redundant_closure_call, reason = "entries of the table are closures")]
         pub(crate) fn fill(step: &Step, weights: &RewardConfig, row: &mut [Real]) -> Real {
             let mut total = 0.0;
             $(
