@@ -141,7 +141,16 @@ def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path: Path, mode
         train([road()], out=tmp_path, steps=4, progress=False)
 
 
-EQUAL = ("simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp", "ccdiff_equal")
+EQUAL = (
+    "simnet",
+    "trafficsim",
+    "trafficsim_port",
+    "strive",
+    "bits",
+    "ctg",
+    "ctgpp",
+    "ccdiff_equal",
+)
 
 
 @pytest.mark.parametrize("name", EQUAL)
@@ -290,7 +299,7 @@ def test_one_denoising_step_takes_the_taught_network() -> None:
         )
 
 
-@pytest.mark.parametrize("model", [name for name in NETWORKS if shipped_weights(name).exists()])
+@pytest.mark.parametrize("model", NETWORKS)
 def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: str) -> None:
     planner = Planner(shipped_weights(model))
     denoises, attends = model in ("ccdiff", "ctg", "ctgpp"), model in ("ccdiff", "ctgpp")
