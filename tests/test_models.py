@@ -332,7 +332,8 @@ def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: st
             assert (plan.guidance["realism_cost"] > 0).tolist() == [sign != 0.0, False]
         else:
             assert np.isnan(plan.guidance["realism_cost"]).all()
-        closeness[sign] = losses[names.index("approach"), plan.chosen[0], 0]
+        # of all samples: which one is chosen depends on the other objectives, too
+        closeness[sign] = losses[names.index("approach"), :, 0].mean()
     assert closeness[-1.0] > closeness[0.0] > closeness[1.0]
 
 
