@@ -365,8 +365,8 @@ class SelectionReward:
     #: brakes; the paper counts them.
     ego_fault: bool = True
     #: Whether collisions of the ego count only where some ego plan would have avoided them, the
-    #: others doing as they did (``ccdiff_env.counterfactual.rollout_avoidability``); the search
-    #: takes up to a second per collision.
+    #: others doing as they did (``counterfactual.rollout_avoidability``); the search takes up to a
+    #: second per collision.
     avoidable_only: bool = False
     #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
     #: C), mean over adversaries.

@@ -29,7 +29,7 @@ options! {
         /// counts them.
         ego_fault: bool = true;
         /// Whether collisions of the ego count only where some ego plan would have avoided them, the others doing as they
-        /// did (`ccdiff_env.counterfactual.rollout_avoidability`); the search takes up to a second per collision.
+        /// did (`counterfactual.rollout_avoidability`); the search takes up to a second per collision.
         avoidable_only: bool = false;
         /// Per unit of realism cost (total variation between guided and unguided actions, the paper's C), mean over
         /// adversaries.
