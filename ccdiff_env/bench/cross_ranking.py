@@ -70,7 +70,7 @@ def ranking(folders: Mapping[str, Path]) -> str:
         "Shares of all scenarios. C(tau), FDE and CFD are of the vehicles that the traffic drives. "
         "In a set the others do as recorded.",
         "",
-        "| planner | score | collision | at fault | score where the traffic reacts | collision |",
+        "| planner | score | collision | at fault | reacting: score | reacting: collision |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     ordered = []
@@ -82,5 +82,5 @@ def ranking(folders: Mapping[str, Path]) -> str:
         figures += [mean(reacting, name) for name in ("score", "collision")]
         ordered.append((figures[0], f"| {short_name(planner)} | {' | '.join(figures)} |"))
     lines += [line for _, line in sorted(ordered, key=lambda pair: pair[0], reverse=True)]
-    lines += ["", "Means over the sets that were made against other egos, and over the traffic."]
+    lines += ["", "Means over the sets made against other egos; reacting: in live traffic."]
     return "\n".join(lines) + "\n"
