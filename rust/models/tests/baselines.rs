@@ -36,10 +36,9 @@ fn trainer(kind: ModelKind) -> Trainer {
     let config = ModelConfig::of(kind, "fast").unwrap();
     let sampling = SampleConfig { stride: 20, smooth: false };
     let data = Dataset::new(vec![common::closing_pair()], &config, sampling).unwrap();
-    tch::manual_seed(11);
     let preset = TrainConfig::preset("fast", kind).unwrap();
     let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ema_start: 2, ..preset };
-    Trainer::new(config, training, data, Device::Cpu).unwrap()
+    common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap())
 }
 
 /// A planner of weights trained for some steps.
@@ -98,7 +97,7 @@ fn every_network_has_the_tabulated_number_of_parameters() {
         (ModelKind::Ctgpp, 384_530),
     ] {
         let store = nn::VarStore::new(Device::Cpu);
-        build(&store.root(), &ModelConfig::of(kind, "fast").unwrap()).unwrap();
+        common::seeded(|| build(&store.root(), &ModelConfig::of(kind, "fast").unwrap()).unwrap());
         let got: usize = store.trainable_variables().iter().map(Tensor::numel).sum();
         assert_eq!(got, want, "{kind:?}");
     }
@@ -228,7 +227,7 @@ fn a_future_without_a_log_trains_to_finite_losses() {
         let sampling = SampleConfig { stride: 12, smooth: false };
         let data = Dataset::new(vec![Arc::clone(&scene)], &config, sampling).unwrap();
         let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind).unwrap() };
-        let mut run = Trainer::new(config, training, data, Device::Cpu).unwrap();
+        let mut run = common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap());
         assert!(run.run(3).unwrap().iter().all(|l| l.is_finite()), "{kind:?}");
     }
 }

@@ -40,8 +40,7 @@ fn training(teacher_steps: usize) -> TrainConfig {
 fn run(model: ModelConfig, training: TrainConfig) -> Trainer {
     let every = SampleConfig { stride: 5, smooth: false };
     let data = Dataset::new(vec![common::closing_pair()], &model, every).unwrap();
-    tch::manual_seed(11);
-    Trainer::new(model, training, data, Device::Cpu).unwrap()
+    common::seeded(|| Trainer::new(model, training, data, Device::Cpu).unwrap())
 }
 
 /// Mean distance, metres, of plans made in one step from those that the teacher makes in five of the same seeds.

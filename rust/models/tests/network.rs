@@ -30,9 +30,8 @@ fn features_of(scene: &Scene, step: usize, config: &ModelConfig) -> SceneFeature
 }
 
 fn network(config: &ModelConfig) -> (nn::VarStore, Network) {
-    tch::manual_seed(11);
     let store = nn::VarStore::new(Device::Cpu);
-    let network = Network::new(&store.root(), config);
+    let network = common::seeded(|| Network::new(&store.root(), config));
     (store, network)
 }
 
@@ -125,8 +124,7 @@ fn the_map_changes_the_plan() {
 
 fn trainer(config: &ModelConfig, training: TrainConfig) -> Trainer {
     let data = Dataset::new(vec![common::closing_pair()], config, every(10)).unwrap();
-    tch::manual_seed(11);
-    Trainer::new(config.clone(), training, data, Device::Cpu).unwrap()
+    common::seeded(|| Trainer::new(config.clone(), training, data, Device::Cpu).unwrap())
 }
 
 fn every(stride: usize) -> SampleConfig {

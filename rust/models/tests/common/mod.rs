@@ -4,7 +4,16 @@ pub(crate) mod toy;
 
 use ccdiff_sim::geom::{Point2, Polygon, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, Map, Scene, Tracks};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Fresh weights from a seed: torch has one generator for all threads, and tests run side by side.
+#[allow(dead_code, reason = "not every test file makes networks")]
+pub(crate) fn seeded<T>(make: impl FnOnce() -> T) -> T {
+    static ALONE: Mutex<()> = Mutex::new(());
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    tch::manual_seed(11);
+    make()
+}
 
 /// `vehicles` are (x, y, heading, speed, acceleration) at step 0; all live for `num_steps`.
 pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
