@@ -134,8 +134,12 @@ fn planning_pool(num_threads: usize) -> Result<ThreadPool> {
         .thread_name(|i| format!("ccdiff-plan-{i}"))
         .build()
         .map_err(|e| ModelError::Config { field: "num_threads", got: e.to_string(), expected: "threads" })?;
-    // torch keeps this by thread, and for threads that it does not know yet
-    pool.broadcast(|_| tch::set_num_threads(1));
+    // torch keeps this by thread. A thread that it does not know yet takes the number of the process at its first
+    // operation, whatever was set before: asking for the number makes it known.
+    pool.broadcast(|_| {
+        tch::get_num_threads();
+        tch::set_num_threads(1);
+    });
     tch::set_num_threads(callers);
     Ok(pool)
 }
