@@ -19,6 +19,7 @@ from ccdiff_env.bench.arguments import (
 )
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.files import file_name
 from ccdiff_env.terminal import align, say_page
 
 __all__ = ["add_arguments"]
@@ -217,7 +218,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         traffic=args.traffic,
         plans=args.plans,
     )
-    folders = {kind: run.folder / kind for kind in dict.fromkeys(kinds)}
+    folders = {kind: run.folder / file_name(kind, "") for kind in dict.fromkeys(kinds)}
     for kind, folder in folders.items():
         _scenarios_of(
             argparse.Namespace(**{**vars(args), "traffic": kind, "out": folder, "open": False})
