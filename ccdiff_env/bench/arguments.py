@@ -21,7 +21,14 @@ from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.terminal import align, say_page
 
-__all__ = ["Run", "add_replays", "add_run_arguments", "add_scene_arguments", "source_from"]
+__all__ = [
+    "Run",
+    "add_replays",
+    "add_run_arguments",
+    "add_scene_arguments",
+    "lesson_source",
+    "source_from",
+]
 
 K = TypeVar("K", bound=Hashable)
 #: Replays that a report shows with pictures.
@@ -97,6 +104,13 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     parser.add_argument(
         "--replays", type=int, default=0, metavar="N", help=f"write replay pages of the N {which}"
     )
+
+
+def lesson_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of the scenes of training that the arguments name."""
+    embedded = args.dataroot is None
+    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
+    return {**source, "embedded" if embedded else "split": "+".join(splits)}
 
 
 class Run:

@@ -15,6 +15,7 @@ from ccdiff_env.bench.arguments import (
     add_replays,
     add_run_arguments,
     add_scene_arguments,
+    lesson_source,
     source_from,
 )
 from ccdiff_env.bench.scenes import scenes_of
@@ -351,13 +352,6 @@ def _learning(args: argparse.Namespace) -> int:
     run.write("table.md", text)
     print(align(text))
     return 0
-
-
-def lesson_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of the scenes of training that the arguments name."""
-    embedded = args.dataroot is None
-    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
-    return {**source, "embedded" if embedded else "split": "+".join(splits)}
 
 
 def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
