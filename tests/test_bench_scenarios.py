@@ -20,8 +20,9 @@ from ccdiff_env.bench.cross import (
 )
 from ccdiff_env.bench.cross_ranking import ranking
 from ccdiff_env.bench.cross_report import write_cross
-from ccdiff_env.bench.planners import TRAFFIC, drive, play
+from ccdiff_env.bench.planners import TRAFFIC, Traffic, drive, play
 from ccdiff_env.bench.scenario_sets import (
+    OPTIONS,
     Scenario,
     ScenarioSet,
     as_scene,
@@ -33,7 +34,7 @@ from ccdiff_env.bench.scenario_sets import (
 )
 from ccdiff_env.bench.scenes import scene_names, scenes_of, source_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.rollout import RolloutEvent
+from ccdiff_env.rollout import Rollout, RolloutEvent
 
 VAL = {"embedded": "val"}
 #: IDM collides in the first two, unavoidably in the first, and in none of the others.
@@ -73,6 +74,29 @@ def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
 
 def test_the_same_set_is_made_twice(tmp_path, made):
     assert make(tmp_path) == made[1]
+
+
+def test_scenes_are_drawn_again_until_the_ego_collides(tmp_path, monkeypatch):
+    once = Traffic("", "ccdiff", {"num_samples": 1, "criticality": 1.0})
+    scenes = scenes_of(VAL, NAMES)
+    draws = [
+        drive(scenes, "replay", once, seed=seed, options=OPTIONS, record=NAMES)[1]
+        for seed in (5, 6, 7)
+    ]
+    monkeypatch.setitem(TRAFFIC, "again", replace(once, draws=3))
+    rows = generate(
+        source=VAL, names=NAMES, generator="replay", traffic="again", seed=5,
+        folder=str(tmp_path), num_plans=1,
+    )  # fmt: skip
+    kept = set()
+    for name, row in zip(NAMES, rows, strict=True):
+        hits = [bool(ego_collisions(draw[name])) for draw in draws]
+        last = hits.index(True) if any(hits) else 2
+        kept.add((last, any(hits)))
+        assert row["scenario"]["collision"] == any(hits)
+        position = Rollout.load(tmp_path / row["scenario"]["file"]).position
+        np.testing.assert_allclose(position, draws[last][name].position, atol=0.05)
+    assert len(kept) > 1, kept
 
 
 def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(made, tmp_path):
@@ -219,7 +243,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
     cells = {("idm", "idm"): rows(1, 1, 0), ("idm", "pdm"): rows(1, 0, 0)}
     cells |= {(None, "idm"): rows(1, 1, 0), (None, "pdm"): rows(0, 0, 0)}
-    write_cross({"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0)}, cells, tmp_path)
+    write_cross({"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0, 0.1)}, cells, tmp_path)
     with (tmp_path / "cross.csv").open(encoding="utf-8") as file:
         found = {
             (r["generator"], r["planner"], r["scenarios"]): (int(r["count"]), float(r["collision"]))
@@ -276,8 +300,8 @@ def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):
         folders[kind] = tmp_path / kind
         folders[kind].mkdir()
         (folders[kind] / "sets.csv").write_text(
-            "generator,scenarios,collision,at_fault,avoidable,realism_cost,shift_sigmas,fde_m,cfd\n"
-            f"idm,10,{hit},0,{avoidable},nan,nan,2.04,3\n"
+            "generator,scenarios,collision,at_fault,avoidable,realism_cost,shift_sigmas,fde_m,cfd,"
+            f"seconds\nidm,10,{hit},0,{avoidable},nan,nan,2.04,3,0.456\n"
         )
         rows = [
             f"{generator},{planner},{scope},10,{values[0]},0,0,0,0,0,{values[1]},0,0"
@@ -290,8 +314,8 @@ def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):
     lines = ranking(folders).splitlines()
     # what other planners do is that of the PDM-like one: the sets were made against IDM
     assert lines[2:4] == [
-        "| [hard](hard/report.html) | idm | 10 | 0.50 | 0.00 | 0.40 |  | 2.0 | 3.0 | 0.50 |",
-        "| [mild](mild/report.html) | idm | 10 | 0.30 | 0.00 | 0.10 |  | 2.0 | 3.0 | 0.30 |",
+        "| [hard](hard/report.html) | idm | 10 | 0.50 | 0.00 | 0.40 |  | 2.0 | 3.0 | 0.50 | 0.46 |",
+        "| [mild](mild/report.html) | idm | 10 | 0.30 | 0.00 | 0.10 |  | 2.0 | 3.0 | 0.30 | 0.46 |",
     ]
     assert "| pdm | 0.40 | 0.40 | 0.00 | 0.40 | 0.40 |" in lines
     assert "| idm |  |  |  | 0.80 | 0.20 |" in lines

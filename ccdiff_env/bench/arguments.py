@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import source_of, source_title
@@ -171,6 +171,10 @@ class Run:
         run_jobs(jobs, self.folder / folder, **self._options)
         self._num_jobs += len(jobs)
         return results(jobs, self.folder / folder)
+
+    def processor_seconds(self, jobs: Sequence[Job]) -> dict[str, float]:
+        """Return the time of a processor that each finished job took, by name."""
+        return processor_seconds(jobs, self.folder / "raw")
 
     def rows(self, jobs: Sequence[Job], *keys: str) -> dict[tuple[Any, ...], list[Any]]:
         """Do the jobs, whose results are lists; join those whose arguments agree in some keys."""

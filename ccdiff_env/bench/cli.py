@@ -251,7 +251,9 @@ def _scenarios_of(args: argparse.Namespace) -> int:
     making = generation_jobs(
         run.source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
     )
-    sets, realism = write_sets(making, run.results(making), weights=run.weights)
+    made = run.results(making)
+    seconds = run.processor_seconds(making)
+    sets, realism = write_sets(making, made, seconds, weights=run.weights)
     driving = cross_jobs(sets, planners, seed=args.seed)
     cells = run.rows(driving, "generator", "planner")
     write_cross(sets, realism, cells, run.folder)

@@ -48,7 +48,7 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Realism:
-    """Realism of the vehicles that CCDiff drives in a set.
+    """Realism of the vehicles that CCDiff drives in a set, and what a scene of it costs.
 
     Parameters
     ----------
@@ -60,12 +60,16 @@ class Realism:
         Final displacement from the log, mean over vehicles, then scenarios.
     cfd
         Comfort distance from the log of the same vehicles, x 100.
+    seconds
+        Seconds of a processor that a scene took: playing it, and the search for plans that avoid
+        its collision.
     """
 
     realism_cost: float
     shift_sigmas: float
     fde_m: float
     cfd: float
+    seconds: float
 
 
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
@@ -136,7 +140,7 @@ def generation_jobs(
 
 
 def write_sets(
-    jobs: Sequence[Job], by_name: Mapping[str, Any], *, weights: str
+    jobs: Sequence[Job], by_name: Mapping[str, Any], seconds: Mapping[str, float], *, weights: str
 ) -> tuple[dict[str, ScenarioSet], dict[str, Realism]]:
     """Write the manifests of finished :func:`generation_jobs`; return sets and their realism.
 
@@ -144,8 +148,8 @@ def write_sets(
     ----------
     jobs
         The jobs.
-    by_name
-        Their results.
+    by_name, seconds
+        Their results, and the time that each took.
     weights
         SHA-256 of the weights that drove.
     """
@@ -161,6 +165,7 @@ def write_sets(
         settings = {
             "ccdiff": dict(traffic_named(made["traffic"]).ccdiff),
             "num_plans": made["num_plans"],
+            "draws": traffic_named(made["traffic"]).draws,
             **OPTIONS,
         }
         path = write_manifest(
@@ -174,11 +179,12 @@ def write_sets(
             settings=settings,
         )
         sets[generator] = load_scenario_set(path)
-        realism[generator] = _realism(rows[generator])
+        spent = sum(seconds[j.name] for j in jobs if j.arguments["generator"] == generator)
+        realism[generator] = _realism(rows[generator], spent)
     return sets, realism
 
 
-def _realism(rows: Rows) -> Realism:
+def _realism(rows: Rows, seconds: float) -> Realism:
     def mean(name: str) -> float:
         values = [row["scenario"][name] for row in rows]
         known = [value for value in values if value is not None]
@@ -190,6 +196,7 @@ def _realism(rows: Rows) -> Realism:
         mean("shift_sigmas"),
         mean("fde_m"),
         100 * comfort_distance(one, log).cfd,
+        seconds / len(rows),
     )
 
 

@@ -46,8 +46,8 @@ def ranking(folders: Mapping[str, Path]) -> str:
 
     lines = [
         "| traffic | made against | scenarios | collision | at fault | avoidable | C(tau) | "
-        "FDE m | CFD | other planners collide |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "FDE m | CFD | other planners collide | s per scene |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in sorted(made, key=lambda row: -share(row, "avoidable")):
         others = [
@@ -58,17 +58,17 @@ def ranking(folders: Mapping[str, Path]) -> str:
         ]
         figures = [f"{share(row, name):.2f}" for name in ("collision", "at_fault", "avoidable")]
         for name, digits in (("realism_cost", 2), ("fde_m", 1), ("cfd", 1)):
-            value = float(row[name])
-            figures.append(f"{value:.{digits}f}" if np.isfinite(value) else "")
+            figures.append(_number(row[name], digits))
         lines.append(
             f"| [{row['traffic']}]({folders[row['traffic']].name}/report.html) | "
             f"{short_name(row['generator'])} | {row['scenarios']} | {' | '.join(figures)} | "
-            f"{mean(others, 'collision')} |"
+            f"{mean(others, 'collision')} | {_number(row['seconds'], 2)} |"
         )
     lines += [
         "",
         "Shares of all scenarios. C(tau), FDE and CFD are of the vehicles that the traffic drives. "
-        "In a set the others do as recorded.",
+        "In a set the others do as recorded. Seconds of a processor are those for "
+        "playing a scene and the search for plans that avoid its collision.",
         "",
         "| planner | score | collision | at fault | reacting: score | reacting: collision |",
         "|---|---:|---:|---:|---:|---:|",
@@ -84,3 +84,8 @@ def ranking(folders: Mapping[str, Path]) -> str:
     lines += [line for _, line in sorted(ordered, key=lambda pair: pair[0], reverse=True)]
     lines += ["", "Means over the sets made against other egos; reacting: in live traffic."]
     return "\n".join(lines) + "\n"
+
+
+def _number(text: str, digits: int) -> str:
+    value = float(text)
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""

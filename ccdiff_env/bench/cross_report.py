@@ -240,10 +240,10 @@ def _write_csv(
     with (folder / "sets.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         head = ["generator", "scenarios", "collision", "at_fault", "avoidable"]
-        writer.writerow([*head, "realism_cost", "shift_sigmas", "fde_m", "cfd"])
+        writer.writerow([*head, "realism_cost", "shift_sigmas", "fde_m", "cfd", "seconds"])
         for generator, made in sets.items():
             real = realism[generator]
-            figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd)
+            figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds)
             writer.writerow([generator, *_sets_figures(made), *figures])
     with (folder / "cross.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

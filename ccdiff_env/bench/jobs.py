@@ -18,7 +18,7 @@ from typing import Any, Literal
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.files import parsed_object, write_aside
 
-__all__ = ["Job", "end_with_parent", "results", "run_jobs"]
+__all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
 
 Backend = Literal["local", "ray"]
 #: Times that a lost worker's job is tried again.
@@ -58,9 +58,9 @@ class Job:
 
 
 def _run(job: Job) -> tuple[str, Any, float]:
-    start = time.perf_counter()
+    start = time.process_time()
     found = job.run()
-    return job.name, found, time.perf_counter() - start
+    return job.name, found, time.process_time() - start
 
 
 def run_jobs(
@@ -183,11 +183,17 @@ def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
     DatasetError
         If one is missing or damaged.
     """
-    found = {}
-    for job in jobs:
-        path = folder / f"{job.name}.json"
-        try:
-            found[job.name] = parsed_object(path.read_text(encoding="utf-8"))["result"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise DatasetError(f"no result ({error}): {path}") from None
-    return found
+    return {job.name: _entry(job, folder, "result") for job in jobs}
+
+
+def processor_seconds(jobs: Sequence[Job], folder: Path) -> dict[str, float]:
+    """Return the time of a processor that each finished job took, by name; raises as results."""
+    return {job.name: float(_entry(job, folder, "seconds")) for job in jobs}
+
+
+def _entry(job: Job, folder: Path, field: str) -> Any:
+    path = folder / f"{job.name}.json"
+    try:
+        return parsed_object(path.read_text(encoding="utf-8"))[field]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"no result ({error}): {path}") from None

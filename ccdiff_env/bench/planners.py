@@ -50,11 +50,16 @@ TTC_BOUND_S = 0.95
 
 @dataclass(frozen=True)
 class Traffic:
-    """Traffic to test planners in."""
+    """Traffic to test planners in.
+
+    ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
+    else it is drawn once.
+    """
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    draws: int = 1
 
 
 _TITLES = driver_titles()
@@ -87,6 +92,9 @@ TRAFFIC: dict[str, Traffic] = _Traffics(
         },
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
         **{f"{name}-1": _critical(1.0, name) for name in NETWORKS},
+        "ccdiff-redrawn": Traffic(
+            "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
+        ),
     }
 )
 

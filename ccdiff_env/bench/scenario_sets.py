@@ -177,6 +177,9 @@ def generate(
 ) -> list[dict[str, Any]]:
     """Make scenarios against an ego and save them: one dictionary per scene.
 
+    Where the traffic has several draws, a scene is played with one seed after the other until the
+    ego collides; the last episode is kept.
+
     Parameters
     ----------
     source, names
@@ -186,7 +189,7 @@ def generate(
     traffic
         Name of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
     seed
-        Seed of the episodes.
+        Seed of the first draw.
     folder
         Where the episodes go, one file per scene.
     num_plans
@@ -198,14 +201,21 @@ def generate(
         ``scenario``: the fields of :class:`Scenario`; ``comfort`` and ``comfort_log``: histograms
         [3][20] of the vehicles that CCDiff drives, and of their log.
     """
-    _, rollouts = drive(
-        scenes_of(source, names),
-        generator,
-        TRAFFIC[traffic],
-        seed=seed,
-        options=OPTIONS,
-        record=names,
-    )
+    rollouts: dict[str, Rollout] = {}
+    left = list(names)
+    for draw in range(TRAFFIC[traffic].draws):
+        _, played = drive(
+            scenes_of(source, left),
+            generator,
+            TRAFFIC[traffic],
+            seed=seed + draw,
+            options=OPTIONS,
+            record=left,
+        )
+        rollouts |= played
+        left = [name for name in left if not ego_collisions(played[name])]
+        if not left:
+            break
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     found = []
