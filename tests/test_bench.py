@@ -438,15 +438,21 @@ def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     assert all([row["scene"] for row in found] == names for found in rows.values())
     assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
     assert min(row["realism_cost"] for row in rows["nearest", 1.0]) > 0.0
-    assert min(row["share_guided"] for row in rows["fork", 1.0]) > 0.0
+    assert min(row["adversaries"] for row in rows["fork", 1.0]) > 0.0
     assert rows["nearest", 1.0] == selection.choose(chooser="nearest", strength=1.0, **choice)
+    for chooser in ("nearest", "fork"):
+        two = selection.choose(chooser=chooser, strength=1.0, budget=2, **choice)
+        assert all(row["adversaries"] <= 2.0 for row in two)
+        assert max(row["adversaries"] for row in two) > 1.0
+    with pytest.raises(ConfigError, match="budget is 2"):
+        selection.trial_jobs(VAL, [policy], ego="replay", seed=0, budget=2)
 
 
 def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
     def row(collision, cost):
         parts = {
             "collision": collision, "realism_cost": cost, "shift_sigmas": 4.0 * cost,
-            "at_fault": 0.0, "share_guided": 1.0,
+            "at_fault": 0.0, "adversaries": 1.0,
         }  # fmt: skip
         return [parts, parts]
 
@@ -459,13 +465,15 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
             ("choosers/ppo-1.zip", 1.0): row(0.3, 0.35),
         }
     )
-    assert "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 1.20 ± 0.28 | 100 ± 0 |" in table
+    assert (
+        "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 1.20 ± 0.28 | 1.00 ± 0.00 |" in table
+    )
     assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
 
 
 def test_choosers_are_compared_with_the_causal_ranking_scene_by_scene():
     def rows(hits, shift):
-        parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "share_guided": 1.0}
+        parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "adversaries": 1.0}
         return [{"collision": hit, **parts} for hit in hits]
 
     table = selection.selection_table(

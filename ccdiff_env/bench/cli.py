@@ -363,13 +363,14 @@ def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("--ego", default="replay", help="driver of the ego, or a policy (.zip)")
     parser.add_argument("--seeds", type=int, default=3, help="choosers that are trained")
     parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
+    parser.add_argument("--budget", type=int, default=1, help="vehicles chosen at once")
     parser.set_defaults(run=_selection)
 
 
 def _selection(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import selection
 
-    run = Run(args, "selection", ego=args.ego, steps=args.steps)
+    run = Run(args, "selection", ego=args.ego, steps=args.steps, budget=args.budget)
     jobs = selection.chooser_jobs(
         lesson_source(args, run.source),
         [args.seed + k for k in range(args.seeds)],
@@ -379,7 +380,9 @@ def _selection(args: argparse.Namespace) -> int:
     )
     run.results(jobs, "training")
     policies = [str(job.arguments["path"]) for job in jobs]
-    tests = selection.trial_jobs(run.source, policies, ego=args.ego, seed=args.seed)
+    tests = selection.trial_jobs(
+        run.source, policies, ego=args.ego, seed=args.seed, budget=args.budget
+    )
     text = selection.selection_table(run.rows(tests, "chooser", "strength"))
     run.write("table.md", text)
     print(align(text))

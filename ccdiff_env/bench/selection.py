@@ -1,9 +1,9 @@
 """Who is turned against the ego: a learned choice beside simple ones, at equal realism cost.
 
-Every chooser names at most one vehicle per plan of CCDiff traffic, whose plan guidance then bends
-towards a contact with the ego. The learned one is MaskablePPO of sb3-contrib. A simple one pays for
-its collisions by the strength of the guidance: its share of scenes with a collision at another's
-cost is read off the line through its points.
+Every chooser names vehicles at every plan of CCDiff traffic, one unless told otherwise, whose plans
+guidance then bends towards a contact with the ego. The learned one is MaskablePPO of sb3-contrib,
+and names one. A simple one pays for its collisions by the strength of the guidance: its share of
+scenes with a collision at another's cost is read off the line through its points.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
+from ccdiff_env.errors import ConfigError
 
 __all__ = [
     "CHOOSERS",
@@ -140,9 +141,17 @@ def train_chooser(
 
 
 def trial_jobs(
-    source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int
+    source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
 ) -> list[Job]:
-    """Return the jobs that let every chooser choose: choosers x strengths x pieces of scenes."""
+    """Return the jobs that let every chooser choose: choosers x strengths x pieces of scenes.
+
+    Raises
+    ------
+    ConfigError
+        For trained choosers, which name one vehicle, with another budget.
+    """
+    if policies and budget != 1:
+        raise ConfigError(f"budget is {budget}, expected 1 for choosers that are trained")
     conditions = [("none", 0.0)]
     conditions += [(name, s) for name in CHOOSERS if name != "none" for s in STRENGTHS]
     conditions += [(path, 1.0) for path in policies]
@@ -157,6 +166,7 @@ def trial_jobs(
                 "strength": strength,
                 "ego": ego,
                 "seed": seed,
+                "budget": budget,
             },
         )
         for chooser, strength in conditions
@@ -172,6 +182,7 @@ def choose(
     strength: float,
     ego: str,
     seed: int,
+    budget: int = 1,
 ) -> list[dict[str, Any]]:
     """Let a chooser choose in every scene once.
 
@@ -187,18 +198,23 @@ def choose(
         Who drives the ego.
     seed
         Seed of every episode.
+    budget
+        Vehicles that it names at most; a policy names one.
 
     Returns
     -------
     list of dict
         Per scene: ``collision`` of the ego with a vehicle that was an adversary, ``at_fault`` of
-        the ego, ``realism_cost`` and ``shift_sigmas`` means over decisions, ``share_guided``
-        decisions with an adversary.
+        the ego, ``realism_cost`` and ``shift_sigmas`` means over decisions, ``adversaries``
+        chosen per decision.
     """
     from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 
     scenes = scenes_of(source, names)
-    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **_options(ego, strength))
+    options = _options(ego, strength)
+    if chooser in CHOOSERS:
+        options |= {"action_mode": "multibinary", "budget": budget}
+    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **options)
     policy = None
     if chooser not in CHOOSERS:
         from sb3_contrib import MaskablePPO
@@ -212,8 +228,8 @@ def choose(
             break
         if chooser == "fork":
             gaps = env.fork_gaps(FORK_STEPS)
-            # the last action is nobody
-            actions = np.where(np.isfinite(gaps).any(axis=1), gaps.argmin(axis=1), gaps.shape[1])
+            nearest = gaps.argsort(axis=1, kind="stable").argsort(axis=1) < budget
+            actions = (nearest & np.isfinite(gaps)).astype(np.int8)
         elif policy is None:
             actions = env.baseline(chooser, seed=1000 * decision)
         else:
@@ -231,7 +247,7 @@ def choose(
                     "at_fault": float(at_fault[i]),
                     "realism_cost": float(metrics["mean_realism_cost"][i]),
                     "shift_sigmas": float(metrics["mean_shift_sigmas"][i]),
-                    "share_guided": float(metrics["mean_adversaries"][i]),
+                    "adversaries": float(metrics["mean_adversaries"][i]),
                 }
     env.close()
     return rows
@@ -246,14 +262,13 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         One dictionary per scene (see :func:`choose`) of every chooser at every strength. Choosers
         ``.../ppo-<seed>.zip`` are shown as one, mean ± spread over seeds.
     """
-    keys = ("collision", "at_fault", "realism_cost", "shift_sigmas", "share_guided")
+    keys = ("collision", "at_fault", "realism_cost", "shift_sigmas", "adversaries")
     means = {
         c: {k: float(np.mean([r[k] for r in found])) for k in keys} for c, found in rows.items()
     }
     learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
     lines = [
-        "| chooser | strength | ego collides % | at fault % | C(tau) | shift sigmas | "
-        "guided decisions % |",
+        "| chooser | strength | ego collides % | at fault % | C(tau) | shift sigmas | chosen |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     factors = (
@@ -261,7 +276,7 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         ("at_fault", 100.0, 1),
         ("realism_cost", 1.0, 3),
         ("shift_sigmas", 1.0, 2),
-        ("share_guided", 100.0, 0),
+        ("adversaries", 1.0, 2),
     )
     for name, strength in means:
         if not name.endswith(".zip"):
