@@ -134,6 +134,10 @@ for _name, _label in _NETWORKS.items():
         _own["weights"] = str(shipped_weights(_name))
     METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
     METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
+    if _name != "simnet":
+        METHODS[f"{_name}_one_sample"] = Method(
+            f"{_label}, no guidance, N=1", _driver, ccdiff={**_own, "num_samples": 1}
+        )
 # BITS chooses among its plans; moving them as well is its other composition
 METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
 METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
