@@ -19,6 +19,7 @@ class Trainer:
         smooth: bool,
         estimate: bool,
         teacher: str | None = None,
+        start: str | None = None,
     ) -> Trainer: ...
     def run(self, steps: int) -> list[float]: ...
     def validate(

@@ -70,14 +70,15 @@ def require_networks() -> None:
         ) from error
 
 
-def shipped_weights(model: str = "ccdiff", *, one_step: bool = False) -> Path:
+def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bool = False) -> Path:
     """Return the weight file of the shipped ``fast`` network of a kind.
 
-    With ``one_step`` that of the network which was taught to plan in one denoising step.
+    With ``one_step`` that of the network which was taught to plan in one denoising step, with
+    ``routes`` that of the network which may be told where its vehicles go.
 
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
-    name = f"{model}_one_step" if one_step else f"{model}_fast"
+    name = f"{model}_{'one_step' if one_step else 'routes' if routes else 'fast'}"
     return Path(__file__).parent / "data" / f"{name}.safetensors"
 
 
@@ -94,15 +95,28 @@ def guidance_preset(name: str) -> dict[str, Any]:
 
 
 def weights_path(
-    weights: str | os.PathLike[str], model: str = "ccdiff", denoising_steps: int | None = 5
+    weights: str | os.PathLike[str],
+    model: str = "ccdiff",
+    denoising_steps: int | None = 5,
+    follow_route: bool = False,
 ) -> Path:
     """Return the file of weights of a kind given by name (``"fast"``) or path.
 
-    CCDiff has a ``fast`` network of its own for one denoising step.
+    CCDiff has ``fast`` networks of its own for one denoising step, and for routes.
+
+    Raises
+    ------
+    ConfigError
+        Routes in one denoising step: no shipped network was taught both.
     """
-    if weights != "fast":
-        return Path(weights)
-    return shipped_weights(model, one_step=model == "ccdiff" and denoising_steps == 1)
+    if weights != "fast" or model != "ccdiff":
+        return shipped_weights(model) if weights == "fast" else Path(weights)
+    if follow_route and denoising_steps == 1:
+        raise ConfigError(
+            "ccdiff.follow_route is True with denoising_steps 1, expected 2 steps or more: "
+            "no shipped network was taught both"
+        )
+    return shipped_weights(one_step=denoising_steps == 1, routes=follow_route)
 
 
 @dataclass(frozen=True)
@@ -287,6 +301,7 @@ def train(
     settings: dict[str, Any] | None = None,
     network: dict[str, Any] | None = None,
     teacher: str | os.PathLike[str] | None = None,
+    start: str | os.PathLike[str] | None = None,
     smooth: bool = True,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
@@ -325,6 +340,9 @@ def train(
         Weights of a denoising network. The run begins with them and learns to make its plans in one
         denoising step instead of ``settings["teacher_steps"]`` (5): for ``denoising_steps=1``.
         Preset and network are the teacher's. A resumed run needs it again.
+    start
+        Weights that the run begins with; preset and network are theirs. Parts that ``network`` adds
+        to them begin fresh.
     smooth
         Whether tracks are smoothed first, as logs joined from 2 Hz key frames need it.
     notes
@@ -368,6 +386,8 @@ def train(
         if teacher is not None:
             config = json.dumps(Planner(teacher).header["model"])
             settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
+        elif start is not None:
+            config = json.dumps({**json.loads(config), **Planner(start).header["model"]})
         training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
         config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
@@ -379,8 +399,9 @@ def train(
             device=device,
             stride=1,
             smooth=smooth,
-            estimate=not resumed and teacher is None,
+            estimate=not resumed and teacher is None and start is None,
             teacher=None if teacher is None else os.fspath(teacher),
+            start=None if resumed or start is None else os.fspath(start),
         )
     if resumed:
         run.resume(os.fspath(state))

@@ -446,6 +446,10 @@ class CcdiffConfig:
     tie_first_knot: bool = False
     #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
     keep_noise: bool = False
+    #: Whether the vehicles that the network drives are told their routes, which are those of the
+    #: rule-based traffic: the path of the log, then the lanes ahead. For weights that were trained
+    #: with routes.
+    follow_route: bool = False
     #: The decision causal graph G that the network sees; ``"full"`` joins all pairs (ablation).
     graph: GraphMode = "causal"
     #: Vehicles that are guided K; ``None``: all.
@@ -465,6 +469,9 @@ class CcdiffConfig:
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings, see
     #: ``ccdiff_env.models.guidance_preset``.
     guidance: str | Mapping[str, Any] = "rl"
+    #: Whether plans of worlds that are not guided are moved too: off contacts and back onto the
+    #: road, at the cost of the gradients.
+    careful: bool = False
     #: Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
     mask_guidance: bool = True
     #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from

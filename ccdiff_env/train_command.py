@@ -7,6 +7,10 @@ from pathlib import Path
 
 from ccdiff_env.errors import ConfigError
 
+#: Places on a route that a network is told of, metres ahead: as far as a plan of 5 s may lead in a
+#: town.
+ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
@@ -22,6 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, type=Path, help="folder of the run")
     parser.add_argument(
         "--teacher", type=Path, help="weights whose plans the network learns to make in one step"
+    )
+    parser.add_argument("--start", type=Path, help="weights that the run begins with")
+    parser.add_argument(
+        "--routes",
+        action="store_true",
+        help="CCDiff may be told where vehicles go; half of them are told in training",
     )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
@@ -61,6 +71,10 @@ def run(args: argparse.Namespace) -> int:
         "learning_rate": args.learning_rate,
         "seed": args.seed,
     }
+    network = {}
+    if args.routes:
+        network["route_points_m"] = ROUTE_POINTS_M
+        settings["drop_route"] = 0.5
     weights = train(
         [scene for scene in scenes if scene.name not in names],
         out=args.out,
@@ -71,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
         minutes=args.minutes,
         device=args.device,
         teacher=args.teacher,
+        start=args.start,
+        network=network,
         settings={key: value for key, value in settings.items() if value is not None},
         notes={"data": f"nuScenes {args.version}", "splits": list(args.split)},
         progress=not args.quiet,

@@ -25,6 +25,15 @@ def test_training_on_the_mini_scenes_writes_weights_and_resumes(
     # two of the eight are validation scenes of the full set, one is held out
     assert header["notes"]["num_scenes"] == 5
     assert header["model"]["normalisation"]["trajectory_std"][0] > 1.0
+    # on from there, told routes
+    more = tmp_path / "routes"
+    start = ["--start", str(path), "--routes", "--steps", "1"]
+    at = command.index("--out") + 1
+    assert main([*command[:at], str(more), *command[at + 1 :], *start]) == 0
+    told = Planner(more / "weights.safetensors").header
+    assert told["model"]["route_points_m"][0] == 5.0
+    assert told["model"]["normalisation"] == header["model"]["normalisation"]
+    assert told["training"]["drop_route"] == 0.5
 
 
 def test_a_missing_data_set_is_an_error_in_one_line(

@@ -176,6 +176,40 @@ def test_kept_noise_is_an_agents_own_and_part_of_snapshots(scenes):
     assert fresh.native.digest(0) != play.native.digest(0)
 
 
+def test_careful_plans_leave_the_road_less(scenes):
+    off_road = {}
+    for careful in (False, True):
+        play, corners = Play(scenes, ccdiff={"careful": careful}), 0
+        for _ in range(60):
+            play.step()
+            corners += sum(int(play.native.off_road(w)[0].sum()) for w in range(len(scenes)))
+        plan = play.native.explain(0)
+        assert not plan["guided"].any()
+        assert (plan["shift_sigmas"].max() > 0.0) == careful
+        off_road[careful] = corners
+    assert off_road[True] < 0.9 * off_road[False]
+
+
+def test_careful_changes_nothing_in_guided_worlds(scenes):
+    digests = set()
+    for careful in (False, True):
+        play = Play(scenes[:1], ccdiff={"criticality": 1.0, "careful": careful})
+        play.step(12)
+        assert play.native.explain(0)["guided"].any()
+        digests.add(play.native.digest(0))
+    assert len(digests) == 1
+
+
+def test_routes_are_refused_by_weights_that_know_none(scenes):
+    weights = str(shipped_weights())
+    with pytest.raises(ConfigError, match=r"follow_route.*without routes"):
+        Play(scenes[:1], ccdiff={"follow_route": True, "weights": weights})
+    with pytest.raises(ConfigError, match=r"follow_route.*denoising_steps"):
+        Play(scenes[:1], ccdiff={"follow_route": True, "denoising_steps": 1})
+    with pytest.raises(ConfigError, match=r"follow_route"):
+        Play(scenes[:1], traffic="ctg", ccdiff={"follow_route": True})
+
+
 @pytest.mark.parametrize(
     "ranking",
     ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "list", "file"],

@@ -84,6 +84,23 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
         "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
         "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
+        "ccdiff_careful": Method("CCDiff, careful, N=1", "ccdiff", ccdiff={"careful": True}),
+        "ccdiff_routes": Method(
+            "CCDiff told its routes", "ccdiff", ccdiff={**_GUIDED, "follow_route": True}
+        ),
+        "ccdiff_routes_unguided": Method(
+            "CCDiff told its routes, no guidance",
+            "ccdiff",
+            ccdiff={"num_samples": 5, "follow_route": True},
+        ),
+        "ccdiff_routes_one_sample": Method(
+            "CCDiff told its routes, no guidance, N=1", "ccdiff", ccdiff={"follow_route": True}
+        ),
+        "ccdiff_routes_careful": Method(
+            "CCDiff told its routes, careful, N=1",
+            "ccdiff",
+            ccdiff={"follow_route": True, "careful": True},
+        ),
         "ccdiff_one_step": Method(
             "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
         ),

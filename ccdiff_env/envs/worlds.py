@@ -413,7 +413,9 @@ def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) ->
 
     def weights(kind: str, options: str) -> Path:
         settings = json.loads(options)
-        return weights_path(settings["weights"], kind, settings["denoising_steps"])
+        return weights_path(
+            settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
+        )
 
     return {
         name: _models.traffic_policy(

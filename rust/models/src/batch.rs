@@ -24,6 +24,8 @@ pub struct Batch {
     pub edges: Tensor,
     /// Rasters [R, channels, size, size], bytes; `None` for a map-blind network.
     pub image: Option<Tensor>,
+    /// Routes ahead [R, 1 + 2 P], see [`SceneFeatures::route`]; `None` for a network that knows none.
+    pub route: Option<Tensor>,
     /// Physical first knots [R, 2] and whether a row's plan starts with it [R, 1] (bool); `None` where no plan does.
     pub first_knots: Option<(Tensor, Tensor)>,
     /// Seed of each row's own noise, [R]; `None`: noise of the world's seed.
@@ -75,12 +77,13 @@ impl Batch {
         let mut neighbours = vec![0i64; rows * slots];
         let mut joined = vec![0u8; rows * slots];
         let mut edges = vec![0f32; rows * slots * edge];
-        let mut image = Vec::new();
+        let (mut image, mut route) = (Vec::new(), Vec::new());
         for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
             history.extend_from_slice(&scene.history);
             poses.extend(scene.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]));
             speed.extend_from_slice(&scene.speed_mps);
             image.extend_from_slice(&scene.image);
+            route.extend_from_slice(&scene.route);
             let own = scene.num_slots;
             for row in 0..scene.agents.len() {
                 let (to, from) = ((offset + row) * slots, row * own);
@@ -112,6 +115,7 @@ impl Batch {
         Ok(Self {
             scene_sizes,
             first_knots,
+            route: (!route.is_empty()).then(|| put(Tensor::from_slice(&route), &[r, -1])),
             noise_seeds: scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect(),
             history: put(
                 Tensor::from_slice(&history),
@@ -149,6 +153,7 @@ impl Batch {
         Self {
             scene_sizes: self.scene_sizes.clone(),
             first_knots: self.first_knots.as_ref().map(|(v, t)| (v.shallow_clone(), t.shallow_clone())),
+            route: self.route.as_ref().map(Tensor::shallow_clone),
             noise_seeds: self.noise_seeds.clone(),
             history: self.history.shallow_clone(),
             poses: self.poses.shallow_clone(),
@@ -158,6 +163,14 @@ impl Batch {
             edges: self.edges.shallow_clone(),
             image,
         }
+    }
+
+    /// The same rows with the routes of those untold that `dropped` [R] (bool) names.
+    #[must_use]
+    pub fn with_routes_dropped(mut self, dropped: &Tensor) -> Self {
+        let keep = dropped.logical_not().unsqueeze(1);
+        self.route = self.route.map(|route| route * keep);
+        self
     }
 
     /// The same rows with G = identity for all, and a single slot.

@@ -152,6 +152,7 @@ mod tests {
             edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
             image: None,
             first_knots: None,
+            route: None,
             noise_seeds: vec![None; 2],
         };
         let states = Tensor::from_slice(&[drive(10.0), drive(speed_mps)].concat()).view([2, STEPS, 6]);

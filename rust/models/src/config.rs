@@ -206,6 +206,12 @@ options! {
         /// Which neighbours are joined, and their order.
         #[serde(default)]
         neighbour_order: NeighbourOrder = NeighbourOrder::Urgency;
+        /// Places on an agent's route that CCDiff is told of, as distances ahead along it, at most 64; empty: it knows no route
+        /// (paper).
+        ///
+        /// Differs from the paper where it is not empty: see `features::route_ahead`.
+        #[serde(default)]
+        route_points_m: Vec<f32> = Vec::new(), unit "m", range within(0.0, 1000.0);
         /// Most neighbours of an agent, the first in their order.
         max_neighbours: usize = 20, range within(0.0, 4096.0);
         /// Training samples hold the agents within this distance of the centre agent.
@@ -305,6 +311,14 @@ impl ModelConfig {
         if self.kind.has_trunk() && self.history != HistoryTokens::Summary {
             let got = self.history.name().to_owned();
             return fail("model.history", got, "a summary, as in \"fast\", for this model");
+        }
+        if !self.route_points_m.is_empty() && self.kind != ModelKind::Ccdiff {
+            let got = format!("{} points for {}", self.route_points_m.len(), self.kind.name());
+            return fail("model.route_points_m", got, "none: CCDiff alone may know routes");
+        }
+        if self.route_points_m.len() > 64 {
+            let got = format!("{} points", self.route_points_m.len());
+            return fail("model.route_points_m", got, "at most 64");
         }
         let Some(map) = &self.map else { return Ok(self) };
         if map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {

@@ -10,7 +10,8 @@ use crate::noise::Noise;
 use crate::raster::MapBitmap;
 use crate::smooth::smoothed;
 use ccdiff_sim::geom::Pose2;
-use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
+use ccdiff_sim::scene::{AgentKind, EGO_ID, LaneIndex, Scene};
+use ccdiff_sim::world::Route;
 use rayon::prelude::*;
 use std::sync::Arc;
 use tch::Device;
@@ -25,6 +26,8 @@ struct Prepared {
     /// Indices of the vehicles; the ego (or else the first vehicle) comes first.
     vehicles: Vec<usize>,
     bitmap: Option<MapBitmap>,
+    /// Routes of all agents; none for a network that knows no routes.
+    routes: Vec<Route>,
 }
 
 /// How scenes become samples.
@@ -114,6 +117,10 @@ impl Dataset {
             .map(|scene| Prepared {
                 vehicles: vehicles(&scene),
                 bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)),
+                routes: match config.route_points_m.is_empty() {
+                    true => Vec::new(),
+                    false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
+                },
                 scene: if sampling.smooth { Arc::new(smoothed(&scene)) } else { scene },
             })
             .collect();
@@ -198,6 +205,14 @@ impl Dataset {
                 drawn.applied(&mut window, row)
             })
             .collect();
+        if !prepared.routes.is_empty() {
+            let ahead = |(row, agent): (usize, &usize)| {
+                let route = &prepared.routes[*agent];
+                let at = window.pose(row, window.num_steps - 1).position;
+                features::route_ahead(route, route.path.project(at).s_m, &self.config.route_points_m)
+            };
+            window.routes = present.iter().enumerate().map(ahead).collect();
+        }
         let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
             Some(Move::Aside(push)) => {

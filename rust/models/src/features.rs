@@ -11,6 +11,7 @@ use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
+use ccdiff_sim::world::Route;
 use std::cmp::Ordering;
 
 /// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
@@ -50,6 +51,17 @@ pub struct Window {
     pub noise_seed: Vec<u64>,
     /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
     pub ttc_s: Vec<f32>,
+    /// Places ahead on each agent's route, scene frame, [A]\[P\], see [`route_ahead`]; empty for an agent whose route is
+    /// not told, and empty as a whole where nobody's is.
+    pub routes: Vec<Vec<Point2>>,
+}
+
+/// Places on a route at some distances ahead of the position `s_m` along it, metres, scene frame.
+///
+/// Differs from the paper: its network is told no route. Routes are those of the rule-based traffic: the path of the log,
+/// then the lanes ahead. They tell where a vehicle goes, not when.
+pub fn route_ahead(route: &Route, s_m: f32, points_m: &[f32]) -> Vec<Point2> {
+    points_m.iter().map(|ahead_m| route.path.at(s_m + ahead_m).position).collect()
 }
 
 impl Window {
@@ -99,6 +111,7 @@ impl Window {
             ("window first_action", self.first_action.len().max(agents), agents),
             ("window noise_seed", self.noise_seed.len().max(agents), agents),
             ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
+            ("window routes", self.routes.len().max(agents), agents),
         ] {
             if got != expected {
                 return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
@@ -171,6 +184,9 @@ pub struct SceneFeatures {
     pub first_action: Vec<Option<[f32; 2]>>,
     /// Seed of the agent's own noise, [M].
     pub noise_seed: Vec<Option<u64>>,
+    /// Whether the agent's route is told (0 or 1), then places ahead on it in the agent's frame, x and y, [M, 1 + 2 P]; zero
+    /// where it is not told. Empty for a network that knows no routes.
+    pub route: Vec<f32>,
 }
 
 /// Logged futures of the M agents of a [`SceneFeatures`], in their agent frames.
@@ -228,6 +244,7 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     let mut features = SceneFeatures {
         first_action: agents.iter().map(|a| window.first_action.get(*a).copied().flatten()).collect(),
         noise_seed: agents.iter().map(|a| window.noise_seed.get(*a).copied()).collect(),
+        route: routes(window, &agents, &poses, config.route_points_m.len())?,
         agents,
         poses,
         speed_mps,
@@ -262,6 +279,25 @@ fn histories(window: &Window, agents: &[usize], poses: &[Pose2]) -> Vec<f32> {
         }
     }
     history
+}
+
+/// See [`SceneFeatures::route`].
+fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize) -> Result<Vec<f32>> {
+    let width = if num_points == 0 { 0 } else { 1 + 2 * num_points };
+    let mut out = vec![0.0; agents.len() * width];
+    for ((agent, frame), row) in agents.iter().zip(poses).zip(out.chunks_exact_mut(width.max(1))) {
+        let Some(points) = window.routes.get(*agent).filter(|points| !points.is_empty()) else { continue };
+        if points.len() != num_points {
+            let (got, expected) = (points.len().to_string(), format!("{num_points} places"));
+            return Err(ModelError::Shape { what: "window routes", got, expected });
+        }
+        row[0] = 1.0;
+        for (place, point) in row[1..].chunks_exact_mut(2).zip(points) {
+            let local = frame.to_local(*point);
+            place.copy_from_slice(&[local.x, local.y]);
+        }
+    }
+    Ok(out)
 }
 
 /// Columns of the chosen agents at a step.

@@ -35,6 +35,9 @@ options! {
         ema_start: u64 = 4000;
         /// Probability that a scene's G is replaced by the identity.
         drop_graph: f64 = 0.1, range within(0.0, 1.0);
+        /// Probability that an agent's route is not told, for a network that may know it.
+        #[serde(default)]
+        drop_route: f64 = 0.0, range within(0.0, 1.0);
         /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
         #[serde(default)]
         perturb: bool = false;
@@ -179,6 +182,23 @@ impl Trainer {
             checkpoint::fill(path, &teacher.variables(), "", &mut variables(store))?;
         }
         self.teacher = Some(teacher);
+        Ok(self)
+    }
+
+    /// The run from the weights of a network that this one extends: what the file has not keeps its first weights.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`]; [`ModelError::Checkpoint`] where the file has what this network has not, or in another shape.
+    pub fn begun_with(self, path: &Path) -> Result<Self> {
+        guarded(false, "loading weights", || {
+            let (_, tensors) = checkpoint::read(path)?;
+            for store in [&self.store, &self.average.store] {
+                let mut known = variables(store);
+                known.retain(|name, _| tensors.contains_key(name));
+                checkpoint::fill(path, &tensors, "", &mut known)?;
+            }
+            Ok(())
+        })?;
         Ok(self)
     }
 

@@ -92,7 +92,7 @@ struct PyTrainer {
 impl PyTrainer {
     /// Fresh weights come from torch's global generator. With `estimate`, the normalisation is taken from the scenes.
     #[new]
-    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate, teacher=None))]
+    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate, teacher=None, start=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<Handed>,
@@ -104,6 +104,7 @@ impl PyTrainer {
         smooth: bool,
         estimate: bool,
         teacher: Option<PathBuf>,
+        start: Option<PathBuf>,
     ) -> PyResult<Self> {
         let mut model: ModelConfig = read("model", model).map_err(from_sim)?;
         let training: TrainConfig = read("training", training).map_err(from_sim)?;
@@ -121,6 +122,10 @@ impl PyTrainer {
             let held_out =
                 (!held_out.is_empty()).then(|| Dataset::new(held_out, &model, sparse)).transpose()?;
             let run = Trainer::new(model, training, data, device)?;
+            let run = match &start {
+                Some(path) => run.begun_with(path)?,
+                None => run,
+            };
             let run = match &teacher {
                 Some(path) => run.taught_by(path)?,
                 None => run,

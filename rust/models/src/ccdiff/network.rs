@@ -5,7 +5,7 @@ use crate::config::{HistoryTokens, ModelConfig};
 use crate::diffusion::Denoiser;
 use crate::layers::attention::{Attention, TemporalLayer};
 use crate::layers::edge::{self, EdgeEncoder};
-use crate::layers::embed::{self, HistoryEmbedding, StepEmbedding};
+use crate::layers::embed::{self, HistoryEmbedding, RouteEmbedding, StepEmbedding};
 use crate::layers::map::MapNetwork;
 use crate::layers::social::{EdgeAwareLayer, PlainLayer, Slots};
 use crate::plan_space::PlanSpace;
@@ -26,6 +26,7 @@ struct Round {
 pub struct Network {
     space: PlanSpace,
     history: HistoryEmbedding,
+    route: Option<RouteEmbedding>,
     noisy: nn::Linear,
     step: StepEmbedding,
     edges: EdgeEncoder,
@@ -86,6 +87,8 @@ impl Network {
             plain: PlainLayer::new(&(p / "plain"), d, heads, config.feed_forward),
             out: nn::linear(p / "out", d, 2, Default::default()),
             positions: embed::positions(tokens, d, p.device()),
+            // last, so that the others' first weights do not depend on it
+            route: (!config.route_points_m.is_empty()).then(|| RouteEmbedding::new(&(p / "route"), config)),
         }
     }
 
@@ -112,8 +115,13 @@ impl Network {
             let future = future.expand([-1, config.num_knots() as i64], false);
             Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1)
         });
+        let history = self.history.forward(&history);
+        let history = match self.route.as_ref().zip(batch.route.as_ref()) {
+            Some((embedding, route)) => history + embedding.forward(route),
+            None => history,
+        };
         Context {
-            history: self.history.forward(&history),
+            history,
             edges: self.edges.forward(&edges),
             slots: Slots::new(&batch.neighbours, &batch.joined, &edge_available),
             map,

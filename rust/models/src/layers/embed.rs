@@ -5,6 +5,9 @@ use crate::features::HISTORY_FEATURES;
 use tch::nn::{self, Module};
 use tch::{Device, Kind, Tensor};
 
+/// Places on routes are given in units of so many metres.
+const ROUTE_SCALE_M: f64 = 20.0;
+
 /// Sinusoidal table [positions, width], sine and cosine interleaved, base 10⁴.
 pub(crate) fn positions(positions: usize, width: i64, device: Device) -> Tensor {
     let half = width / 2;
@@ -86,6 +89,36 @@ impl HistoryEmbedding {
                 history.flatten(1, 2).apply(first).relu().apply(second).unsqueeze(1)
             }
         }
+    }
+}
+
+/// Routes ahead → a part of the history's tokens, at first none.
+#[derive(Debug)]
+pub(crate) struct RouteEmbedding {
+    up: nn::Linear,
+    down: nn::Linear,
+}
+
+impl RouteEmbedding {
+    pub(crate) fn new(p: &nn::Path, config: &ModelConfig) -> Self {
+        let (inputs, d) = (1 + 2 * config.route_points_m.len() as i64, config.width);
+        let nothing = nn::LinearConfig {
+            ws_init: nn::Init::Const(0.0),
+            bs_init: Some(nn::Init::Const(0.0)),
+            bias: true,
+        };
+        Self {
+            up: nn::linear(p / "up", inputs, 4 * d, Default::default()),
+            down: nn::linear(p / "down", 4 * d, d, nothing),
+        }
+    }
+
+    /// Routes [R, 1 + 2 P], places in metres → [R, 1, d].
+    pub(crate) fn forward(&self, route: &Tensor) -> Tensor {
+        let told = route.narrow(1, 0, 1);
+        let places = route.narrow(1, 1, route.size()[1] - 1) / ROUTE_SCALE_M;
+        let token = Tensor::cat(&[&told, &places], 1).apply(&self.up).relu().apply(&self.down);
+        (token * told).unsqueeze(1)
     }
 }
 

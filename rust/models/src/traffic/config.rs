@@ -129,6 +129,9 @@ options! {
         tie_first_knot: bool = false;
         /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
         keep_noise: bool = false;
+        /// Whether the vehicles that the network drives are told their routes, which are those of the rule-based traffic: the
+        /// path of the log, then the lanes ahead. For weights that were trained with routes.
+        follow_route: bool = false;
         /// The decision causal graph G that the network sees; `"full"` joins all pairs (ablation).
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
@@ -146,6 +149,9 @@ options! {
         criticality: Real = 0.0, range at_least(0.0);
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings, see `ccdiff_env.models.guidance_preset`.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
+        /// Whether plans of worlds that are not guided are moved too: off contacts and back onto the road, at the cost of
+        /// the gradients.
+        careful: bool = false;
         /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
         mask_guidance: bool = true;
         /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
@@ -217,19 +223,28 @@ impl CcdiffConfig {
     }
 
     /// How the plans of worlds without guidance are drawn: of several samples the one that touches least and stays on
-    /// the road is taken, as in the released code (reference.md#sampling).
+    /// the road is taken, as in the released code (reference.md#sampling). [`Self::careful`] moves them as well.
     pub fn unguided(&self) -> PlanOptions {
-        let filter = GuidanceConfig {
-            objectives: vec![
-                Objective::AgentCollision(AgentCollision { weight: 1.0, ..AgentCollision::default() }),
+        let objectives = |collision| {
+            vec![
+                Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
                 Objective::MapCollision(MapCollision { weight: 1.0 }),
-            ],
-            gradient_steps: 0,
-            ..GuidanceConfig::released()
+            ]
+        };
+        let filter = match self.careful {
+            true => GuidanceConfig {
+                objectives: objectives(-AgentCollision::default().weight),
+                ..GuidanceConfig::rl()
+            },
+            false => GuidanceConfig {
+                objectives: objectives(1.0),
+                gradient_steps: 0,
+                ..GuidanceConfig::released()
+            },
         };
         PlanOptions {
             sampling: self.sampling(),
-            guidance: (self.num_samples > 1).then_some(filter),
+            guidance: (self.careful || self.num_samples > 1).then_some(filter),
             attention: self.explain,
             gradient_statistics: false,
         }

@@ -65,6 +65,10 @@ impl PlannedTraffic {
         let model = planners[0].config().clone();
         config.validate(model.horizon_steps)?;
         config.check_kind(model.kind)?;
+        if config.follow_route && model.route_points_m.is_empty() {
+            let expected = "false: these weights were trained without routes";
+            return Err(ModelError::Config { field: "ccdiff.follow_route", got: "true".into(), expected });
+        }
         planners[0].check_solver_steps(config.sampling().solver_steps)?;
         let (guided, unguided) = (config.guided()?, config.unguided());
         let planners = SyncWrapper::new(planners);

@@ -2,7 +2,7 @@
 
 use super::config::{CcdiffConfig, Frozen};
 use crate::error::Result;
-use crate::features::Window;
+use crate::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
@@ -20,7 +20,7 @@ pub(super) struct PlannedAgents {
     /// Agents of the scene, one per row of the window, in the scene's order.
     pub(super) agents: Vec<usize>,
     /// Whether this policy drives the agent and it is free to move, by row.
-    controlled_by_policy: Vec<bool>,
+    pub(super) controlled_by_policy: Vec<bool>,
     /// Their states over the history.
     pub(super) window: Window,
 }
@@ -97,6 +97,15 @@ impl PlannedAgents {
             }
         }
         Ok(Self { agents, controlled_by_policy, window })
+    }
+
+    /// Tells the network the routes of the vehicles that this policy drives.
+    pub(super) fn tell_routes(&mut self, world: &WorldView<'_>, points_m: &[Real]) {
+        let told = |(agent, controlled): (&usize, &bool)| match controlled {
+            true => route_ahead(&world.scene.routes[*agent], world.route_s_m[*agent], points_m),
+            false => Vec::new(),
+        };
+        self.window.routes = self.agents.iter().zip(&self.controlled_by_policy).map(told).collect();
     }
 
     /// Whether this policy may drive an agent of the scene.

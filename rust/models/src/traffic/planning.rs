@@ -77,6 +77,9 @@ impl PlannedTraffic {
         let still: Vec<bool> = memory.frozen.iter().zip(world.halted).map(stands).collect();
         let mut planned = PlannedAgents::new(request, &still, self.model.history_steps)?;
         self.tie(request, &memory, &mut planned);
+        if self.config.follow_route {
+            planned.tell_routes(world, &self.model.route_points_m);
+        }
         let bitmap = self.bitmap(&world.scene.scene);
         let partners = match self.config.partners {
             Partners::All => vec![true; planned.agents.len()],
@@ -160,20 +163,26 @@ impl PlannedTraffic {
     }
 
     fn draw(&mut self, due: &[PreparedRequest<'_>], options: &PlanOptions, moves: bool) -> Result<Vec<Plan>> {
-        let nobody: Vec<Vec<bool>> = due.iter().map(|d| vec![false; d.guided.len()]).collect();
+        // with the scale of the guidance
+        let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
+            (true, true, _) => (d.guided.clone(), d.criticality),
+            (true, false, true) => (d.planned.controlled_by_policy.clone(), 1.0),
+            _ => (vec![false; d.guided.len()], d.criticality),
+        };
+        let moved: Vec<(Vec<bool>, Real)> = due.iter().map(moved).collect();
         let views: Vec<PlannerView<'_>> = due
             .iter()
-            .zip(&nobody)
-            .map(|(d, nobody)| PlannerView {
+            .zip(&moved)
+            .map(|(d, (moved, guidance_scale))| PlannerView {
                 window: &d.planned.window,
                 bitmap: d.bitmap.as_deref(),
                 seed: d.request.world.noise_seed,
                 guide: options.guidance.is_some().then(|| WorldGuidance {
-                    guidance_scale: d.criticality,
+                    guidance_scale: *guidance_scale,
                     road: d.request.world.scene.road.as_ref(),
                     partners: d.is_guided().then_some(&d.partners),
                     speed_limit_mps: Some(d.request.world.config.speed_limit_mps),
-                    ..WorldGuidance::new(if moves && d.is_guided() { &d.guided } else { nobody })
+                    ..WorldGuidance::new(moved)
                 }),
             })
             .collect();

@@ -40,7 +40,7 @@ impl PreparedScene {
             Region::new(&map.drivable_area)
         };
         let lanes = LaneIndex::new(map);
-        let routes = (0..scene.num_agents()).map(|a| Route::new(&scene, a, lanes.as_ref())).collect();
+        let routes = Route::of_all(&scene, lanes.as_ref());
         Self {
             bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),

@@ -36,6 +36,11 @@ pub struct Route {
 }
 
 impl Route {
+    /// Routes of all agents of a scene.
+    pub fn of_all(scene: &Scene, lanes: Option<&LaneIndex>) -> Vec<Self> {
+        (0..scene.num_agents()).map(|a| Self::new(scene, a, lanes)).collect()
+    }
+
     /// Route of one agent of a scene.
     pub fn new(scene: &Scene, agent_idx: usize, lanes: Option<&LaneIndex>) -> Self {
         let steps = (0..scene.num_steps).filter(|t| scene.is_valid(agent_idx, *t));

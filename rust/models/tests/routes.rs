@@ -1,0 +1,154 @@
+//! A network that is told where its vehicles go.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod common;
+
+use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::dataset::{Dataset, SampleConfig};
+use ccdiff_models::features::{self, Window, route_ahead};
+use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
+use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_sim::geom::{Point2, Vector2};
+use ccdiff_sim::scene::Scene;
+use ccdiff_sim::world::Route;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tch::Device;
+
+const NOW: usize = 40;
+const POINTS_M: [f32; 3] = [5.0, 10.0, 20.0];
+
+fn temporary(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ccdiff-routes-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder.join(name)
+}
+
+fn network(points_m: &[f32]) -> ModelConfig {
+    ModelConfig { map: None, route_points_m: points_m.to_vec(), ..ModelConfig::fast() }
+}
+
+fn training() -> TrainConfig {
+    let preset = TrainConfig::preset("fast", ModelKind::Ccdiff).unwrap();
+    TrainConfig { batch_scenes: 4, warmup_steps: 0, perturb: false, drop_route: 0.3, ..preset }
+}
+
+/// 6 m/s along x; from now on with a yaw rate, rad/s.
+fn bend(yaw_rate_radps: f32) -> Arc<Scene> {
+    let straight = common::scene(&[[0.0, 0.0, 0.0, 6.0, 0.0]], 110);
+    let mut scene = Scene::clone(&straight);
+    let (mut at, mut heading) = (scene.tracks.position[NOW], 0.0f32);
+    for step in NOW + 1..scene.num_steps {
+        heading += 0.1 * yaw_rate_radps;
+        let velocity = Vector2::new(6.0 * heading.cos(), 6.0 * heading.sin());
+        at += velocity * 0.1;
+        scene.tracks.position[step] = at;
+        scene.tracks.heading_rad[step] = heading;
+        scene.tracks.velocity[step] = velocity;
+    }
+    Arc::new(scene)
+}
+
+fn run(scenes: Vec<Arc<Scene>>, model: &ModelConfig) -> Trainer {
+    // the moment before the fork, and some after it
+    let data = Dataset::new(scenes, model, SampleConfig { stride: 5, smooth: false }).unwrap();
+    common::seeded(|| Trainer::new(model.clone(), training(), data, Device::Cpu).unwrap())
+}
+
+/// The window at the fork, with the route of the scene told or not.
+fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
+    let mut window = Window::from_scene(scene, NOW, &[0], 31);
+    let at = scene.tracks.position[NOW];
+    if let Some(points_m) = points_m {
+        let route = Route::new(scene, 0, None);
+        window.routes = vec![route_ahead(&route, route.path.project(at).s_m, points_m)];
+    }
+    window
+}
+
+/// Planned states of 16 seeds.
+fn planned(weights: &Path, window: &Window) -> Vec<f32> {
+    let mut planner = Planner::load(weights, Device::Cpu).unwrap();
+    let plan = |seed| {
+        let view = WorldView { window, bitmap: None, seed, guide: None };
+        planner.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
+    };
+    (0..16).flat_map(plan).collect()
+}
+
+#[test]
+fn places_ahead_are_those_of_the_route_in_the_agents_frame() {
+    let scene = bend(0.0);
+    let mut window = window(&scene, None);
+    // seen from (24, 0), heading north in place of east
+    window.heading_rad[30] = std::f32::consts::FRAC_PI_2;
+    window.routes = vec![vec![Point2::new(29.0, 0.0), Point2::new(34.0, 1.0)]];
+    let built = features::build(&window, None, &network(&POINTS_M[..2])).unwrap();
+    let expected = [1.0, 0.0, -5.0, 1.0, -10.0];
+    assert!(built.route.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", built.route);
+    window.routes = vec![Vec::new()];
+    let untold = features::build(&window, None, &network(&POINTS_M[..2])).unwrap();
+    assert_eq!(untold.route, [0.0; 5]);
+    window.routes = vec![vec![Point2::origin()]];
+    let text = features::build(&window, None, &network(&POINTS_M)).unwrap_err().to_string();
+    assert!(text.contains("routes") && text.contains('3'), "{text}");
+}
+
+#[test]
+fn a_network_that_begins_with_weights_plans_as_they_do_until_it_has_learned_routes() {
+    let scene = bend(0.2);
+    let [base, grown] = ["base.safetensors", "grown.safetensors"].map(temporary);
+    let mut first = run(vec![scene.clone()], &network(&[]));
+    first.run(3).unwrap();
+    first.export(&base, &serde_json::json!({})).unwrap();
+    let mut second = run(vec![scene.clone()], &network(&POINTS_M)).begun_with(&base).unwrap();
+    second.export(&grown, &serde_json::json!({})).unwrap();
+    let plain = planned(&base, &window(&scene, None));
+    for points_m in [None, Some(&POINTS_M[..])] {
+        assert_eq!(planned(&grown, &window(&scene, points_m)), plain, "{points_m:?}");
+    }
+    second.run(3).unwrap();
+    second.export(&grown, &serde_json::json!({})).unwrap();
+    assert_ne!(
+        planned(&grown, &window(&scene, Some(&POINTS_M))),
+        planned(&grown, &window(&scene, None)),
+        "a route that is told changes nothing"
+    );
+    let narrow = ModelConfig { width: 32, ..network(&POINTS_M) };
+    assert!(run(vec![scene.clone()], &narrow).begun_with(&base).is_err());
+    assert!(run(vec![scene], &network(&[])).begun_with(&grown).is_err(), "parts that are left over");
+}
+
+#[test]
+fn a_fork_is_taken_as_the_route_says() {
+    let (left, right) = (bend(0.25), bend(-0.25));
+    let model = network(&POINTS_M);
+    let mut run = run(vec![left.clone(), right.clone()], &model);
+    run.run(250).unwrap();
+    let weights = temporary("fork.safetensors");
+    run.export(&weights, &serde_json::json!({})).unwrap();
+    let sideways = |scene: &Scene, points_m| -> Vec<f32> {
+        let states = planned(&weights, &window(scene, points_m));
+        states.chunks_exact(52 * 6).map(|plan| plan[29 * 6 + 1]).collect()
+    };
+    // after 3 s the logs are 6.4 m to either side
+    let (to_left, to_right) = (sideways(&left, Some(&POINTS_M)), sideways(&right, Some(&POINTS_M)));
+    let taken = |ends: &[f32], side: f32| ends.iter().filter(|y| side * **y > 2.0).count();
+    assert!(taken(&to_left, 1.0) > 11, "{to_left:?}");
+    assert!(taken(&to_right, -1.0) > 11, "{to_right:?}");
+    // histories are the same: untold, the network cannot know
+    assert_eq!(sideways(&left, None), sideways(&right, None));
+}
+
+#[test]
+fn routes_are_refused_where_they_mean_nothing() {
+    let ctg =
+        ModelConfig { route_points_m: POINTS_M.to_vec(), ..ModelConfig::of(ModelKind::Ctg, "fast").unwrap() };
+    for (model, words) in
+        [(ctg, "CCDiff alone"), (network(&[1.0; 65]), "at most 64"), (network(&[-1.0]), "route_points_m")]
+    {
+        let text = model.validated().unwrap_err().to_string();
+        assert!(text.contains("route_points_m") && text.contains(words), "{text}");
+    }
+}
