@@ -133,7 +133,7 @@ def equal_work(envs: int, threads: int) -> Steps:
         horizon_steps=91,
         autoreset="same_step",
         observation=ObservationConfig(
-            num_agents=VEHICLES - 1,
+            num_neighbors=VEHICLES - 1,
             num_route_points=0,
             num_map_pieces=200,
             radius_m=200.0,

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed
+from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed, takes_former_names
 from ccdiff_env.files import parsed_object
 from ccdiff_env.options import (
     DYNAMICS,
@@ -62,6 +62,12 @@ __all__ = [
 
 #: A driver by name, or shares of drivers by name.
 Traffic: TypeAlias = str | Mapping[str, float]
+
+
+#: Former names of options, for one release.
+FORMER: dict[type[Any], dict[str, str]] = {ObservationConfig: {"num_agents": "num_neighbors"}}
+for _kind, _names in FORMER.items():
+    takes_former_names(**_names)(_kind)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +179,7 @@ def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
     hints = typing.get_type_hints(type(config))
     changes = {}
     for name, value in options.items():
+        name = renamed("option", name, FORMER.get(type(config), {}))
         if name not in hints:
             error = unknown("option", path + str(name), (path + n for n in hints))
             if path:

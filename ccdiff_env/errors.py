@@ -6,8 +6,12 @@ refuses; each is also the built-in kind that fits, so that generic handlers work
 
 from __future__ import annotations
 
+import functools
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
 
 
 class CcdiffError(Exception):
@@ -81,3 +85,25 @@ def renamed(what: str, name: str, names: Mapping[str, str]) -> str:
     message = f"{what} {name!r} is called {names[name]!r}; the old name goes with the next release"
     warnings.warn(message, DeprecationWarning, stacklevel=3)
     return names[name]
+
+
+def takes_former_names(**names: str) -> Callable[[type[_T]], type[_T]]:
+    """Let a dataclass take former names of its fields, and answer to them, with a warning."""
+
+    def decorate(kind: type[_T]) -> type[_T]:
+        init = kind.__init__
+
+        @functools.wraps(init)
+        def take(self: Any, *values: Any, **fields: Any) -> None:
+            former = {renamed("field", n, names): fields.pop(n) for n in names if n in fields}
+            init(self, *values, **former, **fields)
+
+        def answer(former: str) -> property:
+            return property(lambda self: getattr(self, renamed("field", former, names)))
+
+        kind.__init__ = take  # type: ignore[assignment]
+        for former in names:
+            setattr(kind, former, answer(former))
+        return kind
+
+    return decorate

@@ -184,8 +184,8 @@ class BevConfig:
 class ObservationConfig:
     """Choice of rows and columns of the observation."""
 
-    #: Nearest agents, K rows (in [0, 512]).
-    num_agents: int = 16
+    #: Nearest agents that are seen, K rows (in [0, 512]).
+    num_neighbors: int = 16
     #: Points of the route ahead, P rows (in [0, 256]).
     num_route_points: int = 20
     #: Distance from one route point to the next (m, in (0, 1000]).

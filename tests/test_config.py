@@ -14,6 +14,7 @@ from ccdiff_env.config import (
     ActionGrid,
     BicycleLimits,
     DeltaPoseLimits,
+    ObservationConfig,
     RewardConfig,
     UnicycleLimits,
     WorldConfig,
@@ -80,6 +81,22 @@ def test_dictionaries_change_only_the_fields_they_name():
 def test_shortcuts_are_fields_of_the_action():
     config = WorldConfig().with_options(dynamics="delta_pose", discrete=True)
     assert config.action == ActionConfig(dynamics=DeltaPoseLimits(), discrete=True)
+
+
+def test_a_former_name_of_an_option_warns_and_means_the_same():
+    expected = WorldConfig().with_options(observation={"num_neighbors": 3})
+    with pytest.warns(DeprecationWarning, match="'num_agents' is called 'num_neighbors'"):
+        assert WorldConfig().with_options(observation={"num_agents": 3}) == expected
+    with pytest.warns(DeprecationWarning, match="num_neighbors"):
+        former = ObservationConfig(num_agents=3)  # type: ignore[call-arg]
+    assert former == expected.observation
+    with pytest.warns(DeprecationWarning, match="num_neighbors"):
+        assert former.num_agents == 3  # type: ignore[attr-defined]
+    text = expected.to_json().replace("num_neighbors", "num_agents")
+    with pytest.warns(DeprecationWarning, match="num_neighbors"):
+        assert WorldConfig.from_json(text) == expected
+    with pytest.raises(TypeError, match="num_neighbors"):
+        ObservationConfig(num_agents=3, num_neighbors=4)  # type: ignore[call-arg]
 
 
 def test_numpy_numbers_are_numbers():

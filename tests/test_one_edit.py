@@ -28,7 +28,7 @@ def steps(env, seed=0, most=40):
 
 def test_an_observation_column_is_there_for_who_asks_for_it(scenes):
     columns = ("x", "y", "speed", "acceleration")
-    row = ObservationConfig(num_agents=60, radius_m=500.0, agent_columns=columns)
+    row = ObservationConfig(num_neighbors=60, radius_m=500.0, agent_columns=columns)
     config = WorldConfig(traffic="idm", observation=row)
     env = EgoEnv(scenes=scenes, config=config, observation="dict")
     before, was_there, braked = np.zeros(0), np.zeros(0, bool), 0

@@ -113,7 +113,7 @@ def test_modules_of_the_working_folder_are_found(scenes, tmp_path, monkeypatch):
         {"dynamics": "bicycle"},
         {"discrete": True},
         {"decision_steps": 5},
-        {"config": WorldConfig(observation=ObservationConfig(num_agents=4))},
+        {"config": WorldConfig(observation=ObservationConfig(num_neighbors=4))},
         {"policy": "MultiInputPolicy", "observation": "dict"},
         {"algorithm": RecurrentPPO, "policy": "MlpLstmPolicy"},
     ],

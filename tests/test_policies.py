@@ -88,7 +88,7 @@ def test_a_row_does_not_depend_on_the_batch(path, scenes):
     [
         ({"dynamics": "bicycle"}, "BicycleLimits"),
         ({"action": {"max_yaw_rate_radps": 0.5}}, "trained for"),
-        ({"observation": {"num_agents": 3}}, "trained on observations"),
+        ({"observation": {"num_neighbors": 3}}, "trained on observations"),
         ({"decision_steps": 2}, "decision_steps=3"),
     ],
 )

@@ -27,6 +27,7 @@ FORMER = {
     r"\blap\b|\bowed\b": ("on_phase_end, reset_pending", "rust/sim"),
     r"\b[Tt]ally\b": ("EpisodeStatistics", "rust docs"),
     r"\bfold_seed\b": ("normalize_seed", "ccdiff_env"),
+    r"observation.*\bnum_agents\b": ("num_neighbors", "ccdiff_env docs examples"),
     r"\bsettled\b": ("resolved", "ccdiff_env/envs"),
     r"\bCast\b": ("AgentSelection", "ccdiff_env docs"),
     r"\bStage\b|\bbystanders?\b": ("ScenarioBuilder, background actors", "tools docs"),

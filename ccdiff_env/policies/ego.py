@@ -25,7 +25,7 @@ FORMAT = "ccdiff-env ego 1"
 #: A lean observation: the ego on its route, 10 points of the route, the 12 nearest agents. What
 #: tells one scene from another is left out, so that egos do not learn scenes by heart.
 OBSERVATION: Mapping[str, Any] = {
-    "num_agents": 12,
+    "num_neighbors": 12,
     "num_route_points": 10,
     "route_spacing_m": 4.0,
     "num_map_pieces": 0,

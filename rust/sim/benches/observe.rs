@@ -80,10 +80,10 @@ fn states_at(scene: &Scene, step_idx: usize) -> AgentStates {
 }
 
 /// 7 + 63 x 7 + 200 x 7 floats, less the groups that are left out.
-fn comparison_row(num_agents: usize, num_map_pieces: usize) -> ObservationConfig {
+fn comparison_row(num_neighbors: usize, num_map_pieces: usize) -> ObservationConfig {
     let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
     ObservationConfig {
-        num_agents,
+        num_neighbors,
         num_route_points: 0,
         num_map_pieces,
         radius_m: 200.0,

@@ -142,7 +142,7 @@ fn default_config(traffic: &str) -> WorldConfig {
 fn comparison_row() -> ObservationConfig {
     let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
     ObservationConfig {
-        num_agents: 63,
+        num_neighbors: 63,
         num_route_points: 0,
         num_map_pieces: 200,
         radius_m: 200.0,

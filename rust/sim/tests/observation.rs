@@ -57,7 +57,7 @@ fn every_number_lies_within_the_bounds_of_its_column() {
 
 #[test]
 fn nearest_agents_agree_with_a_slow_search() {
-    let observation = ObservationConfig { num_agents: 5, ..ObservationConfig::default() };
+    let observation = ObservationConfig { num_neighbors: 5, ..ObservationConfig::default() };
     let mut batch = Batch::new(vec![city(30)], WorldConfig { observation, ..config() }, 1, 1);
     batch.reset_all(1);
     let agents = batch.world.layout().entry("agents").unwrap().clone();
@@ -223,7 +223,7 @@ fn map_pieces_cover_their_lines_and_the_cut_is_left_out() {
 fn chosen_columns_make_the_row_of_the_comparison() {
     let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
     let observation = ObservationConfig {
-        num_agents: 63,
+        num_neighbors: 63,
         num_route_points: 0,
         num_map_pieces: 200,
         masks: false,
@@ -281,7 +281,7 @@ proptest! {
             1 => vec!["is_lane", "y", "x"],
             _ => vec!["x", "y", "cos", "sin", "half_length"],
         };
-        let whole = ObservationConfig { num_agents: rows, num_map_pieces: pieces, ..ObservationConfig::default() };
+        let whole = ObservationConfig { num_neighbors: rows, num_map_pieces: pieces, ..ObservationConfig::default() };
         let chosen = ObservationConfig {
             agent_columns: names(&agent_columns), map_columns: names(&map_columns), ..whole.clone()
         };

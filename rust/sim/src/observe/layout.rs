@@ -16,8 +16,8 @@ options! {
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct ObservationConfig {
-        /// Nearest agents, K rows.
-        num_agents: usize = 16, range within(0.0, 512.0);
+        /// Nearest agents that are seen, K rows.
+        num_neighbors: usize = 16, range within(0.0, 512.0);
         /// Points of the route ahead, P rows.
         num_route_points: usize = 20, range within(0.0, 256.0);
         /// Distance from one route point to the next.
@@ -135,7 +135,7 @@ impl Layout {
         };
         layout.push("ego", None, pick(&ego, &chosen[0]));
         layout.push("route", Some(("route_mask", c.num_route_points)), columns_of(&ROUTE));
-        layout.push("agents", Some(("agents_mask", c.num_agents)), pick(&agent, &chosen[1]));
+        layout.push("agents", Some(("agents_mask", c.num_neighbors)), pick(&agent, &chosen[1]));
         layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&map, &chosen[2]));
         if layout.size == 0 {
             let expected = "at least one number".into();

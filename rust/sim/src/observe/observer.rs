@@ -27,7 +27,7 @@ impl Observer {
         let ([ego, agents, map], c) = (&layout.chosen, &layout.config);
         Self {
             ego: EgoRow::new(ego),
-            agents: AgentRows::new(agents, c.num_agents, c.radius_m),
+            agents: AgentRows::new(agents, c.num_neighbors, c.radius_m),
             map: MapRows::new(map, c.num_map_pieces),
             layout,
         }
@@ -50,7 +50,8 @@ impl Observer {
         let c = &self.layout.config;
         // a group without rows or columns has no mask either
         let mask = |size: usize, rows: usize| if c.masks && size > 0 { rows } else { 0 };
-        let (num_points, num_agents, num_pieces) = (c.num_route_points, c.num_agents, c.num_map_pieces);
+        let (num_points, num_neighbors, num_pieces) =
+            (c.num_route_points, c.num_neighbors, c.num_map_pieces);
         let (agents_size, map_size) = (self.agents.size(), self.map.size());
         let (out, rest) = out.split_at_mut(self.ego.size());
         self.ego.write(view, out);
@@ -58,7 +59,7 @@ impl Observer {
         let (route_mask, rest) = rest.split_at_mut(mask(num_points, num_points));
         write_route(view, &frame, c.route_spacing_m, out, route_mask);
         let (out, rest) = rest.split_at_mut(agents_size);
-        let (agents_mask, rest) = rest.split_at_mut(mask(agents_size, num_agents));
+        let (agents_mask, rest) = rest.split_at_mut(mask(agents_size, num_neighbors));
         self.agents.write(view, &frame, out, agents_mask);
         let (out, rest) = rest.split_at_mut(map_size);
         self.map.write(view.pieces, &frame, out, &mut rest[..mask(map_size, num_pieces)]);
