@@ -101,7 +101,7 @@ def takes_former_names(**names: str) -> Callable[[type[_T]], type[_T]]:
         def answer(former: str) -> property:
             return property(lambda self: getattr(self, renamed("field", former, names)))
 
-        kind.__init__ = take  # type: ignore[assignment]
+        kind.__init__ = take  # type: ignore[method-assign]
         for former in names:
             setattr(kind, former, answer(former))
         return kind

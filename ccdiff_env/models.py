@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.curves import Curves, progress_bar
-from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.errors import ConfigError, MissingFeatureError, takes_former_names
 from ccdiff_env.scenes import Scene
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ def weights_path(
     return shipped_weights(one_step=denoising_steps == 1, routes=follow_route)
 
 
+@takes_former_names(chosen="selected_sample")
 @dataclass(frozen=True)
 class ScenePlan:
     """Plans for the vehicles of one scene at one step.
@@ -141,8 +142,8 @@ class ScenePlan:
     attention
         Attention of vehicle i to vehicle j, zero outside of G, ``[M, M]``; ``None``
         if not asked for.
-    chosen
-        Sample that guidance chose for each vehicle, ``[M]``; 0 without guidance.
+    selected_sample
+        Sample that guidance selected for each vehicle, ``[M]``; 0 without guidance.
     guidance
         ``losses [J, N, M]`` of the objectives, ``realism_cost [M]`` (C(τ), total variation in
         [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and, if asked for,
@@ -157,7 +158,7 @@ class ScenePlan:
     graph: npt.NDArray[np.bool_]
     ttc: npt.NDArray[np.float32]
     attention: npt.NDArray[np.float32] | None
-    chosen: npt.NDArray[np.int64]
+    selected_sample: npt.NDArray[np.int64]
     guidance: dict[str, npt.NDArray[np.float32]] | None
 
     def positions(self) -> npt.NDArray[np.float32]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError, takes_former_names
 from ccdiff_env.files import parsed_object
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.traffic import NETWORKS
@@ -49,14 +49,17 @@ _DAMAGE = (
 #: Arrays of a recorded plan: element type and number of axes that count agents.
 _PLAN_ARRAYS: dict[str, tuple[Any, int]] = {
     "samples": (np.float32, 0),
-    "chosen": (np.int64, 1),
-    "executed": (np.bool_, 1),
+    "selected_sample": (np.int64, 1),
+    "follows_plan": (np.bool_, 1),
     "graph": (np.bool_, 2),
     "ttc_s": (np.float32, 2),
     "guided": (np.bool_, 1),
     "realism_cost": (np.float32, 1),
     "shift_sigmas": (np.float32, 1),
 }
+
+#: Names of such arrays in files of before.
+_FORMER = {"selected_sample": "chosen", "follows_plan": "executed"}
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,7 @@ class RolloutEvent:
     at_fault: bool = False
 
 
+@takes_former_names(chosen="selected_sample", executed="follows_plan")
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RolloutPlan:
     """One plan of CCDiff: M agents, N samples of H steps.
@@ -97,9 +101,9 @@ class RolloutPlan:
         The planned agents, in the order of all other fields.
     samples
         Positions [N, M, H, 2], metres, scene frame.
-    chosen
+    selected_sample
         Sample that each agent follows [M].
-    executed
+    follows_plan
         Whether an agent follows its plan [M]; the others were predicted only.
     graph
         Decision causal graph [M, M]: row i looks at column j.
@@ -116,8 +120,8 @@ class RolloutPlan:
     step: int
     agent_ids: tuple[str, ...]
     samples: F32
-    chosen: npt.NDArray[np.int64]
-    executed: Bool
+    selected_sample: npt.NDArray[np.int64]
+    follows_plan: Bool
     graph: Bool
     ttc_s: F32
     guided: Bool
@@ -135,9 +139,10 @@ class RolloutPlan:
         for name, (_, num_axes) in _PLAN_ARRAYS.items():
             if num_axes:
                 _expect(f"plan.{name}", getattr(self, name), (m,) * num_axes)
-        if m and not 0 <= self.chosen.min() <= self.chosen.max() < len(self.samples):
+        selected, num_samples = self.selected_sample, len(self.samples)
+        if m and not 0 <= selected.min() <= selected.max() < num_samples:
             raise ShapeError(
-                f"plan.chosen is {self.chosen}, expected less than {len(self.samples)}"
+                f"plan.selected_sample is {selected}, expected less than {num_samples}"
             )
 
     @classmethod
@@ -378,10 +383,11 @@ class Rollout:
                 step=int(step),
                 agent_ids=tuple(ids),
                 **{
-                    name: _typed(arrays, f"plans/{i}/{name}", kind)
+                    name: _typed(arrays, f"plans/{i}/{stored}", kind)
                     for name, (kind, _) in _PLAN_ARRAYS.items()
-                    # files of before have none
-                    if name != "shift_sigmas" or f"plans/{i}/{name}" in arrays
+                    # files of before have former names, and no such shift
+                    for stored in (name, _FORMER.get(name))
+                    if f"plans/{i}/{stored}" in arrays
                 },
             )
             for i, (step, ids) in enumerate(head["plans"])

@@ -139,7 +139,7 @@ def test_plans_on_cuda_are_those_of_the_processor() -> None:
     for ours, theirs in zip(on_cuda, plans("cpu"), strict=True):
         np.testing.assert_allclose(ours.states, theirs.states, atol=2e-3)
         np.testing.assert_allclose(ours.attention, theirs.attention, atol=1e-4)
-        np.testing.assert_array_equal(ours.chosen, theirs.chosen)
+        np.testing.assert_array_equal(ours.selected_sample, theirs.selected_sample)
 
 
 @needs_no_gpu

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -12,6 +13,7 @@ from ccdiff_env import EgoEnv, Recorder, Rollout, RolloutPlan, errors, metrics
 from ccdiff_env.scenarionet import load_scenario_dict
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
+PLAN_NAMES = ("samples", "selected_sample", "follows_plan", "graph", "ttc_s", "guided")
 
 
 def record(scene=None, scenes="val", **options):
@@ -97,8 +99,8 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
         step=5,
         agent_ids=("ego", rollout.agent_ids[1]),
         samples=np.ones((3, 2, 4, 2), np.float32),
-        chosen=np.array([2, 0]),
-        executed=np.array([False, True]),
+        selected_sample=np.array([2, 0]),
+        follows_plan=np.array([False, True]),
         graph=np.eye(2, dtype=bool),
         ttc_s=np.full((2, 2), np.inf, np.float32),
         guided=np.array([False, True]),
@@ -117,7 +119,29 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
     (again,) = loaded.plans
     assert (again.step, again.agent_ids) == (5, plan.agent_ids)
-    for name in ("samples", "chosen", "executed", "graph", "ttc_s", "guided", "realism_cost"):
+    for name in PLAN_NAMES:
+        assert (getattr(again, name) == getattr(plan, name)).all()
+
+
+def test_former_names_of_plans_are_read_and_warn(driven, tmp_path):
+    fields = {"samples": np.ones((2, 1, 4, 2), np.float32), "ttc_s": np.zeros((1, 1), np.float32)}
+    fields |= {"graph": np.eye(1, dtype=bool), "guided": np.zeros(1, bool)}
+    fields |= {"realism_cost": np.zeros(1, np.float32)}
+    fields |= {"step": 0, "agent_ids": ("ego",)}
+    with pytest.warns(DeprecationWarning, match="'chosen' is called 'selected_sample'"):
+        plan = RolloutPlan(chosen=np.array([1]), executed=np.array([True]), **fields)
+    assert plan.selected_sample == [1]
+    with pytest.warns(DeprecationWarning, match="follows_plan"):
+        assert plan.executed == [True]
+    saved = dataclasses.replace(driven[1], plans=(plan,))
+    saved.save(tmp_path / "now.npz")
+    former = {"selected_sample": "chosen", "follows_plan": "executed"}
+    with np.load(tmp_path / "now.npz") as file:
+        parts = [(name.rpartition("/"), file[name]) for name in file.files]
+    named = {a + b + former.get(c, c): array for (a, b, c), array in parts}
+    np.savez(tmp_path / "then.npz", **named)
+    (again,) = Rollout.load(tmp_path / "then.npz").plans
+    for name in PLAN_NAMES:
         assert (getattr(again, name) == getattr(plan, name)).all()
 
 
@@ -230,9 +254,9 @@ def test_plans_of_ccdiff_are_recorded_where_they_were_made():
     assert [plan.step for plan in rollout.plans] == [0, 5, 10]
     assert rollout.driver_names.count("ccdiff") >= 1
     for plan in rollout.plans:
-        for m in np.flatnonzero(plan.executed):
+        for m in np.flatnonzero(plan.follows_plan):
             a = rollout.agent_ids.index(plan.agent_ids[m])
             steps = range(min(5, rollout.num_steps - 1 - plan.step))
             for h in steps:
-                planned = plan.samples[plan.chosen[m], m, h]
+                planned = plan.samples[plan.selected_sample[m], m, h]
                 assert np.abs(rollout.position[a, plan.step + h + 1] - planned).max() < 0.05

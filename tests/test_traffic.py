@@ -70,9 +70,9 @@ def test_a_plan_is_made_every_n_steps_and_followed_in_between(scenes):
         play.step()
         plan = play.native.explain(0)
         made.append(plan["made_at"])
-        agents = plan["agents"][plan["executed"]]
-        rows, chosen = np.flatnonzero(plan["executed"]), plan["chosen"][plan["executed"]]
-        at = plan["samples"][chosen, rows, step - plan["made_at"]]
+        agents = plan["agents"][plan["follows_plan"]]
+        rows = np.flatnonzero(plan["follows_plan"])
+        at = plan["samples"][plan["selected_sample"][rows], rows, step - plan["made_at"]]
         states = play.states()
         there = states["active"][agents]
         assert there.any()
@@ -95,7 +95,7 @@ def test_a_plan_tells_what_it_was_made_from(scenes):
     assert len(plan["objectives"]) == len(plan["losses"]) == len(plan["gradient_cosine"])
     assert plan["realism_cosine"].shape == plan["conflict_share"].shape == (m,)
     assert plan["guided"].sum() <= 5
-    assert set(plan["ranking"]) == set(plan["agents"][plan["executed"]])
+    assert set(plan["ranking"]) == set(plan["agents"][plan["follows_plan"]])
     assert (plan["realism_cost"][~plan["guided"]] == 0).all()
     assert (plan["realism_cost"] <= 1).all()
     # two Gaussians whose means lie d standard deviations apart differ by erf(d / sqrt(8))
@@ -154,7 +154,7 @@ def test_a_tied_plan_goes_on_with_the_motion_that_there_is(scenes):
             play.step()
             speeds.append(play.native.states(0)["speed"].copy())
         plan = play.native.explain(0)
-        agents = plan["agents"][plan["executed"]]
+        agents = plan["agents"][plan["follows_plan"]]
         acceleration = np.diff(np.array(speeds)[:, agents], axis=0) / 0.1
         # the steps 5, 10, ... are the first ones of a plan
         changes[tied] = np.abs(np.diff(acceleration, axis=0))[3::5]
@@ -223,7 +223,7 @@ def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, t
     play = Play(scenes[:1], ccdiff={"ranking": wanted, "num_guided": 1, "criticality": 1.0})
     play.step()
     plan = play.native.explain(0)
-    ours = plan["agents"][plan["executed"]]
+    ours = plan["agents"][plan["follows_plan"]]
     assert sorted(plan["ranking"]) == sorted(ours)
     assert plan["guided"].sum() == 1
     if ranking in ("list", "file") and 2 in ours:
@@ -270,12 +270,12 @@ def test_vehicles_left_to_the_log_stay_on_it(scenes):
     for step in range(20):
         play.step()
         plan, states = play.native.explain(0), play.states()
-        for agent in plan["agents"][~plan["executed"]]:
+        for agent in plan["agents"][~plan["follows_plan"]]:
             at = 31 + step
             if states["active"][agent] and tracks["valid"][agent, at]:
                 logged = tracks["position"][agent, at]
                 np.testing.assert_allclose(states["position"][agent], logged, atol=1e-4)
-    assert plan["executed"].sum() == 1
+    assert plan["follows_plan"].sum() == 1
 
 
 def test_the_same_seed_gives_the_same_traffic_and_another_one_another(scenes):
@@ -465,8 +465,8 @@ def test_the_papers_protocol_is_a_set_of_options(scenes):
     for _ in range(3):
         env.step(np.zeros(env.action_space.shape, np.float32))
     plan = env.explain(0)
-    assert plan.executed.sum() <= 5
-    assert (plan.guided <= plan.executed).all()
+    assert plan.follows_plan.sum() <= 5
+    assert (plan.guided <= plan.follows_plan).all()
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -478,7 +478,7 @@ def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name)
     for _ in range(8):
         env.step(env.action_space.sample())
     plan, states = env.explain(), env.worlds.native.states(0)
-    driven = plan.agents[plan.executed]
+    driven = plan.agents[plan.follows_plan]
     assert name in {env.worlds.native.drivers(0)[agent] for agent in driven}
     moved = np.linalg.norm(states["position"] - start["position"], axis=1)[driven]
     assert np.isfinite(plan.samples).all()

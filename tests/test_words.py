@@ -28,6 +28,10 @@ FORMER = {
     r"\b[Tt]ally\b": ("EpisodeStatistics", "rust docs"),
     r"\bfold_seed\b": ("normalize_seed", "ccdiff_env"),
     r"observation.*\bnum_agents\b": ("num_neighbors", "ccdiff_env docs examples"),
+    r"\bplan\.(chosen|executed)\b": (
+        "selected_sample, follows_plan",
+        "rust ccdiff_env",
+    ),
     r"\bsettled\b": ("resolved", "ccdiff_env/envs"),
     r"\bCast\b": ("AgentSelection", "ccdiff_env docs"),
     r"\bStage\b|\bbystanders?\b": ("ScenarioBuilder, background actors", "tools docs"),

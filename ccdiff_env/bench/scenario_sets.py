@@ -258,8 +258,8 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     ids = {
         name
         for plan in rollout.plans
-        for name, executed in zip(plan.agent_ids, plan.executed, strict=True)
-        if executed and name != "ego"
+        for name, follows in zip(plan.agent_ids, plan.follows_plan, strict=True)
+        if follows and name != "ego"
     }
     agents = np.array([i for i, name in enumerate(rollout.agent_ids) if name in ids], np.int64)
     guided = [plan for plan in rollout.plans if plan.guided.any()]

@@ -294,7 +294,7 @@ def episodes(
         for recorder in recorders.values():
             recorder.step()
     if own:
-        chosen = [p[0]["agents"][p[0]["executed"]].tolist() if p else [] for p in plans]
+        chosen = [p[0]["agents"][p[0]["follows_plan"]].tolist() if p else [] for p in plans]
     found = [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
     for i, recorder in recorders.items():
         found[i].recorded = recorder.rollout()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError, takes_former_names
 from ccdiff_env.files import parsed_object
 
 __all__ = [
@@ -34,6 +34,7 @@ NETWORKS = (
 )
 
 
+@takes_former_names(chosen="selected_sample", executed="follows_plan")
 @dataclass(frozen=True, eq=False)
 class TrafficPlan:
     """A plan that a world follows, and what it was made from: M vehicles, N samples, T steps.
@@ -46,7 +47,7 @@ class TrafficPlan:
     #: Vehicles that were planned for, indices in the scene, [M].
     agents: npt.NDArray[np.int64]
     #: Whether a vehicle follows the plan, [M]; the others were predicted only.
-    executed: npt.NDArray[np.bool_]
+    follows_plan: npt.NDArray[np.bool_]
     #: Whether guidance moved its plan, [M].
     guided: npt.NDArray[np.bool_]
     #: Decision causal graph G, [M, M].
@@ -60,7 +61,7 @@ class TrafficPlan:
     #: x, y (m) and heading (rad) in the scene frame after each step, [N, M, T, 3].
     samples: npt.NDArray[np.float32]
     #: Sample that each vehicle follows, [M].
-    chosen: npt.NDArray[np.int64]
+    selected_sample: npt.NDArray[np.int64]
     #: Names of the guidance objectives, [J].
     objectives: tuple[str, ...]
     #: Their losses without weights, [J, N, M].

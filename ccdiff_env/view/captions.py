@@ -40,8 +40,8 @@ def guided_agents(rollout: Rollout) -> set[str]:
     return {
         name
         for plan in rollout.plans
-        for name, guided, executed in zip(plan.agent_ids, plan.guided, plan.executed, strict=True)
-        if guided and executed
+        for name, moved in zip(plan.agent_ids, plan.guided & plan.follows_plan, strict=True)
+        if moved
     }
 
 

@@ -127,7 +127,7 @@ class Film:
 
     def _samples(self, plan: RolloutPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
         for row, name in enumerate(plan.agent_ids):
-            if not plan.executed[row]:
+            if not plan.follows_plan[row]:
                 continue
             driver = "adversary" if plan.guided[row] else self._drivers[self._number[name]]
             for sample in plan.samples[:, row]:

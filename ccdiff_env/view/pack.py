@@ -40,7 +40,7 @@ TTC_STEP_S = 0.05
 PLAN_SPACING_S = 0.4
 """Time between the points of planned samples, at least."""
 PLAN_SAMPLES = 12
-"""Samples kept of a plan, at most; the chosen one is always kept."""
+"""Samples kept of a plan, at most; the selected one is always kept."""
 
 #: Figures that the page derives for any agent, or shows as events.
 _SHOWN_ELSEWHERE = {"speed", "acceleration", "collision_kind", "collision_partner"}
@@ -195,9 +195,9 @@ def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: RolloutPlan) 
     steps = np.unique(
         np.append(np.arange(stride - 1, samples.shape[2], stride), samples.shape[2] - 1)
     )
-    # The chosen sample of each agent comes first.
+    # The selected sample of each agent comes first.
     order = np.argsort(
-        np.arange(len(samples))[:, None] != plan.chosen[None, :], axis=0, kind="stable"
+        np.arange(len(samples))[:, None] != plan.selected_sample[None, :], axis=0, kind="stable"
     )
     kept = np.take_along_axis(samples, order[:PLAN_SAMPLES, :, None, None], axis=0)[:, :, steps]
     number = {name: i for i, name in enumerate(rollout.agent_ids)}
@@ -213,7 +213,7 @@ def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: RolloutPlan) 
         "numSamples": len(kept),
         "numPoints": kept.shape[2],
         "guided": [int(g) for g in plan.guided],
-        "executed": [int(e) for e in plan.executed],
+        "follows_plan": [int(e) for e in plan.follows_plan],
         "cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
         "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
     }

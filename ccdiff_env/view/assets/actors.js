@@ -109,7 +109,7 @@ class Actors {
   }
 
   /**
-   * Samples of the plan in force, thin; the chosen (first) ones over them, thick, fading with time.
+   * Samples of the plan in force, thin; the selected (first) ones over them, thick, fading with time.
    * Those of the focus have full strength. Of agents that do not follow their plan only the focus
    * has it drawn, dashed.
    */
@@ -121,10 +121,10 @@ class Actors {
     for (const chosen of [false, true]) {
       context.lineWidth = Math.max(chosen ? 0.3 : 0.1, (chosen ? 2 : 1) * pixel);
       plan.agents.forEach((agent, row) => {
-        if (!plan.executed[row] && agent !== focus) return;
+        if (!plan.follows_plan[row] && agent !== focus) return;
         context.strokeStyle = plan.guided[row]
           ? this.driverColours[theme].adversary : this.colour(agent, theme);
-        context.setLineDash(plan.executed[row] ? [] : [4 * pixel, 4 * pixel]);
+        context.setLineDash(plan.follows_plan[row] ? [] : [4 * pixel, 4 * pixel]);
         const strength = (chosen ? 0.95 : 0.35) * (about && agent !== focus ? 0.4 : 1);
         this.fading(context, strength, plan.numPoints, (first, last) => {
           for (let sample = 0; sample < plan.numSamples; sample++) {

@@ -105,7 +105,7 @@ pub struct Plan {
     pub states: Vec<f32>,
     /// Samples N.
     pub num_samples: usize,
-    /// Losses, chosen samples, realism cost, gradient statistics; `None` for a world without guidance.
+    /// Losses, selected samples, realism cost, gradient statistics; `None` for a world without guidance.
     pub guidance: Option<GuidanceReport>,
     /// Attention of agent i to the agents in its slots, [M, K] as in the features, if asked for: mean over heads, the
     /// plan's executed tokens and samples, first edge-aware layer, last denoising step.
@@ -115,9 +115,9 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Sample to follow for each agent, [M]: the chosen one, or the first where nothing was chosen.
-    pub fn chosen(&self) -> Vec<usize> {
-        self.guidance.as_ref().map_or_else(|| vec![0; self.agents.len()], |g| g.chosen.clone())
+    /// Sample to follow for each agent, [M]: the selected one, or the first where nothing was selected.
+    pub fn selected_sample(&self) -> Vec<usize> {
+        self.guidance.as_ref().map_or_else(|| vec![0; self.agents.len()], |g| g.selected_sample.clone())
     }
 
     /// Attention [M, M] of row i to column j, 0 outside of G; `None` if not asked for.

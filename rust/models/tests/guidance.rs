@@ -282,12 +282,12 @@ fn follows_the_sign(mut planner: Planner) {
         ])
     };
     let free = planned(&mut planner, &guided, None, &seeds);
-    assert!(free.iter().all(|p| p.guidance.is_none() && p.chosen() == [0, 0, 0]));
+    assert!(free.iter().all(|p| p.guidance.is_none() && p.selected_sample() == [0, 0, 0]));
     let mut closeness = |config: GuidanceConfig| -> f32 {
         let plans = planned(&mut planner, &guided, Some(config.clone()), &seeds);
         for (plan, free) in plans.iter().zip(&free) {
             let report = plan.guidance.as_ref().unwrap();
-            assert_eq!((report.losses.len(), report.chosen.len()), (3 * 2 * 3, 3));
+            assert_eq!((report.losses.len(), report.selected_sample.len()), (3 * 2 * 3, 3));
             assert_eq!(report.realism_cost[0] > 0.0, config.gradient_steps > 0);
             assert_eq!(report.realism_cost[1..], [0.0, 0.0]);
             // the third vehicle has no edge in G: nothing that guidance does can reach it
@@ -296,7 +296,7 @@ fn follows_the_sign(mut planner: Planner) {
                 assert_eq!(plan.actions[own.clone()], free.actions[own]);
             }
         }
-        let losses = |p: &Plan| p.guidance.as_ref().map_or(0.0, |g| g.losses[6 + 3 * g.chosen[0]]);
+        let losses = |p: &Plan| p.guidance.as_ref().map_or(0.0, |g| g.losses[6 + 3 * g.selected_sample[0]]);
         plans.iter().map(losses).sum()
     };
     // the choice among samples follows the sign, too: each is held against its own choice without a gradient

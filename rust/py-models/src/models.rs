@@ -324,7 +324,7 @@ fn plan_logged(
 }
 
 /// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`
-/// [M, M], `attention` [M, M] or `None`, `chosen` [M], `guidance` or `None`.
+/// [M, M], `attention` [M, M] or `None`, `selected_sample` [M], `guidance` or `None`.
 fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
     let (n, m) = (plan.num_samples, plan.agents.len());
     let list = vehicles(scene);
@@ -335,8 +335,8 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     let dict = PyDict::new(py);
     let attention = plan.attention_matrix().map(|a| a.into_pyarray(py).reshape([m, m])).transpose()?;
     dict.set_item("attention", attention)?;
-    let chosen: Vec<i64> = plan.chosen().iter().map(|c| *c as i64).collect();
-    dict.set_item("chosen", PyArray1::from_vec(py, chosen))?;
+    let selected: Vec<i64> = plan.selected_sample().iter().map(|c| *c as i64).collect();
+    dict.set_item("selected_sample", PyArray1::from_vec(py, selected))?;
     dict.set_item("guidance", plan.guidance.map(|g| guidance_dict(py, n, m, g)).transpose()?)?;
     dict.set_item("agents", PyArray1::from_vec(py, agents))?;
     dict.set_item("actions", plan.actions.into_pyarray(py).reshape([n, m, steps, 2])?)?;

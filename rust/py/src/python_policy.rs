@@ -108,7 +108,7 @@ impl PythonPolicy {
         for plan in &mut plans {
             let p = &mut plan.record;
             let m = p.agents.len();
-            (p.executed, p.guided, p.chosen) = (vec![true; m], vec![false; m], vec![0; m]);
+            (p.follows_plan, p.guided, p.selected_sample) = (vec![true; m], vec![false; m], vec![0; m]);
             (p.graph, p.ttc_s) = (vec![false; m * m], vec![f32::INFINITY; m * m]);
             p.realism_cost = vec![0.0; m];
             p.shift_sigmas = vec![0.0; m];

@@ -32,7 +32,7 @@ impl Steady {
         let m = agents.len();
         let mut record = PlanRecord {
             made_at: world.elapsed_steps,
-            executed: vec![true; m],
+            follows_plan: vec![true; m],
             guided: vec![false; m],
             graph: vec![false; m * m],
             ttc_s: vec![0.0; m * m],
@@ -40,7 +40,7 @@ impl Steady {
             shift_sigmas: vec![0.0; m],
             num_samples: 1,
             num_steps: STEPS,
-            chosen: vec![0; m],
+            selected_sample: vec![0; m],
             ..PlanRecord::default()
         };
         for a in &agents {

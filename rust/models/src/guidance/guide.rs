@@ -29,7 +29,7 @@ pub struct Guidance<'a> {
     shift_sq: Vec<f64>,
     /// Gradient statistics so far, sample by sample, if asked for.
     sums: Option<Vec<GradientSums>>,
-    /// Predicted knots of all rows [R, knots, 2], against which each agent's sample is chosen for itself.
+    /// Predicted knots of all rows [R, knots, 2], against which each agent's sample is selected for itself.
     predicted: Option<Vec<f32>>,
 }
 
@@ -196,7 +196,7 @@ impl<'a> Guidance<'a> {
         Ok(())
     }
 
-    /// Has each agent's sample chosen for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
+    /// Has each agent's sample selected for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
     /// of all agents of a world is one future.
     ///
     /// # Errors
@@ -330,8 +330,8 @@ impl<'a> Guidance<'a> {
                 }
             }
             let choose = if predicted.is_some() { choose_per_agent } else { choose_samples };
-            let chosen = choose(self.config, &losses, n, m);
-            let shift = |a: usize| self.shift_sq[chosen[a] * rows + offsets[world] + a].sqrt();
+            let selected_sample = choose(self.config, &losses, n, m);
+            let shift = |a: usize| self.shift_sq[selected_sample[a] * rows + offsets[world] + a].sqrt();
             let sums = self
                 .sums
                 .as_ref()
@@ -341,7 +341,7 @@ impl<'a> Guidance<'a> {
                 shift_sigmas: (0..m).map(|a| shift(a) as f32).collect(),
                 conflict: sums.and_then(|s| GradientSums::statistics(&s)),
                 losses,
-                chosen,
+                selected_sample,
             })
         };
         Ok(self.worlds.par_iter().enumerate().map(of_world).collect())

@@ -1,4 +1,4 @@
-//! What guidance did: losses, the chosen sample, what it cost in realism, how gradients pull against each other.
+//! What guidance did: losses, the selected sample, what it cost in realism, how gradients pull against each other.
 
 use super::config::{FilterWeights, GuidanceConfig, Objective};
 
@@ -7,13 +7,13 @@ use super::config::{FilterWeights, GuidanceConfig, Objective};
 pub struct GuidanceReport {
     /// Unweighted losses of the finished plans, [J, N, M], objectives in the order of the configuration.
     pub losses: Vec<f32>,
-    /// Sample chosen for each agent, [M]; one for all where an objective is joint.
-    pub chosen: Vec<usize>,
-    /// C(τ) of each agent's chosen sample in [0, 1], [M]: total-variation distance between the guided and the unguided
+    /// Sample selected for each agent, [M]; one for all where an objective is joint.
+    pub selected_sample: Vec<usize>,
+    /// C(τ) of each agent's selected sample in [0, 1], [M]: total-variation distance between the guided and the unguided
     /// denoising process. Each denoising step draws from a Gaussian whose mean guidance moves by δ at equal variance σ²;
     /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)). NaN for a network that does not denoise.
     pub realism_cost: Vec<f32>,
-    /// √(Σ ‖δ‖²/σ²) of each agent's chosen sample, [M]: the same in standard deviations, which does not saturate.
+    /// √(Σ ‖δ‖²/σ²) of each agent's selected sample, [M]: the same in standard deviations, which does not saturate.
     /// NaN likewise.
     pub shift_sigmas: Vec<f32>,
     /// Gradient statistics, if asked for.

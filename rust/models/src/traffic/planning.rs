@@ -109,7 +109,7 @@ impl PlannedTraffic {
         }
         let followed = |a: &usize| {
             let record = &request.plan?.record;
-            let row = record.agents.iter().position(|b| b == a).filter(|row| record.executed[*row]);
+            let row = record.agents.iter().position(|b| b == a).filter(|row| record.follows_plan[*row]);
             row.map(|_| [states.acceleration_mps2[*a], states.yaw_rate_radps[*a]])
         };
         if self.config.tie_first_knot {
@@ -219,12 +219,12 @@ impl PlannedTraffic {
                     Others::Replay => due.chosen.contains(a) || memory.left_log[*a],
                 }
         };
-        let executed: Vec<bool> = agents.iter().map(follows).collect();
-        for (agent, follows) in agents.iter().zip(&executed) {
+        let follows_plan: Vec<bool> = agents.iter().map(follows).collect();
+        for (agent, follows) in agents.iter().zip(&follows_plan) {
             memory.left_log[*agent] |= *follows;
         }
-        let chosen = plan.chosen();
-        let speed_mps = speeds(&plan, &chosen, steps);
+        let selected_sample = plan.selected_sample();
+        let speed_mps = speeds(&plan, &selected_sample, steps);
         if due.request.plan.is_none() {
             memory.first_ranking.clone_from(&due.ranking);
         }
@@ -241,7 +241,7 @@ impl PlannedTraffic {
         let kept = |of: fn(&GradientStatistics) -> &Vec<Real>| gradients.map(of).cloned().unwrap_or_default();
         let record = PlanRecord {
             made_at: due.request.world.elapsed_steps,
-            executed,
+            follows_plan,
             guided: plan.agents.iter().map(guided).collect(),
             graph: plan.features.graph.as_slice().to_vec(),
             ttc_s: plan.features.ttc_s.clone(),
@@ -250,7 +250,7 @@ impl PlannedTraffic {
             num_samples: n,
             num_steps: steps,
             samples: poses(&plan, steps),
-            chosen,
+            selected_sample,
             objectives: objectives
                 .map(|g| g.objectives.iter().map(|o| o.name().into()).collect())
                 .unwrap_or_default(),
@@ -280,12 +280,12 @@ fn poses(plan: &Plan, steps: usize) -> Vec<Real> {
     out
 }
 
-/// Speeds of the chosen samples, [M, T].
-fn speeds(plan: &Plan, chosen: &[usize], steps: usize) -> Vec<Real> {
+/// Speeds of the selected samples, [M, T].
+fn speeds(plan: &Plan, selected_sample: &[usize], steps: usize) -> Vec<Real> {
     let m = plan.agents.len();
     let of_row = |(row, sample): (usize, &usize)| {
         let from = (sample * m + row) * steps * 6;
         plan.states[from..from + steps * 6].chunks_exact(6).map(|s| s[2]).collect::<Vec<_>>()
     };
-    chosen.iter().enumerate().flat_map(of_row).collect()
+    selected_sample.iter().enumerate().flat_map(of_row).collect()
 }

@@ -50,8 +50,7 @@ impl Observer {
         let c = &self.layout.config;
         // a group without rows or columns has no mask either
         let mask = |size: usize, rows: usize| if c.masks && size > 0 { rows } else { 0 };
-        let (num_points, num_neighbors, num_pieces) =
-            (c.num_route_points, c.num_neighbors, c.num_map_pieces);
+        let (num_points, num_neighbors, num_pieces) = (c.num_route_points, c.num_neighbors, c.num_map_pieces);
         let (agents_size, map_size) = (self.agents.size(), self.map.size());
         let (out, rest) = out.split_at_mut(self.ego.size());
         self.ego.write(view, out);

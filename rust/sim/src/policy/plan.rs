@@ -44,10 +44,10 @@ impl PlanState {
     /// Pose and velocity after the coming step; `None` for agents that do not follow the plan, and past its end.
     pub fn follow(&self, world: &WorldView<'_>, agent_idx: usize) -> Option<(Pose2, Vector2)> {
         let plan = &self.record;
-        let row = plan.agents.iter().position(|a| *a == agent_idx).filter(|row| plan.executed[*row])?;
+        let row = plan.agents.iter().position(|a| *a == agent_idx).filter(|row| plan.follows_plan[*row])?;
         let step = world.elapsed_steps.checked_sub(plan.made_at).filter(|s| *s < plan.num_steps)?;
         let m = plan.agents.len();
-        let at = ((plan.chosen[row] * m + row) * plan.num_steps + step) * 3;
+        let at = ((plan.selected_sample[row] * m + row) * plan.num_steps + step) * 3;
         let [x, y, heading_rad] = plan.samples[at..at + 3] else { return None };
         let pose = Pose2::new(x, y, heading_rad);
         let speed = self.speed_mps[row * plan.num_steps + step];
@@ -60,7 +60,7 @@ impl PlanState {
         let fits = |f: &PlanField| f.len == f.shape.iter().product::<usize>() || f.optional && f.len == 0;
         p.fields().iter().all(fits)
             && p.agents.iter().chain(&p.ranking).all(|a| *a < num_agents)
-            && p.chosen.iter().all(|s| *s < p.num_samples.max(1))
+            && p.selected_sample.iter().all(|s| *s < p.num_samples.max(1))
             && self.speed_mps.len() == p.agents.len() * p.num_steps
             && p.samples.iter().chain(&self.speed_mps).all(|x| x.is_finite())
     }
@@ -136,7 +136,7 @@ plan_record! { $
     /// Agents of the scene that were planned for, [M].
     agents: Vec<usize>, [Agents];
     /// Whether the agent follows the plan, [M]; the others were predicted only.
-    executed: Vec<bool>, [Agents];
+    follows_plan: Vec<bool>, [Agents];
     /// Whether guidance moved the agent's plan, [M].
     guided: Vec<bool>, [Agents];
     /// Decision causal graph G: row i looks at column j, [M, M].
@@ -154,7 +154,7 @@ plan_record! { $
     /// Poses x, y (m), heading (rad) in the scene frame after each step, [N, M, T, 3].
     samples: Vec<Real>, [Samples, Agents, Steps, Pose];
     /// Sample that each agent follows, [M].
-    chosen: Vec<usize>, [Agents];
+    selected_sample: Vec<usize>, [Agents];
     /// Names of the guidance objectives, [J].
     objectives: Vec<String>;
     /// Loss of each objective, sample and agent, unweighted, [J, N, M].
