@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from ccdiff_env.models import guidance_preset, shipped_weights
 
-__all__ = ["METHODS", "OWN_RANKINGS", "PAPER_METHODS", "REORDERED", "Method"]
+__all__ = ["METHODS", "OWN_RANKINGS", "PAPER_METHODS", "REORDERED", "Method", "NamedDrivers"]
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -63,20 +65,33 @@ _OVER_SPEED = [
 OWN_RANKINGS = ("greedy", "gradient")
 
 
-class _Methods(dict[str, Method]):
-    """Methods by name; a model of one's own is named by its path, ``module:Class``."""
+class NamedDrivers(dict[str, _T]):
+    """Entries by name; a model of one's own is named by its path, ``module:Class``.
+
+    Parameters
+    ----------
+    kind
+        Makes the entry of such a path from its label and the path.
+    entries
+        The entries that have a name.
+    """
+
+    def __init__(self, kind: Callable[[str, str], _T], entries: Mapping[str, _T]) -> None:
+        super().__init__(entries)
+        self._kind = kind
 
     def __contains__(self, name: object) -> bool:
         return super().__contains__(name) or ":" in str(name)
 
-    def __missing__(self, name: str) -> Method:
+    def __missing__(self, name: str) -> _T:
         if ":" not in name:
             raise KeyError(name)
-        return Method(name.partition(":")[2], name)
+        return self._kind(name.partition(":")[2], name)
 
 
 #: The methods by name. More may be added: a driver is all that one needs.
-METHODS: dict[str, Method] = _Methods(
+METHODS: dict[str, Method] = NamedDrivers(
+    Method,
     {
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
@@ -129,7 +144,7 @@ METHODS: dict[str, Method] = _Methods(
         "ccdiff_released": Method(
             "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
         ),
-    }
+    },
 )
 
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.methods import NamedDrivers
 from ccdiff_env.bench.pdm import PdmPlanner
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
@@ -70,19 +71,8 @@ def _critical(level: float, driver: str = "ccdiff") -> Traffic:
     return Traffic(f"{_TITLES[driver]}, criticality {level:g}", driver, options)
 
 
-class _Traffics(dict[str, Traffic]):
-    """Traffic by name; a model of one's own is named by its path, ``module:Class``."""
-
-    def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or ":" in str(name)
-
-    def __missing__(self, name: str) -> Traffic:
-        if ":" not in name:
-            raise KeyError(name)
-        return Traffic(name.partition(":")[2], name)
-
-
-TRAFFIC: dict[str, Traffic] = _Traffics(
+TRAFFIC: dict[str, Traffic] = NamedDrivers(
+    Traffic,
     {
         "replay": Traffic("Log replay", "replay"),
         "idm": Traffic("IDM", "idm"),
@@ -95,7 +85,7 @@ TRAFFIC: dict[str, Traffic] = _Traffics(
         "ccdiff-redrawn": Traffic(
             "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
         ),
-    }
+    },
 )
 
 
