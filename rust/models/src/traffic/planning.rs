@@ -13,9 +13,11 @@ use ccdiff_sim::geom::{Real, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
 use rayon::prelude::*;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Worlds that share a batch of the network: fixed, so that plans do not depend on the number of threads.
-const SHARD_WORLDS: usize = 16;
+/// Most worlds that share a batch of the network: fixed, so that plans do not depend on the number of threads. More are
+/// hardly faster, fewer leave no thread without work.
+const SHARD_WORLDS: usize = 8;
 
 /// A world that is planned for.
 struct PreparedRequest<'a> {
@@ -50,16 +52,11 @@ impl PlannedTraffic {
         let mut due = requests.iter().map(|r| self.prepare(r)).collect::<Result<Vec<_>>>()?;
         self.rank(&mut due)?;
         let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(PreparedRequest::is_guided);
-        let mut made = Vec::with_capacity(requests.len());
-        for (worlds, options) in [(with, self.guided.clone()), (without, self.unguided.clone())] {
-            if !worlds.is_empty() {
-                let plans = self.draw(&worlds, &options, true)?;
-                made.extend(
-                    worlds.into_iter().zip(plans).map(|(w, p)| (w.request, self.adopt(w, p, &options))),
-                );
-            }
-        }
-        Ok(made)
+        let (guided, unguided) = (self.guided.clone(), self.unguided.clone());
+        let plans = self.draw(&[(&with, &guided), (&without, &unguided)], true)?;
+        let options = std::iter::repeat_n(&guided, with.len()).chain(std::iter::repeat(&unguided));
+        let worlds = with.into_iter().chain(without).zip(options);
+        Ok(worlds.zip(plans).map(|((w, options), p)| (w.request, self.adopt(w, p, options))).collect())
     }
 
     fn prepare<'a>(&mut self, request: &'a PlanRequest<'a>) -> Result<PreparedRequest<'a>> {
@@ -119,23 +116,28 @@ impl PlannedTraffic {
 
     /// Fills in rankings and who is guided.
     fn rank(&mut self, due: &mut [PreparedRequest<'_>]) -> Result<()> {
-        let mut ranking_inputs = self.ranking_inputs(due)?.into_iter();
-        for d in due {
-            let ranking_inputs = ranking_inputs.next().unwrap_or_default();
-            d.ranking = if self.config.rerank || d.request.plan.is_none() {
-                d.planned.ranking(&d.request.world, &self.config, &ranking_inputs)?
+        let mut ranking_inputs = self.ranking_inputs(due)?;
+        ranking_inputs.resize_with(due.len(), RankingInputs::default);
+        let config = &self.config;
+        let rank = |(d, inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
+            d.ranking = if config.rerank || d.request.plan.is_none() {
+                d.planned.ranking(&d.request.world, config, &inputs)?
             } else {
                 d.memory.first_ranking.clone()
             };
             let command = d.request.command;
-            d.chosen = planned_agents::select_guided(&d.ranking, command, self.config.num_guided);
-            d.criticality = command.criticality.unwrap_or(self.config.criticality);
-            let masked = self.config.mask_guidance;
-            let is_guided =
-                |a: &usize| d.chosen.contains(a) || (!masked && d.planned.is_controlled_by_policy(*a));
+            d.chosen = planned_agents::select_guided(&d.ranking, command, config.num_guided);
+            d.criticality = command.criticality.unwrap_or(config.criticality);
+            let is_guided = |a: &usize| {
+                d.chosen.contains(a) || (!config.mask_guidance && d.planned.is_controlled_by_policy(*a))
+            };
             d.guided = d.planned.agents.iter().map(is_guided).collect();
+            Ok(())
+        };
+        match &self.pool {
+            Some(pool) => pool.install(|| due.par_iter_mut().zip(ranking_inputs).try_for_each(rank)),
+            None => due.iter_mut().zip(ranking_inputs).try_for_each(rank),
         }
-        Ok(())
     }
 
     /// What some rankings ask the network for: attention, or how the gradients agree. Nothing is guided here.
@@ -151,7 +153,7 @@ impl PlannedTraffic {
         };
         let guidance = if greedy { None } else { self.guided.guidance.clone() };
         let options = PlanOptions { sampling, guidance, attention: greedy, gradient_statistics: !greedy };
-        let plans = self.draw(due, &options, false)?;
+        let plans = self.draw(&[(due, &options)], false)?;
         Ok(plans
             .into_iter()
             .map(|plan| RankingInputs {
@@ -162,47 +164,44 @@ impl PlannedTraffic {
             .collect())
     }
 
-    fn draw(&mut self, due: &[PreparedRequest<'_>], options: &PlanOptions, moves: bool) -> Result<Vec<Plan>> {
+    /// Plans of groups of worlds, each with its options, one after the other. All batches of the network wait in one line,
+    /// from which every thread takes the next.
+    fn draw(&mut self, groups: &[(&[PreparedRequest<'_>], &PlanOptions)], moves: bool) -> Result<Vec<Plan>> {
         // with the scale of the guidance
         let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
             (true, true, _) => (d.guided.clone(), d.criticality),
             (true, false, true) => (d.planned.controlled_by_policy.clone(), 1.0),
             _ => (vec![false; d.guided.len()], d.criticality),
         };
-        let moved: Vec<(Vec<bool>, Real)> = due.iter().map(moved).collect();
-        let views: Vec<PlannerView<'_>> = due
-            .iter()
-            .zip(&moved)
-            .map(|(d, (moved, guidance_scale))| PlannerView {
-                window: &d.planned.window,
-                bitmap: d.bitmap.as_deref(),
-                seed: d.request.world.noise_seed,
-                guide: options.guidance.is_some().then(|| WorldGuidance {
-                    guidance_scale: *guidance_scale,
-                    road: d.request.world.scene.road.as_ref(),
-                    partners: d.is_guided().then_some(&d.partners),
-                    speed_limit_mps: Some(d.request.world.config.speed_limit_mps),
-                    ..WorldGuidance::new(moved)
-                }),
-            })
-            .collect();
-        let planners = self.planners.get_mut();
-        let shards: Vec<&[PlannerView<'_>]> = views.chunks(SHARD_WORLDS).collect();
-        let num = planners.len();
-        let of_planner = |(first, planner): (usize, &mut Planner)| {
-            let own = shards.iter().skip(first).step_by(num);
-            own.map(|shard| planner.plan(shard, options)).collect::<Vec<_>>()
-        };
-        let made: Vec<_> = match &self.pool {
-            Some(pool) => pool.install(|| planners.par_iter_mut().enumerate().map(of_planner).collect()),
-            None => planners.iter_mut().enumerate().map(of_planner).collect(),
-        };
-        let mut made: Vec<_> = made.into_iter().map(Vec::into_iter).collect();
-        let mut plans = Vec::with_capacity(views.len());
-        for shard in 0..shards.len() {
-            plans.extend(made[shard % num].next().transpose()?.unwrap_or_default());
+        let moved: Vec<Vec<(Vec<bool>, Real)>> =
+            groups.iter().map(|(due, _)| due.iter().map(moved).collect()).collect();
+        let mut shards: Vec<(Vec<PlannerView<'_>>, &PlanOptions)> = Vec::new();
+        for ((due, options), moved) in groups.iter().zip(&moved) {
+            // about equally large
+            let size = due.len().div_ceil(due.len().div_ceil(SHARD_WORLDS).max(1)).max(1);
+            for (due, moved) in due.chunks(size).zip(moved.chunks(size)) {
+                let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options));
+                shards.push((views.collect(), options));
+            }
         }
-        Ok(plans)
+        let next = AtomicUsize::new(0);
+        let work = |planner: &mut Planner| {
+            let mut own = Vec::new();
+            loop {
+                let at = next.fetch_add(1, Ordering::Relaxed);
+                let Some((views, options)) = shards.get(at) else { return own };
+                own.push((at, planner.plan(views, options)));
+            }
+        };
+        let planners = self.planners.get_mut();
+        let made: Vec<Vec<_>> = match &self.pool {
+            Some(pool) => pool.install(|| planners.par_iter_mut().map(work).collect()),
+            None => planners.iter_mut().map(work).collect(),
+        };
+        let mut made: Vec<_> = made.into_iter().flatten().collect();
+        made.sort_unstable_by_key(|(at, _)| *at);
+        let plans = made.into_iter().map(|(_, plans)| plans).collect::<Result<Vec<_>>>()?;
+        Ok(plans.into_iter().flatten().collect())
     }
 
     /// The plan that a world follows from now on.
@@ -263,6 +262,27 @@ impl PlannedTraffic {
             agents,
         };
         PlanState { record, speed_mps, memory: memory.to_bytes() }
+    }
+}
+
+/// What the planner is told about a world, whose rows `moved` says guidance moves, and at which scale.
+fn view_of<'a>(
+    due: &'a PreparedRequest<'_>,
+    (moved, guidance_scale): &'a (Vec<bool>, Real),
+    options: &PlanOptions,
+) -> PlannerView<'a> {
+    let world = &due.request.world;
+    PlannerView {
+        window: &due.planned.window,
+        bitmap: due.bitmap.as_deref(),
+        seed: world.noise_seed,
+        guide: options.guidance.is_some().then(|| WorldGuidance {
+            guidance_scale: *guidance_scale,
+            road: world.scene.road.as_ref(),
+            partners: due.is_guided().then_some(&due.partners),
+            speed_limit_mps: Some(world.config.speed_limit_mps),
+            ..WorldGuidance::new(moved)
+        }),
     }
 }
 
