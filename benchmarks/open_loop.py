@@ -40,7 +40,7 @@ def errors(scene: Scene, step: int, plan: ScenePlan) -> tuple[np.ndarray, np.nda
 
 
 def quality(
-    planner: Planner, cases: list[tuple[Scene, int]], solver_steps: int
+    planner: Planner, cases: list[tuple[Scene, int]], solver_steps: int, follow_route: bool = False
 ) -> dict[str, float]:
     """Means over vehicles of the errors in metres."""
     ours, constant = [], []
@@ -51,6 +51,7 @@ def quality(
             [step for _, step in part],
             solver_steps=solver_steps,
             num_samples=SAMPLES,
+            follow_route=follow_route,
         )
         for (scene, step), plan in zip(part, plans, strict=True):
             found, reference = errors(scene, step, plan)
@@ -100,6 +101,7 @@ def main() -> None:
     planner = Planner(args.weights or shipped_weights())
     # a network that was taught to plan in one step takes no other number
     steps = (1,) if planner.header["training"].get("teacher_steps") else (5, 10)
+    knows_routes = bool(planner.header["model"].get("route_points_m"))
     scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
     chosen = list(scenes)[: args.limit]
     cases = [(s, t) for s in chosen for t in range(30, s.num_steps - HORIZON, 20)]
@@ -108,6 +110,7 @@ def main() -> None:
         "plans": len(cases),
         "samples": SAMPLES,
         **{f"ddim_{n}": quality(planner, cases, n) for n in steps},
+        **{f"routes_ddim_{n}": quality(planner, cases, n, True) for n in steps if knows_routes},
         **{f"speed_ddim_{n}": speed(planner, cases, n) for n in steps},
     }
     print(json.dumps(result, indent=2))

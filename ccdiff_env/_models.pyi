@@ -59,6 +59,7 @@ class Planner:
         partners: list[list[int]] | None,
         attention: bool,
         gradient_statistics: bool,
+        follow_route: bool,
     ) -> list[dict[str, Any]]: ...
 
 def guidance_preset(name: str) -> str: ...

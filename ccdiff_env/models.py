@@ -222,6 +222,7 @@ class Planner:
         partners: Sequence[Sequence[int]] | None = None,
         attention: bool = False,
         gradient_statistics: bool = False,
+        follow_route: bool = False,
     ) -> list[ScenePlan]:
         """Plan for all vehicles of some scenes from their logged histories, in one batch.
 
@@ -250,6 +251,8 @@ class Planner:
             Whether plans come with the attention between vehicles.
         gradient_statistics
             Whether guided plans come with the statistics of gradients.
+        follow_route
+            Whether the network is told where the vehicles go, as ``CcdiffConfig.follow_route``.
 
         Raises
         ------
@@ -275,6 +278,7 @@ class Planner:
             partners=None if partners is None else [list(p) for p in partners],
             attention=attention,
             gradient_statistics=gradient_statistics,
+            follow_route=follow_route,
         )
         return [ScenePlan(**plan) for plan in plans]
 

@@ -206,12 +206,8 @@ impl Dataset {
             })
             .collect();
         if !prepared.routes.is_empty() {
-            let ahead = |(row, agent): (usize, &usize)| {
-                let route = &prepared.routes[*agent];
-                let at = window.pose(row, window.num_steps - 1).position;
-                features::route_ahead(route, route.path.project(at).s_m, &self.config.route_points_m)
-            };
-            window.routes = present.iter().enumerate().map(ahead).collect();
+            let routes = present.iter().map(|agent| &prepared.routes[*agent]);
+            window.tell_routes(routes, &self.config.route_points_m);
         }
         let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {

@@ -120,6 +120,15 @@ impl Window {
         Ok(())
     }
 
+    /// Tells the agents' routes, in the agents' order, from where they are now.
+    pub fn tell_routes<'a>(&mut self, routes: impl IntoIterator<Item = &'a Route>, points_m: &[f32]) {
+        let ahead = |(agent, route): (usize, &Route)| {
+            let at = self.pose(agent, self.num_steps - 1).position;
+            route_ahead(route, route.path.project(at).s_m, points_m)
+        };
+        self.routes = routes.into_iter().enumerate().map(ahead).collect();
+    }
+
     /// Pose of an agent at a step.
     pub(crate) fn pose(&self, agent: usize, step: usize) -> Pose2 {
         let at = agent * self.num_steps + step;

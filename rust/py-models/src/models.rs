@@ -12,7 +12,8 @@ use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::{ModelError, device_named};
 use ccdiff_sim::geom::Region;
 use ccdiff_sim::options::read;
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{LaneIndex, Scene};
+use ccdiff_sim::world::Route;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -234,7 +235,7 @@ impl PyPlanner {
     /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` and
     /// `partners` list agents of each scene.
     #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, partners,
-        attention, gradient_statistics))]
+        attention, gradient_statistics, follow_route))]
     fn plan_scenes<'py>(
         &self,
         py: Python<'py>,
@@ -249,6 +250,7 @@ impl PyPlanner {
         partners: Option<Vec<Vec<usize>>>,
         attention: bool,
         gradient_statistics: bool,
+        follow_route: bool,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let scenes = arcs(scenes);
         let lists = [&guided, &partners].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
@@ -262,7 +264,7 @@ impl PyPlanner {
             attention,
             gradient_statistics,
         };
-        let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, partners };
+        let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, partners, follow_route };
         let plans = py.detach(|| plan_logged(&mut lock(&self.0), &logged, &options));
         let plans = plans.map_err(from_model)?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
@@ -276,6 +278,7 @@ struct Logged<'a> {
     seeds: &'a [u64],
     guided: Option<Vec<Vec<usize>>>,
     partners: Option<Vec<Vec<usize>>>,
+    follow_route: bool,
 }
 
 impl Logged<'_> {
@@ -293,13 +296,27 @@ fn plan_logged(
     logged: &Logged<'_>,
     options: &PlanOptions,
 ) -> ccdiff_models::Result<Vec<Plan>> {
-    let history = planner.config().history_steps;
+    let (history, points_m) = (planner.config().history_steps, planner.config().route_points_m.clone());
+    if logged.follow_route && points_m.is_empty() {
+        let expected = "False: these weights were trained without routes";
+        return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
+    }
     let bitmaps: Vec<_> = logged.scenes.iter().map(|s| planner.bitmap(s)).collect();
     let windows: Vec<Window> = logged
         .scenes
         .iter()
         .zip(logged.steps)
-        .map(|(scene, step)| Window::from_scene(scene, *step, &vehicles(scene), history))
+        .map(|(scene, step)| {
+            let agents = vehicles(scene);
+            let mut window = Window::from_scene(scene, *step, &agents, history);
+            if logged.follow_route {
+                let lanes = LaneIndex::new(&scene.map);
+                let routes: Vec<Route> =
+                    agents.iter().map(|a| Route::new(scene, *a, lanes.as_ref())).collect();
+                window.tell_routes(&routes, &points_m);
+            }
+            window
+        })
         .collect();
     let guided = logged.listed(logged.guided.as_ref());
     let partners = logged.listed(logged.partners.as_ref());
