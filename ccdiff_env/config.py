@@ -353,7 +353,7 @@ def _tuple(path: str, value: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
     values = list(value)
     if args[-1] is not Ellipsis and len(values) != len(args):
         raise ConfigError(f"config: {path} has {len(values)} entries, expected {len(args)}")
-    return tuple(_scalar(f"{path}[{i}]", v, args[0]) for i, v in enumerate(values))
+    return tuple(_fitting(f"{path}[{i}]", v, args[0], None) for i, v in enumerate(values))
 
 
 def _settings(path: str, value: Any) -> dict[str, Any]:

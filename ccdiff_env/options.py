@@ -416,6 +416,10 @@ Others: TypeAlias = Literal["ccdiff", "idm", "replay"]
 Partners: TypeAlias = Literal["ego", "all"]
 
 
+#: How a vehicle stands to the nearest of those with whom contacts count.
+Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
+
+
 #: Which vehicles stand still for the whole episode.
 Frozen: TypeAlias = Literal["parked", "standing"]
 
@@ -477,6 +481,16 @@ class CcdiffConfig:
     #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from
     #: outside, or with anybody (paper).
     partners: Partners = "ego"
+    #: Ids of the agents with whom contacts count, in place of ``partners``; empty: those of
+    #: ``partners``.
+    targets: tuple[str, ...] = ()
+    #: Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest
+    #: target may be guided; empty: all.
+    conflicts: tuple[Conflict, ...] = ()
+    #: Time of the episode from which plans are guided (s, >= 0).
+    guided_from_s: float = 0.0
+    #: Time of the episode until which plans are guided (s, >= 0); ``None``: to its end.
+    guided_until_s: float | None = None
     #: Whether plans keep attention and gradient statistics, at some cost.
     explain: bool = False
     #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.

@@ -200,6 +200,55 @@ def test_careful_changes_nothing_in_guided_worlds(scenes):
     assert len(digests) == 1
 
 
+@pytest.mark.parametrize("kind", ["rear_end", "cut_in", "crossing", "head_on"])
+def test_only_vehicles_that_stand_so_to_the_ego_are_guided(scenes, kind):
+    guided, free = 0, 0
+    for index in range(len(scenes)):
+        play = Play(scenes[index : index + 1], ccdiff={"criticality": 1.0, "conflicts": (kind,)})
+        before = play.states()
+        play.step()
+        plan = play.native.explain(0)
+        ego = scenes[index].agent_ids.index("ego")
+        apart = np.abs(
+            np.degrees(np.angle(np.exp(1j * (before["heading"] - before["heading"][ego]))))
+        )
+        offset = before["position"] - before["position"][ego]
+        left = np.array([-np.sin(before["heading"][ego]), np.cos(before["heading"][ego])])
+        same_lane = np.abs(offset @ left) <= 2.0
+        expected = {
+            "rear_end": (apart < 45.0) & same_lane,
+            "cut_in": (apart < 45.0) & ~same_lane,
+            "crossing": (apart >= 45.0) & (apart <= 135.0),
+            "head_on": apart > 135.0,
+        }[kind]
+        ranked = expected[plan["ranking"]]
+        assert set(plan["agents"][plan["guided"]]) == set(plan["ranking"][ranked][:5])
+        guided, free = guided + ranked.sum(), free + (~ranked).sum()
+    assert guided > 0
+    assert free > 0
+
+
+def test_guidance_keeps_to_its_time(scenes):
+    ccdiff = {"criticality": 1.0, "guided_from_s": 1.0, "guided_until_s": 2.0}
+    play, guided = Play(scenes[:1], ccdiff=ccdiff), {}
+    for _ in range(30):
+        play.step()
+        plan = play.native.explain(0)
+        guided[plan["made_at"]] = bool(plan["guided"].any())
+    assert guided == {at: 10 <= at <= 20 for at in range(0, 30, 5)}
+
+
+def test_a_named_target_takes_the_place_of_the_ego(scenes):
+    scene = scenes[0]
+    plain = Play(scenes[:1], ccdiff={"criticality": 1.0})
+    ego = Play(scenes[:1], ccdiff={"criticality": 1.0, "targets": ("ego",)})
+    other = Play(scenes[:1], ccdiff={"criticality": 1.0, "targets": scene.agent_ids[2:3]})
+    for play in (plain, ego, other):
+        play.step(12)
+    assert ego.native.digest(0) == plain.native.digest(0)
+    assert other.native.digest(0) != plain.native.digest(0)
+
+
 def test_routes_are_refused_by_weights_that_know_none(scenes):
     weights = str(shipped_weights())
     with pytest.raises(ConfigError, match=r"follow_route.*without routes"):

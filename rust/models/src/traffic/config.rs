@@ -8,6 +8,7 @@ use crate::sampler::SampleOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{Form, Setting, at_least, within};
+use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -65,6 +66,21 @@ choices! {
         Ego = "ego",
         /// Every vehicle (paper).
         All = "all",
+    }
+}
+
+choices! {
+    /// How a vehicle stands to the nearest of those with whom contacts count.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Conflict {
+        /// Headings within 45 degrees, beside each other by at most 2 m: one behind the other.
+        RearEnd = "rear_end",
+        /// Headings within 45 degrees, beside each other by more than 2 m: in another lane.
+        CutIn = "cut_in",
+        /// Headings apart by 45 to 135 degrees.
+        Crossing = "crossing",
+        /// Headings apart by more than 135 degrees.
+        HeadOn = "head_on",
     }
 }
 
@@ -157,6 +173,15 @@ options! {
         /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
         /// anybody (paper).
         partners: Partners = Partners::Ego;
+        /// Ids of the agents with whom contacts count, in place of `partners`; empty: those of `partners`.
+        targets: Vec<String> = Vec::new();
+        /// Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest target may be guided;
+        /// empty: all.
+        conflicts: Vec<Conflict> = Vec::new();
+        /// Time of the episode from which plans are guided.
+        guided_from_s: Real = 0.0, unit "s", range at_least(0.0);
+        /// Time of the episode until which plans are guided; `None`: to its end.
+        guided_until_s: Option<Real> = None, unit "s", range at_least(0.0);
         /// Whether plans keep attention and gradient statistics, at some cost.
         explain: bool = false;
         /// Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
@@ -181,6 +206,12 @@ impl CcdiffConfig {
         self.guided()?.validated()?;
         self.unguided().validated()?;
         Ok(())
+    }
+
+    /// Whether plans made now may be guided.
+    pub(super) fn guides_at(&self, world: &WorldView<'_>) -> bool {
+        let time_s = world.elapsed_steps as Real * world.config.dt_s;
+        time_s >= self.guided_from_s && self.guided_until_s.is_none_or(|until_s| time_s <= until_s)
     }
 
     /// Checks that all of it means something to a kind of network.

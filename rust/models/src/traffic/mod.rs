@@ -12,7 +12,9 @@ mod memory;
 mod planned_agents;
 mod planning;
 
-pub use config::{CcdiffConfig, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking};
+pub use config::{
+    CcdiffConfig, Conflict, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking,
+};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};

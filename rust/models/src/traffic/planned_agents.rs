@@ -1,19 +1,22 @@
 //! Who is planned for in a world, who of them may be guided, and in which order.
 
-use super::config::{CcdiffConfig, Frozen};
+use super::config::{CcdiffConfig, Conflict, Frozen};
 use crate::error::Result;
 use crate::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
-use ccdiff_sim::geom::Real;
+use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::policy::{Command, Driver, PlanRequest, WorldView};
 use ccdiff_sim::scene::{AgentKind, EGO_ID};
+use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
 const STANDING_REACH_M: Real = 20.0;
 /// Logged speed below which a vehicle counts as standing, m/s (reference.md#sampling).
 const STANDING_MPS: Real = 0.5;
+/// Vehicles beside each other by at most this are in one lane, metres.
+const SAME_LANE_M: Real = 2.0;
 
 /// The vehicles of a world at a moment.
 pub(super) struct PlannedAgents {
@@ -54,11 +57,16 @@ pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
         .collect()
 }
 
-/// Agents that are to be guided: those asked for, else the first K of the ranking.
-pub(super) fn select_guided(ranking: &[usize], command: &Command, num_guided: Option<usize>) -> Vec<usize> {
+/// Agents that are to be guided: those asked for, else the first K of the ranking that `fits`.
+pub(super) fn select_guided(
+    ranking: &[usize],
+    command: &Command,
+    num_guided: Option<usize>,
+    fits: impl Fn(&usize) -> bool,
+) -> Vec<usize> {
     match &command.guided {
         Some(agents) => agents.iter().copied().filter(|a| ranking.contains(a)).collect(),
-        None => ranking.iter().copied().take(num_guided.unwrap_or(usize::MAX)).collect(),
+        None => ranking.iter().copied().filter(fits).take(num_guided.unwrap_or(usize::MAX)).collect(),
     }
 }
 
@@ -97,6 +105,25 @@ impl PlannedAgents {
             }
         }
         Ok(Self { agents, controlled_by_policy, window })
+    }
+
+    /// How an agent of the scene stands to the nearest of the rows `partners`, itself not among them; `None` without any.
+    pub(super) fn conflict(&self, agent_idx: usize, partners: &[bool]) -> Option<Conflict> {
+        let (window, now) = (&self.window, self.window.num_steps - 1);
+        let row = self.agents.iter().position(|a| *a == agent_idx)?;
+        let pose = window.pose(row, now);
+        let others =
+            (0..self.agents.len()).filter(|r| *r != row && partners[*r]).map(|r| window.pose(r, now));
+        let distance = |other: &Pose2| (other.position - pose.position).norm();
+        let target = others.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let beside_m = target.to_local(pose.position).y.abs();
+        let cos = target.cos * pose.cos + target.sin * pose.sin;
+        Some(match cos {
+            c if c < -FRAC_1_SQRT_2 => Conflict::HeadOn,
+            c if c < FRAC_1_SQRT_2 => Conflict::Crossing,
+            _ if beside_m > SAME_LANE_M => Conflict::CutIn,
+            _ => Conflict::RearEnd,
+        })
     }
 
     /// Tells the network the routes of the vehicles that this policy drives.

@@ -78,10 +78,12 @@ impl PlannedTraffic {
             planned.tell_routes(world, &self.model.route_points_m);
         }
         let bitmap = self.bitmap(&world.scene.scene);
-        let partners = match self.config.partners {
-            Partners::All => vec![true; planned.agents.len()],
-            Partners::Ego => planned.agents.iter().map(|a| planned_agents::is_ego(world, *a)).collect(),
+        let counts = |agent: &usize| match (&self.config.targets[..], self.config.partners) {
+            ([], Partners::All) => true,
+            ([], Partners::Ego) => planned_agents::is_ego(world, *agent),
+            (targets, _) => targets.contains(&world.scene.scene.agents[*agent].id),
         };
+        let partners = planned.agents.iter().map(counts).collect();
         let (guided, criticality) = (vec![false; planned.agents.len()], 0.0);
         Ok(PreparedRequest {
             request,
@@ -126,8 +128,13 @@ impl PlannedTraffic {
                 d.memory.first_ranking.clone()
             };
             let command = d.request.command;
-            d.chosen = planned_agents::select_guided(&d.ranking, command, config.num_guided);
-            d.criticality = command.criticality.unwrap_or(config.criticality);
+            let fits = |a: &usize| {
+                let conflict = || d.planned.conflict(*a, &d.partners);
+                config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
+            };
+            d.chosen = planned_agents::select_guided(&d.ranking, command, config.num_guided, fits);
+            let criticality = command.criticality.unwrap_or(config.criticality);
+            d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
             let is_guided = |a: &usize| {
                 d.chosen.contains(a) || (!config.mask_guidance && d.planned.is_controlled_by_policy(*a))
             };
