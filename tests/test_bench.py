@@ -392,7 +392,7 @@ def test_learning_tables_average_over_scenes_then_seeds():
     assert len(lines) == 5
 
 
-def test_lessons_are_compared_with_log_replay_pair_by_pair():
+def test_stages_are_compared_with_log_replay_pair_by_pair():
     def rows(*collisions):
         whole = dict.fromkeys(("on_road", "progress", "comfort", "score"), 1.0)
         return [{**whole, "collision": c, "no_at_fault_collision": 1.0 - c} for c in collisions]

@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import importlib
 import json
+import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from importlib import metadata
@@ -26,8 +27,8 @@ __all__ = [
     "add_replays",
     "add_run_arguments",
     "add_scene_arguments",
-    "lesson_source",
     "source_from",
+    "stage_source",
 ]
 
 K = TypeVar("K", bound=Hashable)
@@ -56,6 +57,21 @@ class Listed(argparse.Action):
 
     def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, *_: Any) -> None:
         """Store the value."""
+        setattr(namespace, self.dest, values)
+
+
+class Former(argparse.Action):
+    """The former name of the option that stores in the same place; says so."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+    def __call__(
+        self, parser: object, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        """Store the value."""
+        now = f"--{self.dest}; the old name goes with the next release"
+        print(f"{option} is called {now}", file=sys.stderr)
         setattr(namespace, self.dest, values)
 
 
@@ -106,7 +122,7 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     )
 
 
-def lesson_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
+def stage_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
     """Return the description of the scenes of training that the arguments name."""
     embedded = args.dataroot is None
     splits = args.train_split or (["train"] if embedded else ["train", "train_val"])

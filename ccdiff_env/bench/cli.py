@@ -10,13 +10,14 @@ from ccdiff_env.bench.arguments import (
     METHODS,
     PLANNERS,
     TRAFFIC,
+    Former,
     Listed,
     Run,
     add_replays,
     add_run_arguments,
     add_scene_arguments,
-    lesson_source,
     source_from,
+    stage_source,
 )
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError
@@ -288,15 +289,16 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
     add_run_arguments(parser)
     parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
+    parser.add_argument("--lessons", action=Former, dest="stages")
     parser.add_argument(
-        "--lessons",
+        "--stages",
         default="replay,ccdiff,critical",
         help="traffic of training, of: replay, ccdiff, critical",
     )
     parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
-    parser.add_argument("--steps", type=int, default=150_000, help="steps of each lesson")
+    parser.add_argument("--steps", type=int, default=150_000, help="steps of each stage")
     parser.add_argument(
-        "--base-steps", type=int, default=1_200_000, help="steps in log replay before the lessons"
+        "--base-steps", type=int, default=1_200_000, help="steps in log replay before the stages"
     )
     parser.add_argument(
         "--traffic",
@@ -324,12 +326,12 @@ def _learning(args: argparse.Namespace) -> int:
     if args.race is not None:
         from ccdiff_env.bench.race import race, race_table
 
-        print(race_table(race(lesson_source(args, source_from(args)), max_s=args.race)))
+        print(race_table(race(stage_source(args, source_from(args)), max_s=args.race)))
         return 0
     run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
-        lesson_source(args, run.source),
-        args.lessons.split(","),
+        stage_source(args, run.source),
+        args.stages.split(","),
         [args.seed + k for k in range(args.seeds)],
         steps=args.steps,
         base_steps=args.base_steps,
@@ -372,7 +374,7 @@ def _selection(args: argparse.Namespace) -> int:
 
     run = Run(args, "selection", ego=args.ego, steps=args.steps, budget=args.budget)
     jobs = selection.chooser_jobs(
-        lesson_source(args, run.source),
+        stage_source(args, run.source),
         [args.seed + k for k in range(args.seeds)],
         ego=args.ego,
         steps=args.steps,

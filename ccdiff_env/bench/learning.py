@@ -18,10 +18,10 @@ from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import RewardConfig, WorldConfig
 
-__all__ = ["LESSONS", "learning_table", "train_ego", "training_jobs"]
+__all__ = ["TRAINING_STAGES", "learning_table", "train_ego", "training_jobs"]
 
 #: Traffic of training by name: options of the vector environment.
-LESSONS: dict[str, dict[str, Any]] = {
+TRAINING_STAGES: dict[str, dict[str, Any]] = {
     "replay": {"traffic": "replay"},
     "ccdiff": {"traffic": "ccdiff"},
     # criticality is drawn anew for every episode, so that realistic traffic is not forgotten
@@ -59,10 +59,10 @@ PPO_SETTINGS: dict[str, Any] = {
     "gamma": 0.98,
     "gae_lambda": 0.95,
 }
-#: Of the beginning and of the lessons: learning rate, which falls to a twentieth, and steps of each
+#: Of pretraining and of the stages: learning rate, which falls to a twentieth, and steps of each
 #: world between updates.
 BASE = (3e-4, 128)
-LESSON = (2e-4, 64)
+STAGE = (2e-4, 64)
 NUM_ENVS = 64
 #: Figures of the table: heading, part of the planner's score, factor.
 FIGURES = (
@@ -77,7 +77,7 @@ FIGURES = (
 
 def training_jobs(
     source: Mapping[str, str],
-    lessons: Sequence[str],
+    stages: Sequence[str],
     seeds: Sequence[int],
     *,
     steps: int,
@@ -90,22 +90,22 @@ def training_jobs(
     ----------
     source
         Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
-    lessons
-        Names of :data:`LESSONS`.
+    stages
+        Names of :data:`TRAINING_STAGES`.
     seeds
         Seeds of PPO and of the worlds.
     steps
-        Steps of each lesson.
+        Steps of each stage.
     base_steps
-        Steps in log replay before the lessons.
+        Steps in log replay before the stages.
     folder
         Where policies go.
 
     Returns
     -------
-    base, lessons
-        Jobs of the common beginning, one per seed; then those that need it, one per seed and
-        lesson.
+    base, stages
+        Jobs of the common pretraining, one per seed; then those that need it, one per seed and
+        stage.
     """
     common = {"source": dict(source)}
     train = f"{__name__}:train_ego"
@@ -115,7 +115,7 @@ def training_jobs(
             train,
             {
                 **common,
-                "lesson": "replay",
+                "stage": "replay",
                 "seed": seed,
                 "steps": base_steps,
                 "path": str(folder / f"base-{seed}.zip"),
@@ -125,19 +125,19 @@ def training_jobs(
     ]
     taught = [
         Job(
-            f"train-{lesson}-{seed}",
+            f"train-{stage}-{seed}",
             train,
             {
                 **common,
-                "lesson": lesson,
+                "stage": stage,
                 "seed": seed,
                 "steps": steps,
-                "path": str(folder / f"{lesson}-{seed}.zip"),
+                "path": str(folder / f"{stage}-{seed}.zip"),
                 "start": str(folder / f"base-{seed}.zip"),
             },
         )
         for seed in seeds
-        for lesson in lessons
+        for stage in stages
     ]
     return base, taught
 
@@ -145,7 +145,7 @@ def training_jobs(
 def train_ego(
     *,
     source: Mapping[str, str],
-    lesson: str,
+    stage: str,
     seed: int,
     steps: int,
     path: str,
@@ -171,10 +171,10 @@ def train_ego(
             config=WorldConfig().with_options(**TRAINING),
             autoreset_mode="same_step",
             num_threads=1,
-            **LESSONS[lesson],
+            **TRAINING_STAGES[stage],
         )
     )
-    rate, n_steps = BASE if start is None else LESSON
+    rate, n_steps = BASE if start is None else STAGE
     policy = rows_policy(env.env.worlds.layout)
     model = PPO(
         "MlpPolicy",
@@ -233,12 +233,12 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
     ----------
     rows
         One dictionary per scene (see :func:`ccdiff_env.bench.planners.planner_score`) of every
-        planner (``lesson-seed`` for trained egos) in every traffic.
+        planner (``stage-seed`` for trained egos) in every traffic.
     """
     groups: dict[str, list[str]] = {}
     for planner, _ in rows:
-        lesson, seed = _lesson_of(planner)
-        name = planner if seed is None else f"PPO, trained in {lesson}"
+        stage, seed = _stage_of(planner)
+        name = planner if seed is None else f"PPO, trained in {stage}"
         if planner not in groups.setdefault(name, []):
             groups[name].append(planner)
     lines = []
@@ -261,45 +261,45 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
     return "\n".join(lines + _by_seed(rows) + _against_replay(rows))
 
 
-def _lesson_of(planner: str) -> tuple[str, str | None]:
-    """Return the lesson and the seed of a trained ego, the name and ``None`` of another planner."""
-    lesson, _, seed = Path(planner).stem.rpartition("-")
-    return (lesson, seed) if lesson in LESSONS and seed.isdigit() else (planner, None)
+def _stage_of(planner: str) -> tuple[str, str | None]:
+    """Return the stage and the seed of a trained ego, the name and ``None`` of another planner."""
+    stage, _, seed = Path(planner).stem.rpartition("-")
+    return (stage, seed) if stage in TRAINING_STAGES and seed.isdigit() else (planner, None)
 
 
 def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
     """Return the lines of a table: collisions, and those at fault, of each ego."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for (planner, traffic), found in rows.items():
-        lesson, seed = _lesson_of(planner)
+        stage, seed = _stage_of(planner)
         if seed is not None:
             hit = 100.0 * np.mean([row["collision"] for row in found])
             fault = 100.0 - 100.0 * np.mean([row["no_at_fault_collision"] for row in found])
-            cells.setdefault((traffic, lesson), {})[seed] = f"{hit:.1f} ({fault:.1f})"
+            cells.setdefault((traffic, stage), {})[seed] = f"{hit:.1f} ({fault:.1f})"
     seeds = sorted({seed for by_seed in cells.values() for seed in by_seed}, key=int)
     if not seeds:
         return []
     lines = ["### By seed: collision % (at fault %)", ""]
     lines += ["| evaluated in | trained in | " + " | ".join(f"seed {s}" for s in seeds) + " |"]
     lines += ["|---|---|" + "---:|" * len(seeds)]
-    for (traffic, lesson), by_seed in cells.items():
+    for (traffic, stage), by_seed in cells.items():
         row = " | ".join(by_seed.get(seed, "") for seed in seeds)
-        lines.append(f"| {TRAFFIC[traffic].label} | {lesson} | {row} |")
+        lines.append(f"| {TRAFFIC[traffic].label} | {stage} | {row} |")
     return [*lines, ""]
 
 
 def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
-    """Return the lines of a table: other lessons less the one in log replay, pair by pair.
+    """Return the lines of a table: other stages less the one in log replay, pair by pair.
 
     A pair is an episode of two egos of one seed in the same scene and draw of the traffic.
     """
     pairs: dict[tuple[str, str], list[list[float]]] = {}
     for (planner, traffic), found in rows.items():
-        lesson, seed = _lesson_of(planner)
+        stage, seed = _stage_of(planner)
         beside = rows.get((str(Path(planner).with_name(f"replay-{seed}.zip")), traffic))
-        if seed is None or lesson == "replay" or beside is None:
+        if seed is None or stage == "replay" or beside is None:
             continue
-        pairs.setdefault((traffic, lesson), []).extend(
+        pairs.setdefault((traffic, stage), []).extend(
             [
                 row["collision"] - other["collision"],
                 other["no_at_fault_collision"] - row["no_at_fault_collision"],
@@ -310,9 +310,9 @@ def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]])
         return []
     lines = ["### Less the egos trained in log replay: percent of paired episodes ± standard error"]
     lines += ["", "| evaluated in | trained in | collision | at fault |", "|---|---|---:|---:|"]
-    for (traffic, lesson), differences in pairs.items():
+    for (traffic, stage), differences in pairs.items():
         points = 100.0 * np.array(differences)
         errors = points.std(axis=0, ddof=1) / np.sqrt(len(points))
         cells = [f"{m:+.1f} ± {e:.1f}" for m, e in zip(points.mean(axis=0), errors, strict=True)]
-        lines.append(f"| {TRAFFIC[traffic].label} | {lesson} | " + " | ".join(cells) + " |")
+        lines.append(f"| {TRAFFIC[traffic].label} | {stage} | " + " | ".join(cells) + " |")
     return [*lines, ""]
