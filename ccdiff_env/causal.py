@@ -414,7 +414,7 @@ def rank(
     top_k : agents to choose; fewer only where fewer are there.
     valid : bool [M], whether an agent is there.
     ttc, distance : [T, M, M] or [M, M], normalised; for their rankers and for filling up.
-    agents : a list, as of a human, for ``"listed"``.
+    agents : a list, as of a person, for ``"listed"``.
     scores : [M], for ``"scores"``, such as the alignment of the gradients of realism and guidance.
     seed : for ``"random"``.
     threshold, min_size, top_per_frame, node_limit : as in :func:`rank_cliques`.

@@ -32,6 +32,10 @@ FORMER = {
         "selected_sample, follows_plan",
         "rust ccdiff_env",
     ),
+    r"ccdiff_human|[\"`]--(human|lessons)\b|\b[Ll]essons?\b": (
+        "ccdiff_listed, --listed, --stages, training stages",
+        "docs benchmarks examples",
+    ),
     r"\bsettled\b": ("resolved", "ccdiff_env/envs"),
     r"\bCast\b": ("AgentSelection", "ccdiff_env docs"),
     r"\bStage\b|\bbystanders?\b": ("ScenarioBuilder, background actors", "tools docs"),

@@ -20,7 +20,7 @@ from ccdiff_env.bench.arguments import (
     stage_source,
 )
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, renamed
 from ccdiff_env.files import file_name
 from ccdiff_env.terminal import align, say_page
 
@@ -72,9 +72,10 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--t-at", metavar="K", help="only these K with all of --t, others: the first"
     )
     parser.add_argument(
-        "--human", metavar="FILE", help="lists of vehicles (JSON); adds the method ccdiff_human"
+        "--listed", metavar="FILE", help="lists of vehicles (JSON); adds the method ccdiff_listed"
     )
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
+    parser.add_argument("--human", action=Former, dest="listed")
     parser.set_defaults(run=_traffic)
 
 
@@ -91,10 +92,11 @@ def _traffic(args: argparse.Namespace) -> int:
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
     listed = None
     settings: dict[str, Any] = {}
-    if args.human is not None:
-        listed = read_ranking(args.human)
-        settings["human"] = {name: list(ids) for name, ids in sorted(listed.items())}
-        methods += [] if "ccdiff_human" in methods else ["ccdiff_human"]
+    methods = [renamed("method", name, {"ccdiff_human": "ccdiff_listed"}) for name in methods]
+    if args.listed is not None:
+        listed = read_ranking(args.listed)
+        settings["listed"] = {name: list(ids) for name, ids in sorted(listed.items())}
+        methods += [] if "ccdiff_listed" in methods else ["ccdiff_listed"]
     run = Run(args, "traffic", **settings)
     jobs = traffic_jobs(
         run.source,

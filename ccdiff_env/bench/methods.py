@@ -134,7 +134,7 @@ METHODS: dict[str, Method] = NamedDrivers(
         "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
         "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
         "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
-        "ccdiff_human": Method("CCDiff, listed by a person", "ccdiff", "listed", _GUIDED),
+        "ccdiff_listed": Method("CCDiff, listed by a person", "ccdiff", "listed", _GUIDED),
         "ccdiff_no_enc": Method(
             "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
         ),

@@ -73,7 +73,7 @@ def traffic_jobs(
         Those K at which all periods are played, the first one alone at the others; all K for
         ``None``.
     listed
-        Ids of vehicles by scene name, most important first, for ``ccdiff_human``.
+        Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
     seed
         Seed of the episodes.
 
@@ -82,7 +82,7 @@ def traffic_jobs(
     UnknownNameError
         For a method that does not exist.
     ConfigError
-        For ``ccdiff_human`` without lists.
+        For ``ccdiff_listed`` without lists.
     DatasetError
         If scenes have no list, or a list names what cannot be controlled or names it twice.
     """
@@ -91,10 +91,10 @@ def traffic_jobs(
             raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
     names = scene_names(source)
     lists: Mapping[str, Sequence[str]] = {}
-    if "ccdiff_human" in methods:
+    if "ccdiff_listed" in methods:
         if listed is None:
             raise ConfigError(
-                "method 'ccdiff_human' needs lists of vehicles, as --human names them"
+                "method 'ccdiff_listed' needs lists of vehicles, as --listed names them"
             )
         lists = _checked(listed, scenes_of(source))
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]

@@ -31,7 +31,7 @@ def everybody(source):
 def test_the_controlled_vehicles_are_those_of_the_list_in_its_order():
     lists = {name: ids[:2] for name, ids in everybody(VAL).items()}
     scenes = scenes_of(VAL)
-    played = episodes(scenes, METHODS["ccdiff_human"], num_controlled=2, lists=lists)
+    played = episodes(scenes, METHODS["ccdiff_listed"], num_controlled=2, lists=lists)
     for scene, episode in zip(scenes, played, strict=True):
         assert [scene.agent_ids[i] for i in episode.chosen] == lists[scene.name]
         assert {int(i) for p in episode.plans for i in p["agents"][p["guided"]]} <= set(
@@ -56,22 +56,22 @@ def test_a_short_list_is_filled_up_and_always_in_the_same_way():
 
 def test_a_list_goes_into_the_jobs_of_its_scenes_alone():
     lists = {**everybody(VAL), "another scene": ["x"]}
-    jobs = traffic_jobs(VAL, ["ccdiff", "ccdiff_human"], num_controlled=(2,), listed=lists)
+    jobs = traffic_jobs(VAL, ["ccdiff", "ccdiff_listed"], num_controlled=(2,), listed=lists)
     told = {job.arguments["method"]: job.arguments.get("lists") for job in jobs}
-    assert told == {"replay": None, "ccdiff": None, "ccdiff_human": everybody(VAL)}
+    assert told == {"replay": None, "ccdiff": None, "ccdiff_listed": everybody(VAL)}
 
 
 def test_lists_that_do_not_fit_the_scenes_are_refused():
     lists = everybody(VAL)
     a, b = lists
     with pytest.raises(ConfigError, match="needs lists of vehicles"):
-        traffic_jobs(VAL, ["ccdiff_human"])
+        traffic_jobs(VAL, ["ccdiff_listed"])
     with pytest.raises(DatasetError, match=f"none for {a}, {b}"):
-        traffic_jobs(VAL, ["ccdiff_human"], listed={})
+        traffic_jobs(VAL, ["ccdiff_listed"], listed={})
     with pytest.raises(DatasetError, match=f"{b}: 'nobody', expected a vehicle .* step 31: "):
-        traffic_jobs(VAL, ["ccdiff_human"], listed={**lists, b: ["nobody"]})
+        traffic_jobs(VAL, ["ccdiff_listed"], listed={**lists, b: ["nobody"]})
     with pytest.raises(DatasetError, match=f"{a}: '{lists[a][0]}' twice"):
-        traffic_jobs(VAL, ["ccdiff_human"], listed={**lists, a: [lists[a][0]] * 2})
+        traffic_jobs(VAL, ["ccdiff_listed"], listed={**lists, a: [lists[a][0]] * 2})
 
 
 @pytest.mark.parametrize(
@@ -99,13 +99,14 @@ def test_the_command_plays_the_lists_of_a_file_and_only_those(tmp_path, capsys):
     command = ["bench", "traffic", "--out", str(out), "--limit", "1", "--k", "1", "--quiet"]
     command += ["--t", "5"]
     assert cli.main([*command, "--methods", "idm", "--human", str(path)]) == 0
+    assert "--human is called --listed" in capsys.readouterr().err
     assert "CCDiff, listed by a person" in (out / "table.md").read_text(encoding="utf-8")
-    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["human"] == lists
+    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["listed"] == lists
     # other methods go on in the same folder, other lists do not
     assert cli.main([*command, "--methods", "idm"]) == 0
     path.write_text(json.dumps(everybody(ONE)))
-    assert cli.main([*command, "--methods", "idm", "--human", str(path)]) == 2
-    assert "another human" in capsys.readouterr().err
+    assert cli.main([*command, "--methods", "idm", "--listed", str(path)]) == 2
+    assert "another listed" in capsys.readouterr().err
     assert cli.main([*command[:-1], "abc", "--methods", "idm"]) == 2
     assert "--t is 'abc'" in capsys.readouterr().err
 
@@ -141,6 +142,6 @@ def test_the_order_of_vehicles_does_not_matter_where_all_are_controlled():
             source=ONE, names=scene_names(ONE), method=method, num_controlled=None,
             replan_steps=10, seed=0, lists=lists,
         )
-        for method in ("ccdiff", "ccdiff_human", "ccdiff_random", "ccdiff_greedy")
+        for method in ("ccdiff", "ccdiff_listed", "ccdiff_random", "ccdiff_greedy")
     ]  # fmt: skip
     assert rows[1:] == [rows[0]] * 3
