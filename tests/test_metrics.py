@@ -167,7 +167,7 @@ def test_off_road_flags_are_those_of_shapely(seed):
     count = max(valid.sum(), 1)
     assert got.centroid_rate == pytest.approx(got.centroid.sum() / count)
     assert got.box_rate == pytest.approx(got.box.sum() / count)
-    assert got.parity_rate <= 1
+    assert got.reference_impl_rate <= 1
 
 
 def test_displacement_is_over_steps_that_both_have():
@@ -233,7 +233,7 @@ def test_comfort_distance_is_scipys_earth_movers_distance(seed):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "parity"]))
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "reference_impl"]))
 def test_comfort_histograms_are_those_of_numpy(seed, axes):
     rng = np.random.default_rng(seed)
     agents, steps = 4, 61
@@ -419,6 +419,9 @@ def test_bad_input_is_refused_with_the_offending_part():
         one.off_road([])
     with pytest.raises(UnknownNameError, match="axes"):
         one.comfort(axes="world")
+    with pytest.warns(DeprecationWarning, match="reference_impl"):
+        former = one.comfort(axes="parity")
+    np.testing.assert_array_equal(former, one.comfort(axes="reference_impl"))
     with pytest.raises(ConfigError, match="std_dev"):
         metrics.total_variation([0.0], [1.0], 0.0)
     with pytest.raises(ConfigError, match="vary"):

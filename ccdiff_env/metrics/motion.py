@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError
+from ccdiff_env.errors import ShapeError, renamed, takes_former_names
 
 Variant = Literal["all", "controlled", "new", "controlled_new"]
 
@@ -53,6 +53,7 @@ class Collisions:
         return matrix
 
 
+@takes_former_names(parity_rate="reference_impl_rate")
 @dataclass(frozen=True)
 class OffRoad:
     """Where agents are off the drivable area, and how often."""
@@ -65,7 +66,7 @@ class OffRoad:
     """Share of the present entries with the centre outside: the off-road rate (ORR)."""
     box_rate: float
     """The same for boxes."""
-    parity_rate: float
+    reference_impl_rate: float
     """The centre variant where agents that vanish between two plans count as outside until the
     next."""
 
@@ -201,7 +202,7 @@ class Motion:
         drivable : polygons as (exterior [N, 2], holes); a point is drivable if any of them holds
             it.
         counted : bool [A], agents that the rates count; all if absent.
-        replan_steps : steps between plans, for the parity rate.
+        replan_steps : steps between plans, for the rate of the reference implementation.
         """
 
         def ring(points: npt.ArrayLike) -> list[list[float]]:
@@ -223,7 +224,7 @@ class Motion:
         return Displacement(ade=np.asarray(ade), fde=np.asarray(fde))
 
     def comfort(
-        self, *, axes: Literal["body", "parity"] = "body", stride: int = 5
+        self, *, axes: Literal["body", "reference_impl"] = "body", stride: int = 5
     ) -> npt.NDArray[np.float64]:
         """Return histograms [3, 20] of longitudinal and lateral acceleration and jerk of moving
         agents.
@@ -233,11 +234,12 @@ class Motion:
 
         Parameters
         ----------
-        axes : ``"body"`` projects on the agent's axes; ``"parity"`` multiplies the size of the
-            acceleration by cosine and sine of the heading in the world, as the release does.
+        axes : ``"body"`` projects on the agent's axes; ``"reference_impl"`` multiplies the size
+            of the acceleration by cosine and sine of the heading in the world, as the release does.
         stride : steps between entries; 5 steps of 0.1 s as the release.
         """
-        histograms: npt.NDArray[np.float64] = self._native.comfort(axes, stride)
+        name = renamed("axes", axes, {"parity": "reference_impl"})
+        histograms: npt.NDArray[np.float64] = self._native.comfort(name, stride)
         return histograms
 
     def min_ttc(self) -> npt.NDArray[np.float32]:

@@ -42,7 +42,7 @@ def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.f
 
 
 def estimate_histograms(
-    motions: Iterable[Motion], *, axes: Literal["body", "parity"] = "body", stride: int = 5
+    motions: Iterable[Motion], *, axes: Literal["body", "reference_impl"] = "body", stride: int = 5
 ) -> npt.NDArray[np.float64]:
     """Estimate the reference histograms [3, 20] from logs: the mean over scenes of
     :meth:`Motion.comfort`.

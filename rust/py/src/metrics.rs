@@ -157,9 +157,9 @@ impl NativeMotion {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let axes = match axes {
             "body" => ComfortAxes::Body,
-            "parity" => ComfortAxes::Parity,
+            "reference_impl" => ComfortAxes::Parity,
             _ => {
-                let text = format!("unknown comfort axes {axes:?}, expected \"body\" or \"parity\"");
+                let text = format!("unknown comfort axes {axes:?}, expected \"body\" or \"reference_impl\"");
                 return Err(UnknownNameError::new_err(text));
             }
         };
