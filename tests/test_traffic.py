@@ -249,6 +249,28 @@ def test_a_named_target_takes_the_place_of_the_ego(scenes):
     assert other.native.digest(0) != plain.native.digest(0)
 
 
+def test_who_is_told_the_route_keeps_to_the_path_of_the_log(scenes):
+    def aside_m(follow_route):
+        play, found = Play(scenes, ccdiff={"follow_route": follow_route}), []
+        play.step(50)
+        for index, scene in enumerate(scenes):
+            plan, states, tracks = play.native.explain(index), play.states(index), scene.tracks()
+            for agent in plan["agents"][plan["follows_plan"]]:
+                logged = tracks["position"][agent][tracks["valid"][agent]]
+                place = np.linspace(0, len(logged) - 1, 4 * len(logged))
+                path = np.stack(
+                    [np.interp(place, np.arange(len(logged)), logged[:, k]) for k in (0, 1)], -1
+                )
+                distance = np.linalg.norm(path - states["position"][agent], axis=1)
+                moves = np.linalg.norm(path[-1] - path[0]) > 5.0
+                if states["active"][agent] and moves and distance.argmin() < len(path) - 1:
+                    found.append(distance.min())
+        assert len(found) > 30
+        return np.mean(found)
+
+    assert aside_m(True) < 0.6 * aside_m(False)
+
+
 def test_routes_are_refused_by_weights_that_know_none(scenes):
     weights = str(shipped_weights())
     with pytest.raises(ConfigError, match=r"follow_route.*without routes"):
