@@ -20,6 +20,7 @@ impl World {
             }
             self.actions.push(physical);
         }
+        self.episode.find_followers(&self.scene.kinds, &mut self.follow_log);
         let mut motions = std::mem::take(&mut self.motions);
         motions.clear();
         let mut own = std::mem::take(&mut self.actions);
@@ -31,7 +32,7 @@ impl World {
                 }
             }
         }
-        for a in 0..view.states.len() {
+        for a in (0..view.states.len()).filter(|a| !self.follow_log[*a]) {
             let Driver::Policy(policy_idx) = view.drivers[a] else { continue };
             // obstacles do not move
             if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {

@@ -178,14 +178,15 @@ impl Episode {
 
     /// Puts an agent at its logged state of the present step.
     pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize) {
-        let log = &scene.scene;
-        let at = log.at(agent_idx, self.step_idx);
-        let p = log.tracks.position[at];
-        let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-        self.states.place(agent_idx, pose, self.velocity_at_entry(log, agent_idx));
+        let Some((pose, _)) = scene.log.at(agent_idx, self.step_idx) else { return };
+        self.states.place(agent_idx, pose, self.velocity_at_entry(&scene.scene, agent_idx));
         self.states.active[agent_idx] = true;
         self.entered[agent_idx] = true;
-        self.route_s_m[agent_idx] = scene.routes[agent_idx].path.project(p).s_m;
+        self.route_s_m[agent_idx] = if self.elapsed_steps == 0 {
+            scene.logged_s_m(agent_idx, self.step_idx)
+        } else {
+            scene.routes[agent_idx].path.project(pose.position).s_m
+        };
     }
 
     /// Velocity of an agent that enters: the logged one; of a late arrival that does not follow its log, the mean over
@@ -230,8 +231,7 @@ impl Episode {
                     .rev()
                     .find(|t| log.is_valid(a, *t))
                     .unwrap_or(start_step);
-                let goal = log.tracks.position[log.at(a, last)];
-                goal_s_m = scene.routes[a].path.project(goal).s_m.max(start_s_m);
+                goal_s_m = scene.logged_s_m(a, last).max(start_s_m);
             }
             self.slots.push(Slot {
                 agent_idx,
@@ -267,6 +267,17 @@ impl Episode {
         self.states.acceleration_mps2[agent_idx] = (self.states.speed_mps[agent_idx] - speed) / dt_s;
         self.states.yaw_rate_radps[agent_idx] =
             crate::geom::math::wrap_angle(pose.heading_rad - heading) / dt_s;
+    }
+
+    /// Which agents the log moves, whatever happens: those of replay that are there, have no slot and were not stopped.
+    /// Obstacles do not move.
+    pub(crate) fn find_followers(&self, kinds: &[AgentKind], out: &mut Vec<bool>) {
+        let moves =
+            |(driver, kind): (&Driver, &AgentKind)| *driver == Driver::REPLAY && *kind != AgentKind::Static;
+        let there = self.states.active.iter().zip(&self.halted).map(|(active, halted)| active & !halted);
+        out.clear();
+        out.extend(self.drivers.iter().zip(kinds).map(moves).zip(there).map(|(moves, there)| moves & there));
+        self.slots.iter().filter_map(|s| s.agent_idx).for_each(|a| out[a] = false);
     }
 
     /// Starts the generator anew; the next episode is the first of this seed.

@@ -295,14 +295,11 @@ impl VecWorld {
             });
         }
         let (e, scene) = (&world.episode, &world.scene);
-        let log = &scene.scene;
         let action = |agent: Option<usize>| {
-            let a = agent.filter(|a| log.is_valid(*a, e.step_idx + 1))?;
+            let a = agent?;
+            let (pose, velocity) = scene.log.at(a, e.step_idx + 1)?;
             let mut next = AgentStates::new(1);
-            let at = log.at(a, e.step_idx + 1);
-            let p = log.tracks.position[at];
-            let pose = crate::geom::Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-            next.place(0, pose, log.tracks.velocity[at]);
+            next.place(0, pose, velocity);
             let (from, to) = (e.states.kin_state(a), next.kin_state(0));
             let physical = self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.bodies[a]);
             Some(self.decoder.encode(&physical))

@@ -21,6 +21,7 @@ mod executor;
 mod halt;
 mod history;
 mod inspect;
+mod log;
 mod motion;
 mod policies;
 mod prepared;

@@ -29,6 +29,7 @@ impl World {
                 shared.decoder.dynamics().step_agent(&mut e.states, a, self.actions[c], config.dt_s, body);
             }
         }
+        self.scene.log.follow(e.step_idx, &self.follow_log, &mut e.states, &mut self.masks, config.dt_s);
         for (a, motion) in self.motions.drain(..) {
             let a = a as usize;
             let slot = e.slots.iter().find(|s| s.agent_idx == Some(a));

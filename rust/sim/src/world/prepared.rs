@@ -1,9 +1,10 @@
 //! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
 
-use crate::geom::{Bitmap, Region};
+use crate::geom::{Bitmap, Real, Region};
 use crate::observe::{BevConfig, MapPieces};
 use crate::scene::{AgentKind, LaneIndex, Scene};
 use crate::state::Body;
+use crate::world::log::Log;
 use crate::world::route::Route;
 use std::sync::Arc;
 
@@ -23,6 +24,8 @@ pub struct PreparedScene {
     pub lanes: Option<LaneIndex>,
     /// Route of each agent.
     pub routes: Vec<Route>,
+    /// The log step by step.
+    pub(crate) log: Log,
     /// Map pieces for observations.
     pub pieces: MapPieces,
     /// What does not move in bird's-eye rasters; `None` without rasters.
@@ -44,6 +47,7 @@ impl PreparedScene {
         Self {
             bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
+            log: Log::new(&scene),
             pieces: MapPieces::new(map),
             ground: bev.map(|bev| bev.ground(map)),
             road,
@@ -51,5 +55,14 @@ impl PreparedScene {
             routes,
             scene,
         }
+    }
+
+    /// Position along its route of an agent where it is logged at a step, metres.
+    pub(crate) fn logged_s_m(&self, agent_idx: usize, step_idx: usize) -> Real {
+        let project = |(a, route): (usize, &Route)| {
+            self.log.at(a, step_idx).map_or(0.0, |(pose, _)| route.path.project(pose.position).s_m)
+        };
+        let all = || self.routes.iter().enumerate().map(project).collect();
+        self.log.route_s_m[step_idx].get_or_init(all)[agent_idx]
     }
 }

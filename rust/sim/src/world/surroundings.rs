@@ -1,7 +1,7 @@
 //! Where an agent is: beside others, its route, lanes, the road, its log.
 
 use crate::events::{lane_facts, off_road};
-use crate::geom::{Point2, Pose2, Real, math};
+use crate::geom::{Point2, Real, math};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
@@ -13,11 +13,8 @@ const LANE_REACH_M: Real = 5.0;
 
 /// Whether an agent could stand at its logged state of the present step.
 pub(crate) fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
-    let log = &scene.scene;
-    let at = log.at(a, e.step_idx);
-    let p = log.tracks.position[at];
-    let pose = Pose2::new(p.x, p.y, log.tracks.heading_rad[at]);
-    let own = scene.bodies[a].at(&pose);
+    let Some((pose, _)) = scene.log.at(a, e.step_idx) else { return false };
+    let (own, p) = (scene.bodies[a].at(&pose), pose.position);
     let still = scene.kinds[a] == AgentKind::Static;
     (0..e.states.len()).all(|j| {
         !e.states.active[j]

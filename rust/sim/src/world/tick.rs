@@ -44,6 +44,9 @@ pub(crate) struct World {
     pub(crate) scene: Arc<PreparedScene>,
     pub(crate) episode: Episode,
     pub(super) motions: Vec<(u32, Motion)>,
+    /// Agents that the log moves in the step, without a motion of theirs, and memory for it.
+    pub(super) follow_log: Vec<bool>,
+    pub(super) masks: Vec<u32>,
     /// Poses before the step, where contacts stop the traffic.
     pub(super) before: Vec<Pose2>,
     /// Physical actions of the slots.
@@ -80,6 +83,8 @@ impl World {
             scene,
             episode,
             motions: Vec::new(),
+            follow_log: Vec::new(),
+            masks: Vec::new(),
             before: Vec::new(),
             actions: Vec::new(),
             present: Vec::new(),

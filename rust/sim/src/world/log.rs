@@ -1,0 +1,127 @@
+//! The log of a scene step by step, as replay puts it in place of the states of a world.
+
+use crate::geom::{Pose2, Real, Vector2, math};
+use crate::scene::Scene;
+use crate::state::AgentStates;
+use crate::wide::wide;
+use std::sync::OnceLock;
+
+/// Columns of [`AgentStates`] that a log has: x, y, heading, cosine, sine, speed, velocity x and y.
+const NUM_COLUMNS: usize = 8;
+const HEADING: usize = 2;
+const SPEED: usize = 5;
+
+/// Logged states of A agents at T steps, each column [T, A].
+///
+/// Memory: 33 bytes for each agent and step, 16 bytes for each step, and 4 bytes for each agent at steps whose
+/// positions along the routes were asked for.
+#[derive(Debug)]
+pub(crate) struct Log {
+    num_agents: usize,
+    columns: [Vec<Real>; NUM_COLUMNS],
+    valid: Vec<bool>,
+    /// Positions along the routes at each step [T], made when they are first asked for.
+    pub(crate) route_s_m: Vec<OnceLock<Box<[Real]>>>,
+}
+
+impl Log {
+    /// The log of a scene.
+    pub(crate) fn new(scene: &Scene) -> Self {
+        let (num_agents, num_steps) = (scene.num_agents(), scene.num_steps);
+        let mut states = AgentStates::new(num_agents * num_steps);
+        for (step_idx, first) in (0..num_steps).map(|t| (t, t * num_agents)) {
+            for a in (0..num_agents).filter(|a| scene.is_valid(*a, step_idx)) {
+                let at = scene.at(a, step_idx);
+                let p = scene.tracks.position[at];
+                let pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
+                states.place(first + a, pose, scene.tracks.velocity[at]);
+                states.active[first + a] = true;
+            }
+        }
+        let AgentStates { x, y, heading_rad, cos, sin, speed_mps, velocity_x_mps, velocity_y_mps, .. } =
+            states;
+        Self {
+            num_agents,
+            columns: [x, y, heading_rad, cos, sin, speed_mps, velocity_x_mps, velocity_y_mps],
+            valid: states.active,
+            route_s_m: (0..num_steps).map(|_| OnceLock::new()).collect(),
+        }
+    }
+
+    /// Pose and velocity of an agent at a step; `None` where it is not logged.
+    #[inline]
+    pub(crate) fn at(&self, agent_idx: usize, step_idx: usize) -> Option<(Pose2, Vector2)> {
+        let at = step_idx * self.num_agents + agent_idx;
+        if !self.valid.get(at).is_some_and(|valid| *valid) {
+            return None;
+        }
+        let [x, y, heading_rad, cos, sin, _, vx, vy] = std::array::from_fn(|column| self.columns[column][at]);
+        Some((Pose2 { position: [x, y].into(), heading_rad, cos, sin }, Vector2::new(vx, vy)))
+    }
+
+    /// Moves the agents of `follow` [A] to a step, as one step of `dt_s` moves them; those that are not logged there
+    /// leave. `goes` [A] is memory to work in.
+    pub(crate) fn follow(
+        &self,
+        step_idx: usize,
+        follow: &[bool],
+        states: &mut AgentStates,
+        goes: &mut Vec<u32>,
+        dt_s: Real,
+    ) {
+        let here = step_idx * self.num_agents..(step_idx + 1) * self.num_agents;
+        let Some(valid) = self.valid.get(here.clone()) else {
+            states.active.iter_mut().zip(follow).for_each(|(active, follow)| *active &= !follow);
+            return;
+        };
+        goes.clear();
+        for ((active, follow), valid) in states.active.iter_mut().zip(follow).zip(valid) {
+            *active &= !(follow & !valid);
+            goes.push(if follow & valid { u32::MAX } else { 0 });
+        }
+        let log = std::array::from_fn(|column| &self.columns[column][here.clone()]);
+        let turns = log[HEADING].iter().zip(&states.heading_rad).zip(&*goes);
+        for (rate, ((to, from), goes)) in states.yaw_rate_radps.iter_mut().zip(turns) {
+            if *goes != 0 {
+                *rate = math::wrap_angle(to - from) / dt_s;
+            }
+        }
+        let s = states;
+        take_rates(log[SPEED], &s.speed_mps, goes, dt_s, &mut s.acceleration_mps2);
+        let columns = [
+            &mut *s.x,
+            &mut s.y,
+            &mut s.heading_rad,
+            &mut s.cos,
+            &mut s.sin,
+            &mut s.speed_mps,
+            &mut s.velocity_x_mps,
+            &mut s.velocity_y_mps,
+        ];
+        take(&log, goes, columns);
+    }
+}
+
+/// A number, or another one where all bits of a mask are set.
+#[inline(always)]
+fn pick(mask: u32, chosen: Real, other: Real) -> Real {
+    Real::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)
+}
+
+wide! {
+    /// Puts numbers of columns in the place of others where the masks say so.
+    fn take(from: &[&[Real]; NUM_COLUMNS], masks: &[u32], to: [&mut [Real]; NUM_COLUMNS]) {
+        for (from, to) in from.iter().zip(to) {
+            for ((to, from), mask) in to.iter_mut().zip(*from).zip(masks) {
+                *to = pick(*mask, *from, *to);
+            }
+        }
+    }
+
+    /// The same of the rate at which numbers change to those.
+    fn take_rates(from: &[Real], before: &[Real], masks: &[u32], dt_s: Real, to: &mut [Real]) {
+        for (((to, from), before), mask) in to.iter_mut().zip(from).zip(before).zip(masks) {
+            *to = pick(*mask, (from - before) / dt_s, *to);
+        }
+    }
+}
