@@ -8,28 +8,28 @@
 ///
 /// Where the compiler does not find the vectors by itself, `fn name(…) with f[bound] = portable, avx2 { … }` gives the
 /// body a function `f` of two arguments that is one of the two named, the second with
-/// `#[target_feature(enable = "avx2")]`. `fn name<N>(…)` has a constant `N: usize`.
+/// `#[target_feature(enable = "avx2")]`. `fn name<N, M>(…)` has constants `N: usize` and `M: usize`.
 macro_rules! wide {
-    ($($(#[$doc:meta])* $vis:vis fn $name:ident $(<$n:ident>)? ($($arg:ident: $ty:ty),* $(,)?)
+    ($($(#[$doc:meta])* $vis:vis fn $name:ident $(<$($n:ident),+>)? ($($arg:ident: $ty:ty),* $(,)?)
         $(with $f:ident [$($bound:tt)+] = $portable:path, $avx2:path)? $body:block)+) => {$(
         $(#[$doc])*
-        $vis fn $name$(<const $n: usize>)?($($arg: $ty),*) {
+        $vis fn $name$(<$(const $n: usize),+>)?($($arg: $ty),*) {
             #[inline(always)]
-            fn each$(<const $n: usize>)?($($arg: $ty,)* $($f: impl $($bound)+)?) $body
+            fn each$(<$(const $n: usize),+>)?($($arg: $ty,)* $($f: impl $($bound)+)?) $body
 
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2")]
-                fn avx2$(<const $n: usize>)?($($arg: $ty),*) {
-                    each($($arg,)* $(|a, b| $avx2(a, b))?);
+                fn avx2$(<$(const $n: usize),+>)?($($arg: $ty),*) {
+                    each$(::<$($n),+>)?($($arg,)* $(|a, b| $avx2(a, b))?);
                 }
                 if std::arch::is_x86_feature_detected!("avx2") {
                     #[allow(unsafe_code, reason = "the compiler cannot know what the processor was just asked")]
                     // SAFETY: the processor has AVX2
-                    return unsafe { avx2($($arg),*) };
+                    return unsafe { avx2$(::<$($n),+>)?($($arg),*) };
                 }
             }
-            each($($arg,)* $(|a, b| $portable(a, b))?);
+            each$(::<$($n),+>)?($($arg,)* $(|a, b| $portable(a, b))?);
         }
     )+};
 }

@@ -62,12 +62,15 @@ impl AgentRows {
             }
             _ => None,
         };
+        let mut groups: Vec<Columns> = chosen.chunks(LANES).map(Columns::new).collect();
+        // columns of pairs are filled one by one
+        while groups.pop_if(|last| last.is_of_pairs()).is_some() {}
         let on_route = entries.iter().any(|e| matches!(e.source, OfAgent::OnRoute(_)));
         Self {
             num_rows,
             width: chosen.len(),
             route_reach_m: on_route.then_some(radius_m),
-            groups: chosen.chunks(LANES).map(Columns::new).collect(),
+            groups,
             agents: Vec::new(),
             pairs: entries.iter().enumerate().filter_map(pair).collect(),
             nearest: NearestAgents::new(num_rows, radius_m),
@@ -112,20 +115,25 @@ impl AgentRows {
             let (room, agents) = (width - first, &self.agents);
             let Some(rows) = rows.get_mut(first..) else { break };
             match columns {
-                [a, b] => fill_agents(
-                    &[&a.moving, &b.moving],
+                [a, b] if b.moving.moves() => {
+                    let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
+                    fill_agents::<2, 2>(&groups, frame, &origin, &added, agents, keys, width, room, rows);
+                }
+                [a, b] => {
+                    let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
+                    fill_agents::<2, 1>(&groups, frame, &origin, &added, agents, keys, width, room, rows);
+                }
+                [a] => fill_agents::<1, 1>(
+                    &[&a.moving],
                     frame,
                     &origin,
-                    &[&a.fixed, &b.fixed],
+                    &[&a.fixed],
                     agents,
                     keys,
                     width,
-                    room.min(2 * LANES),
+                    room,
                     rows,
                 ),
-                [a] => {
-                    fill_agents(&[&a.moving], frame, &origin, &[&a.fixed], agents, keys, width, room, rows)
-                }
                 _ => {}
             }
         }
@@ -161,6 +169,11 @@ impl Columns {
             }
         }
         Self { entries, moving, fixed: Vec::new() }
+    }
+
+    /// Whether all columns are those of pairs.
+    fn is_of_pairs(&self) -> bool {
+        self.entries.iter().all(|e| matches!(e.source, OfAgent::Pair(_) | OfAgent::OnRoute(_)))
     }
 
     fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {

@@ -92,6 +92,11 @@ impl Group {
         self.scale(lane, column);
     }
 
+    /// Whether there is a column that was set.
+    pub(super) fn moves(&self) -> bool {
+        self.factor != [0.0; LANES]
+    }
+
     fn scale(&mut self, lane: usize, column: &Column) {
         self.factor[lane] = 1.0 / column.scale;
         (self.low.0[lane], self.high.0[lane]) = (column.low, column.high);
@@ -159,26 +164,33 @@ fn put_each<const G: usize, T: Copy>(
     out: &mut [Real],
     row: impl Fn(T, usize) -> [Real; LANES],
 ) {
-    let (mut at, mut left) = (0, indices);
-    if let Some(most) = out.len().checked_sub(G * LANES) {
-        while let Some((index, rest)) = left.split_first()
-            && at <= most
-        {
-            if let Some(to) = out[at..].get_mut(..G * LANES) {
-                for (g, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-                    *to = row(*index, g);
-                }
-            }
-            (at, left) = (at + width, rest);
+    let room = room.min(G * LANES);
+    let num_whole = out.len().checked_sub(G * LANES).map_or(0, |most| most / width.max(1) + 1);
+    let (whole, last) = indices.split_at(num_whole.min(indices.len()));
+    let mut put = |k: usize, index: T| {
+        #[allow(unsafe_code, reason = "a check for each row costs as much as the row")]
+        // SAFETY: k < num_whole, so k · width + G · LANES <= out.len()
+        let to = unsafe { out.get_unchecked_mut(k * width..k * width + G * LANES) };
+        for (g, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+            *to = row(index, g);
+        }
+    };
+    let (fours, rest) = whole.as_chunks::<4>();
+    for (four, indices) in fours.iter().enumerate() {
+        for (k, index) in indices.iter().enumerate() {
+            put(4 * four + k, *index);
         }
     }
-    for index in left {
+    for (k, index) in rest.iter().enumerate() {
+        put(4 * fours.len() + k, *index);
+    }
+    for (k, index) in last.iter().enumerate() {
+        let at = (whole.len() + k) * width;
         if let Some(to) = out.get_mut(at..at + room) {
             for (g, to) in to.chunks_mut(LANES).enumerate() {
                 to.copy_from_slice(&row(*index, g)[..to.len()]);
             }
         }
-        at += width;
     }
 }
 
@@ -201,11 +213,11 @@ pub(super) fn kind_idx(piece: &Eight) -> usize {
 
 wide! {
     /// Fills the columns of some groups in the rows of agents, `width` numbers from row to row, of which `room` are theirs.
-    /// `added` holds numbers for each agent.
+    /// `added` holds numbers for each agent. Of the `G` groups only the first `T` have columns that move.
     ///
     /// Fewer than eight columns in the last group leave something in the columns that follow them: the last columns are
     /// to be filled first.
-    pub(super) fn fill_agents<G>(
+    pub(super) fn fill_agents<G, T>(
         groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight]; G], agents: &[Eight], keys: &[u64], width: usize, room: usize,
         out: &mut [Real],
     ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
@@ -213,19 +225,21 @@ wide! {
         let turns = groups.map(|group| group.in_frame(frame, origin));
         put_each::<G, _>(keys, width, room, out, |key, g| {
             let agent_idx = (key & 0xffff_ffff) as usize;
-            turn(&turns[g], (&agents[agent_idx], &added[g][agent_idx]))
+            let (agent, added) = (&agents[agent_idx], &added[g][agent_idx]);
+            if g < T { turn(&turns[g], (agent, added)) } else { added.0 }
         });
     }
 
     /// The same in the rows of pieces of the map; `added` holds numbers for each kind.
-    pub(super) fn fill_pieces<G>(
+    pub(super) fn fill_pieces<G, T>(
         groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight; KINDS]; G], pieces: &[Eight], nearest: &[u32], width: usize,
         room: usize, out: &mut [Real],
     ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
         let turns = groups.map(|group| group.in_frame(frame, origin));
         put_each::<G, _>(nearest, width, room, out, |k, g| {
             let piece = &pieces[k as usize];
-            turn(&turns[g], (piece, &added[g][kind_idx(piece)]))
+            let added = &added[g][kind_idx(piece)];
+            if g < T { turn(&turns[g], (piece, added)) } else { added.0 }
         });
     }
 }

@@ -44,28 +44,25 @@ impl MapRows {
         let origin = Eight([frame.x, frame.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
             let first = pass * 2 * LANES;
-            let (room, places) = (self.width - first, pieces.places());
+            let (width, room, places) = (self.width, self.width - first, pieces.places());
             let Some(rows) = rows.get_mut(first..) else { break };
             match columns {
-                [a, b] => fill_pieces(
-                    &[&a.of_places, &b.of_places],
-                    frame,
-                    &origin,
-                    &[&a.of_kinds, &b.of_kinds],
-                    places,
-                    nearest,
-                    self.width,
-                    room.min(2 * LANES),
-                    rows,
-                ),
-                [a] => fill_pieces(
+                [a, b] if b.of_places.moves() => {
+                    let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
+                    fill_pieces::<2, 2>(&groups, frame, &origin, &added, places, nearest, width, room, rows);
+                }
+                [a, b] => {
+                    let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
+                    fill_pieces::<2, 1>(&groups, frame, &origin, &added, places, nearest, width, room, rows);
+                }
+                [a] => fill_pieces::<1, 1>(
                     &[&a.of_places],
                     frame,
                     &origin,
                     &[&a.of_kinds],
                     places,
                     nearest,
-                    self.width,
+                    width,
                     room,
                     rows,
                 ),
