@@ -219,18 +219,18 @@ impl Polyline {
     #[inline]
     pub fn segment_at(&self, s_m: Real) -> usize {
         // a NaN or negative arc length becomes bin 0
-        let bin = ((s_m / self.bin_m) as usize).min(self.bins.len() - 1);
-        let mut segment = self.bins[bin] as usize;
-        while segment + 1 < self.directions.len() && self.s_m[segment + 1] < s_m {
-            segment += 1;
-        }
-        segment
+        let bin = ((s_m / self.bin_m) as u32 as usize).min(self.bins.len() - 1);
+        let first = self.bins[bin] as usize;
+        let ends = &self.s_m[first + 1..self.directions.len()];
+        first + ends.iter().take_while(|end| **end < s_m).count()
     }
 
     /// Point and direction at an arc length, clamped to the ends. The heading lies in (−π, π].
     #[inline]
     pub fn at(&self, s_m: Real) -> Pose2 {
-        let s_m = s_m.clamp(0.0, self.length_m());
+        let length_m = self.length_m();
+        let s_m = if s_m < 0.0 { 0.0 } else { s_m };
+        let s_m = if s_m > length_m { length_m } else { s_m };
         let segment = self.segment_at(s_m);
         let (direction, heading_rad) = self.directions[segment];
         let position = self.points[segment] + direction * (s_m - self.s_m[segment]);
