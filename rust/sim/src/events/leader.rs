@@ -37,23 +37,19 @@ pub fn leader(
     let speed = states.speed_mps[agent_idx].max(0.0);
     let reach = (20.0 + speed * 4.0).min(70.0).min(route.length_m() - s_m);
     let window = window(route, s_m, reach);
-    let (low, high) = bounds(window);
+    let [x0, x1, y0, y1] = bounds(window);
     let mut best: Option<Leader> = None;
-    for j in 0..states.len() {
-        if j == agent_idx || !states.active[j] {
+    let places = states.x.iter().zip(&states.y).zip(&states.active);
+    for (j, (((x, y), active), body)) in places.zip(bodies).enumerate() {
+        let (dx, dy) = (x - pose.position.x, y - pose.position.y);
+        let behind = dx * pose.cos + dy * pose.sin < -(own.radius_m + body.radius_m);
+        if !active | behind | (j == agent_idx) {
             continue;
         }
-        let body = &bodies[j];
-        let (dx, dy) = (states.x[j] - pose.position.x, states.y[j] - pose.position.y);
         // where the agent can matter: round the window, as far as it comes while it is anticipated
         let travel = states.speed_mps[j].abs() * anticipation_s;
         let margin = own.half_width_m + body.radius_m + CLEARANCE_M + travel;
-        if states.x[j] < low.x - margin
-            || states.x[j] > high.x + margin
-            || states.y[j] < low.y - margin
-            || states.y[j] > high.y + margin
-            || dx * pose.cos + dy * pose.sin < -(own.radius_m + body.radius_m)
-        {
+        if (*x < x0 - margin) | (*x > x1 + margin) | (*y < y0 - margin) | (*y > y1 + margin) {
             continue;
         }
         let crossing = (states.cos[j] * pose.cos + states.sin[j] * pose.sin).abs() < 0.8;
@@ -90,21 +86,26 @@ fn window(route: &Polyline, s_m: Real, reach: Real) -> &[Point2] {
     &points[first..=last]
 }
 
-/// Least and greatest coordinates of a window; between its samples the route bends by less than a body's size.
-fn bounds(window: &[Point2]) -> (Point2, Point2) {
+/// Least and greatest x and y of a window; between its samples the route bends by less than a body's size.
+fn bounds(window: &[Point2]) -> [Real; 4] {
     let last = window[window.len() - 1];
-    window.iter().step_by(COARSE).fold((last, last), |(low, high), p| (low.inf(p), high.sup(p)))
+    window.chunks(COARSE).fold([last.x, last.x, last.y, last.y], |[x0, x1, y0, y1], samples| {
+        let p = samples[0];
+        // one instruction each, which `min` and `max` are not
+        let (x0, x1) = (if p.x < x0 { p.x } else { x0 }, if p.x > x1 { p.x } else { x1 });
+        [x0, x1, if p.y < y0 { p.y } else { y0 }, if p.y > y1 { p.y } else { y1 }]
+    })
 }
 
 /// Nearest place of the route ahead of `s_m` to a point: position along the route and pose; `None` when the point lies
 /// abreast or behind.
 fn nearest_ahead(route: &Polyline, s_m: Real, window: &[Point2], x: Real, y: Real) -> Option<(Real, Pose2)> {
     let mut best = (Real::MAX, 0);
-    for k in (0..window.len()).step_by(COARSE) {
-        let (dx, dy) = (x - window[k].x, y - window[k].y);
+    for (k, samples) in window.chunks(COARSE).enumerate() {
+        let (dx, dy) = (x - samples[0].x, y - samples[0].y);
         let d2 = dx * dx + dy * dy;
         if d2 < best.0 {
-            best = (d2, k);
+            best = (d2, k * COARSE);
         }
     }
     // two steps of projection on the local tangent
