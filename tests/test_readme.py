@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from ccdiff_env.view.outcome import outcome
-from tools import gallery, readme_film
+from tools import gallery, readme_film, task_films
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs/hero.gif"
 
@@ -17,6 +18,15 @@ def test_the_picture_moves_and_loads_fast():
     assert PICTURE.stat().st_size < 500_000
     with Image.open(PICTURE) as film:
         assert film.n_frames > 30
+
+
+@pytest.mark.parametrize("task", task_films.RUNS)
+def test_the_picture_of_a_task_moves_and_loads_fast(task):
+    path = PICTURE.with_name(f"task_{task}.gif")
+    assert path.stat().st_size < 400_000
+    with Image.open(path) as film:
+        assert film.n_frames > 30
+    assert path.name in PICTURE.with_name("tasks.md").read_text(encoding="utf-8")
 
 
 def test_criticality_alone_makes_the_collision_of_the_picture():
