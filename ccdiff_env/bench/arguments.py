@@ -27,6 +27,8 @@ __all__ = [
     "add_replays",
     "add_run_arguments",
     "add_scene_arguments",
+    "counts",
+    "replan_steps",
     "source_from",
     "stage_source",
 ]
@@ -259,3 +261,19 @@ class Run:
         print(f"{self._num_jobs} jobs in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
         return 0
+
+
+def counts(text: str) -> list[int | None]:
+    """Return values of K; ``None`` for Full."""
+    try:
+        return [None if part == "Full" else int(part) for part in text.split(",")]
+    except ValueError:
+        raise ConfigError(f"K is {text!r}, expected numbers and Full, comma-separated") from None
+
+
+def replan_steps(text: str) -> list[int]:
+    """Return steps between plans from their seconds T."""
+    try:
+        return [round(10 * float(part)) for part in text.split(",")]
+    except (ValueError, OverflowError):
+        raise ConfigError(f"--t is {text!r}, expected seconds, comma-separated") from None

@@ -16,11 +16,13 @@ from ccdiff_env.bench.arguments import (
     add_replays,
     add_run_arguments,
     add_scene_arguments,
+    counts,
+    replan_steps,
     source_from,
     stage_source,
 )
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.errors import ConfigError, renamed
+from ccdiff_env.errors import renamed
 from ccdiff_env.files import file_name
 from ccdiff_env.terminal import align, say_page
 
@@ -40,20 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_reactivity(kinds)
     _add_tracking(kinds)
     _add_leaderboard(kinds)
-
-
-def _counts(text: str) -> list[int | None]:
-    try:
-        return [None if part == "Full" else int(part) for part in text.split(",")]
-    except ValueError:
-        raise ConfigError(f"K is {text!r}, expected numbers and Full, comma-separated") from None
-
-
-def _replan_steps(text: str) -> list[int]:
-    try:
-        return [round(10 * float(part)) for part in text.split(",")]
-    except (ValueError, OverflowError):
-        raise ConfigError(f"--t is {text!r}, expected seconds, comma-separated") from None
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -101,9 +89,9 @@ def _traffic(args: argparse.Namespace) -> int:
     jobs = traffic_jobs(
         run.source,
         methods,
-        num_controlled=_counts(args.k),
-        replan_steps=_replan_steps(args.t),
-        replan_controlled=None if args.t_at is None else _counts(args.t_at),
+        num_controlled=counts(args.k),
+        replan_steps=replan_steps(args.t),
+        replan_controlled=None if args.t_at is None else counts(args.t_at),
         listed=listed,
         seed=args.seed,
     )
