@@ -25,6 +25,7 @@ use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{Idm, Motion, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
 use ccdiff_sim::scene::Scene;
 use memory::Memory;
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::path::Path;
 use std::sync::Arc;
@@ -117,18 +118,30 @@ impl PlannedTraffic {
         }
     }
 
-    fn bitmap(&mut self, scene: &Arc<Scene>) -> Option<Arc<MapBitmap>> {
-        if let Some((_, bitmap)) = self.bitmaps.iter().find(|(s, _)| Arc::ptr_eq(s, scene)) {
-            return Some(Arc::clone(bitmap));
+    /// Draws the maps of scenes that are played for the first time, side by side.
+    fn draw_maps(&mut self, scenes: &[&Arc<Scene>]) {
+        let Some(map) = &self.model.map else { return };
+        let mut new: Vec<&Arc<Scene>> = Vec::new();
+        for scene in scenes {
+            if self.bitmap(scene).is_none() && !new.iter().any(|s| Arc::ptr_eq(s, scene)) {
+                new.push(scene);
+            }
         }
-        let bitmap = Arc::new(MapBitmap::from_scene(scene, self.model.map.as_ref()?));
-        self.bitmaps.push((Arc::clone(scene), Arc::clone(&bitmap)));
-        Some(bitmap)
+        let draw = |scene: &&Arc<Scene>| (Arc::clone(scene), Arc::new(MapBitmap::from_scene(scene, map)));
+        let drawn: Vec<_> = match &self.pool {
+            Some(pool) => pool.install(|| new.par_iter().map(draw).collect()),
+            None => new.iter().map(draw).collect(),
+        };
+        self.bitmaps.extend(drawn);
+    }
+
+    /// The map of a scene, once it was drawn.
+    fn bitmap(&self, scene: &Arc<Scene>) -> Option<&Arc<MapBitmap>> {
+        self.bitmaps.iter().find(|(s, _)| Arc::ptr_eq(s, scene)).map(|(_, bitmap)| bitmap)
     }
 
     fn map_has(&self, scene: &Arc<Scene>, pose: &Pose2) -> bool {
-        let bitmap = self.bitmaps.iter().find(|(s, _)| Arc::ptr_eq(s, scene));
-        bitmap.is_none_or(|(_, b)| b.covers(pose.position))
+        self.bitmap(scene).is_none_or(|b| b.covers(pose.position))
     }
 }
 

@@ -11,6 +11,7 @@ use crate::raster::MapBitmap;
 use crate::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
+use ccdiff_sim::scene::Scene;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -49,7 +50,13 @@ impl PlannedTraffic {
         &mut self,
         requests: &[&'a PlanRequest<'a>],
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
-        let mut due = requests.iter().map(|r| self.prepare(r)).collect::<Result<Vec<_>>>()?;
+        let scenes: Vec<&Arc<Scene>> = requests.iter().map(|r| &r.world.scene.scene).collect();
+        self.draw_maps(&scenes);
+        let prepare = |r: &&'a PlanRequest<'a>| self.prepare(r);
+        let mut due: Vec<_> = match &self.pool {
+            Some(pool) => pool.install(|| requests.par_iter().map(prepare).collect::<Result<_>>())?,
+            None => requests.iter().map(prepare).collect::<Result<_>>()?,
+        };
         self.rank(&mut due)?;
         let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(PreparedRequest::is_guided);
         let (guided, unguided) = (self.guided.clone(), self.unguided.clone());
@@ -59,7 +66,7 @@ impl PlannedTraffic {
         Ok(worlds.zip(plans).map(|((w, options), p)| (w.request, self.adopt(w, p, options))).collect())
     }
 
-    fn prepare<'a>(&mut self, request: &'a PlanRequest<'a>) -> Result<PreparedRequest<'a>> {
+    fn prepare<'a>(&self, request: &'a PlanRequest<'a>) -> Result<PreparedRequest<'a>> {
         let world = &request.world;
         let memory = match request.plan {
             Some(plan) => Memory::of(plan, world.states.len())?,
@@ -77,7 +84,7 @@ impl PlannedTraffic {
         if self.config.follow_route {
             planned.tell_routes(world, &self.model.route_points_m);
         }
-        let bitmap = self.bitmap(&world.scene.scene);
+        let bitmap = self.bitmap(&world.scene.scene).cloned();
         let counts = |agent: &usize| match (&self.config.targets[..], self.config.partners) {
             ([], Partners::All) => true,
             ([], Partners::Ego) => planned_agents::is_ego(world, *agent),
