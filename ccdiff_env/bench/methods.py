@@ -147,6 +147,14 @@ METHODS: dict[str, Method] = NamedDrivers(
     },
 )
 
+# the same guidance, less and more of it: ``ccdiff`` has criticality 1
+for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
+    METHODS[f"ccdiff-{_strength:g}"] = Method(
+        f"CCDiff, criticality {_strength:g}",
+        "ccdiff",
+        ccdiff={**_GUIDED, "criticality": _strength},
+    )
+
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
 _NETWORKS = {
     "simnet": "SimNet",
