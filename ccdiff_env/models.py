@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.curves import Curves, progress_bar
+from ccdiff_env.curves import Curves
 from ccdiff_env.errors import ConfigError, MissingFeatureError, takes_former_names
 from ccdiff_env.scenes import Scene
+from ccdiff_env.training_loop import run_training
 
 if TYPE_CHECKING:
-    from ccdiff_env import _models
+    pass
 
 __all__ = [
     "Planner",
@@ -35,8 +35,6 @@ TORCH = "2.11.0"
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
-_CHUNK = 20
-_COOLDOWN_SHARE = 0.2
 
 
 def require_networks() -> None:
@@ -413,9 +411,9 @@ def train(
     notes = {"licence": LICENCE, "num_scenes": len(scenes), "smooth": smooth, **(notes or {})}
     curves = Curves(folder, run.step)
     try:
-        _loop(
+        run_training(
             run,
-            folder,
+            (folder / STATE, folder / WEIGHTS),
             curves,
             steps,
             minutes,
@@ -435,74 +433,3 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
     if unknown:
         raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
     return {**preset, **changes}
-
-
-def _loop(
-    run: _models.Trainer,
-    folder: Path,
-    curves: Curves,
-    steps: int | None,
-    minutes: float | None,
-    notes: dict[str, Any],
-    checkpoint_minutes: float,
-    validation_samples: int,
-    progress: bool,
-    solver_steps: int,
-) -> None:
-    begin = last = time.monotonic()
-    first = run.step
-    total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
-    bar = progress_bar(total, "s" if steps is None else "steps", progress)
-    said = ""
-
-    def checkpoint() -> None:
-        run.save(os.fspath(folder / STATE))
-        run.export(os.fspath(folder / WEIGHTS), json.dumps(notes))
-        errors = run.validate(
-            validation_samples, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0
-        )
-        if errors is not None:
-            curves.write("validation", run.step, errors)
-            nonlocal said
-            said = (
-                f", minADE {errors['min_ade_m']:.2f} m, constant velocity "
-                f"{errors['constant_velocity_ade_m']:.2f} m"
-            )
-
-    try:
-        while True:
-            elapsed = time.monotonic() - begin
-            if steps is not None and run.step >= steps:
-                break
-            if run.cooldown is not None and run.step >= run.cooldown[1]:
-                break
-            if run.cooldown is None:
-                _maybe_cool_down(run, first, steps, None if steps else total, elapsed)
-            count = _CHUNK if steps is None else min(_CHUNK, steps - run.step)
-            if run.cooldown is not None:
-                count = max(min(count, run.cooldown[1] - run.step), 1)
-            losses = run.run(count)
-            now = time.monotonic()
-            bar.update(count if steps is not None else now - begin - elapsed)
-            loss = sum(losses) / len(losses)
-            bar.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
-            curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
-            if now - last > checkpoint_minutes * 60.0:
-                checkpoint()
-                last = time.monotonic()
-    finally:
-        # also on Ctrl-C, so that nothing is lost
-        checkpoint()
-        bar.close()
-
-
-def _maybe_cool_down(
-    run: _models.Trainer, first: int, steps: int | None, total_s: float | None, elapsed_s: float
-) -> None:
-    if steps is not None:
-        left = max(round(steps * _COOLDOWN_SHARE), 1)
-        if run.step >= steps - left:
-            run.cool_down(steps - run.step)
-    elif total_s is not None and elapsed_s >= total_s * (1.0 - _COOLDOWN_SHARE):
-        pace = elapsed_s / max(run.step - first, 1) if run.step > first else 1.0
-        run.cool_down(max(int((total_s - elapsed_s) / pace), 1))

@@ -1,0 +1,155 @@
+"""Whose plans guidance moves, when and where to: collisions, care, conflicts, targets, routes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from traffic_play import Play
+
+import ccdiff_env
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.models import shipped_weights
+from ccdiff_env.scenes import SceneSet
+
+
+@pytest.fixture(scope="module")
+def scenes() -> SceneSet:
+    return ccdiff_env.embedded_scenes("val")
+
+
+def test_careful_plans_leave_the_road_less(scenes):
+    off_road = {}
+    for careful in (False, True):
+        play, corners = Play(scenes, ccdiff={"careful": careful}), 0
+        for _ in range(60):
+            play.step()
+            corners += sum(int(play.native.off_road(w)[0].sum()) for w in range(len(scenes)))
+        plan = play.native.explain(0)
+        assert not plan["guided"].any()
+        assert (plan["shift_sigmas"].max() > 0.0) == careful
+        off_road[careful] = corners
+    assert off_road[True] < 0.9 * off_road[False]
+
+
+def test_careful_changes_nothing_in_guided_worlds(scenes):
+    digests = set()
+    for careful in (False, True):
+        play = Play(scenes[:1], ccdiff={"criticality": 1.0, "careful": careful})
+        play.step(12)
+        assert play.native.explain(0)["guided"].any()
+        digests.add(play.native.digest(0))
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize("kind", ["rear_end", "cut_in", "crossing", "head_on"])
+def test_only_vehicles_that_stand_so_to_the_ego_are_guided(scenes, kind):
+    guided, free = 0, 0
+    for index in range(len(scenes)):
+        play = Play(scenes[index : index + 1], ccdiff={"criticality": 1.0, "conflicts": (kind,)})
+        before = play.states()
+        play.step()
+        plan = play.native.explain(0)
+        ego = scenes[index].agent_ids.index("ego")
+        apart = np.abs(
+            np.degrees(np.angle(np.exp(1j * (before["heading"] - before["heading"][ego]))))
+        )
+        offset = before["position"] - before["position"][ego]
+        left = np.array([-np.sin(before["heading"][ego]), np.cos(before["heading"][ego])])
+        same_lane = np.abs(offset @ left) <= 2.0
+        expected = {
+            "rear_end": (apart < 45.0) & same_lane,
+            "cut_in": (apart < 45.0) & ~same_lane,
+            "crossing": (apart >= 45.0) & (apart <= 135.0),
+            "head_on": apart > 135.0,
+        }[kind]
+        ranked = expected[plan["ranking"]]
+        assert set(plan["agents"][plan["guided"]]) == set(plan["ranking"][ranked][:5])
+        guided, free = guided + ranked.sum(), free + (~ranked).sum()
+    assert guided > 0
+    assert free > 0
+
+
+def test_guidance_keeps_to_its_time(scenes):
+    ccdiff = {"criticality": 1.0, "guided_from_s": 1.0, "guided_until_s": 2.0}
+    play, guided = Play(scenes[:1], ccdiff=ccdiff), {}
+    for _ in range(30):
+        play.step()
+        plan = play.native.explain(0)
+        guided[plan["made_at"]] = bool(plan["guided"].any())
+    assert guided == {at: 10 <= at <= 20 for at in range(0, 30, 5)}
+
+
+def test_a_named_target_takes_the_place_of_the_ego(scenes):
+    scene = scenes[0]
+    plain = Play(scenes[:1], ccdiff={"criticality": 1.0})
+    ego = Play(scenes[:1], ccdiff={"criticality": 1.0, "targets": ("ego",)})
+    other = Play(scenes[:1], ccdiff={"criticality": 1.0, "targets": scene.agent_ids[2:3]})
+    for play in (plain, ego, other):
+        play.step(12)
+    assert ego.native.digest(0) == plain.native.digest(0)
+    assert other.native.digest(0) != plain.native.digest(0)
+
+
+def test_who_is_told_the_route_keeps_to_the_path_of_the_log(scenes):
+    def aside_m(follow_route):
+        play, found = Play(scenes, ccdiff={"follow_route": follow_route}), []
+        play.step(50)
+        for index, scene in enumerate(scenes):
+            plan, states, tracks = play.native.explain(index), play.states(index), scene.tracks()
+            for agent in plan["agents"][plan["follows_plan"]]:
+                logged = tracks["position"][agent][tracks["valid"][agent]]
+                place = np.linspace(0, len(logged) - 1, 4 * len(logged))
+                path = np.stack(
+                    [np.interp(place, np.arange(len(logged)), logged[:, k]) for k in (0, 1)], -1
+                )
+                distance = np.linalg.norm(path - states["position"][agent], axis=1)
+                moves = np.linalg.norm(path[-1] - path[0]) > 5.0
+                if states["active"][agent] and moves and distance.argmin() < len(path) - 1:
+                    found.append(distance.min())
+        assert len(found) > 30
+        return np.mean(found)
+
+    assert aside_m(True) < 0.6 * aside_m(False)
+
+
+def test_routes_are_refused_by_weights_that_know_none(scenes):
+    weights = str(shipped_weights())
+    with pytest.raises(ConfigError, match=r"follow_route.*without routes"):
+        Play(scenes[:1], ccdiff={"follow_route": True, "weights": weights})
+    with pytest.raises(ConfigError, match=r"follow_route.*denoising_steps"):
+        Play(scenes[:1], ccdiff={"follow_route": True, "denoising_steps": 1})
+    with pytest.raises(ConfigError, match=r"follow_route"):
+        Play(scenes[:1], traffic="ctg", ccdiff={"follow_route": True})
+
+
+def test_guidance_raises_collisions_with_the_ego(scenes):
+    def collided(criticality, seed):
+        play = Play(scenes, seed=seed, ccdiff={"criticality": criticality})
+        touched = np.zeros(len(scenes), bool)
+        names = play.worlds.column_names
+        for _ in range(80):
+            play.step()
+            touched |= play.out.columns[:, 0, names.index("collision")] > 0
+        return touched.sum()
+
+    calm, critical = (sum(collided(c, seed) for seed in (3, 4, 5)) for c in (0.0, 1.0))
+    assert critical >= max(2 * calm, 10), (calm, critical)
+
+
+def test_commands_choose_who_is_guided_and_how_hard(scenes):
+    play = Play(scenes[:1], ccdiff={"criticality": 0.0})
+    play.step()
+    free = play.native.explain(0)
+    chosen = int(free["ranking"][-1])
+    play = Play(scenes[:1], ccdiff={"criticality": 0.0})
+    play.native.command(0, guided=[chosen], criticality=1.0)
+    play.step()
+    plan = play.native.explain(0)
+    assert plan["agents"][plan["guided"]].tolist() == [chosen]
+    row = list(plan["agents"]).index(chosen)
+    moved = np.abs(plan["samples"] - free["samples"]).max(axis=(0, 2, 3))
+    assert moved[row] > 0.01
+    with pytest.raises(UnknownNameError, match="agent"):
+        play.native.command(0, guided=[10_000], criticality=None)
+    with pytest.raises(ConfigError, match="criticality"):
+        play.native.command(0, guided=None, criticality=-1.0)
