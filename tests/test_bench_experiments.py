@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
+import re
 
 import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import cli
+from ccdiff_env import cli, models
 from ccdiff_env.bench.correlation import correlations, write_correlations
 from ccdiff_env.bench.episode import features, relations
 from ccdiff_env.bench.methods import METHODS
@@ -193,3 +195,32 @@ def test_the_command_times_plans(tmp_path, capsys):
         rows = list(csv.DictReader(file))
     assert {r["kind"] for r in rows} == {"guided", "not guided"}
     assert all(float(r["seconds"]) > 0.0 for r in rows)
+
+
+def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys):
+    of = {name: models.shipped_weights(name) for name in ("ccdiff", "ccdiff_equal", "ctg")}
+    command = ["bench", "traffic", "--quiet", "--k", "2", "--limit", "2"]
+
+    def rows(folder, *more):
+        given = ["--out", str(tmp_path / folder), "--methods", "ccdiff,ccdiff_equal,ctg", *more]
+        assert cli.main([*command, *given]) == 0
+        raw = (tmp_path / folder / "raw").glob("*-K2-*.json")
+        return {f.name.split("-")[0]: json.loads(f.read_text())["result"] for f in raw}
+
+    shipped = rows("shipped")
+    own = rows("own", "--weights", f"ccdiff={of['ccdiff_equal']}")
+    assert own["ccdiff"] == shipped["ccdiff_equal"] != shipped["ccdiff"]
+    assert own["ctg"] == shipped["ctg"]
+    capsys.readouterr()
+    for text, said in (
+        (f"ccdiff={of['ctg']}", "another run|another own_weights"),
+        ("ccdiff", "NETWORK=FILE"),
+        (f"idm={of['ctg']}", "NETWORK=FILE"),
+        (f"ccdiff={tmp_path}/no", "no weights for ccdiff"),
+    ):
+        given = ["--out", str(tmp_path / "own"), "--methods", "ccdiff", "--weights", text]
+        assert cli.main([*command, *given]) == 2
+        assert re.search(said, capsys.readouterr().err), text
+    given = ["--out", str(tmp_path / "kind"), "--methods", "ccdiff"]
+    assert cli.main([*command, *given, "--weights", f"ccdiff={of['ctg']}"]) == 2
+    assert "ctg" in capsys.readouterr().err

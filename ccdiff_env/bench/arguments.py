@@ -17,16 +17,18 @@ from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import source_of, source_title
-from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.terminal import align, say_page
+from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "Run",
     "add_replays",
     "add_run_arguments",
     "add_scene_arguments",
+    "add_weights",
     "counts",
     "replan_steps",
     "source_from",
@@ -124,6 +126,32 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     )
 
 
+def add_weights(parser: argparse.ArgumentParser) -> None:
+    """Add weights of one's own."""
+    parser.add_argument(
+        "--weights",
+        action="append",
+        metavar="NETWORK=FILE",
+        help="weights of ccdiff-env train that drive in place of the shipped ones; more than once",
+    )
+
+
+def _weights_from(given: Sequence[str]) -> dict[str, str]:
+    """Return weight files by network, which ``--weights`` names."""
+    found: dict[str, str] = {}
+    for text in given:
+        network, _, file = text.partition("=")
+        if network not in NETWORKS or network in found or not file:
+            raise ConfigError(
+                f"--weights is {text!r}, expected NETWORK=FILE, once for each of: "
+                + ", ".join(NETWORKS)
+            )
+        if not Path(file).is_file():
+            raise DatasetNotFoundError(f"no weights for {network}: {file}")
+        found[network] = str(Path(file).resolve())
+    return found
+
+
 def stage_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
     """Return the description of the scenes of training that the arguments name."""
     embedded = args.dataroot is None
@@ -166,7 +194,13 @@ class Run:
         self._pictures: list[tuple[str, str, Path]] = []
         self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
+        #: Weight files by network, in place of the shipped ones.
+        self.own_weights = _weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
+        given["own_weights"] = {
+            network: hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            for network, file in self.own_weights.items()
+        }
         self._settle({**given, "weights": self.weights})
 
     def _settle(self, settings: dict[str, Any]) -> None:
@@ -176,6 +210,8 @@ class Run:
             known = parsed_object(path.read_text(encoding="utf-8")) if path.exists() else {}
         except ValueError as error:
             raise DatasetError(f"damaged settings of a run ({error}): {path}") from None
+        if known:
+            known.setdefault("own_weights", {})
         changed = [k for k in settings if k in known and known[k] != settings[k]]
         if changed:
             raise ConfigError(

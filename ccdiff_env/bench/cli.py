@@ -16,6 +16,7 @@ from ccdiff_env.bench.arguments import (
     add_replays,
     add_run_arguments,
     add_scene_arguments,
+    add_weights,
     counts,
     replan_steps,
     source_from,
@@ -62,6 +63,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument(
         "--listed", metavar="FILE", help="lists of vehicles (JSON); adds the method ccdiff_listed"
     )
+    add_weights(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.add_argument("--human", action=Former, dest="listed")
     parser.set_defaults(run=_traffic)
@@ -93,6 +95,7 @@ def _traffic(args: argparse.Namespace) -> int:
         replan_steps=replan_steps(args.t),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
         listed=listed,
+        weights=run.own_weights,
         seed=args.seed,
     )
     by_condition = conditions(run.results(jobs))
@@ -419,6 +422,7 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="comma-separated",
     )
     parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
+    add_weights(parser)
     parser.set_defaults(run=_realism)
 
 
@@ -428,7 +432,11 @@ def _realism(args: argparse.Namespace) -> int:
 
     run = Run(args, "realism", samples=args.samples)
     jobs = likelihood_jobs(
-        run.source, args.methods.split(","), num_samples=args.samples, seed=args.seed
+        run.source,
+        args.methods.split(","),
+        num_samples=args.samples,
+        weights=run.own_weights,
+        seed=args.seed,
     )
     rows = {method: found for (method,), found in run.rows(jobs, "method").items()}
     write_likelihoods(rows, run.folder, num_samples=args.samples)

@@ -251,7 +251,12 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
 
 
 def likelihood_jobs(
-    source: Mapping[str, str], methods: Sequence[str], *, num_samples: int = 16, seed: int = 0
+    source: Mapping[str, str],
+    methods: Sequence[str],
+    *,
+    num_samples: int = 16,
+    weights: Mapping[str, str] | None = None,
+    seed: int = 0,
 ) -> list[Job]:
     """Return the jobs: methods x pieces of the scenes, all vehicles driven by the method.
 
@@ -263,6 +268,8 @@ def likelihood_jobs(
         Names of :data:`~ccdiff_env.bench.traffic.METHODS`.
     num_samples
         Episodes per scene, seeds one after the other.
+    weights
+        Weight files by driver, in place of the shipped ones.
     seed
         The first of them.
     """
@@ -282,6 +289,7 @@ def likelihood_jobs(
                 "method": method,
                 "num_samples": num_samples,
                 "seed": seed,
+                **({"weights": dict(weights)} if weights else {}),
             },
         )
         for method in methods
@@ -290,10 +298,16 @@ def likelihood_jobs(
 
 
 def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], method: str, num_samples: int, seed: int
+    *,
+    source: Mapping[str, str],
+    names: Sequence[str],
+    method: str,
+    num_samples: int,
+    seed: int,
+    weights: Mapping[str, str] | None = None,
 ) -> list[dict[str, Any]]:
     """Play scenes several times: one dictionary of likelihoods per scene."""
-    chosen = METHODS[method]
+    chosen = METHODS[method].with_weights(weights or {})
     # without a network there is no chance
     draws = chosen.driver in NETWORKS or ":" in chosen.driver
     count = num_samples if draws else 1

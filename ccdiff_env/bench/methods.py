@@ -44,6 +44,18 @@ class Method:
     num_guided: int | None = None
     guidance: Mapping[str, Any] = field(default_factory=dict)
 
+    def with_weights(self, weights: Mapping[str, str]) -> Method:
+        """Return the method with weights of a file, where one is given for its network.
+
+        Parameters
+        ----------
+        weights
+            Weight files by driver. A method that names its own weights keeps them.
+        """
+        if self.driver not in weights or "weights" in self.ccdiff:
+            return self
+        return dataclasses.replace(self, ccdiff={**self.ccdiff, "weights": weights[self.driver]})
+
     def options(self) -> dict[str, Any]:
         """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
         if not self.guidance:

@@ -51,6 +51,7 @@ def traffic_jobs(
     replan_steps: Sequence[int] = (5,),
     replan_controlled: Sequence[int | None] | None = None,
     listed: Mapping[str, Sequence[str]] | None = None,
+    weights: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x pieces of the scenes.
@@ -74,6 +75,8 @@ def traffic_jobs(
         ``None``.
     listed
         Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
+    weights
+        Weight files by driver, in place of the shipped ones.
     seed
         Seed of the episodes.
 
@@ -115,6 +118,7 @@ def traffic_jobs(
                 "num_controlled": k,
                 "replan_steps": n,
                 "seed": seed,
+                **({"weights": dict(weights)} if weights else {}),
                 **(
                     {"lists": {scene: list(lists[scene]) for scene in piece}}
                     if METHODS[method].ranking == "listed"
@@ -346,13 +350,14 @@ def evaluate_recorded(
     num_controlled: int | None,
     replan_steps: int,
     seed: int,
+    weights: Mapping[str, str] | None = None,
     lists: Mapping[str, Sequence[str]] | None = None,
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes."""
     played = episodes(
         scenes_of(source, names),
-        METHODS[method],
+        METHODS[method].with_weights(weights or {}),
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
