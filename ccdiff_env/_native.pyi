@@ -309,6 +309,9 @@ class VecWorld:
         networks: Mapping[str, object] | None = None,
         models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
+    def set_scene_weights(self, weights: Sequence[float] | None) -> None:
+        """Draw the scenes of later episodes by weights; all alike for ``None``."""
+
     def reset(
         self,
         seeds: Sequence[int | None],

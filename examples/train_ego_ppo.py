@@ -20,6 +20,7 @@ from torch import nn
 
 import ccdiff_env
 from ccdiff_env.bank import load_bank
+from ccdiff_env.curriculum import SceneWeights
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.spaces import Layout
 
@@ -57,6 +58,9 @@ def arguments() -> argparse.Namespace:
         "--traffic", nargs="+", default=["replay"], help="replay, idm, ccdiff, bank"
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument(
+        "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
+    )
     parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
     parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
     parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
@@ -112,17 +116,21 @@ class Worlds:
         self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
         self.episodes: list[np.ndarray] = []
-        self.obs = np.concatenate(
-            [
-                env.reset(seed=seed + part.start)[0]
-                for env, part in zip(self.envs, self.parts, strict=True)
-            ]
-        )
+        begun = [
+            env.reset(seed=seed + part.start)
+            for env, part in zip(self.envs, self.parts, strict=True)
+        ]
+        self.obs = np.concatenate([obs for obs, _ in begun])
+        self.playing = [infos["scene_idx"] for _, infos in begun]
+        self.chase = args.failures
+        self.failures = [SceneWeights(len(env.worlds.scenes)) for env in self.envs]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
-        for env, part in zip(self.envs, self.parts, strict=True):
+        for env, part, playing, failures in zip(
+            self.envs, self.parts, self.playing, self.failures, strict=True
+        ):
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
             end, seen = terminated | truncated, self.obs[part]
             ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
@@ -134,6 +142,10 @@ class Worlds:
                 metrics = info["final_info"]["metrics"]
                 reward[end] += AT_FAULT * metrics["at_fault"][end]
                 reward[end] += WRONG_WAY * metrics["wrong_way"][end]
+                failures.update(playing[end], metrics["is_success"][end] == 0.0)
+                if self.chase:
+                    env.set_scene_weights(failures.weights)
+                playing[info["_scene_idx"]] = info["scene_idx"][info["_scene_idx"]]
                 self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
             rewards.append(reward)
             ends.append(end)

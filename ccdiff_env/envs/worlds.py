@@ -326,6 +326,29 @@ class Worlds:
             raise ConfigError("progress: the environment was made without criticality")
         self.curriculum.progress = progress
 
+    def set_scene_weights(self, weights: Any) -> None:
+        """Draw the scenes of episodes that begin later by weights.
+
+        Raises
+        ------
+        ConfigError
+            If weights are no numbers, negative, not finite or all zero, or scenes are played in
+            their order.
+        ShapeError
+            If their number is another one than that of the scenes.
+        """
+        if weights is not None:
+            try:
+                weights = np.asarray(weights, np.float64)
+            except (TypeError, ValueError) as error:
+                raise ConfigError(f"scene weights: {error}, expected numbers [S]") from None
+            if weights.shape != (len(self.scenes),):
+                raise ShapeError(
+                    f"scene weights have shape {weights.shape}, expected ({len(self.scenes)},)"
+                )
+            weights = weights.tolist()
+        self.native.set_scene_weights(weights)
+
     def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
         """Return what ``info`` says about a new episode: scene, its token, seed, episode.
 
@@ -378,7 +401,7 @@ class Worlds:
 
 
 class FollowsTraining:
-    """What every environment with a curriculum of criticality can be told."""
+    """What every environment can be told while an ego learns in it."""
 
     worlds: Worlds
 
@@ -391,6 +414,25 @@ class FollowsTraining:
             If there is no curriculum, or the number is out of range.
         """
         self.worlds.set_progress(progress)
+
+    def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
+        """Draw the scenes of episodes that begin later by weights, all alike for ``None``.
+
+        Parameters
+        ----------
+        weights
+            One for each scene [S], none negative; see
+            :class:`~ccdiff_env.curriculum.SceneWeights` for weights by how episodes went.
+
+        Raises
+        ------
+        ConfigError
+            If weights are no numbers, negative, not finite or all zero, or scenes are played in
+            their order.
+        ShapeError
+            If their number is another one than that of the scenes.
+        """
+        self.worlds.set_scene_weights(weights)
 
 
 def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) -> dict[str, object]:

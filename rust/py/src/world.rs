@@ -160,6 +160,12 @@ impl PyVecWorld {
         Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new() })
     }
 
+    /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
+    fn set_scene_weights(&mut self, weights: Option<Vec<f64>>) -> PyResult<()> {
+        self.home.check()?;
+        self.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
+    }
+
     /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
     fn reset<'py>(
         &mut self,

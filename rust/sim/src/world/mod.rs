@@ -170,6 +170,23 @@ impl VecWorld {
         Ok(Self { config, layout, decoder, scenes, policies, worlds, pool })
     }
 
+    /// Draws the scenes of episodes that begin later by weights [S], in proportion; all alike without. A world's
+    /// random numbers stay those of its seed.
+    ///
+    /// # Errors
+    /// [`SimError::Length`], and [`SimError::Config`] for weights that are negative, not finite or all 0, or where
+    /// scenes are played in their order.
+    pub fn set_scene_weights(&mut self, weights: Option<&[f64]>) -> Result<()> {
+        if weights.is_some() && self.config.scene_order == SceneOrder::Sequential {
+            return Err(SimError::Config {
+                field: "scene_order".into(),
+                got: "sequential".into(),
+                expected: "random, where scenes are drawn by weights".into(),
+            });
+        }
+        self.scenes.weigh(weights)
+    }
+
     /// Begins new episodes and writes their first observations.
     ///
     /// # Errors

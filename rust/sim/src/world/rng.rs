@@ -37,6 +37,14 @@ impl Rng {
     pub fn below(&mut self, n: usize) -> usize {
         ((u128::from(self.next_u64()) * n as u128) >> 64) as usize
     }
+
+    /// An index drawn by weights, given as their running sums, of which the last is positive; one draw, as [`Rng::below`].
+    pub fn pick(&mut self, sums: &[f64]) -> usize {
+        let total = sums.last().copied().unwrap_or_default();
+        // 53 bits: the greatest multiple of 2⁻⁵³ below one
+        let at = (self.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64) * total;
+        sums.partition_point(|sum| *sum <= at).min(sums.len() - 1)
+    }
 }
 
 #[cfg(test)]
@@ -51,6 +59,16 @@ mod tests {
             counts[rng.below(10)] += 1;
         }
         assert!(counts.iter().all(|c| (9_500..10_500).contains(c)), "{counts:?}");
+    }
+
+    #[test]
+    fn picks_follow_the_weights_and_none_of_weight_zero_is_picked() {
+        let (mut rng, mut counts) = (Rng::new(7), [0usize; 4]);
+        for _ in 0..100_000 {
+            counts[rng.pick(&[0.0, 1.0, 1.0, 4.0])] += 1;
+        }
+        assert_eq!((counts[0], counts[2]), (0, 0));
+        assert!((24_000..26_000).contains(&counts[1]), "{counts:?}");
     }
 
     #[test]

@@ -12,11 +12,39 @@ use std::sync::{Arc, OnceLock};
 pub(super) struct Scenes {
     pub(super) list: Vec<(Arc<Scene>, OnceLock<Arc<PreparedScene>>)>,
     bev: Option<BevConfig>,
+    /// Running sums of the weights by which scenes are drawn; all alike without.
+    sums: Option<Vec<f64>>,
 }
 
 impl Scenes {
     pub(super) fn new(scenes: Vec<Arc<Scene>>, bev: Option<BevConfig>) -> Self {
-        Self { list: scenes.into_iter().map(|s| (s, OnceLock::new())).collect(), bev }
+        Self { list: scenes.into_iter().map(|s| (s, OnceLock::new())).collect(), bev, sums: None }
+    }
+
+    /// Scenes of episodes that begin later are drawn by these weights; all alike without.
+    pub(super) fn weigh(&mut self, weights: Option<&[f64]>) -> Result<()> {
+        let Some(weights) = weights else {
+            self.sums = None;
+            return Ok(());
+        };
+        let (got, expected) = (weights.len(), self.list.len());
+        if got != expected {
+            return Err(SimError::Length { what: "scene weights", got, expected });
+        }
+        let fine = |w: &f64| (0.0..=1e100).contains(w);
+        if let Some(bad) = weights.iter().find(|w| !fine(w)) {
+            return Err(weights_error(bad.to_string(), "finite weights, not negative"));
+        }
+        let sum = |sum: &mut f64, w: &f64| {
+            *sum += w;
+            Some(*sum)
+        };
+        let sums: Vec<f64> = weights.iter().scan(0.0, sum).collect();
+        if sums.last().is_none_or(|total| *total <= 0.0) {
+            return Err(weights_error("only 0".into(), "one above 0"));
+        }
+        self.sums = Some(sums);
+        Ok(())
     }
 
     /// The scene of an index, prepared at the first call.
@@ -35,7 +63,10 @@ impl Scenes {
     ) -> (Arc<PreparedScene>, usize) {
         let n = self.list.len();
         let scene_idx = match order {
-            SceneOrder::Random => episode.rng.below(n),
+            SceneOrder::Random => match &self.sums {
+                Some(sums) => episode.rng.pick(sums),
+                None => episode.rng.below(n),
+            },
             SceneOrder::Sequential => {
                 let idx = episode.next_scene_idx;
                 episode.next_scene_idx = (idx + num_worlds) % n;
@@ -44,6 +75,10 @@ impl Scenes {
         };
         (self.prepared(scene_idx), scene_idx)
     }
+}
+
+fn weights_error(got: String, expected: &str) -> SimError {
+    SimError::Config { field: "scene weights".into(), got, expected: expected.into() }
 }
 
 /// Refuses a scene that worlds of a configuration cannot play.
