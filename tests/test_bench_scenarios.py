@@ -99,6 +99,33 @@ def test_scenes_are_drawn_again_until_the_ego_collides(tmp_path, monkeypatch):
     assert len(kept) > 1, kept
 
 
+def test_a_chooser_turns_one_vehicle_on_the_ego_at_every_plan(tmp_path, monkeypatch):
+    """One that always takes the first row, which is the nearest vehicle."""
+
+    class Nearest:
+        def predict(self, obs, *, action_masks, deterministic):
+            assert obs["mask"].sum() == action_masks.sum() - 1
+            return np.int64(0 if action_masks[0] else len(action_masks) - 1), None
+
+    sb3_contrib = pytest.importorskip("sb3_contrib")
+    monkeypatch.setattr(sb3_contrib.MaskablePPO, "load", lambda path, device: Nearest())
+    traffic = TRAFFIC[f"chooser:{tmp_path}/first.zip"]
+    assert (traffic.driver, traffic.label) == ("ccdiff", "CCDiff, chosen by first")
+    _, recorded = drive(scenes_of(VAL, NAMES), "idm", traffic, record=NAMES)
+    for rollout in recorded.values():
+        ego = rollout.agent_ids.index("ego")
+        hits = [event.step for event in rollout.collisions("ego")]  # who hit it stays where it is
+        plans = [plan for plan in rollout.plans if plan.step < min(hits, default=rollout.num_steps)]
+        assert len(plans) >= 2
+        for plan in plans:
+            assert plan.step % 20 == 0
+            follows = np.flatnonzero(plan.follows_plan)
+            agents = [rollout.agent_ids.index(plan.agent_ids[i]) for i in follows]
+            here = rollout.position[:, plan.step]
+            gaps = np.linalg.norm(here[agents] - here[ego], axis=-1)
+            assert np.flatnonzero(plan.guided).tolist() == [follows[np.argmin(gaps)]]
+
+
 def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(made, tmp_path):
     for generator in ("idm", "replay", "pdm"):
         folder = tmp_path / generator

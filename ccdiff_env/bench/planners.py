@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.bench.chooser import REPLAN_STEPS, Chooser
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers
 from ccdiff_env.bench.pdm import PdmPlanner
@@ -27,6 +29,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.planners import Ego, Seat, ego_driver
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
@@ -54,13 +57,15 @@ class Traffic:
     """Traffic to test planners in.
 
     ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
-    else it is drawn once.
+    else it is drawn once. ``chooser``: policy that says who is turned on the ego, see
+    :class:`~ccdiff_env.bench.chooser.Chooser`.
     """
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     draws: int = 1
+    chooser: str | None = None
 
 
 _TITLES = driver_titles()
@@ -71,8 +76,16 @@ def _critical(level: float, driver: str = "ccdiff") -> Traffic:
     return Traffic(f"{_TITLES[driver]}, criticality {level:g}", driver, options)
 
 
+def _named(label: str, name: str) -> Traffic:
+    kind, _, path = name.partition(":")
+    if kind != "chooser":
+        return Traffic(label, name)
+    options = {"criticality": 1.0, "num_samples": 1, "replan_steps": REPLAN_STEPS}
+    return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, chooser=path)
+
+
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
-    Traffic,
+    _named,
     {
         "replay": Traffic("Log replay", "replay"),
         "idm": Traffic("IDM", "idm"),
@@ -109,7 +122,8 @@ def planner_jobs(
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
         :func:`play`.
     traffic
-        Names of :data:`TRAFFIC`.
+        Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``chooser:FILE`` of a
+        policy that ``bench selection`` trained.
     seed
         Seed of the episodes.
     options
@@ -121,7 +135,7 @@ def planner_jobs(
     pieces = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{p:02d}-{name}-{seed}-{i:03d}",
+            f"{p:02d}-{file_name(name, '')}-{seed}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": dict(source),
@@ -237,6 +251,7 @@ def drive(
     nothing = np.zeros((len(scenes), native.action_width), np.float32)
     if seat is not None:
         seat.begin(worlds)
+    chooser = None if traffic.chooser is None else Chooser(worlds, traffic.chooser)
     names = worlds.column_names
     recorders = {
         i: Recorder(worlds, world_idx=i, planner=driver if seat is None else seat.name)
@@ -250,7 +265,11 @@ def drive(
     running = np.ones(len(scenes), np.bool_)
     while running.any():
         actions = nothing if seat is None else seat(out.obs[:, 0], running)
+        if chooser is not None:
+            chooser.choose(running)
         native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out, running)
+        if chooser is not None:
+            chooser.step(running)
         for i in np.flatnonzero(running).tolist():
             figures[i].append(out.columns[i, 0].copy())
             if i in recorders:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.bench.chooser import MAX_AGENTS, REPLAN_STEPS
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
@@ -46,8 +47,6 @@ REWARD = SelectionReward(
 )
 #: Scenes that share a batch of the network.
 CHUNK = 12
-#: Steps from one decision to the next: 2 s, in which who was chosen can come near the ego.
-REPLAN_STEPS = 20
 #: Steps of a fork: this decision and the next one.
 FORK_STEPS = 40
 
@@ -57,7 +56,7 @@ def _options(ego: str, strength: float) -> dict[str, Any]:
         "ego": ego,
         "action_mode": "discrete",
         "budget": 1,
-        "max_agents": 8,
+        "max_agents": MAX_AGENTS,
         "num_threads": 1,
         "ccdiff": {"criticality": strength, "replan_steps": REPLAN_STEPS},
     }

@@ -128,13 +128,7 @@ class SelectionBatch:
 
     def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
         """Return what the chooser of a world sees."""
-        match, num_rows = self.match(world_idx), self.actions.num_rows
-        rows, before = match.rows(num_rows), sorted(match.before)
-        return {
-            **self.worlds.native.candidates(world_idx, rows, before, num_rows),
-            "mask": (np.arange(num_rows) < len(rows)).astype(np.int8),
-            "time_left": np.array([match.time_left()], np.float32),
-        }
+        return self.match(world_idx).observe(self.actions.num_rows)
 
     def mask(self, world_idx: int) -> npt.NDArray[np.bool_]:
         """Return which rows [M] of a world hold an agent."""

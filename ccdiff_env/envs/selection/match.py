@@ -142,6 +142,16 @@ class Match:
         """Return the candidates that the chooser sees, nearest first."""
         return self.rank("nearest")[:num_rows]
 
+    def observe(self, num_rows: int) -> dict[str, npt.NDArray[Any]]:
+        """Return what the chooser sees, with so many rows of candidates."""
+        rows = self.rows(num_rows)
+        native, before = self._worlds.native, sorted(self.before)
+        return {
+            **native.candidates(self._world_idx, rows, before, num_rows),
+            "mask": (np.arange(num_rows) < len(rows)).astype(np.int8),
+            "time_left": np.array([self.time_left()], np.float32),
+        }
+
     def time_left(self) -> float:
         """Return the share of the episode that is left."""
         elapsed = self._worlds.native.status(self._world_idx).elapsed_steps
