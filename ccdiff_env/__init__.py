@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from types import ModuleType
+from typing import Any
 
 from ccdiff_env import _native as _native
-from ccdiff_env import causal, config, errors, metrics
+from ccdiff_env import causal, config, errors, metrics, traffic
 from ccdiff_env.bank import load_bank, record_bank
 from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig
@@ -24,7 +24,7 @@ from ccdiff_env.envs import (
 )
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
 from ccdiff_env.version import __version__
 from ccdiff_env.view import notebook
@@ -39,7 +39,6 @@ __all__ = [
     "Recorder",
     "Rollout",
     "RolloutEvent",
-    "RolloutPlan",
     "Scene",
     "SceneSet",
     "WorldConfig",
@@ -59,6 +58,8 @@ __all__ = [
     "replay",
 ]
 
+#: Former names of classes, for one release.
+_FORMER = {"RolloutPlan": "TrafficPlan"}
 #: Parts that are imported when they are first named.
 _LAZY = ("bench", "counterfactual", "models")
 
@@ -66,7 +67,9 @@ register()
 notebook.install()
 
 
-def __getattr__(name: str) -> ModuleType:
+def __getattr__(name: str) -> Any:
+    if name in _FORMER:
+        return getattr(traffic, errors.renamed("class", name, _FORMER))
     if name in _LAZY:
         return import_module(f"ccdiff_env.{name}")
     raise AttributeError(f"module 'ccdiff_env' has no attribute {name!r}")

@@ -78,6 +78,13 @@ class MissingFeatureError(CcdiffError, ImportError):
     """An optional dependency is not installed; the message names the install command."""
 
 
+def expect_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:
+    """Refuse what is no array of this shape with a :class:`ShapeError`."""
+    got = getattr(array, "shape", type(array).__name__)
+    if got != shape:
+        raise ShapeError(f"{name} has shape {got}, expected {shape}")
+
+
 def renamed(what: str, name: str, names: Mapping[str, str]) -> str:
     """Return a name, or what it is called now, with a :class:`DeprecationWarning`."""
     if name not in names:

@@ -57,7 +57,7 @@ def rank_agents(
     ranking
         One of :data:`RANKINGS`.
     position, heading, speed, valid
-        States [T, A, 2] m, [T, A] rad, [T, A] m/s, [T, A], oldest first; all but ``"cliques"``
+        States [A, T, 2] m, [A, T] rad, [A, T] m/s, [A, T], oldest first; all but ``"cliques"``
         use the last step alone.
     size
         Length and width [A, 2], metres.
@@ -73,6 +73,10 @@ def rank_agents(
     ConfigError
         For another ranking.
     """
+    # rankings of the causal graph look at one moment after the other
+    position, heading, speed, valid = (
+        np.ascontiguousarray(states.swapaxes(0, 1)) for states in (position, heading, speed, valid)
+    )
     there = candidates & valid[-1]
     there[ego_idx] = False
     chosen = np.flatnonzero(there)
@@ -117,19 +121,19 @@ def logged_vehicles(scene: Scene, step: int, ranking: KeyRanking, seed: int = 0)
     tracks = scene.tracks()
     first = max(step - round(3.0 / scene.dt), 0)
     steps = slice(first, step + 1)
-    valid = np.ascontiguousarray(tracks["valid"][:, steps].T)
-    vehicles = np.array([kind == "vehicle" for kind in scene.agent_types]) & valid[-1]
+    valid = tracks["valid"][:, steps]
+    vehicles = np.array([kind == "vehicle" for kind in scene.agent_types]) & valid[:, -1]
     if not vehicles.any():
         return []
     ids = scene.agent_ids
     ego_idx = ids.index("ego") if "ego" in ids and vehicles[ids.index("ego")] else None
     if ego_idx is None:
         ego_idx = int(np.argmax(vehicles))
-    velocity = tracks["velocity"][:, steps].swapaxes(0, 1)
+    velocity = tracks["velocity"][:, steps]
     others = rank_agents(
         ranking,
-        position=np.ascontiguousarray(tracks["position"][:, steps].swapaxes(0, 1)),
-        heading=np.ascontiguousarray(tracks["heading"][:, steps].T),
+        position=tracks["position"][:, steps],
+        heading=tracks["heading"][:, steps],
         speed=np.linalg.norm(velocity, axis=-1).astype(np.float32),
         size=scene.sizes[:, :2].copy(),
         valid=valid,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.rollout import Rollout, RolloutEvent, RolloutPlan
+from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.traffic import TrafficPlan
 
 if TYPE_CHECKING:
     from ccdiff_env.envs.worlds import Worlds
@@ -101,7 +103,7 @@ class Recorder:
         self._states: list[dict[str, Any]] = []
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
-        self._plans: list[RolloutPlan] = []
+        self._plans: list[TrafficPlan] = []
         #: Step of the newest plan of each driver that plans.
         self._kept: dict[str, int] = {}
         self._ids = tuple(self._scene.agent_ids)
@@ -156,14 +158,14 @@ class Recorder:
         self._states.append({name: states[name] for name in _STATES})  # type: ignore[literal-required]
 
     def _keep_plan(self, driver: str) -> None:
-        plan = self._worlds.native.explain(self._world_idx, driver)
+        plan = self._worlds.explain(self._world_idx, driver)
         if plan is None:
             return
-        step = int(plan["made_at"]) - self._start_elapsed
+        step = plan.made_at - self._start_elapsed
         if self._kept.get(driver) == step:
             return
         self._kept[driver] = step
-        self._plans.append(RolloutPlan.of(plan, step, self._ids))
+        self._plans.append(dataclasses.replace(plan, made_at=step))
 
     def _contact_events(self, at: int) -> None:
         touching = set()

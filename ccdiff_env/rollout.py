@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError, takes_former_names
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError, expect_shape
 from ccdiff_env.files import parsed_object
 from ccdiff_env.scenes import Scene, with_tracks
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, TrafficPlan
+from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
 
-__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "RolloutPlan"]
+__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent"]
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -38,7 +39,9 @@ EVENT_KINDS = (
     "goal",
     "time_limit",
 )
-FORMAT = "ccdiff-env rollout 1"
+FORMAT = "ccdiff-env rollout 2"
+#: What earlier releases of the package wrote, which is read, too.
+_FORMER_FORMAT = "ccdiff-env rollout 1"
 #: Bytes that the arrays of a file may have unpacked.
 _MOST_BYTES = 1 << 30
 #: What a damaged archive, array header or text raises.
@@ -46,19 +49,7 @@ _DAMAGE = (
     *(ValueError, KeyError, TypeError, AttributeError, OSError, EOFError, RuntimeError),
     *(MemoryError, SyntaxError, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
 )
-#: Arrays of a recorded plan: element type and number of axes that count agents.
-_PLAN_ARRAYS: dict[str, tuple[Any, int]] = {
-    "samples": (np.float32, 0),
-    "selected_sample": (np.int64, 1),
-    "follows_plan": (np.bool_, 1),
-    "graph": (np.bool_, 2),
-    "ttc_s": (np.float32, 2),
-    "guided": (np.bool_, 1),
-    "realism_cost": (np.float32, 1),
-    "shift_sigmas": (np.float32, 1),
-}
-
-#: Names of such arrays in files of before.
+#: Names of arrays of plans in files of before.
 _FORMER = {"selected_sample": "chosen", "follows_plan": "executed"}
 
 
@@ -86,87 +77,6 @@ class RolloutEvent:
     partner_id: str | None
     kind: str
     at_fault: bool = False
-
-
-@takes_former_names(chosen="selected_sample", executed="follows_plan")
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RolloutPlan:
-    """One plan of CCDiff: M agents, N samples of H steps.
-
-    Parameters
-    ----------
-    step
-        Recorded step from whose states it was made; sample position h is at step + h + 1.
-    agent_ids
-        The planned agents, in the order of all other fields.
-    samples
-        Positions [N, M, H, 2], metres, scene frame.
-    selected_sample
-        Sample that each agent follows [M].
-    follows_plan
-        Whether an agent follows its plan [M]; the others were predicted only.
-    graph
-        Decision causal graph [M, M]: row i looks at column j.
-    ttc_s
-        Time to contact [M, M], seconds; infinite where there is none.
-    guided
-        Agents [M] that were guided.
-    realism_cost
-        What the guidance cost in realism [M]: total variation between guided and unguided actions.
-    shift_sigmas
-        The same in standard deviations [M], which does not saturate; NaN where it was not recorded.
-    """
-
-    step: int
-    agent_ids: tuple[str, ...]
-    samples: F32
-    selected_sample: npt.NDArray[np.int64]
-    follows_plan: Bool
-    graph: Bool
-    ttc_s: F32
-    guided: Bool
-    realism_cost: F32
-    shift_sigmas: F32 | None = None
-
-    def __post_init__(self) -> None:
-        m = len(self.agent_ids)
-        if self.shift_sigmas is None:
-            object.__setattr__(self, "shift_sigmas", np.full(m, np.nan, np.float32))
-        if self.samples.ndim != 4 or self.samples.shape[1] != m or self.samples.shape[3] != 2:
-            raise ShapeError(
-                f"plan.samples has shape {self.samples.shape}, expected [N, {m}, H, 2]"
-            )
-        for name, (_, num_axes) in _PLAN_ARRAYS.items():
-            if num_axes:
-                _expect(f"plan.{name}", getattr(self, name), (m,) * num_axes)
-        selected, num_samples = self.selected_sample, len(self.samples)
-        if m and not 0 <= selected.min() <= selected.max() < num_samples:
-            raise ShapeError(
-                f"plan.selected_sample is {selected}, expected less than {num_samples}"
-            )
-
-    @classmethod
-    def of(cls, plan: Mapping[str, Any], step: int, ids: Sequence[str]) -> RolloutPlan:
-        """Return what is recorded of a plan.
-
-        Parameters
-        ----------
-        plan
-            The plan as the native worlds explain it, fields by name.
-        step
-            Recorded step from whose states it was made.
-        ids
-            Ids of all agents of the scene.
-        """
-        arrays = {name: plan[name] for name in _PLAN_ARRAYS}
-        arrays["samples"] = plan["samples"][..., :2].copy()
-        return cls(step=step, agent_ids=tuple(ids[i] for i in plan["agents"]), **arrays)
-
-
-def _expect(name: str, array: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
-    if not isinstance(array, np.ndarray) or array.shape != shape:
-        got = getattr(array, "shape", type(array).__name__)
-        raise ShapeError(f"{name} has shape {got}, expected {shape}")
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -197,7 +107,8 @@ class Rollout:
     figures
         Figures of the ego (else of the first controlled agent) of each step [T - 1], by name.
     plans
-        Plans of the background, by step; empty where it makes none.
+        Plans of the background, by the recorded step ``made_at`` from whose states each was made:
+        sample pose h is at ``made_at + h + 1``. Empty where it makes none.
     meta
         Seed, configuration, traffic, planner, source: what JSON can hold.
     """
@@ -214,7 +125,7 @@ class Rollout:
     driver_table: tuple[tuple[str, str], ...] = tuple((name, name) for name in DRIVER_NAMES)
     events: tuple[RolloutEvent, ...] = ()
     figures: Mapping[str, F32] = field(default_factory=dict)
-    plans: tuple[RolloutPlan, ...] = ()
+    plans: tuple[TrafficPlan, ...] = ()
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -230,9 +141,9 @@ class Rollout:
             ("valid", (a, t)),
             ("drivers", (a,)),
         ):
-            _expect(name, getattr(self, name), shape)
+            expect_shape(name, getattr(self, name), shape)
         for name, values in self.figures.items():
-            _expect(f"figures[{name!r}]", values, (t - 1,))
+            expect_shape(f"figures[{name!r}]", values, (t - 1,))
         there = self.valid
         for name in ("position", "heading", "velocity"):
             if not np.isfinite(getattr(self, name)[there]).all():
@@ -242,11 +153,14 @@ class Rollout:
                 f"dt_s is {self.dt_s} and start_step {self.start_step}, expected more than 0 and "
                 "at least 0"
             )
-        named: set[str | None] = {name for plan in self.plans for name in plan.agent_ids}
-        named.update(name for e in self.events for name in (e.agent_id, e.partner_id))
-        lost = named - {*self.agent_ids, None}
+        lost = {name for e in self.events for name in (e.agent_id, e.partner_id)}
+        lost -= {*self.agent_ids, None}
         if lost:
-            raise DatasetError(f"events or plans name agents that are not there: {lost}")
+            raise DatasetError(f"events name agents that are not there: {lost}")
+        for plan in self.plans:
+            named = np.concatenate([plan.agents, plan.ranking])
+            if named.size and not 0 <= named.min() <= named.max() < a:
+                raise DatasetError(f"a plan names agents {named}, expected less than {a}")
         object.__setattr__(self, "figures", dict(self.figures))
         object.__setattr__(self, "meta", dict(self.meta))
 
@@ -334,15 +248,16 @@ class Rollout:
         for name, values in self.figures.items():
             arrays[f"figures/{name}"] = values
         for i, plan in enumerate(self.plans):
-            for name in _PLAN_ARRAYS:
-                arrays[f"plans/{i}/{name}"] = getattr(plan, name)
+            for name in PLAN_ARRAYS:
+                if (array := getattr(plan, name)) is not None:
+                    arrays[f"plans/{i}/{name}"] = array
         head = {
             "format": FORMAT,
             "start_step": self.start_step,
             "dt_s": self.dt_s,
             "driver_table": [list(entry) for entry in self.driver_table],
             "events": [dataclasses.astuple(event) for event in self.events],
-            "plans": [[p.step, list(p.agent_ids)] for p in self.plans],
+            "plans": [[p.made_at, list(p.objectives)] for p in self.plans],
             "meta": dict(self.meta),
         }
         arrays["head"] = np.frombuffer(json.dumps(head, allow_nan=False).encode(), np.uint8)
@@ -375,23 +290,10 @@ class Rollout:
     @classmethod
     def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:
         head = parsed_object(arrays["head"].tobytes())
-        if head["format"] != FORMAT:
+        if head["format"] not in (FORMAT, _FORMER_FORMAT):
             raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
         scene = Scene.from_bytes(arrays["scene"].tobytes())
-        plans = tuple(
-            RolloutPlan(
-                step=int(step),
-                agent_ids=tuple(ids),
-                **{
-                    name: _typed(arrays, f"plans/{i}/{stored}", kind)
-                    for name, (kind, _) in _PLAN_ARRAYS.items()
-                    # files of before have former names, and no such shift
-                    for stored in (name, _FORMER.get(name))
-                    if f"plans/{i}/{stored}" in arrays
-                },
-            )
-            for i, (step, ids) in enumerate(head["plans"])
-        )
+        plans = tuple(_plan(arrays, i, *told, scene) for i, told in enumerate(head["plans"]))
         drivers = _typed(arrays, "drivers", np.int64)
         told = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
         table = tuple((str(name), str(kind)) for name, kind in told)
@@ -417,6 +319,47 @@ class Rollout:
             plans=plans,
             meta=head["meta"],
         )
+
+
+def _plan(
+    arrays: Mapping[str, npt.NDArray[Any]], i: int, made_at: int, names: list[str], scene: Scene
+) -> TrafficPlan:
+    """Return plan i of a file; ``names`` are those of its objectives, in files of before of its
+    agents.
+    """
+    fields: dict[str, Any] = {
+        name: _typed(arrays, f"plans/{i}/{stored}", kind)
+        for name, (kind, *_) in PLAN_ARRAYS.items()
+        for stored in (name, _FORMER.get(name))
+        if f"plans/{i}/{stored}" in arrays
+    }
+    num_samples, _, num_steps, _ = fields["samples"].shape
+    if "agents" not in fields:
+        fields |= _not_recorded(fields, [scene.agent_ids.index(name) for name in names])
+        names = []
+    return TrafficPlan(
+        made_at=int(made_at),
+        num_samples=num_samples,
+        num_steps=num_steps,
+        objectives=tuple(str(name) for name in names),
+        **fields,
+    )
+
+
+def _not_recorded(fields: Mapping[str, Any], agents: list[int]) -> dict[str, Any]:
+    """Return the fields of a plan that files of before do not have; their samples have no heading."""
+    n, m, t, _ = fields["samples"].shape
+    nothing = {name: None for name, (_, _, optional) in PLAN_ARRAYS.items() if optional}
+    heading = np.full((n, m, t, 1), np.nan, np.float32)
+    return {
+        "shift_sigmas": np.full(m, np.nan, np.float32),
+        **nothing,
+        **fields,
+        "agents": np.array(agents, np.int64),
+        "ranking": np.zeros(0, np.int64),
+        "losses": np.zeros((0, n, m), np.float32),
+        "samples": np.concatenate([fields["samples"][..., :2], heading], axis=-1),
+    }
 
 
 def _typed(arrays: Mapping[str, npt.NDArray[Any]], name: str, dtype: Any) -> npt.NDArray[Any]:

@@ -126,9 +126,9 @@ def test_conflict_is_that_of_the_guided_vehicles_of_all_plans():
         pairs = [
             (cosine, share)
             for plan in episode.plans
-            if plan["guided"].any()
+            if plan.guided.any()
             for cosine, share, guided in zip(
-                plan["realism_cosine"], plan["conflict_share"], plan["guided"], strict=True
+                plan.realism_cosine, plan.conflict_share, plan.guided, strict=True
             )
             if guided and cosine != 0.0
         ]
@@ -150,14 +150,14 @@ def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
     ):
         assert one.position.tobytes() == other.position.tobytes()
         for plan, told in zip(one.plans, other.plans, strict=True):
-            assert plan["realism_cosine"] is None
-            assert plan["conflict_share"] is None
-            assert plan["samples"].tobytes() == told["samples"].tobytes()
-            if not told["guided"].any():
-                assert told["realism_cosine"] is None
+            assert plan.realism_cosine is None
+            assert plan.conflict_share is None
+            assert plan.samples.tobytes() == told.samples.tobytes()
+            if not told.guided.any():
+                assert told.realism_cosine is None
                 continue
-            assert len(told["realism_cosine"]) == len(told["agents"])
-            cosine, share = told["realism_cosine"], told["conflict_share"]
+            assert len(told.realism_cosine) == len(told.agents)
+            cosine, share = told.realism_cosine, told.conflict_share
             assert (cosine[share == 1.0] < 0.0).all()
             assert (cosine[share == 0.0] >= 0.0).all()
 

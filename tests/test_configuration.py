@@ -14,7 +14,7 @@ import ccdiff_env
 from ccdiff_env import _native, config
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.traffic import PythonTraffic
-from tools.configuration import classes, page, tables
+from tools.configuration import classes, page, plan_fields, tables
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -36,6 +36,8 @@ PLACES = {
 def test_classes_and_page_are_those_of_the_tables():
     found = tables()
     assert (ROOT / "ccdiff_env" / "options.py").read_text(encoding="utf-8") == classes(found)
+    written = ROOT / "ccdiff_env" / "traffic" / "plan_fields.py"
+    assert written.read_text(encoding="utf-8") == plan_fields()
     assert (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8") == page(found)
 
 

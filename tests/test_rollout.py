@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import pickle
 
 import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, Recorder, Rollout, RolloutPlan, errors, metrics
+from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
 from ccdiff_env.scenarionet import load_scenario_dict
+from ccdiff_env.traffic import TrafficPlan
+from view_rollouts import plan_of
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
+#: Arrays of a plan in files of the first format.
 PLAN_NAMES = ("samples", "selected_sample", "follows_plan", "graph", "ttc_s", "guided")
 
 
@@ -95,16 +99,16 @@ def test_a_collision_is_listed_from_both_sides_where_the_boxes_begin_to_overlap(
 
 def test_a_file_gives_the_same_episode(driven, tmp_path):
     rollout = driven[1]
-    plan = RolloutPlan(
-        step=5,
-        agent_ids=("ego", rollout.agent_ids[1]),
-        samples=np.ones((3, 2, 4, 2), np.float32),
+    plan = plan_of(
+        5,
+        [0, 1],
+        np.arange(72, dtype=np.float32).reshape(3, 2, 4, 3),
         selected_sample=np.array([2, 0]),
         follows_plan=np.array([False, True]),
-        graph=np.eye(2, dtype=bool),
-        ttc_s=np.full((2, 2), np.inf, np.float32),
         guided=np.array([False, True]),
-        realism_cost=np.zeros(2, np.float32),
+        objectives=("approach",),
+        losses=np.ones((1, 3, 2), np.float32),
+        conflict_share=np.array([0.5, 0.0], np.float32),
     )
     fields = {name: getattr(rollout, name) for name in rollout.__dataclass_fields__}
     saved = Rollout(**{**fields, "plans": (plan,)})
@@ -118,31 +122,56 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     assert loaded.figures.keys() == rollout.figures.keys()
     assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
     (again,) = loaded.plans
-    assert (again.step, again.agent_ids) == (5, plan.agent_ids)
-    for name in PLAN_NAMES:
-        assert (getattr(again, name) == getattr(plan, name)).all()
+    for field in dataclasses.fields(plan):
+        assert np.array_equal(getattr(again, field.name), getattr(plan, field.name))
 
 
-def test_former_names_of_plans_are_read_and_warn(driven, tmp_path):
-    fields = {"samples": np.ones((2, 1, 4, 2), np.float32), "ttc_s": np.zeros((1, 1), np.float32)}
-    fields |= {"graph": np.eye(1, dtype=bool), "guided": np.zeros(1, bool)}
-    fields |= {"realism_cost": np.zeros(1, np.float32)}
-    fields |= {"step": 0, "agent_ids": ("ego",)}
-    with pytest.warns(DeprecationWarning, match="'chosen' is called 'selected_sample'"):
-        plan = RolloutPlan(chosen=np.array([1]), executed=np.array([True]), **fields)
-    assert plan.selected_sample == [1]
-    with pytest.warns(DeprecationWarning, match="follows_plan"):
-        assert plan.executed == [True]
-    saved = dataclasses.replace(driven[1], plans=(plan,))
-    saved.save(tmp_path / "now.npz")
+def test_plans_of_files_of_before_are_read(driven, tmp_path):
+    plan = plan_of(4, [1], np.ones((2, 1, 4, 2), np.float32), selected_sample=np.array([1]))
+    dataclasses.replace(driven[1], plans=(plan,)).save(tmp_path / "now.npz")
     former = {"selected_sample": "chosen", "follows_plan": "executed"}
     with np.load(tmp_path / "now.npz") as file:
-        parts = [(name.rpartition("/"), file[name]) for name in file.files]
-    named = {a + b + former.get(c, c): array for (a, b, c), array in parts}
-    np.savez(tmp_path / "then.npz", **named)
+        arrays = dict(file)
+    head = json.loads(arrays["head"].tobytes())
+    head |= {"format": "ccdiff-env rollout 1", "plans": [[4, [driven[1].agent_ids[1]]]]}
+    for name in [n for n in arrays if n.startswith("plans/")]:
+        array, last = arrays.pop(name), name.removeprefix("plans/0/")
+        if last in (*PLAN_NAMES, "realism_cost"):
+            kept = array[..., :2] if last == "samples" else array
+            arrays[f"plans/0/{former.get(last, last)}"] = kept
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    np.savez(tmp_path / "then.npz", **arrays)
     (again,) = Rollout.load(tmp_path / "then.npz").plans
-    for name in PLAN_NAMES:
+    assert (again.made_at, again.agents.tolist(), again.num_steps) == (4, [1], 4)
+    for name in PLAN_NAMES[1:]:
         assert (getattr(again, name) == getattr(plan, name)).all()
+    assert (again.samples[..., :2] == 1.0).all()
+    # what such a file does not say
+    assert np.isnan(again.samples[..., 2]).all()
+    assert np.isnan(again.shift_sigmas).all()
+    assert again.attention is None
+
+
+def test_former_names_of_plans_warn():
+    with pytest.warns(DeprecationWarning, match="'RolloutPlan' is called 'TrafficPlan'"):
+        assert ccdiff_env.RolloutPlan is TrafficPlan
+    plan = plan_of(3, [0], np.ones((2, 1, 4, 2), np.float32))
+    fields = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
+    fields["chosen"] = fields.pop("selected_sample")
+    with pytest.warns(DeprecationWarning, match="'chosen' is called 'selected_sample'"):
+        plan = TrafficPlan(**fields)
+    with pytest.warns(DeprecationWarning, match="follows_plan"):
+        assert plan.executed == [True]
+    with pytest.warns(DeprecationWarning, match="made_at"):
+        assert plan.step == 3
+
+
+@pytest.mark.parametrize("name", ["graph", "losses", "samples", "ranking", "selected_sample"])
+def test_plans_of_wrong_shapes_are_refused(name):
+    plan = plan_of(3, [0], np.ones((2, 1, 4, 2), np.float32))
+    wrong = {"selected_sample": np.array([2]), "ranking": np.zeros((1, 1), np.int64)}
+    with pytest.raises(errors.ShapeError, match=rf"plan\.{name}"):
+        dataclasses.replace(plan, **{name: wrong.get(name, getattr(plan, name)[..., None])})
 
 
 def test_damaged_files_are_refused_and_pickles_are_not_run(driven, tmp_path):
@@ -251,12 +280,12 @@ def test_recording_stops_at_the_end_of_the_episode():
 def test_plans_of_ccdiff_are_recorded_where_they_were_made():
     options = {"horizon_steps": 12, "terminate_at_goal": False, "on_collision": "ignore"}
     _, rollout, _ = record(traffic="ccdiff", ccdiff={"denoising_steps": 2}, **options)
-    assert [plan.step for plan in rollout.plans] == [0, 5, 10]
+    assert [plan.made_at for plan in rollout.plans] == [0, 5, 10]
     assert rollout.driver_names.count("ccdiff") >= 1
     for plan in rollout.plans:
         for m in np.flatnonzero(plan.follows_plan):
-            a = rollout.agent_ids.index(plan.agent_ids[m])
-            steps = range(min(5, rollout.num_steps - 1 - plan.step))
+            a = plan.agents[m]
+            steps = range(min(5, rollout.num_steps - 1 - plan.made_at))
             for h in steps:
-                planned = plan.samples[plan.selected_sample[m], m, h]
-                assert np.abs(rollout.position[a, plan.step + h + 1] - planned).max() < 0.05
+                planned = plan.samples[plan.selected_sample[m], m, h, :2]
+                assert np.abs(rollout.position[a, plan.made_at + h + 1] - planned).max() < 0.05

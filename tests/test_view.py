@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from view_rollouts import NUM_STEPS, planned_rollout
+from view_rollouts import NUM_STEPS, plan_of, planned_rollout
 
 from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -69,7 +69,7 @@ def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
     run = planned_rollout()
     header, arrays = unpacked(elements(page_html(run))[0])
     plan = header["plans"][2]
-    assert (plan["step"], plan["agents"], plan["guided"]) == (20, [1, 2], [0, 1])
+    assert (plan["made_at"], plan["agents"], plan["guided"]) == (20, [1, 2], [0, 1])
     assert plan["edges"] == [[2, 1]]  # entry (0, 1) of the graph: the second influences the first
     for row, (agent, chosen) in enumerate([(1, 1), (2, 3)]):
         points = run.plans[2].samples[chosen, row, [3, 7, 11, 15, 19], 0]
@@ -281,25 +281,12 @@ def test_every_embedded_scene_gives_a_small_page(tmp_path):
 @pytest.mark.nuscenes
 def test_every_mini_scene_with_plans_of_ten_seconds_is_under_a_megabyte(data_root, tmp_path):
     scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini")
-    sample = planned_rollout().plans[0]
     rng = np.random.default_rng(0)
     for scene in scenes:
         log = log_rollout(scene)
-        ids = tuple(log.agent_ids[:20])
+        agents = list(range(min(20, len(log.agent_ids))))
         plans = tuple(
-            replace(
-                sample,
-                step=step,
-                agent_ids=ids,
-                samples=rng.normal(size=(10, len(ids), 52, 2)).cumsum(2).astype(np.float32),
-                graph=np.eye(len(ids), dtype=bool),
-                ttc_s=np.ones((len(ids),) * 2, np.float32),
-                selected_sample=np.zeros(len(ids), np.int64),
-                follows_plan=np.ones(len(ids), bool),
-                guided=np.zeros(len(ids), bool),
-                realism_cost=np.zeros(len(ids), np.float32),
-                shift_sigmas=None,
-            )
+            plan_of(step, agents, rng.normal(size=(10, len(agents), 52, 2)).cumsum(2))
             for step in range(0, 100, 5)
         )
         assert write_page(replace(log, plans=plans), tmp_path / "page.html") < 1_000_000
@@ -373,7 +360,7 @@ def test_a_scene_played_with_ccdiff_traffic_shows_its_plans():
     run = play_scene(embedded_scenes()["left-turn-00"], ccdiff={"num_samples": 3})
     header, arrays = unpacked(elements(page_html(run))[0])
     assert len(header["plans"]) == len(run.plans) > 1
-    assert header["plans"][0]["numSamples"] == 3
+    assert header["plans"][0]["num_samples"] == 3
     assert np.isfinite(arrays["plan0x"]).all()
     assert "ccdiff" in {agent["driver"] for agent in header["run"]["agents"]}
 

@@ -1,6 +1,6 @@
-"""The classes of ccdiff_env/options.py and the page docs/configuration.md, from the tables of Rust.
+"""Classes of options and of plans and the page docs/configuration.md, from the tables of Rust.
 
-``python -m tools.configuration`` writes both anew, with the extension modules as they are built.
+``python -m tools.configuration`` writes all anew, with the extension modules as they are built.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.models import require_networks
 
-__all__ = ["classes", "page", "tables"]
+__all__ = ["classes", "page", "plan_fields", "tables"]
 
 Table = Mapping[str, Any]
 
@@ -79,6 +79,31 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
     }}
     _native.check_options(table, path, json.dumps(values, default=repr))
 
+'''
+
+
+PLAN_HEAD = f'''"""Fields of a plan's record, written by `{COMMAND}`: do not edit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+#: Arrays of a plan: type, axes, whether it may be missing. M planned and R ranked agents, N samples,
+#: T steps, J objectives.
+PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {{
+ARRAYS
+}}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlanFields:
+    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`."""
+
+FIELDS
 '''
 
 
@@ -230,7 +255,10 @@ def classes(found: list[Table]) -> str:
 
     for table in kept:
         add(table)
-    text = "\n\n".join(parts)
+    return _formatted("\n\n".join(parts))
+
+
+def _formatted(text: str) -> str:
     return subprocess.run(
         [sys.executable, "-m", "ruff", "format", "-q", "--stdin-filename", "options.py", "-"],
         input=text,
@@ -239,6 +267,24 @@ def classes(found: list[Table]) -> str:
         check=True,
         cwd=ROOT,
     ).stdout
+
+
+def plan_fields() -> str:
+    """Return the module of the fields of a plan's record."""
+    plain = {"usize": "int", "Vec<String>": "tuple[str, ...]"}
+    kinds = {"Vec<usize>": "int64", "Vec<bool>": "bool_", "Vec<Real>": "float32"}
+    arrays, lines = [], []
+    for entry in json.loads(_native.plan_fields_json()):
+        name, doc, optional = entry["name"], _python(entry["doc"]).rstrip("."), entry["optional"]
+        annotation = plain.get(entry["kind"], "")
+        if not annotation:
+            kind, axes = kinds[entry["kind"]], entry["axes"]
+            annotation = f"npt.NDArray[np.{kind}]{' | None' if optional else ''}"
+            arrays.append(f'"{name}": (np.{kind}, "{"".join(axes)}", {optional}),')
+            doc += f", [{', '.join(axes)}]" if ". " not in doc else f". [{', '.join(axes)}]"
+        lines += [_wrapped(doc + ".", "    #: ", "    #: "), f"    {name}: {annotation}"]
+    fields = "\n".join(lines)
+    return _formatted(PLAN_HEAD.replace("ARRAYS", "\n".join(arrays)).replace("FIELDS", fields))
 
 
 def _tables_in(form: Any) -> Iterator[str]:
@@ -311,4 +357,5 @@ def _linked(form: Any) -> str:
 if __name__ == "__main__":
     known = tables()
     (ROOT / "ccdiff_env" / "options.py").write_text(classes(known), encoding="utf-8")
+    (ROOT / "ccdiff_env" / "traffic" / "plan_fields.py").write_text(plan_fields(), encoding="utf-8")
     (ROOT / "docs" / "configuration.md").write_text(page(known), encoding="utf-8")

@@ -12,6 +12,7 @@ from ccdiff_env import causal
 from ccdiff_env.metrics import Motion, speed_limit
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
+from ccdiff_env.traffic import TrafficPlan
 
 __all__ = ["Episode", "Relations", "drivable", "features", "logged", "measure", "relations"]
 
@@ -58,7 +59,7 @@ class Episode:
     log: Motion
     position: npt.NDArray[np.float32]
     heading: npt.NDArray[np.float32]
-    plans: list[dict[str, Any]]
+    plans: list[TrafficPlan]
     history: Relations
     #: Step of the log at which it starts.
     start_step: int
@@ -76,7 +77,7 @@ def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
 
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:
     """Return the drivable area as polygons: exterior and holes."""
-    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
+    return [(p.exterior, p.holes) for p in scene.map_layers()["drivable_area"]]
 
 
 def features(episode: Episode) -> dict[str, Any]:
@@ -115,7 +116,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
     known = bool(np.isfinite(limit))
     cost, shift = (
-        [p[name][p["guided"]] for p in episode.plans if p["guided"].any()]
+        [getattr(p, name)[p.guided] for p in episode.plans if p.guided.any()]
         for name in ("realism_cost", "shift_sigmas")
     )
     cosine, conflict_share = _conflict(episode.plans)
@@ -146,7 +147,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "features": features(episode),
         "vehicle_collided": found.agents["new"].tolist(),
         "graph_sparsity": _number(
-            np.mean([_sparsity(p["graph"]) for p in episode.plans]) if episode.plans else np.nan
+            np.mean([_sparsity(p.graph) for p in episode.plans]) if episode.plans else np.nan
         ),
     }
 
@@ -159,16 +160,16 @@ def _excess(episode: Episode, limit_mps: float) -> float:
     return float(np.maximum(speed - limit_mps, 0.0).mean()) if speed.size else np.nan
 
 
-def _conflict(plans: list[dict[str, Any]]) -> tuple[float, float]:
+def _conflict(plans: list[TrafficPlan]) -> tuple[float, float]:
     """Cosine of the gradients of realism and guidance, and share of the denoising steps and samples
     in which it is negative, means over guided vehicles that have a gradient and over plans; NaN
     without any.
     """
-    told = [p for p in plans if p["realism_cosine"] is not None]
+    told = [p for p in plans if p.realism_cosine is not None]
     if not told:
         return np.nan, np.nan
-    cosine = np.concatenate([p["realism_cosine"][p["guided"]] for p in told])
-    share = np.concatenate([p["conflict_share"][p["guided"]] for p in told])
+    cosine = np.concatenate([p.realism_cosine[p.guided] for p in told])
+    share = np.concatenate([p.conflict_share[p.guided] for p in told])
     pulled = cosine != 0.0
     if not pulled.any():
         return np.nan, np.nan

@@ -255,13 +255,8 @@ def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
 
 def realism(rollout: Rollout) -> dict[str, Any]:
     """Return how far the vehicles that follow plans are from the log, and what guidance cost."""
-    ids = {
-        name
-        for plan in rollout.plans
-        for name, follows in zip(plan.agent_ids, plan.follows_plan, strict=True)
-        if follows and name != "ego"
-    }
-    agents = np.array([i for i, name in enumerate(rollout.agent_ids) if name in ids], np.int64)
+    driven = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
+    agents = np.array([i for i in sorted(driven) if rollout.agent_ids[i] != "ego"], np.int64)
     guided = [plan for plan in rollout.plans if plan.guided.any()]
 
     def mean(name: str) -> float | None:

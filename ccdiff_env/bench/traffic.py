@@ -30,7 +30,7 @@ from ccdiff_env.metrics import Motion
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL
+from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, TrafficPlan
 
 __all__ = ["episodes", "evaluate", "traffic_jobs"]
 
@@ -276,7 +276,7 @@ def episodes(
         if method.driver in NETWORKS and not own:
             native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
-    plans: list[list[dict[str, Any]]] = [[] for _ in everyone]
+    plans: list[list[TrafficPlan]] = [[] for _ in everyone]
     recorders = {
         i: Recorder(worlds, world_idx=i, method=method.label)
         for i in everyone
@@ -292,13 +292,13 @@ def episodes(
         native.step(actions, out)
         for i in running:
             states[i].append(native.states(i))
-            plan = native.explain(i) if method.driver in NETWORKS else None
-            if plan is not None and plan["made_at"] == step:
+            plan = worlds.explain(i) if method.driver in NETWORKS else None
+            if plan is not None and plan.made_at == step:
                 plans[i].append(plan)
         for recorder in recorders.values():
             recorder.step()
     if own:
-        chosen = [p[0]["agents"][p[0]["follows_plan"]].tolist() if p else [] for p in plans]
+        chosen = [p[0].agents[p[0].follows_plan].tolist() if p else [] for p in plans]
     found = [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
     for i, recorder in recorders.items():
         found[i].recorded = recorder.rollout()
@@ -306,7 +306,7 @@ def episodes(
 
 
 def _episode(
-    scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[dict[str, Any]]
+    scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[TrafficPlan]
 ) -> Episode:
     agents = _vehicles(scene)
     stacked = {

@@ -373,19 +373,18 @@ class Worlds:
             info["criticality"] = self.criticality[world_idx] = strength
         return info
 
-    def explain(self, world_idx: int) -> TrafficPlan | None:
-        """Return the plan of CCDiff that a world follows; ``None`` before the first one.
+    def explain(self, world_idx: int, driver: str | None = None) -> TrafficPlan | None:
+        """Return the plan that a world follows, of the driver or of the first that plans; ``None``
+        before the first one.
 
         Raises
         ------
         UnknownNameError
-            If the world does not exist, or CCDiff drives nobody.
+            If the world does not exist, or no such driver plans.
         """
         self.check_world(world_idx)
-        plan = self.native.explain(world_idx)
-        if plan is None:
-            return None
-        return TrafficPlan(**{**plan, "objectives": tuple(plan["objectives"])})
+        plan = self.native.explain(world_idx, driver)
+        return None if plan is None else TrafficPlan(**plan)
 
     def observation(self, world_idx: int) -> F32:
         """Return the present observations [C, D] of a world as a new array."""

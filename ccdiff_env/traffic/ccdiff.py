@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError, takes_former_names
+from ccdiff_env.errors import (
+    DatasetError,
+    DatasetNotFoundError,
+    ShapeError,
+    expect_shape,
+    takes_former_names,
+)
 from ccdiff_env.files import parsed_object
+from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
 
 __all__ = [
     "NETWORKS",
@@ -34,54 +37,31 @@ NETWORKS = (
 )
 
 
-@takes_former_names(chosen="selected_sample", executed="follows_plan")
-@dataclass(frozen=True, eq=False)
-class TrafficPlan:
-    """A plan that a world follows, and what it was made from: M vehicles, N samples, T steps.
+@takes_former_names(chosen="selected_sample", executed="follows_plan", step="made_at")
+class TrafficPlan(PlanFields):
+    """A plan that a world follows, and what it was made from: M agents, N samples, T steps.
 
     Row i of the matrices looks at column j.
+
+    Raises
+    ------
+    ShapeError
+        If an array does not have the shape of its field.
     """
 
-    #: Steps since the episode began when the plan was made.
-    made_at: int
-    #: Vehicles that were planned for, indices in the scene, [M].
-    agents: npt.NDArray[np.int64]
-    #: Whether a vehicle follows the plan, [M]; the others were predicted only.
-    follows_plan: npt.NDArray[np.bool_]
-    #: Whether guidance moved its plan, [M].
-    guided: npt.NDArray[np.bool_]
-    #: Decision causal graph G, [M, M].
-    graph: npt.NDArray[np.bool_]
-    #: Times to contact, s, [M, M].
-    ttc_s: npt.NDArray[np.float32]
-    #: Attention, mean over heads, zero outside of G, [M, M]; ``None`` unless ``explain`` is set.
-    attention: npt.NDArray[np.float32] | None
-    #: Vehicles that may be guided, by falling importance.
-    ranking: npt.NDArray[np.int64]
-    #: x, y (m) and heading (rad) in the scene frame after each step, [N, M, T, 3].
-    samples: npt.NDArray[np.float32]
-    #: Sample that each vehicle follows, [M].
-    selected_sample: npt.NDArray[np.int64]
-    #: Names of the guidance objectives, [J].
-    objectives: tuple[str, ...]
-    #: Their losses without weights, [J, N, M].
-    losses: npt.NDArray[np.float32]
-    #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau), [M]; NaN for
-    #: networks that do not denoise.
-    realism_cost: npt.NDArray[np.float32]
-    #: Move of the guidance over all denoising steps in standard deviations of the process, [M]: the
-    #: same as the realism cost, which is erf(shift / sqrt(8)), but it does not saturate.
-    shift_sigmas: npt.NDArray[np.float32]
-    #: Mean cosine of the gradients of two objectives, [J, J]; ``None`` unless ``explain`` is set.
-    gradient_cosine: npt.NDArray[np.float32] | None
-    #: Mean cosine of the gradients of realism and guidance, [M]; 0 for a vehicle without a
-    #: gradient, ``None`` without guidance, and unless ``explain`` is set.
-    realism_cosine: npt.NDArray[np.float32] | None
-    #: Share of samples and denoising steps in which it is negative, [M]; ``None`` likewise.
-    conflict_share: npt.NDArray[np.float32] | None
-    #: Samples N and steps T.
-    num_samples: int
-    num_steps: int
+    def __post_init__(self) -> None:
+        sizes = {"M": len(self.agents), "R": len(self.ranking), "J": len(self.objectives), "3": 3}
+        sizes |= {"N": self.num_samples, "T": self.num_steps}
+        for name, (_, axes, optional) in PLAN_ARRAYS.items():
+            array = getattr(self, name)
+            if array is None and optional:
+                continue
+            expect_shape(f"plan.{name}", array, tuple(sizes[axis] for axis in axes))
+        selected = self.selected_sample
+        if len(selected) and not 0 <= selected.min() <= selected.max() < self.num_samples:
+            raise ShapeError(
+                f"plan.selected_sample is {selected}, expected less than {self.num_samples}"
+            )
 
 
 #: Options of an environment that follow the paper's evaluation as released

@@ -38,10 +38,9 @@ def driver_title(rollout: Rollout, agent: int) -> str:
 def guided_agents(rollout: Rollout) -> set[str]:
     """Return the ids of agents that follow a guided plan at some time."""
     return {
-        name
+        rollout.agent_ids[agent]
         for plan in rollout.plans
-        for name, moved in zip(plan.agent_ids, plan.guided & plan.follows_plan, strict=True)
-        if moved
+        for agent in plan.agents[plan.guided & plan.follows_plan]
     }
 
 

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.rollout import Rollout, RolloutPlan
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import driver_of, is_collision
 
 TRAIL_S = 3.0
@@ -125,21 +126,21 @@ class Film:
             if len(line) > 1 and np.ptp(line, axis=0).max() > 0.5:
                 yield line, self._drivers[i]
 
-    def _samples(self, plan: RolloutPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
-        for row, name in enumerate(plan.agent_ids):
+    def _samples(self, plan: TrafficPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+        for row, agent in enumerate(plan.agents):
             if not plan.follows_plan[row]:
                 continue
-            driver = "adversary" if plan.guided[row] else self._drivers[self._number[name]]
-            for sample in plan.samples[:, row]:
+            driver = "adversary" if plan.guided[row] else self._drivers[agent]
+            for sample in plan.samples[:, row, :, :2]:
                 if np.isfinite(sample).all():
                     yield sample, driver
 
     def _arrows(
-        self, plan: RolloutPlan, there: npt.NDArray[np.int64]
+        self, plan: TrafficPlan, there: npt.NDArray[np.int64]
     ) -> list[tuple[int, int, float]]:
         """Edges between the agents that are there, as places in the list that is drawn."""
         place = {int(agent): row for row, agent in enumerate(there)}
-        rows = [place.get(self._number[name]) for name in plan.agent_ids]
+        rows = [place.get(int(agent)) for agent in plan.agents]
         edges = []
         for i, j in zip(*np.nonzero(plan.graph), strict=True):
             into, origin = rows[i], rows[j]

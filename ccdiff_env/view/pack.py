@@ -21,7 +21,8 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
-from ccdiff_env.rollout import Rollout, RolloutPlan
+from ccdiff_env.rollout import Rollout
+from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import (
     about,
     agent_titles,
@@ -189,8 +190,8 @@ def _add_pairs(arrays: _Arrays, rollout: Rollout) -> None:
     arrays.entries[-1] |= {"step": TTC_STEP_S, "base": 0.0}
 
 
-def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: RolloutPlan) -> dict[str, Any]:
-    samples = np.asarray(plan.samples, dtype=np.float64)
+def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: TrafficPlan) -> dict[str, Any]:
+    samples = plan.samples[..., :2].astype(np.float64)
     stride = max(1, round(PLAN_SPACING_S / rollout.dt_s))
     steps = np.unique(
         np.append(np.arange(stride - 1, samples.shape[2], stride), samples.shape[2] - 1)
@@ -200,21 +201,20 @@ def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: RolloutPlan) 
         np.arange(len(samples))[:, None] != plan.selected_sample[None, :], axis=0, kind="stable"
     )
     kept = np.take_along_axis(samples, order[:PLAN_SAMPLES, :, None, None], axis=0)[:, :, steps]
-    number = {name: i for i, name in enumerate(rollout.agent_ids)}
-    agents = [number[name] for name in plan.agent_ids]
-    here = np.broadcast_to(rollout.position[agents, plan.step], kept[:, :, 0].shape)
+    agents = plan.agents.tolist()
+    here = np.broadcast_to(rollout.position[agents, plan.made_at], kept[:, :, 0].shape)
     kept = np.nan_to_num(np.concatenate([here[:, :, None], kept], axis=2))
     arrays.real(f"plan{index}x", kept[..., 0], 5 * LENGTH_STEP_M)
     arrays.real(f"plan{index}y", kept[..., 1], 5 * LENGTH_STEP_M)
     into, origin = np.nonzero(plan.graph & ~np.eye(len(agents), dtype=bool))
     return {
-        "step": plan.step,
+        "made_at": plan.made_at,
         "agents": agents,
-        "numSamples": len(kept),
-        "numPoints": kept.shape[2],
+        "num_samples": len(kept),
+        "num_points": kept.shape[2],
         "guided": [int(g) for g in plan.guided],
         "follows_plan": [int(e) for e in plan.follows_plan],
-        "cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
+        "realism_cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
         "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
     }
 

@@ -15,6 +15,7 @@ from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.key_agents import KeyRanking, rank_agents
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.spaces import Column
+from ccdiff_env.traffic import TrafficPlan
 
 __all__ = ["FIGURES", "Match", "Outcome"]
 
@@ -123,7 +124,7 @@ class Match:
     def rank(self, ranking: KeyRanking, seed: int = 0) -> list[int]:
         """Return the candidates by falling importance, from the last three seconds."""
         stacked = {
-            name: np.stack([states[name] for states in self._history])
+            name: np.stack([states[name] for states in self._history], axis=1)
             for name in ("position", "heading", "speed", "active")
         }
         return rank_agents(
@@ -158,12 +159,11 @@ class Match:
         horizon = self._worlds.config.horizon_steps
         return max(horizon - elapsed, 0) / horizon
 
-    def plan(self) -> dict[str, Any] | None:
+    def plan(self) -> TrafficPlan | None:
         """Return what the policy says about its latest plan, ``None`` where there is none."""
         if not self._worlds.native.planners:
             return None
-        plan: dict[str, Any] | None = self._worlds.native.explain(self._world_idx)
-        return plan
+        return self._worlds.explain(self._world_idx)
 
     def begin(self, adversaries: list[int]) -> None:
         """Begin a decision."""
@@ -236,11 +236,11 @@ class Match:
         plan = self.plan()
         cost, shift, sparsity = 0.0, 0.0, 0.0
         if plan is not None:
-            if plan["guided"].any():
-                cost = float(plan["realism_cost"][plan["guided"]].mean())
-                shift = float(plan["shift_sigmas"][plan["guided"]].mean())
-            m = len(plan["agents"])
-            sparsity = 1.0 - (float(plan["graph"].sum()) - m) / max(m * (m - 1), 1)
+            if plan.guided.any():
+                cost = float(plan.realism_cost[plan.guided].mean())
+                shift = float(plan.shift_sigmas[plan.guided].mean())
+            m = len(plan.agents)
+            sparsity = 1.0 - (float(plan.graph.sum()) - m) / max(m * (m - 1), 1)
         off_road = float(np.mean(self._off_road)) if self._off_road else 0.0
         discomfort = float(np.mean(self._discomfort)) if self._discomfort else 0.0
         unavoidable = self._leave_out_unavoidable()

@@ -126,10 +126,10 @@ class Actors {
           ? this.driverColours[theme].adversary : this.colour(agent, theme);
         context.setLineDash(plan.follows_plan[row] ? [] : [4 * pixel, 4 * pixel]);
         const strength = (chosen ? 0.95 : 0.35) * (about && agent !== focus ? 0.4 : 1);
-        this.fading(context, strength, plan.numPoints, (first, last) => {
-          for (let sample = 0; sample < plan.numSamples; sample++) {
+        this.fading(context, strength, plan.num_points, (first, last) => {
+          for (let sample = 0; sample < plan.num_samples; sample++) {
             if (chosen !== (sample === 0)) continue;
-            const base = (sample * plan.agents.length + row) * plan.numPoints;
+            const base = (sample * plan.agents.length + row) * plan.num_points;
             context.moveTo(plan.x[base + first], plan.y[base + first]);
             for (let i = first + 1; i <= last; i++) context.lineTo(plan.x[base + i], plan.y[base + i]);
           }

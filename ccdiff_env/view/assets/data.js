@@ -133,7 +133,7 @@ class Run {
   /** The plan in force at a step: the last one made by then. */
   planAt(step) {
     let found = null;
-    for (const plan of this.plans) if (plan.step <= step) found = plan;
+    for (const plan of this.plans) if (plan.made_at <= step) found = plan;
     return found;
   }
 

@@ -43,9 +43,9 @@ function factsOf(run, agent, at) {
 function planFacts(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];
-  const age = `made ${((step - plan.step) * run.dt).toFixed(1)} s ago`;
+  const age = `made ${((step - plan.made_at) * run.dt).toFixed(1)} s ago`;
   const facts = [["plan", plan.follows_plan[row] ? age : `${age}, not followed`]];
-  if (plan.guided[row]) facts.push(["guided, at a cost of", plan.cost[row].toFixed(3)]);
+  if (plan.guided[row]) facts.push(["guided, at a cost of", plan.realism_cost[row].toFixed(3)]);
   return facts;
 }
 

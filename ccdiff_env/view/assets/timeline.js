@@ -105,7 +105,7 @@ class Timeline {
     context.fillStyle = colours.plan;
     context.globalAlpha = 0.7;
     for (const plan of run.plans)
-      context.fillRect(x(run.start + plan.step * run.dt) - 1, middle + 5, 2, 4);
+      context.fillRect(x(run.start + plan.made_at * run.dt) - 1, middle + 5, 2, 4);
     context.globalAlpha = 1;
     for (const event of run.events) {
       if (!this.shows(event)) continue;

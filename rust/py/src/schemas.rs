@@ -3,6 +3,7 @@
 use crate::python_policy::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::options::{Table, check_table};
+use ccdiff_sim::policy::PLAN_FIELDS;
 use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
 use pyo3::prelude::*;
 
@@ -13,6 +14,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check_options, module)?)?;
     module.add_function(wrap_pyfunction!(columns_json, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_json, module)?)?;
+    module.add_function(wrap_pyfunction!(plan_fields_json, module)?)?;
     module.add_function(wrap_pyfunction!(candidate_features_json, module)?)
 }
 
@@ -55,6 +57,12 @@ fn columns_json() -> PyResult<String> {
 #[pyfunction]
 fn metrics_json() -> PyResult<String> {
     to_json(&METRICS)
+}
+
+/// The fields of a plan's record as JSON: name, type, axes and meaning of each, and whether it is always kept.
+#[pyfunction]
+fn plan_fields_json() -> PyResult<String> {
+    to_json(&PLAN_FIELDS)
 }
 
 /// The features of rows of candidates as JSON: name, unit, scale and meaning of each, and the bound of all.

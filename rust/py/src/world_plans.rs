@@ -3,7 +3,7 @@
 use ccdiff_sim::policy::{PlanField, PlanRecord};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 
 /// A field of a plan's record as Python sees it; `field` where it is an array.
 trait Shown {
@@ -18,7 +18,7 @@ impl Shown for usize {
 
 impl Shown for Vec<String> {
     fn shown<'py>(&self, py: Python<'py>, _: Option<&PlanField>) -> PyResult<Bound<'py, PyAny>> {
-        Ok(self.into_pyobject(py)?.into_any())
+        Ok(PyTuple::new(py, self)?.into_any())
     }
 }
 

@@ -16,7 +16,7 @@ mod replay;
 pub use constant_velocity::ConstantVelocity;
 pub use driver::Driver;
 pub use idm::{Idm, idm_acceleration};
-pub use plan::{Command, PlanField, PlanRecord, PlanRequest, PlanState};
+pub use plan::{Axis, Command, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanRecord, PlanRequest, PlanState};
 pub use replay::Replay;
 
 use crate::error::Result;

@@ -88,25 +88,61 @@ pub struct PlanField {
     pub optional: bool,
 }
 
+/// What is known of a field of every plan's record.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct PlanFieldSchema {
+    /// Name.
+    pub name: &'static str,
+    /// Its type in Rust.
+    pub kind: &'static str,
+    /// What its axes count; empty where it is no array.
+    pub axes: &'static [Axis],
+    /// Whether it may be empty, where it was not kept.
+    pub optional: bool,
+    /// Meaning.
+    pub doc: &'static str,
+}
+
 /// What an axis of an array counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Axis {
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub enum Axis {
+    /// Planned agents.
+    #[serde(rename = "M")]
     Agents,
+    /// Ranked agents.
+    #[serde(rename = "R")]
     Ranked,
+    /// Samples.
+    #[serde(rename = "N")]
     Samples,
+    /// Steps.
+    #[serde(rename = "T")]
     Steps,
+    /// x, y, heading.
+    #[serde(rename = "3")]
     Pose,
+    /// Objectives of the guidance.
+    #[serde(rename = "J")]
     Objectives,
 }
 
 macro_rules! plan_record {
     ($dollar:tt $($(#[doc = $doc:literal])+ $name:ident: $type:ty
         $(, [$($axis:ident),+] $(, $optional:ident)?)?;)+) => {
-        /// A plan of one world and what it was made from. M agents, N samples, T steps, J objectives.
+        /// A plan of one world and what it was made from: M agents, N samples, T steps, J objectives.
         #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
         pub struct PlanRecord {
             $($(#[doc = $doc])+ pub $name: $type,)+
         }
+
+        /// The fields of a plan's record, in order.
+        pub static PLAN_FIELDS: &[PlanFieldSchema] = &[$(PlanFieldSchema {
+            name: stringify!($name),
+            kind: stringify!($type),
+            axes: &[$($(Axis::$axis),+)?],
+            optional: false $($(|| !stringify!($optional).is_empty())?)?,
+            doc: concat!($($doc, "\n"),+),
+        }),+];
 
         impl PlanRecord {
             /// The arrays, in order.
@@ -115,7 +151,7 @@ macro_rules! plan_record {
                     name: stringify!($name),
                     len: self.$name.len(),
                     shape: vec![$(self.along(Axis::$axis)),+],
-                    optional: false $(|| stringify!($optional) == "optional")?,
+                    optional: false $(|| !stringify!($optional).is_empty())?,
                 },)?)+]
             }
         }
@@ -131,43 +167,46 @@ macro_rules! plan_record {
 }
 
 plan_record! { $
-    /// Steps since the episode began when the plan was made.
+    /// Steps since the episode (in a recording: since that) began when the plan was made.
     made_at: usize;
-    /// Agents of the scene that were planned for, [M].
+    /// Agents that were planned for, indices in the scene.
     agents: Vec<usize>, [Agents];
-    /// Whether the agent follows the plan, [M]; the others were predicted only.
+    /// Whether an agent follows the plan; the others were predicted only.
     follows_plan: Vec<bool>, [Agents];
-    /// Whether guidance moved the agent's plan, [M].
+    /// Whether guidance moved its plan.
     guided: Vec<bool>, [Agents];
-    /// Decision causal graph G: row i looks at column j, [M, M].
+    /// Decision causal graph G.
     graph: Vec<bool>, [Agents, Agents];
-    /// Times to contact, seconds, [M, M].
+    /// Times to contact (s); infinite where there is no contact ahead.
     ttc_s: Vec<Real>, [Agents, Agents];
-    /// Attention of row i to column j, mean over heads, [M, M]; empty where it was not kept.
+    /// Attention, mean over heads, zero outside of G. Not kept unless `explain` is set.
     attention: Vec<Real>, [Agents, Agents], optional;
-    /// Agents of the scene by falling importance, those that may be guided only.
+    /// Agents that may be guided, by falling importance, indices in the scene.
     ranking: Vec<usize>, [Ranked];
     /// Number of samples N.
     num_samples: usize;
     /// Number of steps T.
     num_steps: usize;
-    /// Poses x, y (m), heading (rad) in the scene frame after each step, [N, M, T, 3].
+    /// x, y (m) and heading (rad) in the scene frame after each step.
     samples: Vec<Real>, [Samples, Agents, Steps, Pose];
-    /// Sample that each agent follows, [M].
+    /// Sample that each agent follows.
     selected_sample: Vec<usize>, [Agents];
-    /// Names of the guidance objectives, [J].
+    /// Names of the guidance objectives, J of them.
     objectives: Vec<String>;
-    /// Loss of each objective, sample and agent, unweighted, [J, N, M].
+    /// Loss of each objective without its weight.
     losses: Vec<Real>, [Objectives, Samples, Agents];
-    /// Total variation between guided and unguided actions, [M]; 0 without guidance (paper, cost C).
+    /// Total variation of guided and unguided actions in [0, 1], the paper's C(tau); NaN for networks that do not
+    /// denoise.
     realism_cost: Vec<Real>, [Agents];
-    /// The same in standard deviations of the process, [M]: it does not saturate.
+    /// Move of the guidance over all denoising steps in standard deviations of the process: the same as the realism
+    /// cost, which is erf(shift / sqrt(8)), but it does not saturate. NaN where it was not recorded.
     shift_sigmas: Vec<Real>, [Agents];
-    /// Mean cosine between the gradients of objectives j and k over guided agents, [J, J]; empty where not kept.
+    /// Mean cosine of the gradients of two objectives over guided agents. Not kept unless `explain` is set.
     gradient_cosine: Vec<Real>, [Objectives, Objectives], optional;
-    /// Mean cosine between the gradients of realism and guidance, [M]; 0 without a gradient, empty where not kept.
+    /// Mean cosine of the gradients of realism and guidance; 0 for an agent without a gradient. Not kept without
+    /// guidance, and unless `explain` is set.
     realism_cosine: Vec<Real>, [Agents], optional;
-    /// Share of samples and denoising steps in which that cosine is negative, [M]; empty where not kept.
+    /// Share of samples and denoising steps in which that cosine is negative. Not kept likewise.
     conflict_share: Vec<Real>, [Agents], optional;
 }
 
