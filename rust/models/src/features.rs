@@ -120,6 +120,27 @@ impl Window {
         Ok(())
     }
 
+    /// Computes the times to contact of all agents at every step, once for the ranking and the network.
+    ///
+    /// # Errors
+    /// [`ModelError::Sim`] for arrays of unequal lengths.
+    pub fn measure_contacts(&mut self) -> Result<()> {
+        let agents: Vec<usize> = (0..self.num_agents()).collect();
+        self.ttc_s = self.at_every_step(|step| ttc_at(self, &agents, step))?;
+        Ok(())
+    }
+
+    /// Distances of all agents at every step, metres, [H, A, A].
+    pub(crate) fn distance_m(&self) -> Result<Vec<f32>> {
+        let agents: Vec<usize> = (0..self.num_agents()).collect();
+        self.at_every_step(|step| distance_at(self, &agents, step))
+    }
+
+    fn at_every_step(&self, matrix: impl Fn(usize) -> Result<Vec<f32>>) -> Result<Vec<f32>> {
+        let matrices = (0..self.num_steps).map(matrix).collect::<Result<Vec<_>>>()?;
+        Ok(matrices.into_iter().flatten().collect())
+    }
+
     /// Tells the agents' routes, in the agents' order, from where they are now.
     pub fn tell_routes<'a>(&mut self, routes: impl IntoIterator<Item = &'a Route>, points_m: &[f32]) {
         let ahead = |(agent, route): (usize, &Route)| {
@@ -219,8 +240,7 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
     let history = histories(window, &agents, &poses);
     let ttc_now = ttc_at(window, &agents, now)?;
-    let mut distance_m = vec![0.0; ttc_now.len()];
-    Columns::new(window, &agents, now).frame()?.distance_m(&mut distance_m)?;
+    let distance_m = distance_at(window, &agents, now)?;
     let (graph, order) = match config.neighbour_order {
         NeighbourOrder::Urgency => {
             let urgency_s = urgency(window, &agents, now, &ttc_now, config);
@@ -356,6 +376,13 @@ fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
     let columns = Columns::new(window, agents, step);
     let mut out = vec![0.0; agents.len() * agents.len()];
     columns.frame()?.ttc_s(Ttc::Oriented, &columns.heading, &mut out)?;
+    Ok(out)
+}
+
+/// Distances [M, M] of some agents at a step, metres.
+fn distance_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+    let mut out = vec![0.0; agents.len() * agents.len()];
+    Columns::new(window, agents, step).frame()?.distance_m(&mut out)?;
     Ok(out)
 }
 

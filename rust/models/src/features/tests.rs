@@ -65,3 +65,27 @@ fn the_nearest_leader_takes_the_first_slot() {
     let features = build(&window(&cars, &config), None, &config).unwrap();
     assert_eq!(features.neighbours[..2], [0, 2]);
 }
+
+#[test]
+fn contacts_measured_for_a_ranking_are_those_that_features_measure() {
+    let config = ModelConfig { map: None, ..ModelConfig::fast() };
+    let cars = [[0.0, 0.0, 0.1, 10.0], [30.0, 0.5, 0.0, 2.0], [10.0, -9.0, 1.5, 4.0], [80.0, 3.0, 3.1, 9.0]];
+    let mut window = window(&cars, &config);
+    // the motion of the steps before now, and one who comes late
+    for agent in 0..cars.len() {
+        for step in 0..config.history_steps {
+            let back_m = (config.history_steps - 1 - step) as f32 * 0.1 * cars[agent][3];
+            let at = agent * config.history_steps + step;
+            window.x_m[at] -= back_m * cars[agent][2].cos();
+            window.y_m[at] -= back_m * cars[agent][2].sin();
+            window.valid[at] = agent != 2 || step > 4;
+        }
+    }
+    let alone = build(&window, None, &config).unwrap();
+    window.measure_contacts().unwrap();
+    assert_eq!(window.ttc_s.len(), config.history_steps * 16);
+    assert_eq!(build(&window, None, &config).unwrap(), alone);
+    // they are taken from there
+    window.ttc_s.fill(20.0);
+    assert_ne!(build(&window, None, &config).unwrap().ttc_s, alone.ttc_s);
+}

@@ -5,12 +5,12 @@ use crate::scene::Scene;
 use crate::state::AgentStates;
 use serde::{Deserialize, Serialize};
 
-/// Ring of past states, newest last; entry 0 is the oldest of [`History::len`] steps.
+/// Rings of past states, arrays [A, H]; entry 0 of [`History::at`] is the oldest of H steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct History {
     num_agents: usize,
     len: usize,
-    /// Ring position of the oldest entry.
+    /// Position of the oldest entry in all rings.
     head: usize,
     position: Vec<Point2>,
     heading_rad: Vec<Real>,
@@ -48,7 +48,7 @@ impl History {
         for k in 0..len {
             let Some(t) = (step_idx + k + 1).checked_sub(len) else { continue };
             for a in (0..num_agents).filter(|a| scene.is_valid(*a, t)) {
-                let (at, to) = (scene.at(a, t), k * num_agents + a);
+                let (at, to) = (scene.at(a, t), a * len + k);
                 let heading = scene.tracks.heading_rad[at];
                 let (sin, cos) = crate::geom::math::sin_cos(heading);
                 let v = scene.tracks.velocity[at];
@@ -81,12 +81,12 @@ impl History {
 
     /// Forgets the oldest step and adds the present one.
     pub fn push(&mut self, states: &AgentStates) {
-        let row = self.head * self.num_agents;
         for a in 0..self.num_agents {
-            self.position[row + a] = states.position(a);
-            self.heading_rad[row + a] = states.heading_rad[a];
-            self.speed_mps[row + a] = states.speed_mps[a];
-            self.valid[row + a] = states.active[a];
+            let to = a * self.len + self.head;
+            self.position[to] = states.position(a);
+            self.heading_rad[to] = states.heading_rad[a];
+            self.speed_mps[to] = states.speed_mps[a];
+            self.valid[to] = states.active[a];
         }
         self.head = (self.head + 1) % self.len;
     }
@@ -94,7 +94,7 @@ impl History {
     /// State of an agent at entry k, 0 the oldest, `len() - 1` the present.
     #[inline]
     pub fn at(&self, agent_idx: usize, k: usize) -> PastState {
-        let at = ((self.head + k) % self.len) * self.num_agents + agent_idx;
+        let at = agent_idx * self.len + (self.head + k) % self.len;
         PastState {
             position: self.position[at],
             heading_rad: self.heading_rad[at],
