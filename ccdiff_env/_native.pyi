@@ -64,12 +64,12 @@ def render_arrays(
 def render_legend() -> list[tuple[str, tuple[int, int, int]]]: ...
 
 @final
-class Motion:
+class Trajectories:
     def __new__(
         cls, dt_s: float, x: F32, y: F32, heading: F32, valid: Bool, size: F32
-    ) -> Motion: ...
+    ) -> Trajectories: ...
     def collisions(
-        self, controlled: Bool, log: Motion | None
+        self, controlled: Bool, log: Trajectories | None
     ) -> tuple[
         npt.NDArray[np.uint32],
         list[bool],
@@ -84,7 +84,7 @@ class Motion:
         counted: Bool,
         replan_steps: int,
     ) -> tuple[Bool, Bool, list[float]]: ...
-    def displacement(self, log: Motion) -> tuple[list[float], list[float]]: ...
+    def displacement(self, log: Trajectories) -> tuple[list[float], list[float]]: ...
     def comfort(self, axes: str, stride: int) -> F64: ...
     def min_ttc(self) -> list[float]: ...
     def post_encroachment_time(self) -> list[float]: ...
@@ -330,10 +330,10 @@ class VecWorld:
     def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
         """Put a driver into vehicles of a world, until its episode ends."""
 
-    def command(
+    def override_plan(
         self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
     ) -> None:
-        """Hand wishes for a world's next plans to the policies that plan."""
+        """Say what is asked of a world's next plans to the policies that plan."""
 
     def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None:
         """Return the plan of a policy (the first that plans, by default) that a world follows,

@@ -154,7 +154,7 @@ def branch(
                 "'ccdiff'"
             )
         ids = fork.scene.agent_ids
-        native.command(0, guided=[ids.index(one) for one in adversaries], criticality=None)
+        native.override_plan(0, guided=[ids.index(one) for one in adversaries], criticality=None)
     act = _taken_over(fork, ego)
     recorder = Recorder(fork, planner=str(ego), source_step=native.status(0).elapsed_steps)
     recorder.start()

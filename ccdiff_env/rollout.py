@@ -8,7 +8,7 @@ import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -293,7 +293,10 @@ class Rollout:
         if head["format"] not in (FORMAT, _FORMER_FORMAT):
             raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
         scene = Scene.from_bytes(arrays["scene"].tobytes())
-        plans = tuple(_plan(arrays, i, *told, scene) for i, told in enumerate(head["plans"]))
+        plans = tuple(
+            _plan(arrays, i, made_at, names, scene)
+            for i, (made_at, names) in enumerate(head["plans"])
+        )
         drivers = _typed(arrays, "drivers", np.int64)
         told = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
         table = tuple((str(name), str(kind)) for name, kind in told)
@@ -327,7 +330,8 @@ def _plan(
     """Return plan i of a file; ``names`` are those of its objectives, in files of before of its
     agents.
     """
-    fields: dict[str, Any] = {
+    fields: dict[str, Any] = {n: None for n, (_, _, optional) in PLAN_ARRAYS.items() if optional}
+    fields |= {
         name: _typed(arrays, f"plans/{i}/{stored}", kind)
         for name, (kind, *_) in PLAN_ARRAYS.items()
         for stored in (name, _FORMER.get(name))
@@ -347,13 +351,11 @@ def _plan(
 
 
 def _not_recorded(fields: Mapping[str, Any], agents: list[int]) -> dict[str, Any]:
-    """Return the fields of a plan that files of before do not have; their samples have no heading."""
+    """Return the fields of a plan of a file of before: its samples have no heading."""
     n, m, t, _ = fields["samples"].shape
-    nothing = {name: None for name, (_, _, optional) in PLAN_ARRAYS.items() if optional}
     heading = np.full((n, m, t, 1), np.nan, np.float32)
     return {
         "shift_sigmas": np.full(m, np.nan, np.float32),
-        **nothing,
         **fields,
         "agents": np.array(agents, np.int64),
         "ranking": np.zeros(0, np.int64),

@@ -19,7 +19,7 @@ USERS = {
 
 #: Rooms of the simulator; each may use those before it.
 SIM_ROOMS = [
-    "wide",
+    "simd_dispatch",
     "error",
     "geom",
     "options",

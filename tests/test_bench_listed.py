@@ -34,9 +34,7 @@ def test_the_controlled_vehicles_are_those_of_the_list_in_its_order():
     played = episodes(scenes, METHODS["ccdiff_listed"], num_controlled=2, lists=lists)
     for scene, episode in zip(scenes, played, strict=True):
         assert [scene.agent_ids[i] for i in episode.chosen] == lists[scene.name]
-        assert {int(i) for p in episode.plans for i in p.agents[p.guided]} <= set(
-            episode.chosen
-        )
+        assert {int(i) for p in episode.plans for i in p.agents[p.guided]} <= set(episode.chosen)
         rest = ~episode.controlled
         log = scene.tracks()["position"][episode.agents[rest], 31:132]
         there = episode.motion.valid[rest]

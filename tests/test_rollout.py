@@ -8,12 +8,12 @@ import pickle
 
 import numpy as np
 import pytest
+from view_rollouts import plan_of
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
 from ccdiff_env.scenarionet import load_scenario_dict
 from ccdiff_env.traffic import TrafficPlan
-from view_rollouts import plan_of
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
 #: Arrays of a plan in files of the first format.
@@ -123,7 +123,7 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
     (again,) = loaded.plans
     for field in dataclasses.fields(plan):
-        assert np.array_equal(getattr(again, field.name), getattr(plan, field.name))
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(plan, field.name))
 
 
 def test_plans_of_files_of_before_are_read(driven, tmp_path):

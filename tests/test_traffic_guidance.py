@@ -142,7 +142,7 @@ def test_commands_choose_who_is_guided_and_how_hard(scenes):
     free = play.native.explain(0)
     chosen = int(free["ranking"][-1])
     play = Play(scenes[:1], ccdiff={"criticality": 0.0})
-    play.native.command(0, guided=[chosen], criticality=1.0)
+    play.native.override_plan(0, guided=[chosen], criticality=1.0)
     play.step()
     plan = play.native.explain(0)
     assert plan["agents"][plan["guided"]].tolist() == [chosen]
@@ -150,6 +150,6 @@ def test_commands_choose_who_is_guided_and_how_hard(scenes):
     moved = np.abs(plan["samples"] - free["samples"]).max(axis=(0, 2, 3))
     assert moved[row] > 0.01
     with pytest.raises(UnknownNameError, match="agent"):
-        play.native.command(0, guided=[10_000], criticality=None)
+        play.native.override_plan(0, guided=[10_000], criticality=None)
     with pytest.raises(ConfigError, match="criticality"):
-        play.native.command(0, guided=None, criticality=-1.0)
+        play.native.override_plan(0, guided=None, criticality=-1.0)

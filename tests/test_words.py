@@ -22,6 +22,17 @@ FORMER = {
     r"\bLesson\b": ("TrainingStep", "rust"),
     r"\b(Push|Pace)\b": ("LateralPerturbation, LongitudinalPerturbation", "rust"),
     r"\bRanker::(Human|Distance)\b": ("Ranker::Listed, Ranker::DistanceCliques", "rust docs"),
+    r"\bCommand\b|native\.command\b": (
+        "PlanOverride, override_plan",
+        "rust/sim/src rust/models/src rust/py/src ccdiff_env/envs docs",
+    ),
+    r"\bMotion\b": (
+        "AgentMotion, LateralSpeed, Trajectories",
+        "rust/sim/src/policy rust/sim/src/world rust/sim/src/dynamics rust/sim/src/metrics",
+    ),
+    r"\b(Eight|Turn)\b|\bwide!": ("F32x8, RowTransform, simd_dispatch!", "rust/sim/src"),
+    r"\bRolloutPlan\(": ("TrafficPlan", "ccdiff_env docs examples tools"),
+    r"\bparity_rate\b|\bParity\b": ("reference_impl_rate, ReferenceImpl", "rust"),
     r"\bPARITY\b": ("REFERENCE_IMPL", "rust"),
     r"\b(Home|Shot|Touch)\b": ("ProcessGuard, ViewOptions, ContactRow", "rust/py"),
     r"\blap\b|\bowed\b": ("on_phase_end, reset_pending", "rust/sim"),

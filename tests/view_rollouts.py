@@ -60,7 +60,7 @@ def plan_of(made_at: int, agents: list[int], samples: np.ndarray, **fields) -> T
         "selected_sample": np.zeros(m, np.int64),
         "losses": np.zeros((0, n, m), np.float32),
         "realism_cost": np.zeros(m, np.float32),
-        "shift_sigmas": np.zeros(m, np.float32),
+        "shift_sigmas": np.full(m, np.nan, np.float32),
         "objectives": (),
     }
     optional = ("attention", "gradient_cosine", "realism_cosine", "conflict_share")

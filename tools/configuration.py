@@ -92,10 +92,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: Arrays of a plan: type, axes, whether it may be missing. M planned and R ranked agents, N samples,
-#: T steps, J objectives.
+#: Arrays of a plan: type, axes, whether it may be missing. M planned and R ranked agents, N
+#: samples, T steps, J objectives.
 PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {{
-ARRAYS
+<arrays>
 }}
 
 
@@ -103,7 +103,7 @@ ARRAYS
 class PlanFields:
     """Fields of :class:`ccdiff_env.traffic.TrafficPlan`."""
 
-FIELDS
+<fields>
 '''
 
 
@@ -284,7 +284,7 @@ def plan_fields() -> str:
             doc += f", [{', '.join(axes)}]" if ". " not in doc else f". [{', '.join(axes)}]"
         lines += [_wrapped(doc + ".", "    #: ", "    #: "), f"    {name}: {annotation}"]
     fields = "\n".join(lines)
-    return _formatted(PLAN_HEAD.replace("ARRAYS", "\n".join(arrays)).replace("FIELDS", fields))
+    return _formatted(PLAN_HEAD.replace("<arrays>", "\n".join(arrays)).replace("<fields>", fields))
 
 
 def _tables_in(form: Any) -> Iterator[str]:

@@ -77,7 +77,7 @@ def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
 
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:
     """Return the drivable area as polygons: exterior and holes."""
-    return [(p.exterior, p.holes) for p in scene.map_layers()["drivable_area"]]
+    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
 
 
 def features(episode: Episode) -> dict[str, Any]:
@@ -165,11 +165,14 @@ def _conflict(plans: list[TrafficPlan]) -> tuple[float, float]:
     in which it is negative, means over guided vehicles that have a gradient and over plans; NaN
     without any.
     """
-    told = [p for p in plans if p.realism_cosine is not None]
+    told = [
+        (p.realism_cosine[p.guided], p.conflict_share[p.guided])
+        for p in plans
+        if p.realism_cosine is not None and p.conflict_share is not None
+    ]
     if not told:
         return np.nan, np.nan
-    cosine = np.concatenate([p.realism_cosine[p.guided] for p in told])
-    share = np.concatenate([p.conflict_share[p.guided] for p in told])
+    cosine, share = (np.concatenate(parts) for parts in zip(*told, strict=True))
     pulled = cosine != 0.0
     if not pulled.any():
         return np.nan, np.nan

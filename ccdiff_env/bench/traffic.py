@@ -274,7 +274,7 @@ def episodes(
         if chosen[i]:
             native.assign(i, chosen[i], driver)
         if method.driver in NETWORKS and not own:
-            native.command(i, guided=chosen[i][: method.num_guided], criticality=None)
+            native.override_plan(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[TrafficPlan]] = [[] for _ in everyone]
     recorders = {

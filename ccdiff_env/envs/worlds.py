@@ -369,7 +369,7 @@ class Worlds:
             del info["scene"], info["scene_token"]
         if self.curriculum is not None:
             strength = self.curriculum.draw(seed, episode_idx)
-            self.native.command(world_idx, guided=None, criticality=strength)
+            self.native.override_plan(world_idx, guided=None, criticality=strength)
             info["criticality"] = self.criticality[world_idx] = strength
         return info
 

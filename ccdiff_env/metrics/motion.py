@@ -149,7 +149,7 @@ class Motion:
             there &= given
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
-        self._native = _native.Motion(
+        self._native = _native.Trajectories(
             dt_s,
             np.ascontiguousarray(points[..., 0]),
             np.ascontiguousarray(points[..., 1]),

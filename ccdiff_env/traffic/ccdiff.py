@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ NETWORKS = (
 
 
 @takes_former_names(chosen="selected_sample", executed="follows_plan", step="made_at")
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TrafficPlan(PlanFields):
     """A plan that a world follows, and what it was made from: M agents, N samples, T steps.
 

@@ -89,7 +89,7 @@ class Film:
         if not 0 <= step < run.num_steps:
             raise ConfigError(f"step is {step}, expected 0 to {run.num_steps - 1}")
         there = np.flatnonzero(run.valid[:, step])
-        plan = next((p for p in reversed(run.plans) if p.step <= step), None)
+        plan = next((p for p in reversed(run.plans) if p.made_at <= step), None)
         recent = [
             event
             for event in run.events

@@ -180,7 +180,7 @@ class SelectionBatch:
             running = np.array([row < len(found) for found in rows])
             for e in np.flatnonzero(running):
                 native.restore(int(e), saved[e])
-                native.command(int(e), guided=rows[e][row : row + 1], criticality=None)
+                native.override_plan(int(e), guided=rows[e][row : row + 1], criticality=None)
             for _ in range(steps):
                 out = self.worlds.arrays()
                 native.step(self._ego_actions(running), out, running)
@@ -225,7 +225,7 @@ class SelectionBatch:
             self.match(e).begin(adversaries)
             if self.worlds.native.planners:
                 strength = self.actions.criticality(actions[e])
-                native.command(e, guided=adversaries, criticality=strength)
+                native.override_plan(e, guided=adversaries, criticality=strength)
         terminated, truncated = np.zeros((2, num_worlds), np.bool_)
         for _ in range(self.decision_steps):
             running = ~self._ended

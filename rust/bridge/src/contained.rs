@@ -1,7 +1,7 @@
 //! A policy whose panics stay in the module that made it.
 
 use crate::Policy;
-use ccdiff_sim::policy::{Motion, PlanRequest, PlanState, TrafficPolicy, WorldView};
+use ccdiff_sim::policy::{AgentMotion, PlanRequest, PlanState, TrafficPolicy, WorldView};
 use ccdiff_sim::{Result, SimError};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::OnceLock;
@@ -47,11 +47,11 @@ impl TrafficPolicy for Contained {
             .unwrap_or_else(|cause| Err(self.error(&text(cause))))
     }
 
-    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         catch_unwind(AssertUnwindSafe(|| self.policy.act(world, plan, agent_idx))).unwrap_or_else(|cause| {
             // reported by the next plan, which comes before any further motion
             self.fault.get_or_init(|| text(cause));
-            Motion::Leave
+            AgentMotion::Leave
         })
     }
 }

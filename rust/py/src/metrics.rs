@@ -5,8 +5,8 @@ use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
-    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Motion,
-    ScoreBounds, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
+    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, ScoreBounds,
+    Trajectories, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
     off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
 };
 use ccdiff_sim::state::Body;
@@ -33,7 +33,7 @@ type PyF32<'py> = PyReadonlyArray2<'py, f32>;
 type Rings = (Vec<[f32; 2]>, Vec<Vec<[f32; 2]>>);
 
 /// One recorded scene: checked copies of its arrays [A, T].
-#[pyclass(frozen, module = "ccdiff_env._native", name = "Motion")]
+#[pyclass(frozen, module = "ccdiff_env._native", name = "Trajectories")]
 pub(crate) struct NativeMotion {
     dt_s: f32,
     num_steps: usize,
@@ -45,8 +45,8 @@ pub(crate) struct NativeMotion {
 }
 
 impl NativeMotion {
-    fn view(&self) -> Result<Motion<'_>, SimError> {
-        Motion::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
+    fn view(&self) -> Result<Trajectories<'_>, SimError> {
+        Trajectories::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
     }
 }
 
@@ -55,7 +55,7 @@ impl NativeMotion {
 type CollisionParts<'py> =
     (Bound<'py, PyArray2<u32>>, Vec<bool>, Vec<bool>, Vec<Option<&'static str>>, Vec<Vec<bool>>, Vec<f64>);
 
-/// Flags [A, T] of centre and box, then the rates of centre, box and parity.
+/// Flags [A, T] of centre and box, then the rates of centre, box and the reference implementation.
 type OffRoadParts<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3]);
 
 #[pymethods]
@@ -136,7 +136,7 @@ impl NativeMotion {
         Ok((
             PyArray1::from_vec(py, centroid).reshape(shape)?,
             PyArray1::from_vec(py, corner).reshape(shape)?,
-            [report.centroid_rate, report.box_rate, report.parity_rate],
+            [report.centroid_rate, report.box_rate, report.reference_impl_rate],
         ))
     }
 
@@ -157,7 +157,7 @@ impl NativeMotion {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let axes = match axes {
             "body" => ComfortAxes::Body,
-            "reference_impl" => ComfortAxes::Parity,
+            "reference_impl" => ComfortAxes::ReferenceImpl,
             _ => {
                 let text = format!("unknown comfort axes {axes:?}, expected \"body\" or \"reference_impl\"");
                 return Err(UnknownNameError::new_err(text));

@@ -9,7 +9,7 @@ use crate::world_picture::{self, Trails, ViewOptions};
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_sim::policy::Command;
+use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
@@ -350,16 +350,16 @@ impl PyVecWorld {
         self.world.assign(world_idx, &agents, driver).map_err(from_sim)
     }
 
-    /// Wishes for a world's next plans: agents to be guided, strength of the guidance.
+    /// What is asked of a world's next plans: agents to be guided, strength of the guidance.
     #[pyo3(signature = (world_idx, *, guided, criticality))]
-    fn command(
+    fn override_plan(
         &mut self,
         world_idx: usize,
         guided: Option<Vec<usize>>,
         criticality: Option<f32>,
     ) -> PyResult<()> {
         self.home.check()?;
-        self.world.command(world_idx, Command { guided, criticality }).map_err(from_sim)
+        self.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
     }
 
     /// The plan of a policy (the first that plans, by default) that a world follows as a dictionary of new arrays;

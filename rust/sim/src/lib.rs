@@ -10,8 +10,8 @@ pub mod observe;
 pub mod options;
 pub mod policy;
 pub mod scene;
+mod simd_dispatch;
 pub mod state;
-mod wide;
 pub mod world;
 
 pub use error::{Result, SimError};

@@ -9,7 +9,7 @@
 /// Where the compiler does not find the vectors by itself, `fn name(…) with f[bound] = portable, avx2 { … }` gives the
 /// body a function `f` of two arguments that is one of the two named, the second with
 /// `#[target_feature(enable = "avx2")]`. `fn name<N, M>(…)` has constants `N: usize` and `M: usize`.
-macro_rules! wide {
+macro_rules! simd_dispatch {
     ($($(#[$doc:meta])* $vis:vis fn $name:ident $(<$($n:ident),+>)? ($($arg:ident: $ty:ty),* $(,)?)
         $(with $f:ident [$($bound:tt)+] = $portable:path, $avx2:path)? $body:block)+) => {$(
         $(#[$doc])*
@@ -34,4 +34,4 @@ macro_rules! wide {
     )+};
 }
 
-pub(crate) use wide;
+pub(crate) use simd_dispatch;

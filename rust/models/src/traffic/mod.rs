@@ -22,7 +22,7 @@ use crate::planner::{PlanOptions, Planner};
 use crate::raster::MapBitmap;
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
-use ccdiff_sim::policy::{Idm, Motion, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
+use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
 use ccdiff_sim::scene::Scene;
 use memory::Memory;
 use rayon::prelude::*;
@@ -196,19 +196,19 @@ impl TrafficPolicy for PlannedTraffic {
         Ok(made)
     }
 
-    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         let pose = world.states.pose(agent_idx);
         let Some(plan) = plan else {
             return Replay.act(world, None, agent_idx);
         };
         if memory::is_frozen(&plan.memory, agent_idx) {
-            return Motion::Place(pose, Vector2::zeros());
+            return AgentMotion::Place(pose, Vector2::zeros());
         }
         match plan.follow(world, agent_idx) {
             Some((pose, velocity)) if self.map_has(&world.scene.scene, &pose) => {
-                Motion::Place(pose, velocity)
+                AgentMotion::Place(pose, velocity)
             }
-            Some(_) => Motion::Leave,
+            Some(_) => AgentMotion::Leave,
             None if self.config.others == Others::Idm => {
                 Idm { config: world.config.idm }.act(world, None, agent_idx)
             }

@@ -4,10 +4,10 @@ use super::config::{CcdiffConfig, Conflict, Frozen};
 use crate::error::Result;
 use crate::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
-use ccdiff_sim::causal::measures::{AgentHistory, Ttc, normalised_distance, normalised_ttc};
+use ccdiff_sim::causal::measures::{normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::{Pose2, Real};
-use ccdiff_sim::policy::{Command, Driver, PlanRequest, WorldView};
+use ccdiff_sim::policy::{Driver, PlanOverride, PlanRequest, WorldView};
 use ccdiff_sim::scene::{AgentKind, EGO_ID};
 use std::f32::consts::FRAC_1_SQRT_2;
 
@@ -60,11 +60,11 @@ pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
 /// Agents that are to be guided: those asked for, else the first K of the ranking that `fits`.
 pub(super) fn select_guided(
     ranking: &[usize],
-    command: &Command,
+    wanted: &PlanOverride,
     num_guided: Option<usize>,
     fits: impl Fn(&usize) -> bool,
 ) -> Vec<usize> {
-    match &command.guided {
+    match &wanted.guided {
         Some(agents) => agents.iter().copied().filter(|a| ranking.contains(a)).collect(),
         None => ranking.iter().copied().filter(fits).take(num_guided.unwrap_or(usize::MAX)).collect(),
     }
@@ -143,30 +143,19 @@ impl PlannedAgents {
             .any(|(a, controlled_by_policy)| *a == agent_idx && *controlled_by_policy)
     }
 
-    /// Agents of the scene that may be guided, by falling importance. The times to contact stay in the window, for the
-    /// network.
+    /// Agents of the scene that may be guided, by falling importance, from the times to contact in the window.
     ///
     /// # Errors
     /// What the ranker refuses.
     pub(super) fn ranking(
-        &mut self,
+        &self,
         world: &WorldView<'_>,
         config: &CcdiffConfig,
         ranking_inputs: &RankingInputs,
     ) -> Result<Vec<usize>> {
-        let (m, steps) = (self.agents.len(), self.window.num_steps);
-        let by_step = |v: &[Real]| -> Vec<Real> {
-            (0..steps).flat_map(|t| (0..m).map(move |a| v[a * steps + t])).collect()
-        };
-        let w = &self.window;
-        let (x, y) = (by_step(&w.x_m), by_step(&w.y_m));
-        let (heading, speed) = (by_step(&w.heading_rad), by_step(&w.speed_mps));
-        let valid: Vec<bool> = (0..steps).flat_map(|t| (0..m).map(move |a| w.valid[a * steps + t])).collect();
-        let history = AgentHistory::new(&x, &y, &heading, &speed, &w.length_m, &w.width_m, &valid)?;
-        let ttc_s = history.ttc_s(Ttc::Oriented);
-        let ttc: Vec<Real> = ttc_s.iter().copied().map(normalised_ttc).collect();
-        let distance: Vec<Real> = history.distance_m()?.into_iter().map(normalised_distance).collect();
-        self.window.ttc_s = ttc_s;
+        let ttc: Vec<Real> = self.window.ttc_s.iter().copied().map(normalised_ttc).collect();
+        let distance: Vec<Real> = self.window.distance_m()?.into_iter().map(normalised_distance).collect();
+        let m = self.agents.len();
         let now = vec![true; m];
         let input = RankInput {
             valid: &now,

@@ -84,6 +84,9 @@ impl PlannedTraffic {
         if self.config.follow_route {
             planned.tell_routes(world, &self.model.route_points_m);
         }
+        if self.ranks(request) {
+            planned.window.measure_contacts()?;
+        }
         let bitmap = self.bitmap(&world.scene.scene).cloned();
         let counts = |agent: &usize| match (&self.config.targets[..], self.config.partners) {
             ([], Partners::All) => true,
@@ -103,6 +106,11 @@ impl PlannedTraffic {
             guided,
             partners,
         })
+    }
+
+    /// Whether the agents of a world are ranked for its coming plan.
+    fn ranks(&self, request: &PlanRequest<'_>) -> bool {
+        self.config.rerank || request.plan.is_none()
     }
 
     /// Tells the plans of vehicles where they go on from: the noise of the plan before, and its motion now.
@@ -127,20 +135,20 @@ impl PlannedTraffic {
     fn rank(&mut self, due: &mut [PreparedRequest<'_>]) -> Result<()> {
         let mut ranking_inputs = self.ranking_inputs(due)?;
         ranking_inputs.resize_with(due.len(), RankingInputs::default);
-        let config = &self.config;
+        let (traffic, config) = (&*self, &self.config);
         let rank = |(d, inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
-            d.ranking = if config.rerank || d.request.plan.is_none() {
+            d.ranking = if traffic.ranks(d.request) {
                 d.planned.ranking(&d.request.world, config, &inputs)?
             } else {
                 d.memory.first_ranking.clone()
             };
-            let command = d.request.command;
+            let wanted = d.request.plan_override;
             let fits = |a: &usize| {
                 let conflict = || d.planned.conflict(*a, &d.partners);
                 config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
             };
-            d.chosen = planned_agents::select_guided(&d.ranking, command, config.num_guided, fits);
-            let criticality = command.criticality.unwrap_or(config.criticality);
+            d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
+            let criticality = wanted.criticality.unwrap_or(config.criticality);
             d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
             let is_guided = |a: &usize| {
                 d.chosen.contains(a) || (!config.mask_guidance && d.planned.is_controlled_by_policy(*a))

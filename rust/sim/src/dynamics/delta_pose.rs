@@ -1,6 +1,6 @@
 //! Delta pose: the agent is put where the action says.
 
-use super::{Action, KinState, Motion};
+use super::{Action, KinState, LateralSpeed};
 use crate::geom::{Real, math};
 use crate::options;
 
@@ -34,7 +34,7 @@ impl DeltaPoseLimits {
         sin: Real,
         action: Action,
         dt_s: Real,
-    ) -> Motion {
+    ) -> LateralSpeed {
         let dx = action[0].clamp(self.dx_m[0], self.dx_m[1]);
         let dy = action[1].clamp(self.dy_m[0], self.dy_m[1]);
         let turn_rad = action[2].clamp(self.dheading_rad[0], self.dheading_rad[1]);
@@ -44,6 +44,6 @@ impl DeltaPoseLimits {
         // the mean velocity of the step, seen along the new heading
         let (turn_sin, turn_cos) = math::sin_cos(turn_rad);
         state.speed_mps = (turn_cos * dx + turn_sin * dy) / dt_s;
-        Motion { lateral_mps: (turn_cos * dy - turn_sin * dx) / dt_s }
+        LateralSpeed { lateral_mps: (turn_cos * dy - turn_sin * dx) / dt_s }
     }
 }

@@ -71,7 +71,7 @@ impl Default for Dynamics {
 }
 
 /// Heading and speeds after a step; what [`AgentStates`] needs beyond the [`KinState`].
-struct Motion {
+struct LateralSpeed {
     /// Speed of the centre to the left of the new heading, metres per second.
     lateral_mps: Real,
 }
@@ -152,7 +152,7 @@ impl Dynamics {
         action: Action,
         dt_s: Real,
         body: &Body,
-    ) -> Motion {
+    ) -> LateralSpeed {
         match self {
             Self::Unicycle(limits) => limits.advance(state, cos, sin, action, dt_s),
             Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, body),

@@ -1,6 +1,6 @@
 //! Unicycle: acceleration and yaw rate.
 
-use super::{Action, KinState, Motion};
+use super::{Action, KinState, LateralSpeed};
 use crate::geom::Real;
 use crate::options;
 use crate::options::above;
@@ -53,7 +53,7 @@ impl UnicycleLimits {
         sin: Real,
         action: Action,
         dt_s: Real,
-    ) -> Motion {
+    ) -> LateralSpeed {
         let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let next_speed = (state.speed_mps + acceleration * dt_s).clamp(self.speed_mps[0], self.speed_mps[1]);
         let bound = self.yaw_rate_bound(state.speed_mps);
@@ -62,6 +62,6 @@ impl UnicycleLimits {
         state.y += distance * sin;
         state.heading_rad += action[1].clamp(-bound, bound) * dt_s;
         state.speed_mps = next_speed;
-        Motion { lateral_mps: 0.0 }
+        LateralSpeed { lateral_mps: 0.0 }
     }
 }

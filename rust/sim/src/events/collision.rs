@@ -5,8 +5,8 @@
 
 use crate::geom::{OrientedBox, Real};
 use crate::scene::AgentKind;
+use crate::simd_dispatch::simd_dispatch;
 use crate::state::{AgentStates, Body};
-use crate::wide::wide;
 
 /// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
 const SWEEP_FROM_AGENTS: usize = 80;
@@ -267,7 +267,7 @@ impl Collisions {
     }
 }
 
-wide! {
+simd_dispatch! {
     /// Which circles (x, y, radius) touch another one.
     fn find_near(circle: [Real; 3], circles: &[&[Real]; 3], near: &mut [u8]) {
         let n = near.len();

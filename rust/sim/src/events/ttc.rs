@@ -1,8 +1,8 @@
 //! Time to contact of the agents of a world.
 
 use crate::geom::Real;
+use crate::simd_dispatch::simd_dispatch;
 use crate::state::{AgentStates, Body};
-use crate::wide::wide;
 
 /// Agents asked about at once.
 const LANES: usize = 8;
@@ -56,7 +56,7 @@ impl LeastTimes {
     }
 }
 
-wide! {
+simd_dispatch! {
     /// Which agents' circles touch the one of an agent within the horizon; true also where that is not sure.
     fn circles_may_meet(
         states: &AgentStates,

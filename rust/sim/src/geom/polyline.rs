@@ -1,7 +1,7 @@
 //! Lines of points: arc length, points along, projection onto.
 
 use super::{Point2, Pose2, Real, Vector2, math};
-use crate::wide::wide;
+use crate::simd_dispatch::simd_dispatch;
 
 /// Points nearer to each other than this count as one, metres.
 const MIN_SPACING_M: Real = 1e-3;
@@ -104,7 +104,7 @@ fn nearest_of(segments: &Segments, first: usize, end: usize, point: Point2, best
     }
 }
 
-wide! {
+simd_dispatch! {
     /// See [`nearest_of`].
     fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
         nearest_of(segments, first, end, point, best);

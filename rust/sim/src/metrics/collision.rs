@@ -1,6 +1,6 @@
 //! Collisions of a recorded scene, in the variants that a collision rate can mean.
 
-use super::Motion;
+use super::Trajectories;
 use crate::error::Result;
 use crate::events::{Collisions, ContactKind};
 use crate::scene::AgentKind;
@@ -10,7 +10,7 @@ use crate::state::AgentStates;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum CollisionVariant {
-    /// Every contact (parity with the release).
+    /// Every contact, as the release counts.
     All = 0,
     /// Contacts that involve a controlled agent.
     Controlled = 1,
@@ -68,7 +68,11 @@ impl CollisionReport {
     ///
     /// # Reference
     /// reference.md#collisions.
-    pub fn new(motion: &Motion<'_>, controlled: &[bool], log: Option<&Motion<'_>>) -> Result<Self> {
+    pub fn new(
+        motion: &Trajectories<'_>,
+        controlled: &[bool],
+        log: Option<&Trajectories<'_>>,
+    ) -> Result<Self> {
         motion.check_same(log, controlled)?;
         let num_agents = motion.num_agents();
         let kinds = vec![AgentKind::Vehicle; num_agents];

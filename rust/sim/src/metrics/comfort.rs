@@ -1,6 +1,6 @@
 //! Comfort distance (CFD): how far the accelerations and jerks of a rollout are from those of the log.
 
-use super::Motion;
+use super::Trajectories;
 use crate::error::{Result, SimError};
 use crate::geom::{Real, Vector2, math};
 
@@ -19,7 +19,7 @@ pub enum ComfortAxes {
     Body,
     /// Its length times cosine and sine of the heading in the world, as the release has it: no projection, and
     /// different in a turned world.
-    Parity,
+    ReferenceImpl,
 }
 
 /// Histograms of longitudinal acceleration, lateral acceleration and jerk.
@@ -41,7 +41,7 @@ impl ComfortHistograms {
     ///
     /// # Reference
     /// reference.md#comfort-distance; the release uses 0.5 s between entries.
-    pub fn from_motion(motion: &Motion<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
+    pub fn from_motion(motion: &Trajectories<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
         if stride == 0 {
             return Err(SimError::Config {
                 field: "stride".into(),
@@ -81,7 +81,7 @@ impl ComfortHistograms {
 }
 
 fn count_run(
-    motion: &Motion<'_>,
+    motion: &Trajectories<'_>,
     agent: usize,
     run: &[usize],
     axes: ComfortAxes,
@@ -105,7 +105,7 @@ fn count_run(
         let (forward, left) = (Vector2::new(cos, sin).cast::<f64>(), Vector2::new(-sin, cos).cast::<f64>());
         let (longitudinal, lateral) = match axes {
             ComfortAxes::Body => (acceleration[k].dot(&forward), acceleration[k].dot(&left)),
-            ComfortAxes::Parity => (size[k] * forward.x, size[k] * forward.y),
+            ComfortAxes::ReferenceImpl => (size[k] * forward.x, size[k] * forward.y),
         };
         let jerk = (size[k.max(1)] - size[k.max(1) - 1]) / dt_s;
         for (row, value) in [longitudinal, lateral, jerk].into_iter().enumerate() {
@@ -208,7 +208,7 @@ mod tests {
         let fast = (0..31).map(|t| Some((t as f32, 0.0, 0.4))).collect();
         let slow = (0..31).map(|t| Some((t as f32 * 0.04, 9.0, 0.0))).collect();
         let recorded = Recorded::new(&[fast, slow]);
-        for axes in [ComfortAxes::Body, ComfortAxes::Parity] {
+        for axes in [ComfortAxes::Body, ComfortAxes::ReferenceImpl] {
             let h = ComfortHistograms::from_motion(&recorded.motion(0.1), axes, 5).unwrap();
             assert!(h.rows.iter().all(|row| row[10] == 1.0));
         }
@@ -231,8 +231,8 @@ mod tests {
         assert!(of(&north, ComfortAxes::Body).rows[1][9..=10].iter().sum::<f64>() > 0.999);
         // -1.1 lies in bin 4, the two repeated zeros in bin 10
         assert!((of(&east, ComfortAxes::Body).rows[0][4] - 7.0 / 9.0).abs() < 1e-12);
-        assert!(of(&east, ComfortAxes::Parity).rows[0][15] > 0.7);
-        assert!(of(&north, ComfortAxes::Parity).rows[1][15] > 0.7);
+        assert!(of(&east, ComfortAxes::ReferenceImpl).rows[0][15] > 0.7);
+        assert!(of(&north, ComfortAxes::ReferenceImpl).rows[1][15] > 0.7);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Distance of a rollout from the log.
 
-use super::Motion;
+use super::Trajectories;
 use crate::error::Result;
 
 /// Displacement errors of one scene.
@@ -35,7 +35,7 @@ impl Displacement {
 ///
 /// # Reference
 /// reference.md#displacement.
-pub fn displacement(motion: &Motion<'_>, log: &Motion<'_>) -> Result<Displacement> {
+pub fn displacement(motion: &Trajectories<'_>, log: &Trajectories<'_>) -> Result<Displacement> {
     motion.check_same(Some(log), &vec![false; motion.num_agents()])?;
     let mut result = Displacement { ade_m: Vec::new(), fde_m: Vec::new() };
     for agent in 0..motion.num_agents() {

@@ -1,6 +1,6 @@
 //! Evaluation metrics: pure functions of recorded rollouts, and of tables of results.
 //!
-//! [`Motion`] is a view of the states of one recorded scene, agents by steps. From it come collisions, leaving the
+//! [`Trajectories`] is a view of the states of one recorded scene, agents by steps. From it come collisions, leaving the
 //! road, displacement from the log, comfort histograms and surrogate safety measures; from tables of those over
 //! methods come the paper's scores. Per-step facts are those of [`crate::events`], so a number computed after the
 //! fact is the one that the running world saw. Sums over time and scenes are f64. Definitions, with what differs
@@ -18,7 +18,7 @@ mod statistics;
 pub use collision::{CollisionReport, CollisionVariant, PairContact};
 pub use comfort::{ComfortAxes, ComfortDistance, ComfortHistograms, HISTOGRAM_BINS, comfort_distance};
 pub use displacement::{Displacement, displacement};
-pub use motion::Motion;
+pub use motion::Trajectories;
 pub use off_road::{OffRoadReport, off_road_report};
 pub use safety::{PET_HORIZON_S, min_ttc_s, over_speed, post_encroachment_time_s, speed_limit_mps};
 pub use scores::{Bounds, ScoreBounds, generational_distance, pareto_front, scores};

@@ -8,7 +8,7 @@ use crate::state::{AgentStates, Body};
 ///
 /// Entries where `valid` is false mean nothing and may hold any number.
 #[derive(Debug, Clone, Copy)]
-pub struct Motion<'a> {
+pub struct Trajectories<'a> {
     num_steps: usize,
     dt_s: Real,
     x_m: &'a [Real],
@@ -18,7 +18,7 @@ pub struct Motion<'a> {
     bodies: &'a [Body],
 }
 
-impl<'a> Motion<'a> {
+impl<'a> Trajectories<'a> {
     /// A view of A * T states, with A bodies.
     ///
     /// # Errors
@@ -126,7 +126,7 @@ impl<'a> Motion<'a> {
     }
 
     /// Checks that another rollout has the same agents and steps, and a mask the same agents.
-    pub(super) fn check_same(&self, other: Option<&Motion<'_>>, controlled: &[bool]) -> Result<()> {
+    pub(super) fn check_same(&self, other: Option<&Trajectories<'_>>, controlled: &[bool]) -> Result<()> {
         if controlled.len() != self.num_agents() {
             let (got, expected) = (controlled.len(), self.num_agents());
             return Err(SimError::Length { what: "mask of controlled agents", got, expected });
@@ -173,7 +173,7 @@ impl Recorded {
         }
     }
 
-    pub(super) fn motion(&self, dt_s: Real) -> Motion<'_> {
-        Motion::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
+    pub(super) fn motion(&self, dt_s: Real) -> Trajectories<'_> {
+        Trajectories::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
     }
 }

@@ -1,6 +1,6 @@
 //! How much of the time agents are off the drivable area.
 
-use super::Motion;
+use super::Trajectories;
 use crate::events::{OffRoad, off_road};
 use crate::geom::Region;
 use crate::state::AgentStates;
@@ -16,17 +16,17 @@ pub struct OffRoadReport {
     pub box_rate: f64,
     /// The centre variant as the release is thought to count: an agent that vanishes between two plans counts as
     /// outside until the next plan (reference.md#off-road, an inference).
-    pub parity_rate: f64,
+    pub reference_impl_rate: f64,
 }
 
 /// Tests every agent at every step against a region.
 ///
 /// Rates count the agents of `counted` [A] (all, where it is shorter), 0 where there is nothing to count.
-/// `replan_steps` is the number of steps between plans, for the parity rate; 0 counts as 1.
+/// `replan_steps` is the number of steps between plans, for the rate of the reference implementation; 0 counts as 1.
 ///
 /// Differs from the release: polygons of the map in place of pixels of a raster that is clamped at its border.
 pub fn off_road_report(
-    motion: &Motion<'_>,
+    motion: &Trajectories<'_>,
     region: &Region,
     counted: &[bool],
     replan_steps: usize,
@@ -61,7 +61,7 @@ pub fn off_road_report(
         flags,
         centroid_rate: share(centroid, present),
         box_rate: share(corner, present),
-        parity_rate: share(centroid + vanished, present + vanished),
+        reference_impl_rate: share(centroid + vanished, present + vanished),
     }
 }
 
@@ -72,7 +72,7 @@ mod tests {
     use crate::geom::{Point2, Polygon};
 
     #[test]
-    fn rates_count_present_agents_and_parity_counts_those_who_vanish_within_a_plan() {
+    fn rates_count_present_agents_and_the_reference_impl_counts_those_who_vanish_within_a_plan() {
         let ring = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
         let square = Polygon::from_exterior(ring.map(|(x, y)| Point2::new(x, y)).to_vec());
         let region = Region::new(&[square]).unwrap();
@@ -82,9 +82,9 @@ mod tests {
         let report = off_road_report(&recorded.motion(0.1), &region, &[], 5);
         assert_eq!(report.centroid_rate, 1.0 / 9.0);
         assert_eq!(report.box_rate, 2.0 / 9.0);
-        assert_eq!(report.parity_rate, 3.0 / 11.0);
+        assert_eq!(report.reference_impl_rate, 3.0 / 11.0);
         let only_second = off_road_report(&recorded.motion(0.1), &region, &[false, true], 5);
-        assert_eq!(only_second.parity_rate, 0.0);
+        assert_eq!(only_second.reference_impl_rate, 0.0);
         assert!(!only_second.flags[3].centroid);
     }
 }

@@ -1,6 +1,6 @@
 //! Surrogate safety measures of a recorded scene: least time to contact, post-encroachment time, over-speed.
 
-use super::Motion;
+use super::Trajectories;
 use crate::causal::measures::TTC_CAP_S;
 use crate::geom::{OrientedBox, Real};
 
@@ -16,7 +16,7 @@ fn counts(mask: &[bool], agent_idx: usize) -> bool {
 /// Least time to contact of every agent with any other over all steps, seconds, capped at 20.
 ///
 /// Boxes move on at the velocity of their last step. 0 from the first contact on; 20 for agents that meet nobody.
-pub fn min_ttc_s(motion: &Motion<'_>) -> Vec<Real> {
+pub fn min_ttc_s(motion: &Trajectories<'_>) -> Vec<Real> {
     let num_agents = motion.num_agents();
     let mut least = vec![TTC_CAP_S; num_agents];
     for t in 0..motion.num_steps() {
@@ -43,7 +43,7 @@ pub fn min_ttc_s(motion: &Motion<'_>) -> Vec<Real> {
 /// The time between one agent's box leaving a place and another's reaching it: the least |t - s| over steps t, s
 /// at which the box of one at t overlaps the box of the other at s. 0 for a collision. Agents that follow each
 /// other count too, with their time headway.
-pub fn post_encroachment_time_s(motion: &Motion<'_>) -> Vec<Option<Real>> {
+pub fn post_encroachment_time_s(motion: &Trajectories<'_>) -> Vec<Option<Real>> {
     let (num_agents, num_steps) = (motion.num_agents(), motion.num_steps());
     let horizon = (PET_HORIZON_S / motion.dt_s()).round() as usize;
     let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
@@ -83,7 +83,12 @@ pub fn post_encroachment_time_s(motion: &Motion<'_>) -> Vec<Option<Real>> {
 /// The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
 ///
 /// Differs from the paper: it names the rate without a definition; this one is of reference.md#over-speed-rate.
-pub fn over_speed(motion: &Motion<'_>, limit_mps: Real, at_least_s: Real, counted: &[bool]) -> Vec<bool> {
+pub fn over_speed(
+    motion: &Trajectories<'_>,
+    limit_mps: Real,
+    at_least_s: Real,
+    counted: &[bool],
+) -> Vec<bool> {
     let needed = (at_least_s / motion.dt_s()).round().max(1.0) as usize;
     let of_agent = |agent: usize| {
         let mut run = 0;

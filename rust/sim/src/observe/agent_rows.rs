@@ -2,7 +2,7 @@
 
 use super::column::{Column, clip};
 use super::columns::{AGENTS, Entry};
-use super::frame::{Eight, Frame, Group, LANES, fill_agents};
+use super::frame::{F32x8, Frame, Group, LANES, fill_agents};
 use super::nearest_agents::NearestAgents;
 use super::source::{OfAgent, Pairs, Target, agent_of};
 use super::view::View;
@@ -16,14 +16,14 @@ const DIRECTION: usize = 2;
 const VELOCITY: usize = 4;
 const SPEED: usize = 7;
 
-/// Eight of the chosen columns; those of pairs are left out.
+/// F32x8 of the chosen columns; those of pairs are left out.
 #[derive(Debug, Clone)]
 struct Columns {
     entries: Vec<&'static Entry<OfAgent>>,
     /// Those that change with the states.
     moving: Group,
     /// For each agent the columns that stay what they are in a scene, zeros elsewhere.
-    fixed: Vec<Eight>,
+    fixed: Vec<F32x8>,
 }
 
 /// A chosen column of pairs, and its place in the row.
@@ -44,7 +44,7 @@ pub(super) struct AgentRows {
     route_reach_m: Option<Real>,
     groups: Vec<Columns>,
     /// The numbers of all agents that change with the states, see [`PLACE`].
-    agents: Vec<Eight>,
+    agents: Vec<F32x8>,
     pairs: Vec<PairColumn>,
     nearest: NearestAgents,
     /// Places of the nearest agents, and these along the route.
@@ -92,7 +92,7 @@ impl AgentRows {
         let motions = velocities.zip(&states.speed_mps);
         self.agents.clear();
         self.agents.extend(places.zip(directions.zip(motions)).map(
-            |((x, y), ((cos, sin), ((vx, vy), speed)))| Eight([*x, *y, *cos, *sin, *vx, *vy, 0.0, *speed]),
+            |((x, y), ((cos, sin), ((vx, vy), speed)))| F32x8([*x, *y, *cos, *sin, *vx, *vy, 0.0, *speed]),
         ));
     }
 
@@ -109,7 +109,7 @@ impl AgentRows {
         let (width, keys) = (self.width, self.nearest.find(view.states, view.agent_idx));
         let (rows, absent) = out.split_at_mut(keys.len() * width);
         let [x, y, _, _, vx, vy, ..] = self.agents[view.agent_idx].0;
-        let origin = Eight([x, y, 0.0, 0.0, vx, vy, 0.0, 0.0]);
+        let origin = F32x8([x, y, 0.0, 0.0, vx, vy, 0.0, 0.0]);
         for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
             let first = pass * 2 * LANES;
             let (room, agents) = (width - first, &self.agents);
@@ -178,7 +178,7 @@ impl Columns {
 
     fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
         self.fixed.clear();
-        self.fixed.resize(bodies.len(), Eight::default());
+        self.fixed.resize(bodies.len(), F32x8::default());
         for (lane, entry) in self.entries.iter().enumerate() {
             let (Column { scale, low, high, .. }, OfAgent::Fixed(number)) = (&entry.column, entry.source)
             else {

@@ -2,15 +2,15 @@
 
 use super::column::{Axis, Column, clip};
 use crate::geom::{Pose2, Real};
-use crate::wide::wide;
+use crate::simd_dispatch::simd_dispatch;
 
 /// Columns that are written at once.
 pub(super) const LANES: usize = 8;
 
-/// Eight numbers.
+/// F32x8 numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(align(32))]
-pub(super) struct Eight(pub(super) [Real; LANES]);
+pub(super) struct F32x8(pub(super) [Real; LANES]);
 
 /// The frame of an observing agent.
 #[derive(Debug, Clone, Copy)]
@@ -28,10 +28,10 @@ impl Frame {
 
     /// Two vectors (x₀, y₀, x₁, y₁) in this frame, each number times its factor and clipped to [−1, 1].
     #[inline(always)]
-    pub(super) fn turn(&self, [x0, y0, x1, y1]: [Real; 4], factor: [Real; 4]) -> [Real; 4] {
+    pub(super) fn rotate(&self, [x0, y0, x1, y1]: [Real; 4], factor: [Real; 4]) -> [Real; 4] {
         let (v, w) = ([x0, y0, x1, y1], [y0, x0, y1, x1]);
         let sin = [self.sin, -self.sin, self.sin, -self.sin];
-        // in the order of [`Turn::portable`], for the same bits
+        // in the order of [`RowTransform::portable`], for the same bits
         std::array::from_fn(|i| clip(v[i] * (self.cos * factor[i]) + w[i] * (sin[i] * factor[i]), -1.0, 1.0))
     }
 }
@@ -44,24 +44,24 @@ pub(super) struct Group {
     own: [i32; LANES],
     other: [i32; LANES],
     /// All bits for components of vectors, none for numbers that are the same in every frame.
-    turned: [u32; LANES],
+    rotated: [u32; LANES],
     /// The bit of the sign where the sine is taken negative.
     sign: [u32; LANES],
     factor: [Real; LANES],
-    low: Eight,
-    high: Eight,
+    low: F32x8,
+    high: F32x8,
 }
 
 /// A [`Group`] in the frame of one observer.
 #[derive(Debug, Clone, Copy)]
-struct Turn {
+struct RowTransform {
     own: [i32; LANES],
     other: [i32; LANES],
-    cos: Eight,
-    sin: Eight,
-    low: Eight,
-    high: Eight,
-    origin: Eight,
+    cos: F32x8,
+    sin: F32x8,
+    low: F32x8,
+    high: F32x8,
+    origin: F32x8,
 }
 
 /// An index of numbers that are zero for all items.
@@ -71,15 +71,15 @@ const SIGN: u32 = 1 << 31;
 impl Group {
     /// Columns that are +0, until they are set.
     pub(super) fn new() -> Self {
-        let (zero, nothing) = (Eight([0.0; LANES]), [ZERO as i32; LANES]);
+        let (zero, nothing) = (F32x8([0.0; LANES]), [ZERO as i32; LANES]);
         let (none, factor) = ([0; LANES], [0.0; LANES]);
-        Self { own: nothing, other: nothing, turned: none, sign: none, factor, low: zero, high: zero }
+        Self { own: nothing, other: nothing, rotated: none, sign: none, factor, low: zero, high: zero }
     }
 
     /// Makes a column a component of the vector whose components are the numbers `first` and `first + 1`.
     pub(super) fn set_vector(&mut self, lane: usize, first: usize, axis: Axis, column: &Column) {
         (self.own[lane], self.other[lane]) = axis.own_and_other([first as i32, first as i32 + 1]);
-        self.turned[lane] = u32::MAX;
+        self.rotated[lane] = u32::MAX;
         self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
         self.scale(lane, column);
     }
@@ -103,15 +103,15 @@ impl Group {
     }
 
     #[inline(always)]
-    fn in_frame(&self, frame: &Frame, origin: &Eight) -> Turn {
+    fn in_frame(&self, frame: &Frame, origin: &F32x8) -> RowTransform {
         let [cos, sin, one] = [frame.cos, frame.sin, 1.0].map(Real::to_bits);
-        let cos = |i: usize| Real::from_bits(cos & self.turned[i] | one & !self.turned[i]) * self.factor[i];
-        let sin = |i: usize| Real::from_bits(sin & self.turned[i] ^ self.sign[i]) * self.factor[i];
-        Turn {
+        let cos = |i: usize| Real::from_bits(cos & self.rotated[i] | one & !self.rotated[i]) * self.factor[i];
+        let sin = |i: usize| Real::from_bits(sin & self.rotated[i] ^ self.sign[i]) * self.factor[i];
+        RowTransform {
             own: self.own,
             other: self.other,
-            cos: Eight(std::array::from_fn(cos)),
-            sin: Eight(std::array::from_fn(sin)),
+            cos: F32x8(std::array::from_fn(cos)),
+            sin: F32x8(std::array::from_fn(sin)),
             low: self.low,
             high: self.high,
             origin: *origin,
@@ -119,15 +119,15 @@ impl Group {
     }
 }
 
-impl Turn {
+impl RowTransform {
     /// The columns of an item, and the numbers of `added` where these are +0.
     #[inline(always)]
-    fn portable(&self, (item, added): (&Eight, &Eight)) -> [Real; LANES] {
+    fn portable(&self, (item, added): (&F32x8, &F32x8)) -> [Real; LANES] {
         std::array::from_fn(|i| {
             let pick = |at: i32| item.0[at as usize % LANES] - self.origin.0[at as usize % LANES];
             let sum = pick(self.own[i]) * self.cos.0[i] + pick(self.other[i]) * self.sin.0[i];
-            let turned = clip(sum, self.low.0[i], self.high.0[i]);
-            Real::from_bits(turned.to_bits() | added.0[i].to_bits())
+            let rotated = clip(sum, self.low.0[i], self.high.0[i]);
+            Real::from_bits(rotated.to_bits() | added.0[i].to_bits())
         })
     }
 
@@ -136,7 +136,7 @@ impl Turn {
     #[inline]
     #[target_feature(enable = "avx2")]
     #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
-    fn avx2(&self, (item, added): (&Eight, &Eight)) -> [Real; LANES] {
+    fn avx2(&self, (item, added): (&F32x8, &F32x8)) -> [Real; LANES] {
         use std::arch::x86_64::*;
         // SAFETY: eight floats each
         let [item, added, origin]: [__m256; 3] = unsafe { std::mem::transmute([*item, *added, self.origin]) };
@@ -207,39 +207,39 @@ const KIND_BIT: usize = 5;
 
 /// The kind that [`of_kind`] put into the last number.
 #[inline(always)]
-pub(super) fn kind_idx(piece: &Eight) -> usize {
+pub(super) fn kind_idx(piece: &F32x8) -> usize {
     (piece.0[7].to_bits() >> KIND_BIT) as usize % KINDS
 }
 
-wide! {
+simd_dispatch! {
     /// Fills the columns of some groups in the rows of agents, `width` numbers from row to row, of which `room` are theirs.
     /// `added` holds numbers for each agent. Of the `G` groups only the first `T` have columns that move.
     ///
     /// Fewer than eight columns in the last group leave something in the columns that follow them: the last columns are
     /// to be filled first.
     pub(super) fn fill_agents<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight]; G], agents: &[Eight], keys: &[u64], width: usize, room: usize,
+        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8]; G], agents: &[F32x8], keys: &[u64], width: usize, room: usize,
         out: &mut [Real],
-    ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
+    ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
         let added = added.map(|added| &added[..agents.len()]);
-        let turns = groups.map(|group| group.in_frame(frame, origin));
+        let transforms = groups.map(|group| group.in_frame(frame, origin));
         put_each::<G, _>(keys, width, room, out, |key, g| {
             let agent_idx = (key & 0xffff_ffff) as usize;
             let (agent, added) = (&agents[agent_idx], &added[g][agent_idx]);
-            if g < T { turn(&turns[g], (agent, added)) } else { added.0 }
+            if g < T { transform(&transforms[g], (agent, added)) } else { added.0 }
         });
     }
 
     /// The same in the rows of pieces of the map; `added` holds numbers for each kind.
     pub(super) fn fill_pieces<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &Eight, added: &[&[Eight; KINDS]; G], pieces: &[Eight], nearest: &[u32], width: usize,
+        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8; KINDS]; G], pieces: &[F32x8], nearest: &[u32], width: usize,
         room: usize, out: &mut [Real],
-    ) with turn [Fn(&Turn, (&Eight, &Eight)) -> [Real; LANES]] = Turn::portable, Turn::avx2 {
-        let turns = groups.map(|group| group.in_frame(frame, origin));
+    ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
+        let transforms = groups.map(|group| group.in_frame(frame, origin));
         put_each::<G, _>(nearest, width, room, out, |k, g| {
             let piece = &pieces[k as usize];
             let added = &added[g][kind_idx(piece)];
-            if g < T { turn(&turns[g], (piece, added)) } else { added.0 }
+            if g < T { transform(&transforms[g], (piece, added)) } else { added.0 }
         });
     }
 }
@@ -270,11 +270,11 @@ mod tests {
                     _ => group.set_number(lane, at[lane], &column),
                 }
             }
-            let turn = group.in_frame(&frame, &Eight([frame.x, frame.y, 0.0, 0.0, 1.5, -1.5, 0.0, 0.0]));
+            let transform = group.in_frame(&frame, &F32x8([frame.x, frame.y, 0.0, 0.0, 1.5, -1.5, 0.0, 0.0]));
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: just asked
-                let wide = unsafe { turn.avx2((&Eight(item), &Eight(added))) };
-                let portable = turn.portable((&Eight(item), &Eight(added)));
+                let wide = unsafe { transform.avx2((&F32x8(item), &F32x8(added))) };
+                let portable = transform.portable((&F32x8(item), &F32x8(added)));
                 prop_assert_eq!(wide.map(Real::to_bits), portable.map(Real::to_bits));
             }
         }

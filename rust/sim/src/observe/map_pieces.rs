@@ -1,6 +1,6 @@
 //! The map as short straight pieces, and the nearest of them for every place.
 
-use super::frame::{Eight, KINDS, kind_idx, of_kind};
+use super::frame::{F32x8, KINDS, kind_idx, of_kind};
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::OnceLock;
@@ -80,7 +80,7 @@ pub struct Piece {
 #[derive(Debug, Default)]
 pub struct MapPieces {
     /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each piece.
-    places: Vec<Eight>,
+    places: Vec<F32x8>,
     low: [Real; 2],
     cell_m: Real,
     num_cells: [usize; 2],
@@ -135,7 +135,7 @@ impl MapPieces {
 
     /// The numbers of all pieces.
     #[inline(always)]
-    pub(super) fn places(&self) -> &[Eight] {
+    pub(super) fn places(&self) -> &[F32x8] {
         &self.places
     }
 
@@ -176,7 +176,7 @@ impl MapPieces {
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
-        let key = |(k, place): (usize, &Eight)| {
+        let key = |(k, place): (usize, &F32x8)| {
             let (dx, dy) = (place.0[0] - centre.x, place.0[1] - centre.y);
             // distances are not negative, so their bits sort as they do
             u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
@@ -198,7 +198,7 @@ impl MapPieces {
         }
         let middle = nalgebra::center(&a, &b);
         let (cos, sin) = (d.x / length, d.y / length);
-        self.places.push(Eight([
+        self.places.push(F32x8([
             middle.x,
             middle.y,
             cos,

@@ -1,18 +1,18 @@
 //! Rows of map pieces.
 
 use super::columns::MAP;
-use super::frame::{Eight, Frame, Group, KINDS, LANES, fill_pieces};
+use super::frame::{F32x8, Frame, Group, KINDS, LANES, fill_pieces};
 use super::map_pieces::MapPieces;
 use super::source::OfPiece;
 use crate::geom::{Point2, Real};
 
-/// Eight of the chosen columns.
+/// F32x8 of the chosen columns.
 #[derive(Debug, Clone)]
 struct Columns {
     /// Those that depend on the place.
     of_places: Group,
     /// For each kind of piece the columns of kinds, zeros elsewhere.
-    of_kinds: [Eight; KINDS],
+    of_kinds: [F32x8; KINDS],
 }
 
 /// Writes the nearest map pieces.
@@ -41,7 +41,7 @@ impl MapRows {
         let nearest = pieces.nearest(Point2::new(frame.x, frame.y));
         let nearest = &nearest[..nearest.len().min(self.num_rows)];
         let (rows, absent) = out.split_at_mut(nearest.len() * self.width);
-        let origin = Eight([frame.x, frame.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let origin = F32x8([frame.x, frame.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
             let first = pass * 2 * LANES;
             let (width, room, places) = (self.width, self.width - first, pieces.places());
@@ -79,7 +79,7 @@ impl MapRows {
 
 impl Columns {
     fn new(chosen: &[usize]) -> Self {
-        let mut columns = Self { of_places: Group::new(), of_kinds: [Eight::default(); KINDS] };
+        let mut columns = Self { of_places: Group::new(), of_kinds: [F32x8::default(); KINDS] };
         for (lane, entry) in chosen.iter().map(|c| &MAP[*c]).enumerate() {
             let (places, column) = (&mut columns.of_places, &entry.column);
             match entry.source {

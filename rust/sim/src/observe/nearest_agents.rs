@@ -1,8 +1,8 @@
 //! Which agents are nearest.
 
 use crate::geom::Real;
+use crate::simd_dispatch::simd_dispatch;
 use crate::state::AgentStates;
-use crate::wide::wide;
 
 /// Most candidates that are put in order by counting for each those that are nearer.
 const MOST_COUNTED: usize = 128;
@@ -130,7 +130,7 @@ fn place_with_ties(keys: &[u64], ranks: &[i16], sorted: &mut [u64]) {
     }
 }
 
-wide! {
+simd_dispatch! {
     /// Squared distances from an agent; infinite for itself, and for agents that are out of reach or not there.
     fn measure(states: &AgentStates, agent_idx: usize, reach_sq: Real, distance_sq: &mut [Real]) {
         let (x, y) = (states.x[agent_idx], states.y[agent_idx]);

@@ -27,7 +27,7 @@ pub(super) fn write_route(
         let there = s <= length;
         *row = if there {
             let at = view.route.at(s);
-            frame.turn([at.position.x - frame.x, at.position.y - frame.y, at.cos, at.sin], FACTOR)
+            frame.rotate([at.position.x - frame.x, at.position.y - frame.y, at.cos, at.sin], FACTOR)
         } else {
             [0.0; ROUTE.len()]
         };

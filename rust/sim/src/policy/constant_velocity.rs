@@ -1,6 +1,6 @@
 //! Constant velocity.
 
-use super::{Motion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
 use crate::geom::{Point2, Pose2, Vector2};
 
 /// Keeps heading and speed.
@@ -12,11 +12,11 @@ impl TrafficPolicy for ConstantVelocity {
         "constant_velocity"
     }
 
-    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         let pose = world.states.pose(agent_idx);
         let speed = world.states.speed_mps[agent_idx];
         let velocity = Vector2::new(pose.cos * speed, pose.sin * speed);
         let position = Point2::from(pose.position.coords + velocity * world.config.dt_s);
-        Motion::Place(Pose2 { position, ..pose }, velocity)
+        AgentMotion::Place(Pose2 { position, ..pose }, velocity)
     }
 }

@@ -5,7 +5,7 @@
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
-use super::{Motion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
 use crate::events::leader;
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::world::IdmConfig;
@@ -63,11 +63,11 @@ impl TrafficPolicy for Idm {
         "idm"
     }
 
-    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         let route = &world.scene.routes[agent_idx];
         let pose = world.states.pose(agent_idx);
         if route.is_parked() {
-            return Motion::Place(pose, Vector2::zeros());
+            return AgentMotion::Place(pose, Vector2::zeros());
         }
         let dt = world.config.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
@@ -75,10 +75,10 @@ impl TrafficPolicy for Idm {
         let next_speed = (speed + self.wanted_acceleration(world, agent_idx) * dt).max(0.0);
         let next_s = s + 0.5 * (speed + next_speed) * dt;
         if next_s >= route.path.length_m() - 0.5 {
-            return Motion::Leave;
+            return AgentMotion::Leave;
         }
         if next_s - s < 1e-4 {
-            return Motion::Place(pose, Vector2::zeros());
+            return AgentMotion::Place(pose, Vector2::zeros());
         }
         let at = route.path.at(next_s);
         let (dx, dy) = (at.position.x - pose.position.x, at.position.y - pose.position.y);
@@ -87,7 +87,7 @@ impl TrafficPolicy for Idm {
         let error = math::wrap_angle(math::atan2(at.sin, at.cos) - pose.heading_rad);
         let turn = error * (moved / 2.0).min(1.0);
         let next = Pose2::new(at.position.x, at.position.y, pose.heading_rad + turn);
-        Motion::Place(next, Vector2::new(next.cos * next_speed, next.sin * next_speed))
+        AgentMotion::Place(next, Vector2::new(next.cos * next_speed, next.sin * next_speed))
     }
 }
 

@@ -16,7 +16,9 @@ mod replay;
 pub use constant_velocity::ConstantVelocity;
 pub use driver::Driver;
 pub use idm::{Idm, idm_acceleration};
-pub use plan::{Axis, Command, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanRecord, PlanRequest, PlanState};
+pub use plan::{
+    Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
+};
 pub use replay::Replay;
 
 use crate::error::Result;
@@ -55,7 +57,7 @@ pub struct WorldView<'a> {
 
 /// What an agent does in one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Motion {
+pub enum AgentMotion {
     /// It is there after the step, with this velocity in the scene frame.
     Place(Pose2, Vector2),
     /// It leaves the world.
@@ -81,10 +83,10 @@ pub trait TrafficPolicy: Send + Sync {
         Ok(vec![None; requests.len()])
     }
 
-    /// Motion of one agent over the step: by default that of its plan, and of its log where it has none.
-    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Motion {
+    /// AgentMotion of one agent over the step: by default that of its plan, and of its log where it has none.
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         match plan.and_then(|p| p.follow(world, agent_idx)) {
-            Some((pose, velocity)) => Motion::Place(pose, velocity),
+            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
             None => Replay.act(world, None, agent_idx),
         }
     }

@@ -13,8 +13,8 @@ pub struct PlanRequest<'a> {
     pub driver: Driver,
     /// The plan that the world follows; `None` before the first one of its episode.
     pub plan: Option<&'a PlanState>,
-    /// Wishes for the plans of this world.
-    pub command: &'a Command,
+    /// What is asked of the plans of this world.
+    pub plan_override: &'a PlanOverride,
 }
 
 impl PlanRequest<'_> {
@@ -66,9 +66,9 @@ impl PlanState {
     }
 }
 
-/// Wishes for the plans of one world, in force until replaced or until the world begins a new episode.
+/// What replaces a policy's own choice in the plans of one world, in force until replaced or until the world begins a new episode.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Command {
+pub struct PlanOverride {
     /// Agents of the scene to be guided, in place of the policy's own ranking; `None` leaves the choice to it.
     pub guided: Option<Vec<usize>>,
     /// Strength of the guidance in place of the configured one, at least 0.

@@ -1,6 +1,6 @@
 //! Log replay.
 
-use super::{Motion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
 
 /// Puts every agent where the log has it; leaves where the log has it no more.
 #[derive(Debug, Default)]
@@ -11,8 +11,8 @@ impl TrafficPolicy for Replay {
         "replay"
     }
 
-    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> Motion {
+    fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         let logged = world.scene.log.at(agent_idx, world.step_idx + 1);
-        logged.map_or(Motion::Leave, |(pose, velocity)| Motion::Place(pose, velocity))
+        logged.map_or(AgentMotion::Leave, |(pose, velocity)| AgentMotion::Place(pose, velocity))
     }
 }

@@ -1,7 +1,7 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
 use crate::geom::{Pose2, Real, Vector2};
-use crate::policy::{Command, Driver, PlanState};
+use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::config::{Controlled, WorldConfig};
@@ -87,8 +87,8 @@ pub(crate) struct Episode {
     pub(crate) history: Option<History>,
     /// The plan of each policy of the batch's table.
     pub(crate) plans: Vec<Option<PlanState>>,
-    /// Wishes for these plans.
-    pub(crate) command: Command,
+    /// What is asked of these plans.
+    pub(crate) plan_override: PlanOverride,
 }
 
 impl Episode {
@@ -112,7 +112,7 @@ impl Episode {
             slots: Vec::new(),
             history: None,
             plans: Vec::new(),
-            command: Command::default(),
+            plan_override: PlanOverride::default(),
         }
     }
 
@@ -161,7 +161,7 @@ impl Episode {
         self.history = (len > 0).then(|| History::from_log(log, self.step_idx, len));
         self.plans.clear();
         self.plans.resize(policies.len(), None);
-        self.command = Command::default();
+        self.plan_override = PlanOverride::default();
     }
 
     /// Step of the log at which the episode starts: drawn, or the first where nobody is to be controlled there.
@@ -329,7 +329,7 @@ impl Episode {
             && self.history.as_ref().is_none_or(|h| h.fits(n))
             && self.plans.len() == policies.len()
             && self.plans.iter().flatten().all(|p| p.fits(n))
-            && self.command.guided.iter().flatten().all(|a| in_range(*a))
+            && self.plan_override.guided.iter().flatten().all(|a| in_range(*a))
     }
 
     /// A number that depends on the seed, the episode and the step alone.

@@ -6,7 +6,7 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
-use crate::policy::{Command, Driver, PlanRecord};
+use crate::policy::{Driver, PlanOverride, PlanRecord};
 use crate::scene::{AgentKind, Scene};
 use crate::state::AgentStates;
 use crate::world::tick::World;
@@ -57,18 +57,18 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Hands wishes for a world's next plans to the policies that plan.
+    /// Says what is asked of a world's next plans to the policies that plan.
     ///
     /// # Errors
     /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch without a policy that plans;
     /// [`SimError::Config`] for a negative criticality.
-    pub fn command(&mut self, world_idx: usize, command: Command) -> Result<()> {
+    pub fn override_plan(&mut self, world_idx: usize, wanted: PlanOverride) -> Result<()> {
         let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
-        if let Some(agent) = command.guided.iter().flatten().find(|a| **a >= num_agents) {
+        if let Some(agent) = wanted.guided.iter().flatten().find(|a| **a >= num_agents) {
             let expected = format!("an index below {num_agents}");
             return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
         }
-        if let Some(strength) = command.criticality.filter(|c| !c.is_finite() || *c < 0.0) {
+        if let Some(strength) = wanted.criticality.filter(|c| !c.is_finite() || *c < 0.0) {
             let expected = "a finite number of at least 0".into();
             return Err(SimError::Config {
                 field: "criticality".into(),
@@ -77,7 +77,7 @@ impl VecWorld {
             });
         }
         self.planner(None)?;
-        self.worlds[world_idx].episode.command = command;
+        self.worlds[world_idx].episode.plan_override = wanted;
         Ok(())
     }
 

@@ -2,8 +2,8 @@
 
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::scene::Scene;
+use crate::simd_dispatch::simd_dispatch;
 use crate::state::AgentStates;
-use crate::wide::wide;
 use std::sync::OnceLock;
 
 /// Columns of [`AgentStates`] that a log has: x, y, heading, cosine, sine, speed, velocity x and y.
@@ -108,7 +108,7 @@ fn pick(mask: u32, chosen: Real, other: Real) -> Real {
     Real::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)
 }
 
-wide! {
+simd_dispatch! {
     /// Puts numbers of columns in the place of others where the masks say so.
     fn take(from: &[&[Real]; NUM_COLUMNS], masks: &[u32], to: [&mut [Real]; NUM_COLUMNS]) {
         for (from, to) in from.iter().zip(to) {

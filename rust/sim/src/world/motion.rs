@@ -1,7 +1,7 @@
 //! Phase "move" of a tick: agents move, stop where they touch, go along their routes, enter and leave.
 
 use crate::geom::Vector2;
-use crate::policy::{Driver, Motion};
+use crate::policy::{AgentMotion, Driver};
 use crate::world::config::TrafficCollision;
 use crate::world::halt;
 use crate::world::surroundings::place_is_free;
@@ -36,9 +36,9 @@ impl World {
             let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
             match (motion, slot) {
                 (_, Some(slot)) if slot.stopped => {}
-                (Motion::Place(pose, velocity), Some(_)) => e.place(a, pose, velocity, config.dt_s),
+                (AgentMotion::Place(pose, velocity), Some(_)) => e.place(a, pose, velocity, config.dt_s),
                 // an agent with a slot waits where its policy has no more way for it
-                (Motion::Leave, Some(_)) => {
+                (AgentMotion::Leave, Some(_)) => {
                     let pose = e.states.pose(a);
                     e.place(a, pose, Vector2::zeros(), config.dt_s);
                 }
@@ -46,7 +46,7 @@ impl World {
                     let pose = e.states.pose(a);
                     e.place(a, pose, Vector2::zeros(), config.dt_s);
                 }
-                (Motion::Place(pose, velocity), None) if !log_ended => {
+                (AgentMotion::Place(pose, velocity), None) if !log_ended => {
                     e.place(a, pose, velocity, config.dt_s);
                 }
                 _ => e.states.active[a] = false,

@@ -5,7 +5,7 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, LeastTimes};
 use crate::geom::{Pose2, Real};
 use crate::observe::Observer;
-use crate::policy::{Driver, Motion, PlanRequest, WorldView};
+use crate::policy::{AgentMotion, Driver, PlanRequest, WorldView};
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::WorldConfig;
@@ -43,7 +43,7 @@ pub(crate) struct World {
     pub(crate) idx: usize,
     pub(crate) scene: Arc<PreparedScene>,
     pub(crate) episode: Episode,
-    pub(super) motions: Vec<(u32, Motion)>,
+    pub(super) motions: Vec<(u32, AgentMotion)>,
     /// Agents that the log moves in the step, without a motion of theirs, and memory for it.
     pub(super) follow_log: Vec<bool>,
     pub(super) masks: Vec<u32>,
@@ -131,7 +131,7 @@ impl World {
             world: self.view(config),
             driver: Driver::Policy(policy_idx),
             plan: self.episode.plans[usize::from(policy_idx)].as_ref(),
-            command: &self.episode.command,
+            plan_override: &self.episode.plan_override,
         }
     }
 
