@@ -54,7 +54,7 @@ class Chooser:
                 )
                 guided = [rows[row] for row in self._actions.rows(action, mask)]
                 match.begin(guided)
-                self._worlds.native.command(e, guided=guided, criticality=None)
+                self._worlds.native.override_plan(e, guided=guided, criticality=None)
         self._steps += 1
 
     def step(self, running: npt.NDArray[np.bool_]) -> None:
