@@ -437,6 +437,10 @@ class CcdiffConfig:
     weights: str = "fast"
     #: Where the network runs.
     device: DeviceName = "cpu"
+    #: Distance from the ego, or from any vehicle that is driven from outside, beyond which nobody
+    #: is planned for: the intelligent driver model drives there, along the routes, and the network
+    #: sees nobody there (m, >= 0). ``None``: all are.
+    plan_radius_m: float | None = None
     #: Steps from one plan to the next n, at most the horizon of the plans (>= 1).
     replan_steps: int = 5
     #: Network evaluations of the DDIM sampler (one: guidance moves its only step) (>= 1); ``None``:

@@ -53,6 +53,31 @@ def test_a_plan_is_made_every_n_steps_and_followed_in_between(scenes):
     assert made == [0, 0, 0, 0, 4, 4, 4, 4, 8, 8]
 
 
+def test_beyond_the_radius_of_plans_idm_drives(scenes):
+    idm = Play(scenes[:3], traffic="idm")
+    none = Play(scenes[:3], ccdiff={"plan_radius_m": 0.0})
+    near = Play(scenes[:3], ccdiff={"plan_radius_m": 25.0})
+    every, all_near = Play(scenes[:3]), Play(scenes[:3], ccdiff={"plan_radius_m": 1e4})
+    fewer = 0
+    for step in range(20):
+        before = [near.states(world) for world in range(3)]
+        for play in (idm, none, near, every, all_near):
+            play.step()
+        for world, states in enumerate(before):
+            plan, ego = near.native.explain(world), scenes[world].agent_ids.index("ego")
+            if plan["made_at"] == step:
+                gaps = np.linalg.norm(states["position"] - states["position"][ego], axis=1)
+                vehicles = np.array(scenes[world].agent_types) == "vehicle"
+                near_ego = np.flatnonzero(states["active"] & vehicles & (gaps <= 25.0))
+                assert set(plan["agents"]) <= set(near_ego)
+                fewer += len(near_ego) < np.sum(states["active"] & vehicles)
+    assert fewer > 0
+    for one, other in ((idm, none), (every, all_near)):
+        for world in range(3):
+            for name in FIELDS:
+                np.testing.assert_array_equal(one.states(world)[name], other.states(world)[name])
+
+
 def test_a_plan_tells_what_it_was_made_from(scenes):
     play = Play(scenes[:1], ccdiff={"num_samples": 3, "criticality": 1.0, "explain": True})
     play.step()

@@ -133,6 +133,9 @@ options! {
         weights: String = "fast".into();
         /// Where the network runs.
         device: DeviceName = DeviceName::Cpu;
+        /// Distance from the ego, or from any vehicle that is driven from outside, beyond which nobody is planned for: the
+        /// intelligent driver model drives there, along the routes, and the network sees nobody there. `None`: all are.
+        plan_radius_m: Option<Real> = None, unit "m", range at_least(0.0);
         /// Steps from one plan to the next n, at most the horizon of the plans.
         replan_steps: usize = 5, range at_least(1.0);
         /// Network evaluations of the DDIM sampler (one: guidance moves its only step); `None`: DDPM with all 100 steps.

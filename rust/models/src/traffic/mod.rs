@@ -209,7 +209,7 @@ impl TrafficPolicy for PlannedTraffic {
                 AgentMotion::Place(pose, velocity)
             }
             Some(_) => AgentMotion::Leave,
-            None if self.config.others == Others::Idm => {
+            None if self.config.others == Others::Idm || self.config.plan_radius_m.is_some() => {
                 Idm { config: world.config.idm }.act(world, None, agent_idx)
             }
             // not planned for yet, or left to the log

@@ -71,13 +71,28 @@ pub(super) fn select_guided(
 }
 
 impl PlannedAgents {
-    /// Vehicles that are there now: all that move, and the standing ones near them.
+    /// Vehicles that are there now, within a distance from the ego if one is given: all that move, and the standing ones
+    /// near them.
     ///
     /// # Errors
     /// [`ccdiff_sim::SimError::Policy`] where the world keeps no history.
-    pub(super) fn new(request: &PlanRequest<'_>, frozen: &[bool], num_steps: usize) -> Result<Self> {
+    pub(super) fn new(
+        request: &PlanRequest<'_>,
+        frozen: &[bool],
+        num_steps: usize,
+        radius_m: Option<Real>,
+    ) -> Result<Self> {
         let (world, states) = (&request.world, request.world.states);
-        let is_there = |a: &usize| states.active[*a] && world.scene.kinds[*a] == AgentKind::Vehicle;
+        let egos: Vec<usize> = (0..states.len()).filter(|a| states.active[*a] && is_ego(world, *a)).collect();
+        let in_radius = |a: usize| match radius_m {
+            Some(radius_m) if !egos.is_empty() => {
+                let p = states.position(a);
+                egos.iter().any(|ego| (states.position(*ego) - p).norm() <= radius_m)
+            }
+            _ => true,
+        };
+        let is_there =
+            |a: &usize| states.active[*a] && world.scene.kinds[*a] == AgentKind::Vehicle && in_radius(*a);
         let there: Vec<usize> = (0..states.len()).filter(is_there).collect();
         let near_moving = |a: usize| {
             let p = states.position(a);

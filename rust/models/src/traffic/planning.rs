@@ -79,7 +79,8 @@ impl PlannedTraffic {
         };
         let stands = |(frozen, halted): (&bool, &bool)| *frozen || *halted;
         let still: Vec<bool> = memory.frozen.iter().zip(world.halted).map(stands).collect();
-        let mut planned = PlannedAgents::new(request, &still, self.model.history_steps)?;
+        let mut planned =
+            PlannedAgents::new(request, &still, self.model.history_steps, self.config.plan_radius_m)?;
         self.tie(request, &memory, &mut planned);
         if self.config.follow_route {
             planned.tell_routes(world, &self.model.route_points_m);
