@@ -23,6 +23,13 @@ LEAD_S = 2.0
 NEAR_S = 1.0
 """A vehicle that leaves the road where its log does so within this time is not worth a flag."""
 ENDS = ("goal", "time_limit")
+#: What is said of collisions.
+COLLISIONS = {
+    "collision_front": "{one} drove into {other}",
+    "collision_rear": "{one} hit from behind by {other}",
+    "collision_side": "{one} hit in the side by {other}",
+    "static": "{one} hit {other}",
+}
 
 
 @dataclass(frozen=True)
@@ -163,13 +170,7 @@ def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
 
 
 def _collision(event: RolloutEvent, one: str, other: str) -> str:
-    words = {
-        "collision_front": f"{one} drove into {other}",
-        "collision_rear": f"{one} hit from behind by {other}",
-        "collision_side": f"{one} hit in the side by {other}",
-        "static": f"{one} hit {other}",
-    }
-    text = words.get(event.kind, f"{one} and {other} touch")
+    text = COLLISIONS.get(event.kind, "{one} and {other} touch").format(one=one, other=other)
     if event.agent_id != "ego":
         return text
     return f"{text}, {'at fault' if event.at_fault else 'not at fault'}"

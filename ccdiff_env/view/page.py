@@ -25,6 +25,7 @@ SCRIPTS = (
     "timeline.js",
     "panels.js",
     "player.js",
+    "theme.js",
     "main.js",
 )
 

@@ -2,12 +2,17 @@
 
 const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
 
-/** Inflate the text of a data element into a run. */
-async function readRun(element) {
+/** Bytes of the text of a data element. */
+async function inflate(element) {
   const text = atob(element.textContent.trim());
   const packed = Uint8Array.from(text, (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return unpackRun(await new Response(stream).arrayBuffer());
+  return new Response(stream).arrayBuffer();
+}
+
+/** The run of a data element. */
+async function readRun(element) {
+  return unpackRun(await inflate(element));
 }
 
 /** Header and arrays of one run. Numbers of agents A, steps T. */

@@ -1,6 +1,5 @@
 // Start of the page: reads the runs, wires buttons, keys and panels to the player.
 
-const $ = (id) => document.getElementById(id);
 // Runs have colours that no driver has; letters and dashes tell them apart, too.
 const CHROME = {
   light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#66707d", text: "#1d242c",
@@ -166,24 +165,6 @@ async function copyLink(player) {
   }
 }
 
-/** Colours for dark ground: the dark ones move towards white. */
-function lighter(colours) {
-  const out = {};
-  for (const [name, colour] of Object.entries(colours)) {
-    const rgb = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
-    const luminance = (0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]) / 255;
-    const mix = Math.max(0, 0.62 - luminance) * 0.85;
-    out[name] = `#${rgb.map((c) => Math.round(c + (255 - c) * mix).toString(16).padStart(2, "0")).join("")}`;
-  }
-  return out;
-}
-
-function setTheme(player, theme) {
-  player.theme = theme;
-  document.documentElement.dataset.theme = theme;
-  player.touch();
-}
-
 function wireControls(player) {
   $("play").addEventListener("click", () => player.togglePlay());
   $("back").addEventListener("click", () => player.stepBy(-1));
@@ -272,37 +253,6 @@ function showFocus(player) {
   });
   const run = knowing[0];
   showFacts(list, run.agents[run.indexOf.get(player.focus)].title, rows);
-}
-
-/** What the colours mean, in the mode that is chosen. */
-function showLegend(player, settings) {
-  const key = `${player.theme} ${player.colourMode}`;
-  if ($("legend").dataset.key === key) return;
-  $("legend").dataset.key = key;
-  $("legend").replaceChildren(...legendOf(player, settings).map(([colour, title]) => {
-    const item = element("span", "legend-item"), dot = element("i");
-    item.setAttribute("role", "listitem");
-    dot.style.background = colour;
-    item.append(dot, title);
-    return item;
-  }));
-}
-
-function legendOf(player, settings) {
-  const agents = player.runs.flatMap((run) => run.agents);
-  if (player.colourMode === "speed")
-    return [0, 5, 10, FAST_MPS].map((v) => [speedColour(v, player.theme), `${v} m/s`]);
-  if (player.colourMode === "kind") {
-    const seen = new Set(agents.map((agent) => (agent.driver === "ego" ? "ego" : agent.kind)));
-    return Object.entries(KIND_COLOURS[player.theme])
-      .filter(([kind]) => seen.has(kind))
-      .map(([kind, colour]) => [colour, kind === "static" ? settings.drivers.static : kind]);
-  }
-  const seen = new Set(agents.map((agent) => (agent.kind === "static" ? "static" : agent.driver)));
-  const colours = player.panes[0].actors.driverColours[player.theme];
-  return Object.entries(settings.drivers)
-    .filter(([name]) => seen.has(name))
-    .map(([name, title]) => [colours[name], title]);
 }
 
 function showAbout(runs) {

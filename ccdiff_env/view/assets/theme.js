@@ -1,0 +1,52 @@
+// Dark and light, and what the colours mean.
+
+const $ = (id) => document.getElementById(id);
+
+/** Colours for dark ground: the dark ones move towards white. */
+function lighter(colours) {
+  const out = {};
+  for (const [name, colour] of Object.entries(colours)) {
+    const rgb = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+    const luminance = (0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]) / 255;
+    const mix = Math.max(0, 0.62 - luminance) * 0.85;
+    out[name] = `#${rgb.map((c) => Math.round(c + (255 - c) * mix).toString(16).padStart(2, "0")).join("")}`;
+  }
+  return out;
+}
+
+function setTheme(player, theme) {
+  player.theme = theme;
+  document.documentElement.dataset.theme = theme;
+  player.touch();
+}
+
+/** What the colours mean, in the mode that is chosen. */
+function showLegend(player, settings) {
+  const key = `${player.theme} ${player.colourMode}`;
+  if ($("legend").dataset.key === key) return;
+  $("legend").dataset.key = key;
+  $("legend").replaceChildren(...legendOf(player, settings).map(([colour, title]) => {
+    const item = element("span", "legend-item"), dot = element("i");
+    item.setAttribute("role", "listitem");
+    dot.style.background = colour;
+    item.append(dot, title);
+    return item;
+  }));
+}
+
+function legendOf(player, settings) {
+  const agents = player.runs.flatMap((run) => run.agents);
+  if (player.colourMode === "speed")
+    return [0, 5, 10, FAST_MPS].map((v) => [speedColour(v, player.theme), `${v} m/s`]);
+  if (player.colourMode === "kind") {
+    const seen = new Set(agents.map((agent) => (agent.driver === "ego" ? "ego" : agent.kind)));
+    return Object.entries(KIND_COLOURS[player.theme])
+      .filter(([kind]) => seen.has(kind))
+      .map(([kind, colour]) => [colour, kind === "static" ? settings.drivers.static : kind]);
+  }
+  const seen = new Set(agents.map((agent) => (agent.kind === "static" ? "static" : agent.driver)));
+  const colours = player.panes[0].actors.driverColours[player.theme];
+  return Object.entries(settings.drivers)
+    .filter(([name]) => seen.has(name))
+    .map(([name, title]) => [colours[name], title]);
+}
