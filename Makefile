@@ -9,7 +9,7 @@ RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Carg
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup demo test test-rust test-py test-learners lint wheel docs bench clean
+.PHONY: help setup demo test test-rust test-py test-learners lint wheel docs playground bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -65,6 +65,11 @@ docs: $(SO)  ## the site of the documentation: docs/site
 	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/site
 	$(BIN)/python -m tools.gallery docs/site/gallery
+	$(MAKE) playground
+
+playground: $(SO)  ## the page in which one drives the ego by keys: docs/site/playground.html
+	rustup target add wasm32-unknown-unknown
+	$(BIN)/python -m tools.playground docs/site/playground.html
 
 bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world

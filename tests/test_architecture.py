@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-CRATES = ("sim", "nuscenes", "render", "models", "bridge", "py", "py-models")
+CRATES = ("sim", "nuscenes", "render", "models", "bridge", "py", "py-models", "wasm")
 #: Crates that may use others beside the simulator.
 USERS = {
     "py": {"sim", "nuscenes", "render", "bridge"},
     "py-models": {"sim", "models", "bridge"},
+    "wasm": {"sim", "nuscenes"},
 }
 
 #: Rooms of the simulator; each may use those before it.

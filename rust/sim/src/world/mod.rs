@@ -86,7 +86,7 @@ const MOST_WORLDS: usize = 1 << 16;
 /// Most worker threads of a batch.
 const MOST_THREADS: usize = 1 << 10;
 /// Most bytes of observations and rasters of one step of a batch.
-const MOST_BYTES: usize = 1 << 34;
+const MOST_BYTES: u64 = 1 << 34;
 
 /// Whether a world of a batch goes on in a step.
 fn goes(active: Option<&[bool]>, world_idx: usize) -> bool {
@@ -139,13 +139,12 @@ impl VecWorld {
         let layout = Layout::new(&config.observation)?;
         let row_bytes =
             size_of::<f32>() * layout.size + layout.bev.as_ref().map_or(0, |b| b.shape.iter().product());
-        let bytes = row_bytes.saturating_mul(config.num_slots).saturating_mul(num_worlds);
+        let bytes =
+            [config.num_slots, num_worlds].iter().fold(row_bytes as u64, |b, n| b.saturating_mul(*n as u64));
         if bytes > MOST_BYTES {
-            return bad(
-                "bytes of the observations of a step",
-                bytes,
-                "at most 16 GiB: fewer worlds or columns",
-            );
+            let expected = "at most 16 GiB: fewer worlds or columns".into();
+            let field = "bytes of the observations of a step".into();
+            return Err(SimError::Config { field, got: bytes.to_string(), expected });
         }
         let num_scenes = scenes.len();
         let scenes = Scenes::new(scenes, config.observation.bev);

@@ -1,0 +1,102 @@
+//! The game: a scene, its world, and the arrays that JavaScript reads.
+
+use ccdiff_nuscenes::decode_scene;
+use ccdiff_sim::policy::Driver;
+use ccdiff_sim::scene::Scene;
+use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use std::sync::Arc;
+
+/// Numbers of a state.
+const STATE: usize = 7;
+
+macro_rules! arrays {
+    ($($name:ident: $type:ty),+) => {
+        /// The arrays of a step.
+        #[derive(Default)]
+        pub(crate) struct Arrays {
+            $(pub(crate) $name: Vec<$type>),+
+        }
+
+        impl Arrays {
+            /// Arrays of the sizes that a world asks for.
+            fn of(world: &VecWorld) -> Self {
+                let specs = world.extent().arrays(world.num_worlds());
+                let size = |name: &str| {
+                    let spec = specs.iter().find(|s| s.name == name && !s.shape.is_empty());
+                    spec.map_or(0, |s| s.shape.iter().product())
+                };
+                Self { $($name: vec![<$type>::default(); size(stringify!($name))]),+ }
+            }
+
+            fn buffers(&mut self) -> StepBuffers<'_> {
+                StepBuffers { $($name: &mut self.$name),+ }
+            }
+        }
+    };
+}
+
+ccdiff_sim::with_step_arrays!(arrays);
+
+/// What a page plays.
+#[derive(Default)]
+pub(crate) struct Game {
+    /// Bytes from JavaScript.
+    pub(crate) given: Vec<u8>,
+    /// Why the last call failed.
+    pub(crate) message: String,
+    /// Present states [A, 7].
+    pub(crate) states: Vec<f32>,
+    /// Output of the last step.
+    pub(crate) out: Arrays,
+    scene: Option<Arc<Scene>>,
+    world: Option<VecWorld>,
+}
+
+impl Game {
+    pub(crate) fn num_agents(&self) -> usize {
+        self.states.len() / STATE
+    }
+
+    pub(crate) fn load(&mut self) -> Result<(), String> {
+        let bytes = std::mem::take(&mut self.given);
+        self.scene = Some(Arc::new(decode_scene(&bytes).map_err(|e| e.to_string())?));
+        self.world = None;
+        Ok(())
+    }
+
+    pub(crate) fn reset(&mut self, seed: u64) -> Result<(), String> {
+        let text = String::from_utf8(std::mem::take(&mut self.given)).map_err(|e| e.to_string())?;
+        let config = WorldConfig::from_json(&text).map_err(|e| e.to_string())?;
+        let scene = self.scene.clone().ok_or("reset before load")?;
+        let mut world = VecWorld::new(vec![scene], config, 1, 1, Vec::new()).map_err(|e| e.to_string())?;
+        self.out = Arrays::of(&world);
+        let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], mask: None };
+        world.reset(&request, self.out.buffers()).map_err(|e| e.to_string())?;
+        self.world = Some(world);
+        self.keep()
+    }
+
+    pub(crate) fn step(&mut self, action: [f32; 2]) -> Result<(), String> {
+        let world = self.world.as_mut().ok_or("step before reset")?;
+        world.step(&action, None, self.out.buffers()).map_err(|e| e.to_string())?;
+        self.keep()
+    }
+
+    /// Writes the present states.
+    fn keep(&mut self) -> Result<(), String> {
+        let world = self.world.as_ref().ok_or("no world")?;
+        let status = world.status(0).map_err(|e| e.to_string())?;
+        let s = status.states;
+        self.states.clear();
+        for a in 0..s.len() {
+            let driver = match status.drivers[a] {
+                Driver::External => -1.0,
+                Driver::Policy(place) => f32::from(place),
+            };
+            let there = if s.active[a] { 1.0 } else { 0.0 };
+            let velocity = [s.velocity_x_mps[a], s.velocity_y_mps[a]];
+            self.states.extend([s.x[a], s.y[a], s.heading_rad[a], velocity[0], velocity[1], there, driver]);
+        }
+        Ok(())
+    }
+}
