@@ -57,6 +57,8 @@ def files(tmp_path_factory):
     write_page(rollout, folder / "one.html")
     log = log_rollout(rollout.scene, like=rollout)
     write_page(rollout, folder / "two.html", compare=log, titles=("run", "log"))
+    runs = [log, rollout, log, rollout]
+    write_page(rollout, folder / "grid.html", compare=runs, titles=("one", *"abcd"))
     rollout.save(folder / "a.npz")
     log.save(folder / "b.npz")
     write_pages(folder, folder)

@@ -452,3 +452,16 @@ def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
     film = Film(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
     seen = [bool((film.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
     assert seen == [True, False]
+
+
+def test_several_files_are_a_grid(tmp_path, capsys):
+    names = [str(tmp_path / f"{letter}.npz") for letter in "abcd"]
+    for name in names:
+        planned_rollout().save(name)
+    out = tmp_path / "grid.html"
+    assert cli.main(["view", *names, "-o", str(out)]) == 0
+    titles = [unpacked(e)[0]["run"]["title"] for e in elements(out.read_text())]
+    assert titles == ["a", "b", "c", "d"]
+    assert cli.main(["view", "left-turn-00", "left-turn-01", "--traffic", "idm"]) == 2
+    assert "--traffic plays one scene" in capsys.readouterr().err
+    assert cli.main(["view", str(tmp_path), names[0]]) == 2

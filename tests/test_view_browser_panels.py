@@ -133,7 +133,7 @@ def test_the_time_line_is_a_slider_that_says_where_it_is(visit):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["one.html", "two.html", "index.html"])
+@pytest.mark.parametrize("name", ["one.html", "two.html", "grid.html", "index.html"])
 def test_axe_finds_nothing_serious(browser, files, axe, name, theme):
     context = browser.new_context(color_scheme=theme, reduced_motion="reduce", bypass_csp=True)
     page = context.new_page()
@@ -278,3 +278,50 @@ def test_two_fingers_zoom(visit):
         touch("touchMove", (180 - gap, 300), (210 + gap, 300))
     touch("touchEnd")
     assert page.state("camera.scale") > 2 * scale
+
+
+def boxes(page):
+    """Places of the panes that are seen: left, top, width, height."""
+    found = [pane.bounding_box() for pane in page.locator(".pane").all() if pane.is_visible()]
+    return [(b["x"], b["y"], b["width"], b["height"]) for b in found]
+
+
+def test_a_grid_has_one_clock_and_a_run_can_have_it_alone(visit):
+    page = visit("grid.html")
+    tiles = boxes(page)
+    assert len(tiles) == 5
+    assert len({x for x, *_ in tiles}) == 3
+    assert len({y for _, y, *_ in tiles}) == 2
+    assert all("ego drove into 1" in page.locator(".pane").nth(i).inner_text() for i in (0, 2, 4))
+    blank = page.evaluate("document.createElement('canvas').toDataURL()")
+    maps = "[...document.querySelectorAll('.map')].map((map) => map.toDataURL())"
+    before = page.evaluate(maps)
+    page.click("#forward")
+    page.frames()
+    after = page.evaluate(maps)
+    assert all(one not in (two, blank) for one, two in zip(after, before, strict=True))
+    page.click(".pane:nth-child(3) .enlarge")
+    page.frames()
+    ((_, _, width, height),) = boxes(page)
+    assert width > 2.5 * tiles[0][2]
+    assert height > 1.9 * tiles[0][3]
+    page.until("location.hash.includes('run=3')")
+    assert len(boxes(visit("grid.html", hash="#t=0&run=3"))) == 1
+    page.keyboard.press("3")
+    page.frames()
+    assert boxes(page) == tiles
+    page.keyboard.press("2")
+    page.keyboard.press("0")
+    page.frames()
+    assert boxes(page) == tiles
+
+
+def test_a_grid_fits_a_phone(visit):
+    page = visit("grid.html", viewport={"width": 390, "height": 844}, has_touch=True)
+    tiles = boxes(page)
+    assert len({x for x, *_ in tiles}) == 2
+    assert min(width for *_, width, _ in tiles) > 150
+    assert min(height for *_, height in tiles) > 200
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    button = page.locator(".enlarge").first.bounding_box()
+    assert min(button["width"], button["height"]) >= 44

@@ -46,7 +46,10 @@ class Titled:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument(
-        "what", metavar="RUN_OR_SCENE", help="file of a rollout, folder of them, or name of a scene"
+        "what",
+        nargs="+",
+        metavar="RUN_OR_SCENE",
+        help="file of a rollout, folder of them, or name of a scene; several are a grid",
     )
     parser.add_argument(
         "--compare",
@@ -103,6 +106,10 @@ def run(args: argparse.Namespace) -> int:
     kinds = [name for name, wanted in asked.items() if wanted]
     if len(kinds) > 1:
         raise ConfigError("give one of --png, --gif and --mp4")
+    args.what, *others = args.what
+    if others and args.traffic is not None:
+        raise ConfigError("--traffic plays one scene: show others beside it with --compare")
+    args.compare = others + args.compare
     folder = Path(args.what)
     if folder.is_dir():
         return _folder(args, folder, kinds)
@@ -120,9 +127,9 @@ def run(args: argparse.Namespace) -> int:
         _picture(args, runs, out)
         print(out)
         return 0
-    first, *others = (run.rollout for run in runs)
-    titles = [run.title for run in runs] if others else None
-    write_page(first, out, compare=others, titles=titles)
+    first, *beside = (run.rollout for run in runs)
+    titles = [run.title for run in runs] if beside else None
+    write_page(first, out, compare=beside, titles=titles)
     say_page(out, open_it=args.open)
     return 0
 

@@ -27,6 +27,7 @@ const KEYS = [
   ["T P G", "trails, plans, causal graph", null, []],
   ["L K", "names, lanes", null, []],
   ["O", "ghost of the other run", null, []],
+  ["1 2 …, 0", "one run alone, all runs", null, []],
   ["C", "colour by driver, kind, speed", null, []],
   ["D", "dark or light", null, ["d"]],
   ["S", "panels", null, ["s"]],
@@ -54,7 +55,7 @@ async function main() {
     player.touch();
   }, (pair) => player.showPair(pair.map((agent) => runs[0].agents[agent].id)));
   document.body.classList.toggle("compare", runs.length > 1);
-  $("stage").style.setProperty("--columns", runs.length < 4 ? runs.length : Math.ceil(Math.sqrt(runs.length)));
+  document.body.classList.toggle("many", runs.length > 2);
   const said = new Herald($("said"), runs);
 
   let shown = 0;
@@ -74,12 +75,18 @@ async function main() {
     contacts.draw(step, focus === undefined ? -1 : focus, chrome);
     showFocus(player);
     showControls(player);
+    const seen = player.alone === null ? runs.length : 1;
+    $("stage").style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
+    document.body.classList.toggle("alone", player.alone !== null);
     showLegend(player, settings);
   };
   wireControls(player);
   if (settings.edit) wireEditing(player);
   wireKeys(player);
-  player.panes.forEach((pane) => wirePane(pane, player));
+  player.panes.forEach((pane, index) => {
+    wirePane(pane, player);
+    pane.enlarge.addEventListener("click", () => player.show(index));
+  });
   showAbout(runs);
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   const { width, height } = player.panes[0];
@@ -114,7 +121,7 @@ class Herald {
 
 /**
  * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
- * start), also hide=trails, zoom (pixels a metre), colour=speed, theme=dark, play=1.
+ * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), colour=speed, theme=dark, play=1.
  */
 function readAddress(player) {
   const wishes = new URLSearchParams(location.hash.slice(1));
@@ -126,6 +133,8 @@ function readAddress(player) {
       if (LAYERS.includes(layer)) player.layers[layer] = wanted;
   const [low, high] = SCALE_LIMITS, zoom = Number(wishes.get("zoom"));
   if (zoom >= low && zoom <= high) player.camera.scale = zoom;
+  const run = Number(wishes.get("run")) - 1;
+  if (player.panes[run] && run !== player.alone) player.show(run);
   if (COLOUR_MODES.includes(wishes.get("colour"))) player.colourBy(wishes.get("colour"));
   if (wishes.get("theme") in CHROME) setTheme(player, wishes.get("theme"));
   player.touch();
@@ -140,6 +149,7 @@ function addressOf(player) {
     const changed = LAYERS.filter((layer) => player.layers[layer] === wanted && LAYERS_AT_START[layer] !== wanted);
     if (changed.length) wishes.set(word, changed.join());
   }
+  if (player.alone !== null) wishes.set("run", player.alone + 1);
   wishes.set("zoom", player.camera.scale.toFixed(1));
   wishes.set("colour", player.colourMode);
   return `#${wishes.toString().replaceAll("%2C", ",")}`;
@@ -341,9 +351,12 @@ function wireKeys(player) {
     c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 3]),
     d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
     s: () => togglePanels(player),
+    0: () => player.show(null),
     m: () => $("edit") && player.toggleEditing(),
     "?": () => $("help").showModal(),
   };
+  if (player.panes.length > 1)
+    player.panes.slice(0, 9).forEach((_, index) => { actions[index + 1] = () => player.show(index); });
   for (const [, , action, keys] of KEYS)
     if (action) for (const key of keys) actions[key] = () => action(player);
   addEventListener("keydown", (event) => {
@@ -357,7 +370,7 @@ function wireKeys(player) {
   });
   // a button that is clicked gives the keys back to the map
   addEventListener("click", (event) => {
-    if (event.detail > 0 && event.target.closest("footer button, header button")) document.activeElement.blur();
+    if (event.detail > 0 && event.target.closest("footer button, header button, .enlarge")) document.activeElement.blur();
   });
 }
 

@@ -20,7 +20,10 @@ class Pane {
     this.caption = element("div", "pane-caption");
     this.caption.append(badge(index), element("b", "", run.title), element("span", "", run.subtitle));
     this.caption.append(...verdict(run.outcome));
-    this.root.append(this.canvas, this.caption);
+    this.enlarge = element("button", "enlarge", "⤢");
+    this.enlarge.title = `This run alone (${index + 1}; all: 0)`;
+    this.enlarge.setAttribute("aria-label", `${run.title} alone`);
+    this.root.append(this.canvas, this.caption, this.enlarge);
     if (!run.layers.lanes.length) this.root.append(element("p", "pane-note", "This map has no lanes."));
     root.append(this.root);
   }
@@ -29,6 +32,7 @@ class Pane {
   get height() { return this.canvas.clientHeight; }
 
   draw(player, other) {
+    if (!this.width) return;
     const { camera, theme, layers } = player;
     const ratio = window.devicePixelRatio || 1, { width, height } = this;
     resizeCanvas(this.canvas, width, height, ratio);
@@ -106,6 +110,7 @@ class Player {
     this.flags = { ego: true, guided: true, others: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
     this.follow = this.focus;
+    this.alone = null; // index of the run that has the stage to itself
     this.hover = null;
     this.pair = null;
     this.editing = false;
@@ -187,6 +192,19 @@ class Player {
     this.touch();
   }
 
+  /** Give the stage to one run, or back to all of them. */
+  show(index) {
+    this.alone = index === this.alone || !this.panes[index] ? null : index;
+    this.panes.forEach((pane, i) => {
+      pane.root.hidden = this.alone !== null && i !== this.alone;
+      pane.enlarge.setAttribute("aria-pressed", i === this.alone);
+    });
+    this.touch();
+  }
+
+  /** The first pane that is seen. */
+  get shown() { return this.panes[this.alone ?? 0]; }
+
   toggleEditing() {
     this.editing = !this.editing;
     this.touch();
@@ -236,7 +254,7 @@ class Player {
     if (!Number.isFinite(box[0])) return;
     this.follow = null;
     this.headingUp = false;
-    this.camera.fit(box, this.panes[0].width, this.panes[0].height);
+    this.camera.fit(box, this.shown.width, this.shown.height);
     this.touch();
   }
 
@@ -250,7 +268,7 @@ class Player {
     this.follow = null;
     this.headingUp = false;
     this.focus = one;
-    this.camera.fit(box, this.panes[0].width, this.panes[0].height);
+    this.camera.fit(box, this.shown.width, this.shown.height);
     this.touch();
   }
 
