@@ -23,6 +23,7 @@ from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.certificate import Certificate
 from ccdiff_env.cli import main
 from ccdiff_env.config import BevConfig, ObservationConfig
+from ccdiff_env.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.files import file_name
 from ccdiff_env.models import Planner, shipped_weights
@@ -326,3 +327,42 @@ def test_long_names_are_cut_in_pictures():
     start = time.process_time()
     env.render()
     assert time.process_time() - start < 2.0
+
+
+@pytest.fixture
+def data_set(tmp_path):
+    """The embedded scenes as files; loads the first one."""
+    unpack(tmp_path)
+    name = embedded_splits()["val"][0]
+
+    def load() -> Scene:
+        return ccdiff_env.load_nuscenes(tmp_path, VERSION, scenes=[name], cache=False)[0]
+
+    return tmp_path, load
+
+
+def test_files_may_begin_with_a_byte_order_mark(data_set):
+    folder, load = data_set
+    plain = load()
+    for path in folder.rglob("*.json"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load() == plain
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        (f"{VERSION}/sample_annotation.json", "translation"),
+        (f"{VERSION}/scene.json", "name"),
+        ("maps/expansion/ccdiff-town.json", "drivable_area"),
+    ],
+)
+def test_names_of_fields_with_escapes_are_refused(data_set, file, name):
+    folder, load = data_set
+    path = folder / file
+    escaped = f'"\\u{ord(name[0]):04x}{name[1:]}"'
+    assert json.loads(escaped) == name
+    path.write_text(path.read_text().replace(f'"{name}"', escaped))
+    with pytest.raises(errors.DatasetError, match="without escapes") as error:
+        load()
+    assert path.name in str(error.value)

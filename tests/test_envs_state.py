@@ -95,22 +95,32 @@ def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
 # ---------------------------------------------------------------------- threads and processes
 
 
-def _step_in_child(env, queue):
+CALLS = {
+    "step": lambda env: env.step(np.zeros(2, np.float32)),
+    "digest": lambda env: env.worlds.native.digest(0),
+    "explain": lambda env: env.worlds.native.explain(0),
+    "snapshot": lambda env: env.snapshot(),
+}
+
+
+def _call_in_child(env, name, queue):
     try:
-        env.step(np.zeros(2, np.float32))
-        queue.put("stepped")
+        CALLS[name](env)
+        queue.put("done")
     except ForkError as error:
+        env.close()  # a child may close what it cannot use
         queue.put(str(error))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_forked_child_is_told_to_spawn(scenes):
+@pytest.mark.parametrize("name", CALLS)
+def test_a_forked_child_is_told_to_spawn(scenes, name):
     env = EgoEnv(scenes=scenes)
     env.reset(seed=0)
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
-    child = context.Process(target=_step_in_child, args=(env, queue))
+    child = context.Process(target=_call_in_child, args=(env, name, queue))
     child.start()
     assert "spawn" in queue.get(timeout=60)
     child.join(60)

@@ -5,6 +5,7 @@ use crate::error::{NuscenesError, Result};
 use crate::index::TokenIndex;
 use crate::record::{Members, Record, Source, Text, elements, plain_string};
 use crate::report::MapReport;
+use crate::stream::BYTE_ORDER_MARK;
 use crate::token::Token;
 use ccdiff_sim::scene::LaneKind;
 use rayon::prelude::*;
@@ -160,8 +161,9 @@ struct MapText<'a> {
 
 impl<'a> MapText<'a> {
     fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
-        let source = Source { path, offset: 0 };
-        Ok(Self { layers: members(bytes, source)? })
+        let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
+        let source = Source { path, offset: (bytes.len() - text.len()) as u64 };
+        Ok(Self { layers: members(text, source)? })
     }
 
     /// The records of a layer made into something, in parallel; nothing where there is no such layer.

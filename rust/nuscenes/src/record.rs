@@ -210,7 +210,8 @@ impl<'a> Members<'a> {
         self.source.fail(at, format!("found {found}, expected {what}, in {}", excerpt(self.text)))
     }
 
-    /// Bytes of the key (escapes left as they are) and place of the value; `None` after the last one.
+    /// Bytes of the key and place of the value; `None` after the last one. Names with escapes are refused, which is
+    /// legal JSON that no data set has.
     pub(crate) fn next_member(&mut self) -> Result<Option<(&'a [u8], Range<usize>)>> {
         let text = self.text;
         let mut at = skip_space(text, self.at);
@@ -235,10 +236,13 @@ impl<'a> Members<'a> {
         if text.get(at) != Some(&b'"') {
             return Err(self.expected(at, "the name of a field"));
         }
-        let key_end =
-            skip_string(text, at).ok_or_else(|| self.expected(text.len(), "the end of a string"))?;
-        let key = &text[at + 1..key_end - 1];
-        at = skip_space(text, key_end);
+        let key_end = find_quote_or_escape(text, at + 1)
+            .ok_or_else(|| self.expected(text.len(), "the end of a string"))?;
+        if text[key_end] == b'\\' {
+            return Err(self.expected(key_end, "the name of a field without escapes"));
+        }
+        let key = &text[at + 1..key_end];
+        at = skip_space(text, key_end + 1);
         if text.get(at) != Some(&b':') {
             return Err(self.expected(at, "a colon"));
         }
@@ -327,6 +331,7 @@ mod tests {
             "{\"a\":1,}",
             "{\"a\" 1}",
             "{a:1}",
+            r#"{"\u0061":1}"#,
             "{\"a\":}",
             "{}x",
         ];

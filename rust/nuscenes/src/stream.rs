@@ -16,6 +16,8 @@ use std::path::Path;
 const BLOCK_BYTES: usize = 1 << 20;
 /// A longer record means a string or an object that never ends.
 const MAX_RECORD_BYTES: usize = 16 << 20;
+/// UTF-8's byte-order mark, which a file may begin with.
+pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Records parsed by one task.
 const RECORDS_PER_TASK: usize = 256;
 
@@ -185,6 +187,7 @@ impl<'a, R: Read> Blocks<'a, R> {
                     continue;
                 }
                 _ if byte.is_ascii_whitespace() => {}
+                At::Start if BYTE_ORDER_MARK.get(self.offset as usize + i) == Some(&byte) => {}
                 At::Start if byte == b'[' => at = At::Item { after_comma: false },
                 At::Item { .. } if byte == b'{' => {
                     record_start = i;
@@ -239,13 +242,17 @@ mod tests {
         let expected = vec![(1, "br{ack}]ets, \"quotes\", \\ and é".to_owned()), (2, String::new())];
         for block_bytes in 1..=text.len() + 1 {
             assert_eq!(read(text, block_bytes).unwrap(), expected, "block of {block_bytes}");
+            let marked = [BYTE_ORDER_MARK, text].concat();
+            assert_eq!(read(&marked, block_bytes).unwrap(), expected, "block of {block_bytes}, marked");
         }
         assert!(read(b"[]", 1).unwrap().is_empty());
     }
 
     #[test]
     fn damage_is_refused_with_its_byte_offset() {
-        let cases: [(&str, u64, &str); 9] = [
+        let cases: [(&str, u64, &str); 11] = [
+            ("[\u{feff}]", 1, "a record"),
+            ("[{\"\\u0061\":1,\"s\":\"\"}]", 3, "without escapes"),
             ("", 0, "empty"),
             ("  ", 2, "empty"),
             ("{}", 0, "an array of records"),
