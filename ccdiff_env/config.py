@@ -174,6 +174,11 @@ def unknown(what: str, name: str, known: typing.Iterable[str]) -> ConfigError:
     return ConfigError(f"unknown {what} {name!r}; {hint}")
 
 
+def _fields_of(kind: Any) -> tuple[str, ...]:
+    """Names of the fields of a data class; of anything else none."""
+    return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
+
+
 def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
     """Copy of a dataclass with fields replaced, each checked against its annotation."""
     hints = typing.get_type_hints(type(config))
@@ -181,7 +186,10 @@ def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
     for name, value in options.items():
         name = renamed("option", name, FORMER.get(type(config), {}))
         if name not in hints:
-            error = unknown("option", path + str(name), (path + n for n in hints))
+            known = [path + n for n in hints]
+            # those of a nested configuration are named by their path
+            inner = [f"{n}.{name}" for n, t in hints.items() if str(name) in _fields_of(t)]
+            error = unknown("option", path + str(name), inner or known)
             if path:
                 raise error
             # wrappers of other libraries look for these words

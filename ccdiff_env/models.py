@@ -106,9 +106,15 @@ def weights_path(
     ------
     ConfigError
         Routes in one denoising step: no shipped network was taught both.
+    FileNotFoundError
+        There is no such file.
     """
-    if weights != "fast" or model != "ccdiff":
-        return shipped_weights(model) if weights == "fast" else Path(weights)
+    if weights != "fast":
+        if not Path(weights).is_file():
+            raise FileNotFoundError(f'weights: no file {weights}; "fast" is the shipped network')
+        return Path(weights)
+    if model != "ccdiff":
+        return shipped_weights(model)
     if follow_route and denoising_steps == 1:
         raise ConfigError(
             "ccdiff.follow_route is True with denoising_steps 1, expected 2 steps or more: "

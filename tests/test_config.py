@@ -109,6 +109,7 @@ def test_numpy_numbers_are_numbers():
     ("options", "message"),
     [
         ({"trafic": "idm"}, "did you mean 'traffic'"),
+        ({"ego_columns": ("speed",)}, "did you mean .observation.ego_columns"),
         ({"reward": {"gaol": 1.0}}, "did you mean 'reward.goal'"),
         ({"dynamics": "bicicle"}, "did you mean 'bicycle'"),
         ({"dynamics": {"bicycle": {"speed": 1}}}, "speed_mps"),

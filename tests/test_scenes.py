@@ -220,8 +220,10 @@ def test_mistakes_have_their_own_exceptions(root):
 
     with pytest.raises(FileNotFoundError, match="elsewhere"):
         ccdiff_env.load_nuscenes(root / "elsewhere", VERSION)
-    with pytest.raises(errors.DatasetNotFoundError, match=r"v7"):
+    with pytest.raises(errors.DatasetNotFoundError, match=rf"there are {VERSION}\).*v7"):
         ccdiff_env.load_nuscenes(root, "v7")
+    with pytest.raises(errors.DatasetNotFoundError, match="the folder above"):
+        ccdiff_env.load_nuscenes(root / VERSION, VERSION)
     with pytest.raises(errors.UnknownNameError, match="ccdiff100"):
         load("tests")
     with pytest.raises(errors.UnknownNameError, match="scene-0007"):

@@ -46,16 +46,31 @@ pub fn load(dataroot: &Path, version: &str, options: &LoadOptions) -> Result<Loa
             ..LoadReport::default()
         },
     };
-    for (folder, what) in [(dataroot, "data set"), (&load.tables.folder, "version of the data set")] {
-        if !folder.is_dir() {
-            return Err(NuscenesError::Missing { what: what.to_owned(), path: folder.to_owned() });
-        }
+    if !dataroot.is_dir() {
+        return Err(NuscenesError::Missing { what: "data set".into(), path: dataroot.to_owned() });
+    }
+    if !load.tables.folder.is_dir() {
+        let what = format!("version of the data set ({})", versions(dataroot));
+        return Err(NuscenesError::Missing { what, path: load.tables.folder });
     }
     let scenes = load.run()?;
     let (hits, built) = (load.report.cache.hits, load.report.cache.built);
     load.report.cache = crate::report::CacheReport { hits, built, ..load.cache.report() };
     load.report.timing.total_s = started.elapsed().as_secs_f64();
     Ok(Loaded { scenes, report: load.report })
+}
+
+/// Words about the versions that a data root has.
+fn versions(dataroot: &Path) -> String {
+    let is_version = |path: &Path| path.join("scene.json").is_file();
+    if is_version(dataroot) {
+        return "the data root is the folder above its tables".into();
+    }
+    let entries = std::fs::read_dir(dataroot).into_iter().flatten().flatten();
+    let folders = entries.filter(|entry| is_version(&entry.path()));
+    let mut names: Vec<_> = folders.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    if names.is_empty() { "there is none".into() } else { format!("there are {}", names.join(", ")) }
 }
 
 type Built = (Option<Scene>, SceneReport);
