@@ -31,6 +31,10 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 
 
+#: Who moves pedestrians.
+Pedestrians: TypeAlias = Literal["replay", "social_force"]
+
+
 #: What follows when a controlled agent touches another one, or leaves the road.
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 
@@ -300,9 +304,11 @@ class WorldOptions:
     #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
     driver: str = "external"
     #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
-    #: each vehicle and episode from the world's seed. Pedestrians, cyclists, motorcycles and
-    #: obstacles follow the log. A ``PythonTraffic`` stands for itself.
+    #: each vehicle and episode from the world's seed. Cyclists, motorcycles and obstacles follow
+    #: the log. A ``PythonTraffic`` stands for itself.
     traffic: str | Mapping[str, float] = "replay"
+    #: Who moves pedestrians: their log, or the social force model along their logged paths.
+    pedestrians: Pedestrians = "replay"
     #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
     drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
     #: Whether agents that the log brings later enter (once their place is free).

@@ -15,8 +15,11 @@ CORNERS = [[-40.0, -30.0], [100.0, -30.0], [100.0, 30.0], [-40.0, 30.0]]
 ROAD = {"exterior": np.array(CORNERS, np.float32), "holes": []}
 
 
-def scene_of(tracks, valid=None, road=ROAD):
-    """A scene of cars: an ego that stands aside, and others by positions [T, 2] and headings."""
+def scene_of(tracks, valid=None, road=ROAD, walkers=0):
+    """A scene of cars: an ego that stands aside, and others by positions [T, 2] and headings.
+
+    The last ones of the tracks are pedestrians.
+    """
     position = np.zeros((len(tracks) + 1, STEPS, 2), np.float32)
     heading = np.zeros((len(tracks) + 1, STEPS), np.float32)
     position[0] = (-35.0, -25.0)
@@ -30,12 +33,13 @@ def scene_of(tracks, valid=None, road=ROAD):
     for i, at in enumerate(there):
         velocity[i, at] = np.gradient(position[i, at], 0.1, axis=0)
     names = ["ego", *(f"car-{i}" for i in range(len(tracks)))]
+    cars = len(names) - walkers
     return Scene.from_arrays(
         "background",
         agent_ids=names,
-        agent_types=["vehicle"] * len(names),
-        agent_categories=["vehicle.car"] * len(names),
-        sizes=np.tile(np.array([4.5, 2.0, 1.5], np.float32), (len(names), 1)),
+        agent_types=["vehicle"] * cars + ["pedestrian"] * walkers,
+        agent_categories=["vehicle.car"] * cars + ["human.pedestrian.adult"] * walkers,
+        sizes=np.array([[4.5, 2.0, 1.5]] * cars + [[0.6, 0.6, 1.8]] * walkers, np.float32),
         position=position,
         heading=heading,
         velocity=velocity,
@@ -126,3 +130,61 @@ def test_ccdiff_traffic_leaves_where_the_map_ends():
     assert not there.all()
     last = played["position"][1, there][-1]
     assert 60.0 < last[0] <= 62.0, last
+
+
+def walked(scene, **options):
+    """Positions [T, A, 2] of an episode in which cars keep their speed."""
+    config = WorldConfig().with_options(
+        traffic="constant_velocity", on_collision="ignore", on_traffic_collision="ignore",
+        terminate_at_goal=False, on_off_road="ignore", autoreset="disabled", **options,
+    )  # fmt: skip
+    worlds = Worlds(SceneSet([scene]), config, num_worlds=1, num_threads=1)
+    native, out = worlds.native, worlds.arrays()
+    native.reset([0], [0], None, out)
+    seen = [native.states(0)["position"]]
+    for _ in range(100):
+        native.step(np.zeros((1, 1, native.action_width), np.float32), out)
+        seen.append(native.states(0)["position"])
+    return np.array(seen)
+
+
+def test_pedestrians_give_way_to_cars_and_walk_on():
+    # both would be at the origin 2.5 s after the start: the car at 8 m/s, the walker at 1.4 m/s
+    car = straight((-44.0, 0.0), (8.0, 0.0))
+    walker = straight((0.0, 7.7), (0.0, -1.4))
+    scene = scene_of([car, walker], walkers=1)
+    into, gives = (walked(scene, pedestrians=who) for who in ("replay", "social_force"))
+
+    def least_gap(seen):
+        along, across = np.abs(seen[:, 2] - seen[:, 1]).T
+        return np.hypot(np.maximum(along - 2.25, 0), np.maximum(across - 1.0, 0)).min()
+
+    assert least_gap(into) == 0.0
+    assert least_gap(gives) > 0.5
+    # it waits, then makes up for it
+    late = np.linalg.norm(gives[:, 2] - into[:, 2], axis=1)
+    assert late[-1] < 2.0 < late.max()
+    speed = np.linalg.norm(np.diff(gives[:, 2], axis=0), axis=1) / 0.1
+    assert speed.max() <= 1.3 * 1.4 + 1e-3
+    np.testing.assert_array_equal(gives[:, 1], into[:, 1])
+
+
+def test_pedestrians_whom_nobody_meets_walk_as_logged_and_beside_a_car_too():
+    alone = scene_of([straight((0.0, 7.7), (0.0, -1.4))], walkers=1)
+    np.testing.assert_allclose(walked(alone, pedestrians="social_force"), walked(alone), atol=0.3)
+    beside = scene_of(
+        [straight((-44.0, 0.0), (8.0, 0.0)), straight((0.0, 3.0), (1.4, 0.0))], walkers=1
+    )
+    apart = walked(beside, pedestrians="social_force") - walked(beside)
+    assert np.abs(apart[:, 2]).max() < 0.3
+
+
+def test_pedestrians_keep_apart():
+    one, two = straight((-8.0, 0.1), (1.2, 0.0)), straight((8.0, -0.1), (-1.2, 0.0))
+    scene = scene_of([one, two], walkers=2)
+    gaps = [
+        np.linalg.norm(seen[:, 1] - seen[:, 2], axis=1).min()
+        for seen in (walked(scene), walked(scene, pedestrians="social_force"))
+    ]
+    assert gaps[0] < 0.25
+    assert gaps[1] > gaps[0]

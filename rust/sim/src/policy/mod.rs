@@ -12,6 +12,7 @@ mod driver;
 mod idm;
 mod plan;
 mod replay;
+mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
 pub use driver::Driver;
@@ -20,6 +21,7 @@ pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
 };
 pub use replay::Replay;
+pub use social_force::SocialForce;
 
 use crate::error::Result;
 use crate::geom::{Pose2, Vector2};

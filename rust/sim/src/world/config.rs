@@ -58,6 +58,17 @@ choices! {
 }
 
 choices! {
+    /// Who moves pedestrians.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Pedestrians {
+        /// Their log.
+        Replay = "replay",
+        /// The social force model along their logged paths: they give way to vehicles and to each other.
+        SocialForce = "social_force",
+    }
+}
+
+choices! {
     /// What follows when agents without a slot touch.
     #[derive(Clone, Copy, Eq)]
     pub enum TrafficCollision {
@@ -143,9 +154,11 @@ options! {
         /// Who drives the agents that have a slot: `"external"` (actions), or a driver by name.
         driver: String = EXTERNAL.into();
         /// Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for each vehicle and
-        /// episode from the world's seed. Pedestrians, cyclists, motorcycles and obstacles follow the log. A
-        /// `PythonTraffic` stands for itself.
+        /// episode from the world's seed. Cyclists, motorcycles and obstacles follow the log. A `PythonTraffic`
+        /// stands for itself.
         traffic: Traffic = "replay".into();
+        /// Who moves pedestrians: their log, or the social force model along their logged paths.
+        pedestrians: Pedestrians = Pedestrians::Replay;
         /// Drivers of single vehicles by id, whatever `driver` and `traffic` say.
         drivers: BTreeMap<String, String> = BTreeMap::new();
         /// Whether agents that the log brings later enter (once their place is free).

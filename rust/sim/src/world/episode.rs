@@ -140,6 +140,7 @@ impl Episode {
         let (seed, number) = (self.seed, self.number);
         self.drivers.extend(scene.kinds.iter().enumerate().map(|(a, kind)| match kind {
             AgentKind::Vehicle => policies.of_vehicle(seed, number, a),
+            AgentKind::Pedestrian => policies.of_pedestrians(),
             _ => Driver::REPLAY,
         }));
         for a in 0..num_agents {

@@ -44,7 +44,8 @@ pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
 pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
 pub use config::{
-    ActionConfig, Autoreset, Consequence, Controlled, SceneOrder, TABLES, TrafficCollision, WorldConfig,
+    ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
+    WorldConfig,
 };
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use history::{History, PastState};

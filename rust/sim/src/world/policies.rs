@@ -2,15 +2,20 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::policy::{ConstantVelocity, Driver, Idm, PlanRequest, PlanState, Replay, TrafficPolicy};
+use crate::policy::{
+    ConstantVelocity, Driver, Idm, PlanRequest, PlanState, Replay, SocialForce, TrafficPolicy,
+};
 use crate::scene::{AgentKind, Scene};
-use crate::world::config::WorldConfig;
+use crate::world::config::{Pedestrians, WorldConfig};
 use crate::world::rng::Rng;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::sync::Arc;
 
 /// Stream of a world's generator from which mixed traffic is drawn.
 const MIX_STREAM: u64 = u64::MAX - 1;
+
+/// Name of the policy that moves pedestrians.
+const SOCIAL_FORCE: &str = "social_force";
 
 /// Policies by name, and the configuration's choice among them.
 pub(crate) struct Policies {
@@ -23,6 +28,8 @@ pub(crate) struct Policies {
     slots: Driver,
     /// Drivers of the other vehicles, each with the sum of the shares up to its own.
     traffic: Vec<(Real, Driver)>,
+    /// Driver of pedestrians.
+    pedestrians: Driver,
     /// Drivers of single vehicles by id.
     by_id: Vec<(String, Driver)>,
 }
@@ -40,7 +47,9 @@ impl Policies {
             ("constant_velocity".into(), Box::new(ConstantVelocity)),
             ("idm".into(), Box::new(idm)),
         ];
-        for (name, policy) in more {
+        let walks = config.pedestrians == Pedestrians::SocialForce;
+        let social_force = || (SOCIAL_FORCE.into(), Box::new(SocialForce) as Box<dyn TrafficPolicy>);
+        for (name, policy) in more.into_iter().chain(walks.then(social_force)) {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
                 let expected = "a name that nobody else has".into();
                 return Err(SimError::Config { field: "policies".into(), got: name, expected });
@@ -53,10 +62,14 @@ impl Policies {
             history_states: table.iter().map(|(_, p)| p.history_states()).max().unwrap_or(0),
             slots: Driver::External,
             traffic: Vec::new(),
+            pedestrians: Driver::REPLAY,
             by_id: Vec::new(),
             table,
         };
         policies.slots = policies.driver("driver", &config.driver)?;
+        if walks {
+            policies.pedestrians = policies.driver("pedestrians", SOCIAL_FORCE)?;
+        }
         let mut sum = 0.0;
         for name in config.traffic.names() {
             sum += match &config.traffic {
@@ -158,6 +171,11 @@ impl Policies {
         let drawn = (rng.next_u64() >> 40) as Real / (1u64 << 24) as Real;
         let found = self.traffic.iter().find(|(up_to, _)| drawn < *up_to);
         found.or(self.traffic.last()).map_or(Driver::REPLAY, |(_, driver)| *driver)
+    }
+
+    /// Driver of pedestrians.
+    pub(crate) fn of_pedestrians(&self) -> Driver {
+        self.pedestrians
     }
 
     /// Drivers of single vehicles by id.
