@@ -7,70 +7,96 @@ use crate::state::{AgentStates, Body};
 /// Agents asked about at once.
 const LANES: usize = 8;
 
-/// Finds the least time to contact of one agent after the other; holds the memory that it works in.
+/// Finds the least times to contact of some agents; holds the memory that it works in.
 #[derive(Debug, Clone, Default)]
 pub struct LeastTimes {
-    /// Radii of the circles round the boxes; negative without end for agents that are not there.
+    /// Radii of the circles round the boxes; negative without end for agents that are not there, or were asked about.
     radius_m: Vec<Real>,
     /// 1 for agents that may be met; whole blocks.
     may_meet: Vec<u8>,
+    /// Least time of each agent that is asked about, seconds; 0 for the others.
+    least_s: Vec<Real>,
 }
 
 impl LeastTimes {
-    /// Takes what all questions about a step have in common.
-    pub fn prepare(&mut self, states: &AgentStates, bodies: &[Body]) {
+    /// Finds the first time at which each of some agents touches any other when all keep their velocities, seconds, at
+    /// most the horizon. Each pair is looked at once.
+    pub fn find(
+        &mut self,
+        states: &AgentStates,
+        bodies: &[Body],
+        agents: impl Iterator<Item = usize> + Clone,
+        horizon_s: Real,
+    ) {
+        let radius_m =
+            |(body, there): (&Body, &bool)| if *there { body.radius_m } else { Real::NEG_INFINITY };
         self.radius_m.clear();
-        self.radius_m.extend(
-            bodies.iter().zip(&states.active).map(
-                |(body, active)| {
-                    if *active { body.radius_m } else { Real::NEG_INFINITY }
-                },
-            ),
-        );
+        self.radius_m.extend(bodies.iter().zip(&states.active).map(radius_m));
+        self.may_meet.resize(states.len().next_multiple_of(LANES), 0);
+        self.least_s.clear();
+        self.least_s.resize(states.len(), 0.0);
+        agents.clone().for_each(|a| self.least_s[a] = horizon_s);
+        // who is not there would meet the others, but they do not meet it
+        for a in agents.clone().filter(|a| !states.active[*a]) {
+            self.meet(states, bodies, a, horizon_s);
+        }
+        for a in agents.filter(|a| states.active[*a]) {
+            self.meet(states, bodies, a, horizon_s);
+            self.radius_m[a] = Real::NEG_INFINITY;
+        }
     }
 
-    /// First time at which an agent touches any other when all keep their velocities, seconds, at most the horizon.
-    pub fn of(&mut self, states: &AgentStates, bodies: &[Body], agent_idx: usize, horizon_s: Real) -> Real {
+    /// The time of one of the agents.
+    pub fn of(&self, agent_idx: usize) -> Real {
+        self.least_s[agent_idx]
+    }
+
+    /// Looks at an agent with all that are left.
+    fn meet(&mut self, states: &AgentStates, bodies: &[Body], agent_idx: usize, horizon_s: Real) {
         let num_agents = states.len();
-        self.may_meet.resize(num_agents.next_multiple_of(LANES), 0);
+        let Some(first) = self.radius_m.iter().position(|r| *r >= 0.0) else { return };
+        let first = first / LANES * LANES;
         self.may_meet[num_agents..].fill(0);
-        circles_may_meet(
-            states,
-            &self.radius_m,
-            bodies[agent_idx].radius_m,
-            agent_idx,
-            horizon_s,
-            &mut self.may_meet[..num_agents],
-        );
+        let own_radius_m = bodies[agent_idx].radius_m;
+        let may_meet = &mut self.may_meet[first..num_agents];
+        circles_may_meet(states, &self.radius_m, own_radius_m, agent_idx, first, horizon_s, may_meet);
         self.may_meet[agent_idx] = 0;
-        let mut least_s = horizon_s;
-        for (block, may_meet) in self.may_meet.as_chunks::<LANES>().0.iter().enumerate() {
+        let is_there = states.active[agent_idx];
+        for (block, may_meet) in self.may_meet[first..].as_chunks::<LANES>().0.iter().enumerate() {
             let mut left = u64::from_le_bytes(*may_meet);
             while left != 0 {
-                let other = block * LANES + left.trailing_zeros() as usize / 8;
-                least_s = time_to_contact(states, bodies, agent_idx, other, least_s).unwrap_or(least_s);
+                let other = first + block * LANES + left.trailing_zeros() as usize / 8;
                 left &= left - 1;
+                let least_s = if is_there { self.least_s[other] } else { 0.0 };
+                let within_s = self.least_s[agent_idx].max(least_s);
+                if let Some(time_s) = time_to_contact(states, bodies, agent_idx, other, within_s) {
+                    self.least_s[agent_idx] = self.least_s[agent_idx].min(time_s);
+                    if is_there {
+                        self.least_s[other] = least_s.min(time_s);
+                    }
+                }
             }
         }
-        least_s
     }
 }
 
 simd_dispatch! {
-    /// Which agents' circles touch the one of an agent within the horizon; true also where that is not sure.
+    /// Which agents' circles, from the first one on, touch the one of an agent within the horizon; true also where that
+    /// is not sure.
     fn circles_may_meet(
         states: &AgentStates,
         radius_m: &[Real],
         own_radius_m: Real,
         agent_idx: usize,
+        first: usize,
         horizon_s: Real,
         may_meet: &mut [u8],
     ) {
         let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
         let (vx, vy) = (states.velocity_x_mps[agent_idx], states.velocity_y_mps[agent_idx]);
         let n = may_meet.len();
-        let (xs, ys, radius_m) = (&states.x[..n], &states.y[..n], &radius_m[..n]);
-        let (vxs, vys) = (&states.velocity_x_mps[..n], &states.velocity_y_mps[..n]);
+        let (xs, ys, radius_m) = (&states.x[first..][..n], &states.y[first..][..n], &radius_m[first..][..n]);
+        let (vxs, vys) = (&states.velocity_x_mps[first..][..n], &states.velocity_y_mps[first..][..n]);
         for j in 0..n {
             let (dx, dy) = (xs[j] - x, ys[j] - y);
             let (wx, wy) = (vxs[j] - vx, vys[j] - vy);

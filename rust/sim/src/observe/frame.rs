@@ -166,30 +166,28 @@ fn put_each<const G: usize, T: Copy>(
 ) {
     let room = room.min(G * LANES);
     let num_whole = out.len().checked_sub(G * LANES).map_or(0, |most| most / width.max(1) + 1);
-    let (whole, last) = indices.split_at(num_whole.min(indices.len()));
-    let mut put = |k: usize, index: T| {
-        #[allow(unsafe_code, reason = "a check for each row costs as much as the row")]
-        // SAFETY: k < num_whole, so k · width + G · LANES <= out.len()
-        let to = unsafe { out.get_unchecked_mut(k * width..k * width + G * LANES) };
+    let num_whole = num_whole.min(indices.len());
+    let put = |to: &mut [Real], index: T| {
         for (g, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
             *to = row(index, g);
         }
     };
-    let (fours, rest) = whole.as_chunks::<4>();
+    let (fours, _) = indices[..num_whole].as_chunks::<4>();
     for (four, indices) in fours.iter().enumerate() {
         for (k, index) in indices.iter().enumerate() {
-            put(4 * four + k, *index);
+            let at = (4 * four + k) * width;
+            #[allow(unsafe_code, reason = "a check for each row costs as much as the row")]
+            // SAFETY: 4 · four + k < num_whole, so at + G · LANES <= out.len()
+            put(unsafe { out.get_unchecked_mut(at..at + G * LANES) }, *index);
         }
     }
-    for (k, index) in rest.iter().enumerate() {
-        put(4 * fours.len() + k, *index);
-    }
-    for (k, index) in last.iter().enumerate() {
-        let at = (whole.len() + k) * width;
-        if let Some(to) = out.get_mut(at..at + room) {
-            for (g, to) in to.chunks_mut(LANES).enumerate() {
-                to.copy_from_slice(&row(*index, g)[..to.len()]);
-            }
+    for (k, index) in indices.iter().enumerate().skip(4 * fours.len()) {
+        let at = k * width;
+        let mut apart = [[0.0; LANES]; G];
+        let is_whole = k < num_whole;
+        put(if is_whole { &mut out[at..at + G * LANES] } else { apart.as_flattened_mut() }, *index);
+        if !is_whole && let Some(to) = out.get_mut(at..at + room) {
+            to.iter_mut().zip(apart.as_flattened()).for_each(|(to, from)| *to = *from);
         }
     }
 }

@@ -8,12 +8,12 @@ use crate::state::AgentStates;
 const MOST_COUNTED: usize = 128;
 /// Candidates that are counted at once.
 const LANES: usize = 32;
+/// Agents gathered at once.
+const BLOCK: usize = 8;
 /// Distances are counted in whole steps; so many make the radius.
 const STEPS: Real = 32_000.0;
 /// Steps of what is beyond every candidate.
 const BEYOND: i16 = i16::MAX;
-/// A place that no key has: no distance has these bits.
-const FREE: u64 = u64::MAX;
 
 /// Finds the nearest agents of one observer after the other.
 ///
@@ -28,6 +28,7 @@ pub(super) struct NearestAgents {
     distance_sq: Vec<Real>,
     /// (squared distance, agent) of the candidates, sortable as numbers.
     keys: Vec<u64>,
+    /// The same in order, and whatever else.
     sorted: Vec<u64>,
     /// Distances of the candidates in steps, and the number of those that are nearer.
     steps: Box<[i16; MOST_COUNTED]>,
@@ -59,7 +60,8 @@ impl NearestAgents {
         measure(states, agent_idx, reach_sq, &mut self.distance_sq);
         let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
         self.keys.resize(num_agents, 0);
-        let num_keys = gather(&self.distance_sq, limit_sq.min(reach_sq), &mut self.keys);
+        let mut num_keys = 0;
+        gather(&self.distance_sq, limit_sq.min(reach_sq), &mut self.keys, &mut num_keys);
         if num_keys <= MOST_COUNTED {
             self.sort_by_counting(num_keys);
         } else {
@@ -67,13 +69,13 @@ impl NearestAgents {
             self.sorted.extend(&self.keys[..num_keys]);
             self.sorted.sort_unstable();
         }
-        self.sorted.truncate(self.most);
+        let sorted = &self.sorted[..num_keys.min(self.most)];
         if num_agents > self.most + 1 {
             let last = &mut self.last[agent_idx];
             last.clear();
-            last.extend(self.sorted.iter().map(|key| (key & 0xffff_ffff) as u32));
+            last.extend(sorted.iter().map(|key| (key & 0xffff_ffff) as u32));
         }
-        &self.sorted
+        sorted
     }
 
     /// A squared distance within which there are as many agents as there are rows, if the last answer gives one.
@@ -97,17 +99,20 @@ impl NearestAgents {
         to_steps(keys, STEPS / self.radius_m, &mut steps[..]);
         steps[num_keys..num_padded].fill(BEYOND);
         count_nearer(&steps[..num_padded], num_keys, &mut self.ranks[..]);
-        self.sorted.clear();
-        self.sorted.resize(MOST_COUNTED, FREE);
-        if let Some(sorted) = self.sorted.first_chunk_mut::<MOST_COUNTED>() {
-            for (key, rank) in keys.iter().zip(self.ranks.iter()) {
-                sorted[*rank as usize % MOST_COUNTED] = *key;
-            }
+        if self.sorted.len() < MOST_COUNTED {
+            self.sorted.resize(MOST_COUNTED, 0);
         }
-        self.sorted.truncate(num_keys);
-        // the first of those at the same number of steps have lost their place to the last
-        if self.sorted.iter().fold(false, |any, key| any | (*key == FREE)) {
-            place_with_ties(keys, &self.ranks[..], &mut self.sorted);
+        let (ranks, Some(sorted)) = (&self.ranks[..num_keys], self.sorted.first_chunk_mut::<MOST_COUNTED>())
+        else {
+            return;
+        };
+        for (key, rank) in keys.iter().zip(ranks) {
+            sorted[*rank as usize % MOST_COUNTED] = *key;
+        }
+        // ranks of which two are the same add up to less than 0 + 1 + 2 + …
+        let sum: i32 = ranks.iter().map(|rank| i32::from(*rank)).sum();
+        if 2 * sum as usize != num_keys * num_keys.saturating_sub(1) {
+            place_with_ties(keys, ranks, &mut sorted[..]);
         }
     }
 }
@@ -141,6 +146,29 @@ simd_dispatch! {
             *d = if *active & (sq <= reach_sq) { sq } else { Real::INFINITY };
         }
         distance_sq[agent_idx] = Real::INFINITY;
+    }
+
+    /// Writes the keys of the agents within a distance, and their number.
+    fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64], num_keys: &mut usize) {
+        let key = |d: Real, j: usize| u64::from(d.to_bits()) << 32 | j as u64;
+        let mut n = 0;
+        for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
+            let first = block_idx * BLOCK;
+            if let Some(block) = block.first_chunk::<BLOCK>()
+                && block.iter().fold(true, |all, d| all & (*d <= limit_sq))
+                && let Some(to) = keys[n..].first_chunk_mut::<BLOCK>()
+            {
+                *to = std::array::from_fn(|lane| key(block[lane], first + lane));
+                n += BLOCK;
+                continue;
+            }
+            for (lane, d) in block.iter().enumerate() {
+                // written always, kept if near: no branch to guess
+                keys[n] = key(*d, first + lane);
+                n += usize::from(*d <= limit_sq);
+            }
+        }
+        *num_keys = n;
     }
 
     /// Distances of keys in whole steps; never fewer steps for a greater distance.
@@ -193,30 +221,6 @@ fn count_less_avx2(own: &[i16; LANES], others: &[i16]) -> [i16; LANES] {
     }
     // SAFETY: as above
     unsafe { std::mem::transmute(counts) }
-}
-
-/// Writes the keys of the agents within a distance; returns their number.
-fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64]) -> usize {
-    const BLOCK: usize = 8;
-    let key = |d: Real, j: usize| u64::from(d.to_bits()) << 32 | j as u64;
-    let mut num_keys = 0;
-    for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
-        let first = block_idx * BLOCK;
-        if let Some(block) = block.first_chunk::<BLOCK>()
-            && block.iter().fold(true, |all, d| all & (*d <= limit_sq))
-            && let Some(to) = keys[num_keys..].first_chunk_mut::<BLOCK>()
-        {
-            *to = std::array::from_fn(|lane| key(block[lane], first + lane));
-            num_keys += BLOCK;
-            continue;
-        }
-        for (lane, d) in block.iter().enumerate() {
-            // written always, kept if near: no branch to guess
-            keys[num_keys] = key(*d, first + lane);
-            num_keys += usize::from(*d <= limit_sq);
-        }
-    }
-    num_keys
 }
 
 #[cfg(test)]

@@ -177,7 +177,7 @@ plan_record! { $
     guided: Vec<bool>, [Agents];
     /// Decision causal graph G.
     graph: Vec<bool>, [Agents, Agents];
-    /// Times to contact (s); infinite where there is no contact ahead.
+    /// Times to contact (s), 20 where there is none sooner.
     ttc_s: Vec<Real>, [Agents, Agents];
     /// Attention, mean over heads, zero outside of G. Not kept unless `explain` is set.
     attention: Vec<Real>, [Agents, Agents], optional;

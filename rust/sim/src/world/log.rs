@@ -125,3 +125,75 @@ simd_dispatch! {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::synthetic::GridCity;
+
+    const DT_S: Real = 0.1;
+
+    /// A city whose agents come, go and come again.
+    fn scene() -> Scene {
+        let mut scene = GridCity { num_agents: 19, ..GridCity::default() }.scene();
+        for a in 0..scene.num_agents() {
+            for t in (0..scene.num_steps).filter(|t| (t + 7 * a) % 23 < a % 5) {
+                let at = scene.at(a, t);
+                scene.tracks.valid[at] = false;
+            }
+        }
+        scene
+    }
+
+    fn near(got: Real, expected: f64) {
+        assert!((f64::from(got) - expected).abs() < 1e-3, "{got} {expected}");
+    }
+
+    #[test]
+    fn followers_are_where_the_tracks_say_and_change_as_these_do() {
+        let scene = scene();
+        let (log, n) = (Log::new(&scene), scene.num_agents());
+        let follow: Vec<bool> = (0..n).map(|a| a % 6 != 1).collect();
+        let mut states = AgentStates::new(n);
+        for a in 0..n {
+            states.active[a] = true;
+            states.heading_rad[a] = scene.tracks.heading_rad[scene.at(a, 0)];
+        }
+        let mut masks = Vec::new();
+        for t in 0..scene.num_steps {
+            let before = states.clone();
+            log.follow(t, &follow, &mut states, &mut masks, DT_S);
+            for a in 0..n {
+                let at = scene.at(a, t);
+                let logged = log.at(a, t);
+                assert_eq!(logged.is_some(), scene.tracks.valid[at]);
+                if !follow[a] {
+                    assert_eq!((states.x[a], states.speed_mps[a], states.active[a]), (0.0, 0.0, true));
+                    continue;
+                }
+                assert_eq!(states.active[a], before.active[a] && scene.tracks.valid[at], "agent {a} step {t}");
+                if !scene.tracks.valid[at] {
+                    continue;
+                }
+                let (p, v) = (scene.tracks.position[at], scene.tracks.velocity[at]);
+                let heading = f64::from(scene.tracks.heading_rad[at]);
+                assert_eq!((states.x[a], states.y[a]), (p.x, p.y));
+                assert_eq!((states.velocity_x_mps[a], states.velocity_y_mps[a]), (v.x, v.y));
+                assert_eq!(states.heading_rad[a], scene.tracks.heading_rad[at]);
+                near(states.cos[a], heading.cos());
+                near(states.sin[a], heading.sin());
+                let speed = f64::from(v.x) * heading.cos() + f64::from(v.y) * heading.sin();
+                near(states.speed_mps[a], speed);
+                near(states.acceleration_mps2[a] * DT_S, speed - f64::from(before.speed_mps[a]));
+                let turn = heading - f64::from(before.heading_rad[a]);
+                near(states.yaw_rate_radps[a] * DT_S, turn.sin().atan2(turn.cos()));
+                let (pose, velocity) = logged.unwrap();
+                assert_eq!((pose, velocity), (states.pose(a), states.velocity(a)));
+            }
+        }
+        // past the log's end
+        log.follow(scene.num_steps, &follow, &mut states, &mut masks, DT_S);
+        assert!((0..n).all(|a| states.active[a] != follow[a]));
+        assert!(log.at(0, scene.num_steps).is_none());
+    }
+}

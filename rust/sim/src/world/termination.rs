@@ -51,7 +51,8 @@ impl World {
         let e = &mut self.episode;
         let at_end = e.elapsed_steps >= config.horizon_steps
             || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
-        self.least_times.prepare(&e.states, &self.scene.bodies);
+        let alive = e.slots.iter().filter(|s| s.alive).filter_map(|s| s.agent_idx);
+        self.least_times.find(&e.states, &self.scene.bodies, alive, TTC_HORIZON_S);
         for c in 0..e.slots.len() {
             let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
@@ -59,7 +60,7 @@ impl World {
             let contact = self.contacts[c];
             let facts = StepFacts {
                 contact: contact.filter(|_| !e.slots[c].touching),
-                ttc_s: self.least_times.of(&e.states, &self.scene.bodies, a, TTC_HORIZON_S),
+                ttc_s: self.least_times.of(a),
                 log_distance_m: log_distance(e, &self.scene, a),
             };
             let slot = &mut e.slots[c];
