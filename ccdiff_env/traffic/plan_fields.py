@@ -43,7 +43,7 @@ class PlanFields:
     guided: npt.NDArray[np.bool_]
     #: Decision causal graph G, [M, M].
     graph: npt.NDArray[np.bool_]
-    #: Times to contact (s); infinite where there is no contact ahead, [M, M].
+    #: Times to contact (s), 20 where there is none sooner, [M, M].
     ttc_s: npt.NDArray[np.float32]
     #: Attention, mean over heads, zero outside of G. Not kept unless ``explain`` is set. [M, M].
     attention: npt.NDArray[np.float32] | None

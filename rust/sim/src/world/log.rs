@@ -171,7 +171,11 @@ mod tests {
                     assert_eq!((states.x[a], states.speed_mps[a], states.active[a]), (0.0, 0.0, true));
                     continue;
                 }
-                assert_eq!(states.active[a], before.active[a] && scene.tracks.valid[at], "agent {a} step {t}");
+                assert_eq!(
+                    states.active[a],
+                    before.active[a] && scene.tracks.valid[at],
+                    "agent {a} step {t}"
+                );
                 if !scene.tracks.valid[at] {
                     continue;
                 }
