@@ -226,8 +226,8 @@ def test_forks_foresee_what_each_choice_leads_to_and_change_nothing(scenes):
     assert (np.isfinite(gaps) == env.action_masks()[:, :-1]).all()
     # what a choice leads to when it is made: the least distance over the steps of the decision
     chosen = gaps.argmin(axis=1)
-    agents = [env._batch.match(e).rows(3)[row] for e, row in enumerate(chosen)]
-    egos = [env._batch.match(e).ego for e in range(2)]
+    agents = [env._batch.episode(e).rows(3)[row] for e, row in enumerate(chosen)]
+    egos = [env._batch.episode(e).ego for e in range(2)]
     seen = []
 
     def look():

@@ -43,12 +43,12 @@ def rows_in_numpy(states, size, chosen, before, plan, num_rows):
     agents = np.zeros((n, len(columns)))
     agents[:k] = np.clip(np.stack(columns, axis=1), -5.0, 5.0)
     attention = np.zeros((k, k))
-    if plan is not None and plan["attention"] is not None:
-        place = {int(agent): i for i, agent in enumerate(plan["agents"])}
+    if plan is not None and plan.attention is not None:
+        place = {int(agent): i for i, agent in enumerate(plan.agents)}
         for i, one in enumerate(chosen):
             for j, other in enumerate(chosen):
                 if one in place and other in place:
-                    attention[i, j] = np.clip(plan["attention"][place[one], place[other]], 0, 1)
+                    attention[i, j] = np.clip(plan.attention[place[one], place[other]], 0, 1)
     found = {"agents": agents}
     for name, values in {
         "ttc": causal.normalise_ttc(seconds),
@@ -66,13 +66,13 @@ def test_rows_and_step_metrics_are_those_of_numpy(scenes):
     native, attended, driven = env.worlds.native, 0, []
     for seed in range(2):
         env.reset(seed=seed)
-        match, steps, before = env._batch.match(0), [], set()
+        episode, steps, before = env._batch.episode(0), [], set()
         last = native.states(0)
 
-        def look(match=match, steps=steps):
+        def look(episode=episode, steps=steps):
             nonlocal last
             now, dt_s = native.states(0), env.worlds.config.dt_s
-            rows = [i for i in match.before if now["active"][i] and last["active"][i]]
+            rows = [i for i in episode.before if now["active"][i] and last["active"][i]]
             if rows:
                 acceleration = now["acceleration"][rows].astype(float)
                 jerk = (acceleration - last["acceleration"][rows]) / dt_s
@@ -86,16 +86,16 @@ def test_rows_and_step_metrics_are_those_of_numpy(scenes):
         size = env.scene.sizes[:, :2]
         done = False
         while not done:
-            rows = match.rows(5)
-            obs, plan = env._batch.observe(0), match.plan()
-            want = rows_in_numpy(native.states(0), size, [match.ego, *rows], before, plan, 5)
+            rows = episode.rows(5)
+            obs, plan = env._batch.observe(0), episode.plan()
+            want = rows_in_numpy(native.states(0), size, [episode.ego, *rows], before, plan, 5)
             assert obs["agents"].shape == (6, len(FEATURES))
             for name, values in want.items():
                 np.testing.assert_allclose(obs[name], values, atol=2e-6, err_msg=name)
             attended += float(obs["attention"].sum()) > 0
             steps.clear()
             _, _, terminated, truncated, info = env.step(np.ones(5, np.int8))
-            before, done = set(match.before), terminated or truncated
+            before, done = set(episode.before), terminated or truncated
             if steps:
                 discomfort, off_road = np.mean(steps, axis=0)
                 assert info["discomfort"] == pytest.approx(discomfort, rel=1e-4, abs=1e-5)

@@ -31,6 +31,7 @@ FORMER = {
         "rust/sim/src/policy rust/sim/src/world rust/sim/src/dynamics rust/sim/src/metrics",
     ),
     r"\b(Eight|Turn)\b|\bwide!": ("F32x8, RowTransform, simd_dispatch!", "rust/sim/src"),
+    r"\bMatch\b|\bmatches\b": ("SelectionEpisode, episodes", "ccdiff_env/envs ccdiff_env/bench"),
     r"\bRolloutPlan\(": ("TrafficPlan", "ccdiff_env docs examples tools"),
     r"\bparity_rate\b|\bParity\b": ("reference_impl_rate, ReferenceImpl", "rust"),
     r"\bPARITY\b": ("REFERENCE_IMPL", "rust"),

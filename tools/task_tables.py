@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
-from ccdiff_env.envs.selection.match import FIGURES
+from ccdiff_env.envs.selection.episode import FIGURES
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.selection.view import FEATURES, observation_space
 from ccdiff_env.spaces import Column, read_columns

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.envs.selection.match import Match
+from ccdiff_env.envs.selection.episode import SelectionEpisode
 from ccdiff_env.envs.selection.options import SelectionActions, SelectionReward
 from ccdiff_env.envs.worlds import Worlds
 
@@ -37,27 +37,29 @@ class Chooser:
         self._policy: Any = MaskablePPO.load(path, device="cpu")
         self._worlds, self._steps = worlds, 0
         self._actions = SelectionActions("discrete", MAX_AGENTS, 1, None)
-        self._matches = [Match(worlds, e, SelectionReward()) for e in range(worlds.num_worlds)]
+        self._episodes = [
+            SelectionEpisode(worlds, e, SelectionReward()) for e in range(worlds.num_worlds)
+        ]
 
     def choose(self, running: npt.NDArray[np.bool_]) -> None:
         """Choose before a step of the running worlds [E], where plans are due."""
         if self._steps % REPLAN_STEPS == 0:
             num_rows = self._actions.num_rows
             for e in np.flatnonzero(running).tolist():
-                match = self._matches[e]
-                rows = match.rows(num_rows)
+                episode = self._episodes[e]
+                rows = episode.rows(num_rows)
                 mask = np.arange(num_rows) < len(rows)
                 action, _ = self._policy.predict(
-                    match.observe(num_rows),
+                    episode.observe(num_rows),
                     action_masks=self._actions.masks(mask),
                     deterministic=True,
                 )
                 guided = [rows[row] for row in self._actions.rows(action, mask)]
-                match.begin(guided)
+                episode.begin(guided)
                 self._worlds.native.override_plan(e, guided=guided, criticality=None)
         self._steps += 1
 
     def step(self, running: npt.NDArray[np.bool_]) -> None:
         """Look at the running worlds [E] after a step."""
         for e in np.flatnonzero(running).tolist():
-            self._matches[e].step()
+            self._episodes[e].step()

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.selection.match import Match, Outcome
+from ccdiff_env.envs.selection.episode import Outcome, SelectionEpisode
 from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
 from ccdiff_env.envs.selection.view import observation_space
 from ccdiff_env.envs.worlds import Scenes, Worlds, scene_set, world_config
@@ -84,7 +84,7 @@ class SelectionBatch:
             chosen, resolved, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )
         self._began = False
-        self.matches: list[Match | None] = [None] * num_worlds
+        self.episodes: list[SelectionEpisode | None] = [None] * num_worlds
         self._ended = np.ones(num_worlds, np.bool_)
         self._obs = np.zeros((num_worlds, self.worlds.layout.size), np.float32)
         self._reward = reward
@@ -92,7 +92,7 @@ class SelectionBatch:
         self.on_step: Callable[[], object] | None = None
         self.decision_steps = resolved.ccdiff.replan_steps
 
-    def match(self, world_idx: int) -> Match:
+    def episode(self, world_idx: int) -> SelectionEpisode:
         """Return the episode of a world.
 
         Raises
@@ -100,7 +100,7 @@ class SelectionBatch:
         ResetNeededError
             Before its first reset.
         """
-        found = self.matches[world_idx]
+        found = self.episodes[world_idx]
         if found is None:
             raise ResetNeededError(f"world {world_idx} was never reset")
         return found
@@ -116,7 +116,7 @@ class SelectionBatch:
         out = self.worlds.arrays()
         self.worlds.native.reset(list(seeds), list(scenes), which.tolist(), out)
         for e in np.flatnonzero(which):
-            self.matches[e] = Match(self.worlds, int(e), self._reward)
+            self.episodes[e] = SelectionEpisode(self.worlds, int(e), self._reward)
             self._obs[e] = out.obs[e, 0]
         self._ended[which] = False
         if self._act is not None:
@@ -128,12 +128,12 @@ class SelectionBatch:
 
     def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
         """Return what the chooser of a world sees."""
-        return self.match(world_idx).observe(self.actions.num_rows)
+        return self.episode(world_idx).observe(self.actions.num_rows)
 
     def mask(self, world_idx: int) -> npt.NDArray[np.bool_]:
         """Return which rows [M] of a world hold an agent."""
         rows = self.actions.num_rows
-        present = len(self.match(world_idx).rows(rows))
+        present = len(self.episode(world_idx).rows(rows))
         return np.arange(rows) < present
 
     def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
@@ -142,9 +142,9 @@ class SelectionBatch:
         if name not in BASELINES:
             raise unknown("baseline", str(name), BASELINES)
         ranking = BASELINES[name]
-        match = self.match(world_idx)
-        place = {agent: row for row, agent in enumerate(match.rows(self.actions.num_rows))}
-        ranked = [] if ranking is None else match.rank(ranking, seed)
+        episode = self.episode(world_idx)
+        place = {agent: row for row, agent in enumerate(episode.rows(self.actions.num_rows))}
+        ranked = [] if ranking is None else episode.rank(ranking, seed)
         rows = [place[agent] for agent in ranked if agent in place]
         return self.actions.action(rows[: self.actions.budget])
 
@@ -173,8 +173,8 @@ class SelectionBatch:
             raise ConfigError("forks need traffic that can be guided, such as ccdiff")
         native, num_worlds = self.worlds.native, self.worlds.num_worlds
         saved = [native.snapshot(e) for e in range(num_worlds)]
-        matches = [self.match(e) for e in range(num_worlds)]
-        rows = [match.rows(self.actions.num_rows) for match in matches]
+        episodes = [self.episode(e) for e in range(num_worlds)]
+        rows = [episode.rows(self.actions.num_rows) for episode in episodes]
         gaps = np.full((num_worlds, self.actions.num_rows), np.inf, np.float32)
         for row in range(max(len(found) for found in rows)):
             running = np.array([row < len(found) for found in rows])
@@ -185,7 +185,7 @@ class SelectionBatch:
                 out = self.worlds.arrays()
                 native.step(self._ego_actions(running), out, running)
                 for e in np.flatnonzero(running):
-                    gap = _gap(native, int(e), matches[e].ego, rows[e][row])
+                    gap = _gap(native, int(e), episodes[e].ego, rows[e][row])
                     gaps[e, row] = min(gaps[e, row], gap)
                 running &= ~out.done
         for e in range(num_worlds):
@@ -218,11 +218,11 @@ class SelectionBatch:
         native, num_worlds = self.worlds.native, self.worlds.num_worlds
         chosen = []
         for e, action in enumerate(actions):
-            rows = self.match(e).rows(self.actions.num_rows)
+            rows = self.episode(e).rows(self.actions.num_rows)
             mask = np.arange(self.actions.num_rows) < len(rows)
             chosen.append([rows[row] for row in self.actions.rows(action, mask)])
         for e, adversaries in enumerate(chosen):
-            self.match(e).begin(adversaries)
+            self.episode(e).begin(adversaries)
             if self.worlds.native.planners:
                 strength = self.actions.criticality(actions[e])
                 native.override_plan(e, guided=adversaries, criticality=strength)
@@ -234,7 +234,7 @@ class SelectionBatch:
             out = self.worlds.arrays()
             native.step(self._ego_actions(running), out, running)
             for e in np.flatnonzero(running):
-                self.match(int(e)).step()
+                self.episode(int(e)).step()
                 self._obs[e] = out.obs[e, 0]
             terminated |= out.terminated[:, 0]
             truncated |= out.truncated[:, 0]
@@ -242,7 +242,8 @@ class SelectionBatch:
             if self.on_step is not None:
                 self.on_step()
         return [
-            self.match(e).finish(bool(terminated[e]), bool(truncated[e])) for e in range(num_worlds)
+            self.episode(e).finish(bool(terminated[e]), bool(truncated[e]))
+            for e in range(num_worlds)
         ]
 
     def _ego_actions(self, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:

@@ -178,7 +178,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
             "agent_ids": self.agent_ids(),
         }
         if outcome.terminated or outcome.truncated:
-            info["metrics"] = self._batch.match(0).metrics()
+            info["metrics"] = self._batch.episode(0).metrics()
             info["is_success"] = info["metrics"]["is_success"]
         if self.render_mode == "human":
             self.render()
@@ -187,8 +187,8 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     def agent_ids(self) -> tuple[str, ...]:
         """Return the ids of the agents in the rows that actions choose from."""
-        match = self._batch.match(0)
-        return tuple(match.ids[i] for i in match.rows(self._batch.actions.num_rows))
+        episode = self._batch.episode(0)
+        return tuple(episode.ids[i] for i in episode.rows(self._batch.actions.num_rows))
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return which actions are legal, as MaskablePPO of sb3-contrib takes it."""

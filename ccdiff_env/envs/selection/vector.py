@@ -16,7 +16,7 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
-from ccdiff_env.envs.selection.match import FIGURES
+from ccdiff_env.envs.selection.episode import FIGURES
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
 from ccdiff_env.envs.worlds import Scenes, Worlds, normalize_seed
@@ -188,7 +188,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         final: Info = {}
         for name, values in table.items():
             final[name], final["_" + name] = np.where(done, values, 0.0), done.copy()
-        metrics = [self._batch.match(i).metrics() for i in range(self.num_envs)]
+        metrics = [self._batch.episode(i).metrics() for i in range(self.num_envs)]
         episode: Info = {}
         for name in metrics[0]:
             values = np.array([one[name] for one in metrics])

@@ -17,7 +17,7 @@ from ccdiff_env.recorder import Recorder
 from ccdiff_env.spaces import Column
 from ccdiff_env.traffic import TrafficPlan
 
-__all__ = ["FIGURES", "Match", "Outcome"]
+__all__ = ["FIGURES", "Outcome", "SelectionEpisode"]
 
 F32 = npt.NDArray[np.float32]
 
@@ -64,7 +64,7 @@ class Outcome:
         return sum(self.figures[f"reward_{name}"] for name in names)
 
 
-class Match:
+class SelectionEpisode:
     """The present episode of one world.
 
     Parameters
