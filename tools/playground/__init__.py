@@ -102,6 +102,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     settings = {
         "colours": colours(),
         "drivers": DRIVER_TITLES,
+        # places of the drivers that every world has
         "policies": ["replay", "constant_velocity", "idm"],
         "columns": [column["name"] for column in json.loads(_native.columns_json())],
         "collisions": COLLISIONS,
