@@ -115,14 +115,14 @@ def test_a_chooser_turns_one_vehicle_on_the_ego_at_every_plan(tmp_path, monkeypa
     for rollout in recorded.values():
         ego = rollout.agent_ids.index("ego")
         hits = [event.step for event in rollout.collisions("ego")]  # who hit it stays where it is
-        plans = [plan for plan in rollout.plans if plan.step < min(hits, default=rollout.num_steps)]
+        end = min(hits, default=rollout.num_steps)
+        plans = [plan for plan in rollout.plans if plan.made_at < end]
         assert len(plans) >= 2
         for plan in plans:
-            assert plan.step % 20 == 0
+            assert plan.made_at % 20 == 0
             follows = np.flatnonzero(plan.follows_plan)
-            agents = [rollout.agent_ids.index(plan.agent_ids[i]) for i in follows]
-            here = rollout.position[:, plan.step]
-            gaps = np.linalg.norm(here[agents] - here[ego], axis=-1)
+            here = rollout.position[:, plan.made_at]
+            gaps = np.linalg.norm(here[plan.agents[follows]] - here[ego], axis=-1)
             assert np.flatnonzero(plan.guided).tolist() == [follows[np.argmin(gaps)]]
 
 

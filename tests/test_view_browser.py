@@ -111,7 +111,8 @@ def test_the_page_shows_the_poses_of_the_rollout(visit):
         assert pose["y"] == pytest.approx(rollout.position[agent, step, 1], abs=0.02)
         assert pose["vx"] == pytest.approx(rollout.velocity[agent, step, 0], abs=0.02)
     plan = page.evaluate(
-        "(({ step, agents, numSamples }) => [step, agents, numSamples])(replay.runs[0].planAt(12))"
+        "(({ made_at, agents, num_samples }) => [made_at, agents, num_samples])"
+        "(replay.runs[0].planAt(12))"
     )
     assert plan == [10, [1, 2], 4]
 
