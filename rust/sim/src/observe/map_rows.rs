@@ -6,7 +6,7 @@ use super::map_pieces::MapPieces;
 use super::source::OfPiece;
 use crate::geom::{Point2, Real};
 
-/// F32x8 of the chosen columns.
+/// Eight of the chosen columns.
 #[derive(Debug, Clone)]
 struct Columns {
     /// Those that depend on the place.
