@@ -1,6 +1,6 @@
 //! What guidance seeks and how hard it pulls.
 
-use super::objective::{AgentCollision, Approach, Goal, MapCollision, OverSpeed, TargetSpeed};
+use super::objective::{AgentCollision, Approach, Comfort, Goal, MapCollision, OverSpeed, TargetSpeed};
 use crate::error::{ModelError, Result};
 use ccdiff_sim::options::{Table, above, at_least, within};
 use ccdiff_sim::{choices, options};
@@ -23,6 +23,8 @@ choices! {
         Goal(Goal) = "goal",
         /// Closeness of vehicles, with a gradient before contact (ours).
         Approach(Approach) = "approach",
+        /// Lateral acceleration and jerk above their limits (ours).
+        Comfort(Comfort) = "comfort",
     }
 }
 
@@ -36,6 +38,7 @@ impl Objective {
             Self::TargetSpeed(o) => o.weight,
             Self::Goal(o) => o.weight,
             Self::Approach(o) => o.weight,
+            Self::Comfort(o) => o.weight,
         }
     }
 
@@ -99,6 +102,7 @@ pub const TABLES: &[&Table] = &[
     &TargetSpeed::TABLE,
     &Goal::TABLE,
     &Approach::TABLE,
+    &Comfort::TABLE,
 ];
 
 options! {

@@ -26,6 +26,8 @@ pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABL
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
-pub use objective::{AgentCollision, Approach, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed};
+pub use objective::{
+    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed,
+};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

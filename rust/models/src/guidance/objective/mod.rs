@@ -3,6 +3,7 @@
 
 mod agent_collision;
 mod approach;
+mod comfort;
 mod disks;
 mod goal;
 mod map_collision;
@@ -11,6 +12,7 @@ mod target_speed;
 
 pub use agent_collision::AgentCollision;
 pub use approach::Approach;
+pub use comfort::Comfort;
 pub use goal::Goal;
 pub use map_collision::MapCollision;
 pub use over_speed::OverSpeed;
@@ -43,6 +45,7 @@ impl Objective {
             Self::TargetSpeed(o) => o.evaluate(context, plan, out),
             Self::Goal(o) => o.evaluate(context, plan, out),
             Self::Approach(o) => o.evaluate(context, plan, out),
+            Self::Comfort(o) => o.evaluate(context, plan, out),
         }
     }
 }
