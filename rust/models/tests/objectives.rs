@@ -173,7 +173,7 @@ fn comfort_is_that_of_the_formula_and_its_gradient_the_difference() {
     // jerk of 20 m/s³ either way, and a steady turn
     let (push, turn) = (1.0f32, 0.5f32);
     let given: Vec<f32> =
-        (0..4 * T).flat_map(|k| [if k % T % 2 == 0 { push } else { -push }, turn]).collect();
+        (0..4 * T).flat_map(|k| [if (k % T).is_multiple_of(2) { push } else { -push }, turn]).collect();
     let comfort = Comfort { weight: 1.0, lateral_limit_mps2: 0.5, jerk_limit_mps3: 8.0 };
     let objective = Objective::Comfort(comfort);
     let plan = toy.roll(&s, &given);
