@@ -16,7 +16,7 @@ const DIRECTION: usize = 2;
 const VELOCITY: usize = 4;
 const SPEED: usize = 7;
 
-/// Eight of the chosen columns; those of pairs are left out.
+/// Chosen columns that are written at once; those of pairs are left out.
 #[derive(Debug, Clone)]
 struct Columns {
     entries: Vec<&'static Entry<OfAgent>>,

@@ -7,7 +7,7 @@ use crate::simd_dispatch::simd_dispatch;
 /// Columns that are written at once.
 pub(super) const LANES: usize = 8;
 
-/// Eight numbers.
+/// The numbers of all lanes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(align(32))]
 pub(super) struct F32x8(pub(super) [Real; LANES]);

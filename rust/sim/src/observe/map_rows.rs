@@ -6,7 +6,7 @@ use super::map_pieces::MapPieces;
 use super::source::OfPiece;
 use crate::geom::{Point2, Real};
 
-/// Eight of the chosen columns.
+/// Chosen columns that are written at once.
 #[derive(Debug, Clone)]
 struct Columns {
     /// Those that depend on the place.
