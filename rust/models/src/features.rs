@@ -3,15 +3,18 @@
 //! Everything is agent-centric (reference.md#frames): for agent i the origin is its position at the current step and +x its
 //! heading. Numbers are physical here; the network normalises them.
 
+mod window;
+
+pub use window::{Window, route_ahead};
+use window::{distance_at, ttc_at};
+
 use crate::config::{ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::raster::{self, MapBitmap};
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
-use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
-use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
+use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::Route;
 use std::cmp::Ordering;
 
 /// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
@@ -25,165 +28,6 @@ const EDGE_RANGE: f32 = 20.0;
 const CORRIDOR_MARGIN_M: f32 = 1.0;
 /// Headways are taken at this speed at least, metres per second, so that who stands sees who is close ahead.
 const HEADWAY_SPEED_MPS: f32 = 2.0;
-
-/// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Window {
-    /// Number of steps H.
-    pub num_steps: usize,
-    /// Centre x, metres, [A, H].
-    pub x_m: Vec<f32>,
-    /// Centre y, metres, [A, H].
-    pub y_m: Vec<f32>,
-    /// Heading, radians, [A, H].
-    pub heading_rad: Vec<f32>,
-    /// Speed along the heading, metres per second, negative when reversing, [A, H].
-    pub speed_mps: Vec<f32>,
-    /// Whether the agent was there, [A, H]. Other entries mean nothing where this is false.
-    pub valid: Vec<bool>,
-    /// Length, metres, [A].
-    pub length_m: Vec<f32>,
-    /// Width, metres, [A].
-    pub width_m: Vec<f32>,
-    /// Acceleration (m/s²) and yaw rate (rad/s) that an agent's plan starts with, [A]; empty, or `None`: any.
-    pub first_action: Vec<Option<[f32; 2]>>,
-    /// Seed of each agent's own noise, [A]; empty: noise of the world's seed.
-    pub noise_seed: Vec<u64>,
-    /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
-    pub ttc_s: Vec<f32>,
-    /// Places ahead on each agent's route, scene frame, [A]\[P\], see [`route_ahead`]; empty for an agent whose route is
-    /// not told, and empty as a whole where nobody's is.
-    pub routes: Vec<Vec<Point2>>,
-}
-
-/// Places on a route at some distances ahead of the position `s_m` along it, metres, scene frame.
-///
-/// Differs from the paper: its network is told no route. Routes are those of the rule-based traffic: the path of the log,
-/// then the lanes ahead. They tell where a vehicle goes, not when.
-pub fn route_ahead(route: &Route, s_m: f32, points_m: &[f32]) -> Vec<Point2> {
-    points_m.iter().map(|ahead_m| route.path.at(s_m + ahead_m).position).collect()
-}
-
-impl Window {
-    /// The window of some agents of a scene that ends at a step; steps before the scene's start are not valid.
-    pub fn from_scene(scene: &Scene, step_idx: usize, agents: &[usize], num_steps: usize) -> Self {
-        let mut window = Self { num_steps, ..Self::default() };
-        for &agent in agents {
-            window.length_m.push(scene.agents[agent].length_m);
-            window.width_m.push(scene.agents[agent].width_m);
-            for back in (0..num_steps).rev() {
-                let at = step_idx.checked_sub(back).filter(|s| scene.is_valid(agent, *s));
-                window.valid.push(at.is_some());
-                let (position, heading, speed) = at.map_or((Point2::origin(), 0.0, 0.0), |step| {
-                    let entry = scene.at(agent, step);
-                    let (heading, v) = (scene.tracks.heading_rad[entry], scene.tracks.velocity[entry]);
-                    let pose = Pose2::new(0.0, 0.0, heading);
-                    (scene.tracks.position[entry], heading, pose.rotate_inverse(v).x)
-                });
-                window.x_m.push(position.x);
-                window.y_m.push(position.y);
-                window.heading_rad.push(heading);
-                window.speed_mps.push(speed);
-            }
-        }
-        window
-    }
-
-    /// Number of agents A.
-    pub fn num_agents(&self) -> usize {
-        self.length_m.len()
-    }
-
-    /// Checks the lengths of all arrays.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] names the first that does not fit.
-    pub fn check(&self, num_steps: usize) -> Result<()> {
-        let (agents, entries) = (self.num_agents(), self.num_agents() * num_steps);
-        for (what, got, expected) in [
-            ("window steps", self.num_steps, num_steps),
-            ("window x_m", self.x_m.len(), entries),
-            ("window y_m", self.y_m.len(), entries),
-            ("window heading_rad", self.heading_rad.len(), entries),
-            ("window speed_mps", self.speed_mps.len(), entries),
-            ("window valid", self.valid.len(), entries),
-            ("window width_m", self.width_m.len(), agents),
-            ("window first_action", self.first_action.len().max(agents), agents),
-            ("window noise_seed", self.noise_seed.len().max(agents), agents),
-            ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
-            ("window routes", self.routes.len().max(agents), agents),
-        ] {
-            if got != expected {
-                return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
-            }
-        }
-        Ok(())
-    }
-
-    /// Computes the times to contact of all agents at every step, once for the ranking and the network.
-    ///
-    /// # Errors
-    /// [`ModelError::Sim`] for arrays of unequal lengths.
-    pub fn measure_contacts(&mut self) -> Result<()> {
-        let agents: Vec<usize> = (0..self.num_agents()).collect();
-        self.ttc_s = self.at_every_step(|step| ttc_at(self, &agents, step))?;
-        Ok(())
-    }
-
-    /// Distances of all agents at every step, metres, [H, A, A].
-    pub(crate) fn distance_m(&self) -> Result<Vec<f32>> {
-        let agents: Vec<usize> = (0..self.num_agents()).collect();
-        self.at_every_step(|step| distance_at(self, &agents, step))
-    }
-
-    fn at_every_step(&self, matrix: impl Fn(usize) -> Result<Vec<f32>>) -> Result<Vec<f32>> {
-        let matrices = (0..self.num_steps).map(matrix).collect::<Result<Vec<_>>>()?;
-        Ok(matrices.into_iter().flatten().collect())
-    }
-
-    /// Tells the agents' routes, in the agents' order, from where they are now.
-    pub fn tell_routes<'a>(&mut self, routes: impl IntoIterator<Item = &'a Route>, points_m: &[f32]) {
-        let ahead = |(agent, route): (usize, &Route)| {
-            let at = self.pose(agent, self.num_steps - 1).position;
-            route_ahead(route, route.path.project(at).s_m, points_m)
-        };
-        self.routes = routes.into_iter().enumerate().map(ahead).collect();
-    }
-
-    /// Pose of an agent at a step.
-    pub(crate) fn pose(&self, agent: usize, step: usize) -> Pose2 {
-        let at = agent * self.num_steps + step;
-        Pose2::new(self.x_m[at], self.y_m[at], self.heading_rad[at])
-    }
-
-    /// Speed of an agent now.
-    pub(crate) fn speed_now_mps(&self, agent: usize) -> f32 {
-        self.speed_mps[(agent + 1) * self.num_steps - 1]
-    }
-
-    /// Whether an agent's body touches another's now.
-    pub(crate) fn touches_now(&self, agent: usize) -> bool {
-        let now = self.num_steps - 1;
-        let body = |a: usize| OrientedBox {
-            centre: self.pose(a, now).position,
-            cos: self.pose(a, now).cos,
-            sin: self.pose(a, now).sin,
-            half_length_m: 0.5 * self.length_m[a],
-            half_width_m: 0.5 * self.width_m[a],
-        };
-        let own = body(agent);
-        (0..self.num_agents()).any(|a| a != agent && self.is_valid(a, now) && body(a).overlaps(&own))
-    }
-
-    fn velocity(&self, agent: usize, step: usize) -> Vector2 {
-        let at = agent * self.num_steps + step;
-        self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
-    }
-
-    fn is_valid(&self, agent: usize, step: usize) -> bool {
-        self.valid[agent * self.num_steps + step]
-    }
-}
 
 /// Inputs of the M agents of one scene that are there now.
 #[derive(Debug, Clone, PartialEq)]
@@ -326,63 +170,6 @@ fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize)
             place.copy_from_slice(&[local.x, local.y]);
         }
     }
-    Ok(out)
-}
-
-/// Columns of the chosen agents at a step.
-struct Columns {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    heading: Vec<f32>,
-    speed: Vec<f32>,
-    length: Vec<f32>,
-    width: Vec<f32>,
-    valid: Vec<bool>,
-}
-
-impl Columns {
-    fn new(window: &Window, agents: &[usize], step: usize) -> Self {
-        let pick = |v: &[f32]| agents.iter().map(|a| v[a * window.num_steps + step]).collect();
-        Self {
-            x: pick(&window.x_m),
-            y: pick(&window.y_m),
-            heading: pick(&window.heading_rad),
-            speed: pick(&window.speed_mps),
-            length: agents.iter().map(|a| window.length_m[*a]).collect(),
-            width: agents.iter().map(|a| window.width_m[*a]).collect(),
-            valid: agents.iter().map(|a| window.is_valid(*a, step)).collect(),
-        }
-    }
-
-    fn frame(&self) -> Result<AgentFrame<'_>> {
-        Ok(AgentFrame::new(
-            &self.x,
-            &self.y,
-            &self.heading,
-            &self.speed,
-            &self.length,
-            &self.width,
-            &self.valid,
-        )?)
-    }
-}
-
-/// Times to contact [M, M] of some agents at a step, those that the window has where all its agents are meant.
-fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
-    let pairs = agents.len() * agents.len();
-    if agents.len() == window.num_agents() && window.ttc_s.len() == window.num_steps * pairs {
-        return Ok(window.ttc_s[step * pairs..(step + 1) * pairs].to_vec());
-    }
-    let columns = Columns::new(window, agents, step);
-    let mut out = vec![0.0; agents.len() * agents.len()];
-    columns.frame()?.ttc_s(Ttc::Oriented, &columns.heading, &mut out)?;
-    Ok(out)
-}
-
-/// Distances [M, M] of some agents at a step, metres.
-fn distance_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
-    let mut out = vec![0.0; agents.len() * agents.len()];
-    Columns::new(window, agents, step).frame()?.distance_m(&mut out)?;
     Ok(out)
 }
 
