@@ -30,14 +30,11 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
 #: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
 Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 
-
 #: Who moves pedestrians.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
 
-
 #: What follows when a controlled agent touches another one, or leaves the road.
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
-
 
 #: What follows when agents without a slot touch.
 TrafficCollision: TypeAlias = Literal["ignore", "stop"]
@@ -275,7 +272,6 @@ class IdmConfig:
 #: What happens to a world whose episode has ended (Gymnasium's autoreset modes).
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 
-
 #: How the scene of an episode is chosen when the reset names none.
 SceneOrder: TypeAlias = Literal["random", "sequential"]
 
@@ -402,10 +398,8 @@ class PythonOptions:
 #: Where a network runs.
 DeviceName: TypeAlias = Literal["cpu", "cuda"]
 
-
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
-
 
 #: How the vehicles to be guided are found.
 Ranking: TypeAlias = (
@@ -413,18 +407,14 @@ Ranking: TypeAlias = (
     | Mapping[str, tuple[str, ...]]
 )
 
-
 #: Who drives the vehicles outside the guided set.
 Others: TypeAlias = Literal["ccdiff", "idm", "replay"]
-
 
 #: Contacts with whom count in the collision objectives.
 Partners: TypeAlias = Literal["ego", "all"]
 
-
 #: How a vehicle stands to the nearest of those with whom contacts count.
 Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
-
 
 #: Which vehicles stand still for the whole episode.
 Frozen: TypeAlias = Literal["parked", "standing"]

@@ -237,7 +237,7 @@ def classes(found: list[Table]) -> str:
             done.add(choice["name"])
             for variant in choice["variants"]:
                 add_form(variant["form"])
-            parts.append(_alias(choice))
+            parts.append(_alias(choice).rstrip())  # one empty line between them is enough
 
     def add_form(form: Any) -> None:
         for choice in _choices(form):

@@ -20,6 +20,7 @@ from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.scenes import Scene
+from ccdiff_env.view import page
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.outcome import COLLISIONS
 from ccdiff_env.view.pack import pack
@@ -41,17 +42,8 @@ SCENES = (
 HORIZON_STEPS = 150
 #: Traffic by name, as the page offers it.
 TRAFFIC = {"idm": "IDM", "replay": "as recorded"}
-#: Scripts of the replay page that this one uses, in the order in which they run.
-SCRIPTS = (
-    "data.js",
-    "camera.js",
-    "ground.js",
-    "actors.js",
-    "timeline.js",
-    "panels.js",
-    "player.js",
-    "theme.js",
-)
+#: Scripts of the replay page that this one uses: all but its start.
+SCRIPTS = tuple(name for name in page.SCRIPTS if name != "main.js")
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
