@@ -487,6 +487,10 @@ class CcdiffConfig:
     #: Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest
     #: target may be guided; empty: all.
     conflicts: tuple[Conflict, ...] = ()
+    #: Whether guided plans that leave the ego no way out are dropped: the world is planned for once
+    #: more, without guidance. Ways are steady accelerations (−8 to 3 m/s²) on the route and up to
+    #: 2.5 m beside it, between the guided vehicles.
+    avoidable_only: bool = False
     #: Time of the episode from which plans are guided (s, >= 0).
     guided_from_s: float = 0.0
     #: Time of the episode until which plans are guided (s, >= 0); ``None``: to its end.

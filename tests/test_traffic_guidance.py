@@ -69,6 +69,97 @@ def test_only_vehicles_that_stand_so_to_the_ego_are_guided(scenes, kind):
     assert free > 0
 
 
+def has_way_out(start, size, track, plans, sizes):
+    """Whether one of 35 ways along a logged path stays clear of planned boxes [N, T, 3].
+
+    Boxes are tested by the corners and edge points of each in the other.
+    """
+
+    def outline(poses, size):
+        u = np.linspace(-0.5, 0.5, 9)
+        edge = np.concatenate(
+            [np.stack([u, 0 * u + s], -1) for s in (-0.5, 0.5)]
+            + [np.stack([0 * u + s, u], -1) for s in (-0.5, 0.5)]
+        )
+        cos, sin = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+        x, y = edge[:, 0] * size[0], edge[:, 1] * size[1]
+        return poses[..., None, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], -1)
+
+    def inside(points, poses, size):
+        offset = points - poses[..., None, :2]
+        cos, sin = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+        along = cos * offset[..., 0] + sin * offset[..., 1]
+        across = cos * offset[..., 1] - sin * offset[..., 0]
+        return ((abs(along) <= size[0] / 2) & (abs(across) <= size[1] / 2)).any(-1)
+
+    steps = np.linalg.norm(np.diff(track, axis=0), axis=1)
+    track = track[np.r_[True, steps > 0.0]]
+    length = np.r_[0.0, np.linalg.norm(np.diff(track, axis=0), axis=1).cumsum()]
+    begin = length[np.linalg.norm(track - start[:2], axis=1).argmin()]
+    time = 0.1 * np.arange(1, plans.shape[1] + 1)
+    for offset in (0.0, 1.0, -1.0, 2.5, -2.5):
+        for acceleration in (0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0):
+            stop = start[3] / -acceleration if acceleration < 0.0 else np.inf
+            t = np.minimum(time, stop)
+            ahead = start[3] * t + 0.5 * acceleration * t**2
+            s = begin + ahead
+            place = np.stack([np.interp(s, length, track[:, k]) for k in (0, 1)], -1)
+            later = np.stack([np.interp(s + 0.5, length, track[:, k]) for k in (0, 1)], -1)
+            heading = np.arctan2(*(later - place).T[::-1])
+            aside = np.clip(offset, -1, 1) * np.minimum(abs(offset), np.minimum(time, 0.3 * ahead))
+            place += aside[:, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
+            ego = np.concatenate([place, heading[:, None]], -1)
+            inner = s < length[-1] - 1.0
+            touched = False
+            for plan, other in zip(plans, sizes, strict=True):
+                hit = inside(outline(ego, size), plan, other)
+                hit |= inside(outline(plan, other), ego, size)
+                touched |= bool((hit & inner).any())
+            if not touched:
+                return True
+    return False
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 2.0, 4.0])
+def test_guided_plans_that_leave_the_ego_no_way_out_are_dropped(scenes, begin_s):
+    ccdiff = {"criticality": 4.0, "guided_from_s": begin_s}
+    plain = Play(scenes, ccdiff=ccdiff)
+    only = Play(scenes, ccdiff={**ccdiff, "avoidable_only": True})
+    for play in (plain, only):
+        play.step(int(10 * begin_s))
+    before = [plain.states(w) for w in range(len(scenes))]
+    for play in (plain, only):
+        play.step()
+    kept, expected = [], []
+    for w, scene in enumerate(scenes):
+        plan, states, ego = plain.native.explain(w), before[w], scene.agent_ids.index("ego")
+        if not (plan["guided"].any() and states["active"][ego]):
+            continue
+        rows = np.flatnonzero(plan["guided"])
+        poses = plan["samples"][plan["selected_sample"][rows], rows]
+        speed = np.linalg.norm(states["velocity"][ego])
+        start = np.r_[states["position"][ego], states["heading"][ego], speed]
+        tracks = scene.tracks()
+        track = tracks["position"][ego][tracks["valid"][ego]]
+        sizes = scene.sizes[plan["agents"][rows]]
+        expected.append(has_way_out(start, scene.sizes[ego], track, poses, sizes))
+        kept.append(bool(only.native.explain(w)["guided"].any()))
+    assert len(kept) >= 8
+    # the two may differ where boxes barely touch
+    assert np.sum(np.array(kept) != expected) <= 1
+    assert any(kept)
+
+
+def test_some_guided_plans_are_dropped(scenes):
+    guided = {}
+    for avoidable_only in (False, True):
+        play = Play(scenes, ccdiff={"criticality": 4.0, "avoidable_only": avoidable_only})
+        play.step(50)
+        plans = [play.native.explain(w) for w in range(len(scenes))]
+        guided[avoidable_only] = sum(bool(plan["guided"].any()) for plan in plans)
+    assert 0 < guided[True] < guided[False]
+
+
 def test_guidance_keeps_to_its_time(scenes):
     ccdiff = {"criticality": 1.0, "guided_from_s": 1.0, "guided_until_s": 2.0}
     play, guided = Play(scenes[:1], ccdiff=ccdiff), {}

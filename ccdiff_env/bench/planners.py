@@ -71,9 +71,12 @@ class Traffic:
 _TITLES = driver_titles()
 
 
-def _critical(level: float, driver: str = "ccdiff") -> Traffic:
+def _critical(level: float, driver: str = "ccdiff", *, avoidable_only: bool = False) -> Traffic:
     options = {"criticality": level, "num_samples": 1}
-    return Traffic(f"{_TITLES[driver]}, criticality {level:g}", driver, options)
+    label = f"{_TITLES[driver]}, criticality {level:g}"
+    if not avoidable_only:
+        return Traffic(label, driver, options)
+    return Traffic(f"{label}, avoidable only", driver, {**options, "avoidable_only": True})
 
 
 def _named(label: str, name: str) -> Traffic:
@@ -95,6 +98,10 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         },
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
         **{f"{name}-1": _critical(1.0, name) for name in NETWORKS},
+        **{
+            f"ccdiff-{level:g}-avoidable": _critical(level, avoidable_only=True)
+            for level in (1.0, 2.0)
+        },
         "ccdiff-redrawn": Traffic(
             "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
         ),

@@ -181,6 +181,9 @@ options! {
         /// Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest target may be guided;
         /// empty: all.
         conflicts: Vec<Conflict> = Vec::new();
+        /// Whether guided plans that leave the ego no way out are dropped: the world is planned for once more, without guidance.
+        /// Ways are steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
+        avoidable_only: bool = false;
         /// Time of the episode from which plans are guided.
         guided_from_s: Real = 0.0, unit "s", range at_least(0.0);
         /// Time of the episode until which plans are guided; `None`: to its end.

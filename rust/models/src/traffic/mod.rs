@@ -11,6 +11,7 @@ mod config;
 mod memory;
 mod planned_agents;
 mod planning;
+mod way_out;
 
 pub use config::{
     CcdiffConfig, Conflict, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking,

@@ -2,6 +2,7 @@
 
 use super::config::{Others, Partners, Ranking};
 use super::planned_agents::{self, PlannedAgents, RankingInputs};
+use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
@@ -42,6 +43,22 @@ impl PreparedRequest<'_> {
     fn is_guided(&self) -> bool {
         self.criticality > 0.0 && self.guided.contains(&true)
     }
+
+    /// Whether the egos have a way out between the guided vehicles.
+    fn has_way_out(&self, plan: &Plan) -> bool {
+        let m = plan.agents.len();
+        let steps = plan.states.len() / (plan.num_samples * m * 6).max(1);
+        let samples = poses(plan, steps);
+        let selected = plan.selected_sample();
+        let guided = plan.agents.iter().enumerate().filter(|(_, row)| self.guided[**row]);
+        let plans: Vec<_> = guided
+            .map(|(i, row)| PlannedPoses {
+                agent_idx: self.planned.agents[*row],
+                poses: &samples[(selected[i] * m + i) * steps * 3..][..steps * 3],
+            })
+            .collect();
+        way_out::exists(&self.request.world, &plans)
+    }
 }
 
 impl PlannedTraffic {
@@ -62,8 +79,19 @@ impl PlannedTraffic {
         let (guided, unguided) = (self.guided.clone(), self.unguided.clone());
         let plans = self.draw(&[(&with, &guided), (&without, &unguided)], true)?;
         let options = std::iter::repeat_n(&guided, with.len()).chain(std::iter::repeat(&unguided));
-        let worlds = with.into_iter().chain(without).zip(options);
-        Ok(worlds.zip(plans).map(|((w, options), p)| (w.request, self.adopt(w, p, options))).collect())
+        let mut made: Vec<_> =
+            with.into_iter().chain(without).zip(plans).zip(options).map(|((w, p), o)| (w, p, o)).collect();
+        if self.config.avoidable_only {
+            let (closed, mut kept): (Vec<_>, Vec<_>) =
+                made.into_iter().partition(|(world, plan, _)| world.is_guided() && !world.has_way_out(plan));
+            let unguide =
+                |(world, ..): (PreparedRequest<'a>, Plan, _)| PreparedRequest { criticality: 0.0, ..world };
+            let worlds: Vec<_> = closed.into_iter().map(unguide).collect();
+            let plans = self.draw(&[(&worlds, &unguided)], true)?;
+            kept.extend(worlds.into_iter().zip(plans).map(|(w, p)| (w, p, &unguided)));
+            made = kept;
+        }
+        Ok(made.into_iter().map(|(w, plan, options)| (w.request, self.adopt(w, plan, options))).collect())
     }
 
     fn prepare<'a>(&self, request: &'a PlanRequest<'a>) -> Result<PreparedRequest<'a>> {
