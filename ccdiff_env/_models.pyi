@@ -56,7 +56,7 @@ class Planner:
         guidance_weight: float,
         guidance: str | None,
         guided: list[list[int]] | None,
-        partners: list[list[int]] | None,
+        collision_targets: list[list[int]] | None,
         attention: bool,
         gradient_statistics: bool,
         follow_route: bool,

@@ -65,7 +65,14 @@ Traffic: TypeAlias = str | Mapping[str, float]
 
 
 #: Former names of options, for one release.
-FORMER: dict[type[Any], dict[str, str]] = {ObservationConfig: {"num_agents": "num_neighbors"}}
+FORMER: dict[type[Any], dict[str, str]] = {
+    ObservationConfig: {"num_agents": "num_neighbors"},
+    CcdiffConfig: {
+        "others": "background_driver",
+        "partners": "collision_targets",
+        "frozen": "parked_rule",
+    },
+}
 for _kind, _names in FORMER.items():
     takes_former_names(**_names)(_kind)
 

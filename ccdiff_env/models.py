@@ -223,7 +223,7 @@ class Planner:
         guidance_weight: float = 1.0,
         guidance: str | Mapping[str, Any] | None = None,
         guided: Sequence[Sequence[int]] | None = None,
-        partners: Sequence[Sequence[int]] | None = None,
+        collision_targets: Sequence[Sequence[int]] | None = None,
         attention: bool = False,
         gradient_statistics: bool = False,
         follow_route: bool = False,
@@ -249,7 +249,7 @@ class Planner:
             those of ``"released"``. Needs two solver steps or more.
         guided
             Agents of each scene whose plans are guided; needs ``guidance``.
-        partners
+        collision_targets
             If given, only contacts with these agents of each scene count in collision objectives.
         attention
             Whether plans come with the attention between vehicles.
@@ -279,7 +279,9 @@ class Planner:
             guidance_weight=guidance_weight,
             guidance=None if guidance is None else json.dumps(dict(guidance)),
             guided=None if guided is None else [list(g) for g in guided],
-            partners=None if partners is None else [list(p) for p in partners],
+            collision_targets=(
+                None if collision_targets is None else [list(rows) for rows in collision_targets]
+            ),
             attention=attention,
             gradient_statistics=gradient_statistics,
             follow_route=follow_route,

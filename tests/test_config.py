@@ -13,6 +13,7 @@ from ccdiff_env.config import (
     ActionConfig,
     ActionGrid,
     BicycleLimits,
+    CcdiffConfig,
     DeltaPoseLimits,
     ObservationConfig,
     RewardConfig,
@@ -97,6 +98,24 @@ def test_a_former_name_of_an_option_warns_and_means_the_same():
         assert WorldConfig.from_json(text) == expected
     with pytest.raises(TypeError, match="num_neighbors"):
         ObservationConfig(num_agents=3, num_neighbors=4)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("former", "name", "value"),
+    [
+        ("others", "background_driver", "replay"),
+        ("partners", "collision_targets", "all"),
+        ("frozen", "parked_rule", "standing"),
+    ],
+)
+def test_former_names_of_options_of_ccdiff_warn_and_mean_the_same(former, name, value):
+    expected = WorldConfig().with_options(ccdiff={name: value})
+    with pytest.warns(DeprecationWarning, match=f"{former!r} is called {name!r}"):
+        assert WorldConfig().with_options(ccdiff={former: value}) == expected
+    with pytest.warns(DeprecationWarning, match=name):
+        assert CcdiffConfig(**{former: value}) == expected.ccdiff
+    with pytest.warns(DeprecationWarning, match=name):
+        assert WorldConfig.from_json(expected.to_json().replace(name, former)) == expected
 
 
 def test_numpy_numbers_are_numbers():

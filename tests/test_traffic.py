@@ -104,7 +104,7 @@ def test_a_plan_tells_what_it_was_made_from(scenes):
 def test_the_shift_of_guidance_grows_where_its_cost_saturates(scenes):
     found = []
     for criticality in (0.5, 1.0, 2.0, 4.0):
-        play = Play(scenes[:1], ccdiff={"criticality": criticality, "partners": "all"})
+        play = Play(scenes[:1], ccdiff={"criticality": criticality, "collision_targets": "all"})
         play.step()
         plan = play.native.explain(0)
         found.append(float(plan["shift_sigmas"].max()))
@@ -133,7 +133,7 @@ def test_plans_do_not_depend_on_the_number_of_threads(scenes, criticality):
 
 @pytest.mark.parametrize("ccdiff", [{}, {"num_samples": 3}, {"criticality": 1.0}])
 def test_one_denoising_step_plans_with_and_without_guidance(scenes, ccdiff):
-    play = Play(scenes[:1], ccdiff={"denoising_steps": 1, "partners": "all", **ccdiff})
+    play = Play(scenes[:1], ccdiff={"denoising_steps": 1, "collision_targets": "all", **ccdiff})
     play.step()
     plan = play.native.explain(0)
     assert np.isfinite(plan["samples"]).all()
@@ -193,7 +193,7 @@ def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, t
 
 
 def test_vehicles_left_to_the_log_stay_on_it(scenes):
-    ccdiff = {"others": "replay", "num_guided": 1, "rerank": False, "criticality": 1.0}
+    ccdiff = {"background_driver": "replay", "num_guided": 1, "rerank": False, "criticality": 1.0}
     play = Play(scenes[:1], ccdiff=ccdiff)
     tracks = scenes[0].tracks()
     for step in range(20):

@@ -54,6 +54,10 @@ FORMER = {
     r"\bweakness (curve|plot)\b": ("robustness curve", "ccdiff_env docs"),
     r"\bmildest\b": ("least aggressive", "ccdiff_env rust docs"),
     r"\bExplanation\b": ("PlanRecord", "rust ccdiff_env docs"),
+    r"\b(Partners|Others|Frozen)\b|config\.(partners|others|frozen)\b": (
+        "CollisionTargets, BackgroundDriver, ParkedRule",
+        "rust/models/src/traffic rust/py-models/src",
+    ),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

@@ -232,7 +232,7 @@ def episodes(
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
         **PAPER_PROTOCOL["ccdiff"],
-        "others": "ccdiff",
+        "background_driver": "ccdiff",
         "criticality": 0.0,
         "num_samples": 1,
         "replan_steps": replan_steps,
@@ -240,7 +240,7 @@ def episodes(
     }
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
     if own:
-        ccdiff |= {"ranking": method.ranking, "others": "replay", "num_guided": num_controlled}
+        ccdiff |= {"ranking": method.ranking, "background_driver": "replay", "num_guided": num_controlled}
     # only guidance has gradients to tell of
     ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
     config = WorldConfig().with_options(

@@ -86,9 +86,9 @@ PAPER_PROTOCOL: Mapping[str, Any] = {
         "num_samples": 5,
         "num_guided": 5,
         "rerank": False,
-        "others": "replay",
-        "frozen": "standing",
-        "partners": "all",
+        "background_driver": "replay",
+        "parked_rule": "standing",
+        "collision_targets": "all",
         "criticality": 1.0,
     },
 }

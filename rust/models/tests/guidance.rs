@@ -182,8 +182,8 @@ fn only_contacts_with_a_partner_count_where_partners_are_named() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true; 3];
     let config = config(vec![approach(-10.0)]);
-    let partners = [false, false, true];
-    let guide = WorldGuidance { partners: Some(&partners), ..WorldGuidance::new(&who) };
+    let collision_targets = [false, false, true];
+    let guide = WorldGuidance { collision_targets: Some(&collision_targets), ..WorldGuidance::new(&who) };
     let s = toy.context(&guide, &config);
     let (losses, _) = evaluate(&approach(-10.0), &s, &toy.roll_knots(&s, &toy.still()));
     assert_eq!(losses, [0.0; 3]);

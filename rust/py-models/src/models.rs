@@ -233,8 +233,8 @@ impl PyPlanner {
     }
 
     /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` and
-    /// `partners` list agents of each scene.
-    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, partners,
+    /// `collision_targets` list agents of each scene.
+    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, collision_targets,
         attention, gradient_statistics, follow_route))]
     fn plan_scenes<'py>(
         &self,
@@ -247,13 +247,13 @@ impl PyPlanner {
         guidance_weight: f64,
         guidance: Option<&str>,
         guided: Option<Vec<Vec<usize>>>,
-        partners: Option<Vec<Vec<usize>>>,
+        collision_targets: Option<Vec<Vec<usize>>>,
         attention: bool,
         gradient_statistics: bool,
         follow_route: bool,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let scenes = arcs(scenes);
-        let lists = [&guided, &partners].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
+        let lists = [&guided, &collision_targets].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
         if [steps.len(), seeds.len(), lists[0], lists[1]].iter().any(|got| *got != scenes.len()) {
             let got = format!("{} steps, {} seeds, {lists:?} lists of agents", steps.len(), seeds.len());
             return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
@@ -264,7 +264,8 @@ impl PyPlanner {
             attention,
             gradient_statistics,
         };
-        let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, partners, follow_route };
+        let logged =
+            Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, collision_targets, follow_route };
         let plans = py.detach(|| plan_logged(&mut lock(&self.0), &logged, &options));
         let plans = plans.map_err(from_model)?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
@@ -277,7 +278,7 @@ struct Logged<'a> {
     steps: &'a [usize],
     seeds: &'a [u64],
     guided: Option<Vec<Vec<usize>>>,
-    partners: Option<Vec<Vec<usize>>>,
+    collision_targets: Option<Vec<Vec<usize>>>,
     follow_route: bool,
 }
 
@@ -319,7 +320,7 @@ fn plan_logged(
         })
         .collect();
     let guided = logged.listed(logged.guided.as_ref());
-    let partners = logged.listed(logged.partners.as_ref());
+    let collision_targets = logged.listed(logged.collision_targets.as_ref());
     let guides = guided.is_some();
     let roads: Vec<Option<Region>> =
         logged.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
@@ -332,7 +333,7 @@ fn plan_logged(
             seed: logged.seeds[k],
             guide: guided.as_ref().map(|flags| WorldGuidance {
                 road: roads[k].as_ref(),
-                partners: partners.as_ref().map(|p| p[k].as_slice()),
+                collision_targets: collision_targets.as_ref().map(|p| p[k].as_slice()),
                 ..WorldGuidance::new(&flags[k])
             }),
         })

@@ -19,7 +19,7 @@ pub struct WorldGuidance<'a> {
     /// Where vehicles may drive; map collision is zero without.
     pub road: Option<&'a Region>,
     /// If given, only contacts with one of these agents count, [A]: such as the ego.
-    pub partners: Option<&'a [bool]>,
+    pub collision_targets: Option<&'a [bool]>,
     /// Wanted positions, scene frame, [A].
     pub goals: Option<&'a [Option<Point2>]>,
     /// Wanted speeds, metres per second, [A].
@@ -35,7 +35,7 @@ impl<'a> WorldGuidance<'a> {
             guided,
             guidance_scale: 1.0,
             road: None,
-            partners: None,
+            collision_targets: None,
             goals: None,
             target_speeds_mps: None,
             speed_limit_mps: None,
@@ -93,7 +93,7 @@ impl<'a> GuidanceContext<'a> {
         let expected = window.num_agents();
         for (what, got) in [
             ("guide guided", Some(guide.guided.len())),
-            ("guide partners", guide.partners.map(<[_]>::len)),
+            ("guide collision_targets", guide.collision_targets.map(<[_]>::len)),
             ("guide goals", guide.goals.map(<[_]>::len)),
             ("guide target_speeds_mps", guide.target_speeds_mps.map(<[_]>::len)),
         ] {
@@ -114,7 +114,7 @@ impl<'a> GuidanceContext<'a> {
             moving: features.speed_mps.iter().map(|v| v.abs() > MOVING_MPS).collect(),
             guided: rows.iter().map(|a| guide.guided[*a]).collect(),
             guidance_scale: guide.guidance_scale,
-            partner: rows.iter().map(|a| guide.partners.is_none_or(|p| p[*a])).collect(),
+            partner: rows.iter().map(|a| guide.collision_targets.is_none_or(|p| p[*a])).collect(),
             road: guide.road,
             goals: rows.iter().map(|a| guide.goals.and_then(|g| g[*a]).filter(finite)).collect(),
             target_speed_mps: rows

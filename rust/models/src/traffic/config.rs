@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 choices! {
     /// Who drives the vehicles outside the guided set.
     #[derive(Clone, Copy, Eq)]
-    pub enum Others {
+    pub enum BackgroundDriver {
         /// The network, without guidance.
         Ccdiff = "ccdiff",
         /// The intelligent driver model along their routes.
@@ -61,7 +61,7 @@ choices! {
 choices! {
     /// Contacts with whom count in the collision objectives.
     #[derive(Clone, Copy, Eq)]
-    pub enum Partners {
+    pub enum CollisionTargets {
         /// The ego, and every vehicle that is driven from outside.
         Ego = "ego",
         /// Every vehicle (paper).
@@ -87,7 +87,7 @@ choices! {
 choices! {
     /// Which vehicles stand still for the whole episode.
     #[derive(Clone, Copy, Eq)]
-    pub enum Frozen {
+    pub enum ParkedRule {
         /// Those that never move in the log.
         Parked = "parked",
         /// Those slower than 0.5 m/s in the log at the start (as released).
@@ -162,7 +162,7 @@ options! {
         /// Whether they are found anew at every plan, not only at the first one.
         rerank: bool = true;
         /// Who drives the vehicles that are not guided; `"ccdiff"`: the network itself.
-        others: Others = Others::Ccdiff;
+        background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured. Worlds may
         /// be told another one at any time.
         criticality: Real = 0.0, range at_least(0.0);
@@ -175,8 +175,8 @@ options! {
         mask_guidance: bool = true;
         /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
         /// anybody (paper).
-        partners: Partners = Partners::Ego;
-        /// Ids of the agents with whom contacts count, in place of `partners`; empty: those of `partners`.
+        collision_targets: CollisionTargets = CollisionTargets::Ego;
+        /// Ids of the agents with whom contacts count, in place of `collision_targets`; empty: those.
         targets: Vec<String> = Vec::new();
         /// Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest target may be guided;
         /// empty: all.
@@ -191,7 +191,7 @@ options! {
         /// Whether plans keep attention and gradient statistics, at some cost.
         explain: bool = false;
         /// Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
-        frozen: Frozen = Frozen::Parked;
+        parked_rule: ParkedRule = ParkedRule::Parked;
     }
 }
 

@@ -3,7 +3,7 @@
 use ccdiff_sim::policy::PlanState;
 use ccdiff_sim::{Result, SimError};
 
-const FROZEN: u8 = 1;
+const PARKED: u8 = 1;
 const LEFT_LOG: u8 = 2;
 
 /// What is remembered of an episode. As bytes: a byte of flags for each agent, the seed in 64 bits, then the
@@ -11,7 +11,7 @@ const LEFT_LOG: u8 = 2;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Memory {
     /// Agents of the scene that stand still for the whole episode, [A].
-    pub(super) frozen: Vec<bool>,
+    pub(super) parked: Vec<bool>,
     /// Agents of the scene that have left their log by following a plan, [A].
     pub(super) left_log: Vec<bool>,
     /// Seed of the noise of the first plan.
@@ -21,15 +21,15 @@ pub(super) struct Memory {
 }
 
 /// Whether an agent stands still for the whole episode.
-pub(super) fn is_frozen(memory: &[u8], agent_idx: usize) -> bool {
-    memory.get(agent_idx).is_some_and(|flags| flags & FROZEN != 0)
+pub(super) fn is_parked(memory: &[u8], agent_idx: usize) -> bool {
+    memory.get(agent_idx).is_some_and(|flags| flags & PARKED != 0)
 }
 
 impl Memory {
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let flag = |on: bool, flag: u8| if on { flag } else { 0 };
-        let flags = self.frozen.iter().zip(&self.left_log);
-        let flags = flags.map(|(frozen, left)| flag(*frozen, FROZEN) | flag(*left, LEFT_LOG));
+        let flags = self.parked.iter().zip(&self.left_log);
+        let flags = flags.map(|(parked, left)| flag(*parked, PARKED) | flag(*left, LEFT_LOG));
         let flags = flags.chain(self.noise_seed.to_le_bytes());
         flags.chain(self.first_ranking.iter().flat_map(|a| (*a as u32).to_le_bytes())).collect()
     }
@@ -45,7 +45,7 @@ impl Memory {
         });
         let read = whole.map(|(flags, seed, ranking)| Self {
             noise_seed: u64::from_le_bytes(seed),
-            frozen: flags.iter().map(|f| f & FROZEN != 0).collect(),
+            parked: flags.iter().map(|f| f & PARKED != 0).collect(),
             left_log: flags.iter().map(|f| f & LEFT_LOG != 0).collect(),
             first_ranking: ranking
                 .chunks_exact(4)

@@ -14,7 +14,8 @@ mod planning;
 mod way_out;
 
 pub use config::{
-    CcdiffConfig, Conflict, DeviceName, Frozen, GraphMode, GuidanceChoice, Others, Partners, Ranking,
+    BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, DeviceName, GraphMode, GuidanceChoice,
+    ParkedRule, Ranking,
 };
 
 use crate::config::ModelConfig;
@@ -202,7 +203,7 @@ impl TrafficPolicy for PlannedTraffic {
         let Some(plan) = plan else {
             return Replay.act(world, None, agent_idx);
         };
-        if memory::is_frozen(&plan.memory, agent_idx) {
+        if memory::is_parked(&plan.memory, agent_idx) {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
         match plan.follow(world, agent_idx) {
@@ -210,7 +211,9 @@ impl TrafficPolicy for PlannedTraffic {
                 AgentMotion::Place(pose, velocity)
             }
             Some(_) => AgentMotion::Leave,
-            None if self.config.others == Others::Idm || self.config.plan_radius_m.is_some() => {
+            None if self.config.background_driver == BackgroundDriver::Idm
+                || self.config.plan_radius_m.is_some() =>
+            {
                 Idm { config: world.config.idm }.act(world, None, agent_idx)
             }
             // not planned for yet, or left to the log

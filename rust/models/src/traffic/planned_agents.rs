@@ -1,6 +1,6 @@
 //! Who is planned for in a world, who of them may be guided, and in which order.
 
-use super::config::{CcdiffConfig, Conflict, Frozen};
+use super::config::{CcdiffConfig, Conflict, ParkedRule};
 use crate::error::Result;
 use crate::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
@@ -45,12 +45,12 @@ pub(super) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
 }
 
 /// Which agents of a scene do not move in an episode.
-pub(super) fn frozen(world: &WorldView<'_>, rule: Frozen) -> Vec<bool> {
+pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
     let (scene, start) = (&world.scene.scene, world.step_idx - world.elapsed_steps);
     (0..world.states.len())
         .map(|a| match rule {
-            Frozen::Parked => world.scene.routes[a].is_parked(),
-            Frozen::Standing => {
+            ParkedRule::Parked => world.scene.routes[a].is_parked(),
+            ParkedRule::Standing => {
                 scene.is_valid(a, start) && scene.tracks.velocity[scene.at(a, start)].norm() <= STANDING_MPS
             }
         })
@@ -78,7 +78,7 @@ impl PlannedAgents {
     /// [`ccdiff_sim::SimError::Policy`] where the world keeps no history.
     pub(super) fn new(
         request: &PlanRequest<'_>,
-        frozen: &[bool],
+        parked: &[bool],
         num_steps: usize,
         radius_m: Option<Real>,
     ) -> Result<Self> {
@@ -96,11 +96,11 @@ impl PlannedAgents {
         let there: Vec<usize> = (0..states.len()).filter(is_there).collect();
         let near_moving = |a: usize| {
             let p = states.position(a);
-            let mut moving = there.iter().filter(|b| !frozen[**b]);
+            let mut moving = there.iter().filter(|b| !parked[**b]);
             moving.any(|b| (states.position(*b) - p).norm() < STANDING_REACH_M)
         };
-        let agents: Vec<usize> = there.iter().copied().filter(|a| !frozen[*a] || near_moving(*a)).collect();
-        let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !frozen[*a]).collect();
+        let agents: Vec<usize> = there.iter().copied().filter(|a| !parked[*a] || near_moving(*a)).collect();
+        let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();
         let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
             let message = "the world keeps too short a history".into();
             ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
@@ -122,13 +122,14 @@ impl PlannedAgents {
         Ok(Self { agents, controlled_by_policy, window })
     }
 
-    /// How an agent of the scene stands to the nearest of the rows `partners`, itself not among them; `None` without any.
-    pub(super) fn conflict(&self, agent_idx: usize, partners: &[bool]) -> Option<Conflict> {
+    /// How an agent of the scene stands to the nearest of `collision_targets`, itself not among them; `None` without any.
+    pub(super) fn conflict(&self, agent_idx: usize, collision_targets: &[bool]) -> Option<Conflict> {
         let (window, now) = (&self.window, self.window.num_steps - 1);
         let row = self.agents.iter().position(|a| *a == agent_idx)?;
         let pose = window.pose(row, now);
-        let others =
-            (0..self.agents.len()).filter(|r| *r != row && partners[*r]).map(|r| window.pose(r, now));
+        let others = (0..self.agents.len())
+            .filter(|r| *r != row && collision_targets[*r])
+            .map(|r| window.pose(r, now));
         let distance = |other: &Pose2| (other.position - pose.position).norm();
         let target = others.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
         let beside_m = target.to_local(pose.position).y.abs();

@@ -1,6 +1,6 @@
 //! One round of planning: planned agents, rankings, the network, and who follows what.
 
-use super::config::{Others, Partners, Ranking};
+use super::config::{BackgroundDriver, CollisionTargets, Ranking};
 use super::planned_agents::{self, PlannedAgents, RankingInputs};
 use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic};
@@ -36,7 +36,7 @@ struct PreparedRequest<'a> {
     /// Rows of the window whose plans are moved.
     guided: Vec<bool>,
     /// Rows of the window with whom contacts count.
-    partners: Vec<bool>,
+    collision_targets: Vec<bool>,
 }
 
 impl PreparedRequest<'_> {
@@ -99,14 +99,14 @@ impl PlannedTraffic {
         let memory = match request.plan {
             Some(plan) => Memory::of(plan, world.states.len())?,
             None => Memory {
-                frozen: planned_agents::frozen(world, self.config.frozen),
+                parked: planned_agents::parked(world, self.config.parked_rule),
                 left_log: vec![false; world.states.len()],
                 noise_seed: world.noise_seed,
                 first_ranking: Vec::new(),
             },
         };
-        let stands = |(frozen, halted): (&bool, &bool)| *frozen || *halted;
-        let still: Vec<bool> = memory.frozen.iter().zip(world.halted).map(stands).collect();
+        let stands = |(parked, halted): (&bool, &bool)| *parked || *halted;
+        let still: Vec<bool> = memory.parked.iter().zip(world.halted).map(stands).collect();
         let mut planned =
             PlannedAgents::new(request, &still, self.model.history_steps, self.config.plan_radius_m)?;
         self.tie(request, &memory, &mut planned);
@@ -117,12 +117,12 @@ impl PlannedTraffic {
             planned.window.measure_contacts()?;
         }
         let bitmap = self.bitmap(&world.scene.scene).cloned();
-        let counts = |agent: &usize| match (&self.config.targets[..], self.config.partners) {
-            ([], Partners::All) => true,
-            ([], Partners::Ego) => planned_agents::is_ego(world, *agent),
+        let counts = |agent: &usize| match (&self.config.targets[..], self.config.collision_targets) {
+            ([], CollisionTargets::All) => true,
+            ([], CollisionTargets::Ego) => planned_agents::is_ego(world, *agent),
             (targets, _) => targets.contains(&world.scene.scene.agents[*agent].id),
         };
-        let partners = planned.agents.iter().map(counts).collect();
+        let collision_targets = planned.agents.iter().map(counts).collect();
         let (guided, criticality) = (vec![false; planned.agents.len()], 0.0);
         Ok(PreparedRequest {
             request,
@@ -133,7 +133,7 @@ impl PlannedTraffic {
             chosen: Vec::new(),
             criticality,
             guided,
-            partners,
+            collision_targets,
         })
     }
 
@@ -173,7 +173,7 @@ impl PlannedTraffic {
             };
             let wanted = d.request.plan_override;
             let fits = |a: &usize| {
-                let conflict = || d.planned.conflict(*a, &d.partners);
+                let conflict = || d.planned.conflict(*a, &d.collision_targets);
                 config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
             };
             d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
@@ -257,16 +257,16 @@ impl PlannedTraffic {
 
     /// The plan that a world follows from now on.
     fn adopt(&self, mut due: PreparedRequest<'_>, plan: Plan, options: &PlanOptions) -> PlanState {
-        let (others, mut memory) = (self.config.others, std::mem::take(&mut due.memory));
+        let (background, mut memory) = (self.config.background_driver, std::mem::take(&mut due.memory));
         let (n, m) = (plan.num_samples, plan.agents.len());
         let steps = plan.states.len() / (n * m * 6).max(1);
         let agents: Vec<usize> = plan.agents.iter().map(|row| due.planned.agents[*row]).collect();
         let follows = |a: &usize| {
             due.planned.is_controlled_by_policy(*a)
-                && match others {
-                    Others::Ccdiff => true,
-                    Others::Idm => due.chosen.contains(a),
-                    Others::Replay => due.chosen.contains(a) || memory.left_log[*a],
+                && match background {
+                    BackgroundDriver::Ccdiff => true,
+                    BackgroundDriver::Idm => due.chosen.contains(a),
+                    BackgroundDriver::Replay => due.chosen.contains(a) || memory.left_log[*a],
                 }
         };
         let follows_plan: Vec<bool> = agents.iter().map(follows).collect();
@@ -330,7 +330,7 @@ fn view_of<'a>(
         guide: options.guidance.is_some().then(|| WorldGuidance {
             guidance_scale: *guidance_scale,
             road: world.scene.road.as_ref(),
-            partners: due.is_guided().then_some(&due.partners),
+            collision_targets: due.is_guided().then_some(&due.collision_targets),
             speed_limit_mps: Some(world.config.speed_limit_mps),
             ..WorldGuidance::new(moved)
         }),
