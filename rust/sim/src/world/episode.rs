@@ -44,7 +44,7 @@ pub(crate) struct Slot {
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
     /// Whether the agent has been on the road; before that, it is not counted as off the road.
-    pub(crate) been_on_road: bool,
+    pub(crate) has_been_on_road: bool,
     pub(crate) goal_reached: bool,
     // what the last step found out, for reward and observation
     pub(crate) off_road: bool,
@@ -247,7 +247,7 @@ impl Episode {
                 touching: false,
                 ever_collided: false,
                 ever_off_road: false,
-                been_on_road: false,
+                has_been_on_road: false,
                 goal_reached: false,
                 off_road: false,
                 off_road_centroid: false,

@@ -52,9 +52,9 @@ pub(crate) fn road_and_lane(
     slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
     if let Some(road) = &scene.road {
         let off = off_road(states, a, &scene.bodies[a], road);
-        slot.been_on_road |= !off.corner;
-        slot.off_road = off.corner && slot.been_on_road;
-        slot.off_road_centroid = off.centroid && slot.been_on_road;
+        slot.has_been_on_road |= !off.corner;
+        slot.off_road = off.corner && slot.has_been_on_road;
+        slot.off_road_centroid = off.centroid && slot.has_been_on_road;
     }
 }
 
