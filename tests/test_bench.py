@@ -227,9 +227,9 @@ def _row(scene, collided, off_road, fde, histogram):
     return {
         "scene": scene, "collision": {"all": collided, "new": collided, "controlled_new": False},
         "collision_rate": {"new": 0.5 * collided}, "off_road": off_road, "off_road_box": 0.0,
-        "off_road_parity": 0.0, "fde_m": fde, "fde_controlled_m": None, "over_speed": False,
+        "off_road_reference_impl": 0.0, "fde_m": fde, "fde_controlled_m": None, "over_speed": False,
         "realism_cost": None, "graph_sparsity": None, "comfort": histogram,
-        "comfort_parity": histogram,
+        "comfort_reference_impl": histogram,
     }  # fmt: skip
 
 
@@ -240,6 +240,8 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     log = [_row(str(i), False, 0.0, 0.0, centre.tolist()) for i in range(8)]
     rows = [_row(str(i), i < 2, 0.01 * (i % 2), float(i), moved.tolist()) for i in range(8)]
     figures = summarise(rows, log)
+    former = [{n.replace("_reference_impl", "_parity"): v for n, v in r.items()} for r in rows]
+    assert summarise(former, log).value == pytest.approx(figures.value, nan_ok=True)
     assert figures.value["scr"] == 0.25
     assert figures.value["orr"] == pytest.approx(0.5)
     assert figures.value["fde"] == 3.5

@@ -16,7 +16,7 @@ from ccdiff_env.bench.tables import Condition, summarise
 from ccdiff_env.metrics import PAPER_BOUNDS, scores
 
 HISTOGRAM = np.full((3, 20), 0.05).tolist()
-LOG = [{"comfort": HISTOGRAM, "comfort_parity": HISTOGRAM} for _ in range(40)]
+LOG = [{"comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM} for _ in range(40)]
 
 
 def figures(collided, fde, seed=0):
@@ -25,7 +25,7 @@ def figures(collided, fde, seed=0):
         {
             "collision": {"all": bool(hit), "new": bool(hit), "controlled_new": bool(hit)},
             "collision_rate": {"new": 0.0}, "over_speed": False, "off_road": 0.0, "fde_m": metres,
-            "comfort": HISTOGRAM, "comfort_parity": HISTOGRAM,
+            "comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM,
         }
         for hit, metres in zip(collided, fde, strict=True)
     ]  # fmt: skip

@@ -58,6 +58,8 @@ FORMER = {
         "CollisionTargets, BackgroundDriver, ParkedRule",
         "rust/models/src/traffic rust/py-models/src",
     ),
+    r"\b(orr|cfd)_parity\b": ("orr_reference_impl, cfd_reference_impl", "ccdiff_env docs"),
+    r"\bbeen_on_road\b": ("has_been_on_road", "rust docs"),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

@@ -32,11 +32,11 @@ FIGURES: dict[str, str] = {
     "collision_rate": "share of vehicles in a new contact, mean over scenes",
     "orr": "share of vehicle steps with the centre off the road, per cent",
     "orr_box": "... with a corner off the road, per cent",
-    "orr_parity": "... absent vehicles until the next plan counted as off the road, per cent",
+    "orr_reference_impl": "... absent vehicles until the next plan count as off the road, %",
     "fde": "final displacement from the log, all vehicles, m",
     "fde_controlled": "... controlled vehicles only, m",
     "cfd": "comfort distance, body axes, x 100",
-    "cfd_parity": "... axes as released, x 100",
+    "cfd_reference_impl": "... axes as released, x 100",
     "sor": "share of scenes with a controlled vehicle over the speed limit",
     "sor_log": "... of the same vehicles in the log",
     "excess": "speed above the limit, mean over steps of controlled vehicles, m/s",
@@ -45,6 +45,11 @@ FIGURES: dict[str, str] = {
     "conflict_share": "share of guided denoising steps in which realism and guidance disagree",
     "gradient_cosine": "cosine of the gradients of realism and guidance",
     "graph_sparsity": "share of pairs that G does not join",
+}
+#: Former names of figures of a scene in run folders of an older release.
+FORMER = {
+    "off_road_parity": "off_road_reference_impl",
+    "comfort_parity": "comfort_reference_impl",
 }
 RESAMPLES = 1000
 T = TypeVar("T")
@@ -95,6 +100,10 @@ def condition_of(job: str) -> Condition:
     return Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
 
 
+def _under_present_names(rows: Rows) -> Rows:
+    return [{FORMER.get(name, name): value for name, value in row.items()} for row in rows]
+
+
 def _column(rows: Rows, name: str) -> npt.NDArray[np.float64]:
     values = [row.get(name) for row in rows]  # absent in rows of an older release
     return np.array([np.nan if value is None else value for value in values], np.float64)
@@ -112,6 +121,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     seed
         Of the bootstrap.
     """
+    rows, log = _under_present_names(rows), _under_present_names(log)
     columns = {
         "scr": [row["collision"]["all"] for row in rows],
         "scr_new": [row["collision"]["new"] for row in rows],
@@ -119,7 +129,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
         "collision_rate": [row["collision_rate"]["new"] for row in rows],
         "orr": 100 * _column(rows, "off_road"),
         "orr_box": 100 * _column(rows, "off_road_box"),
-        "orr_parity": 100 * _column(rows, "off_road_parity"),
+        "orr_reference_impl": 100 * _column(rows, "off_road_reference_impl"),
         "fde": _column(rows, "fde_m"),
         "fde_controlled": _column(rows, "fde_controlled_m"),
         "sor": [row["over_speed"] for row in rows],
@@ -137,7 +147,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
             np.array([row[key] for row in rows]),
             np.array([row[key] for row in log]).mean(axis=0),
         )
-        for name, key in (("cfd", "comfort"), ("cfd_parity", "comfort_parity"))
+        for name, key in (("cfd", "comfort"), ("cfd_reference_impl", "comfort_reference_impl"))
     }
 
     def figures(chosen: npt.NDArray[np.int64]) -> dict[str, float]:

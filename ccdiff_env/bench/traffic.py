@@ -240,7 +240,8 @@ def episodes(
     }
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
     if own:
-        ccdiff |= {"ranking": method.ranking, "background_driver": "replay", "num_guided": num_controlled}
+        ccdiff |= {"ranking": method.ranking, "num_guided": num_controlled}
+        ccdiff["background_driver"] = "replay"
     # only guidance has gradients to tell of
     ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
     config = WorldConfig().with_options(
