@@ -16,7 +16,7 @@ VERBS = {
     "train": ("train a planning network on nuScenes (resumes a run in --out)", "train_command"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
-    "view": ("write a replay page, a picture or a film", "view.command"),
+    "view": ("write a replay page, an image or a video", "view.command"),
     "scenes": ("list the scenes that can be played and shown", "view.listing"),
     "play": ("play scenes again with other settings, in the browser", "view.play"),
     "live": ("watch a training: its curves and its newest replay", "view.live"),

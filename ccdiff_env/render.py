@@ -1,4 +1,4 @@
-"""Top-down pictures: drawing agents and lines, and writing pictures and films to files."""
+"""Top-down pictures: drawing agents and lines, and writing pictures and videos to files."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def draw(
 
 
 def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: float = 10.0) -> None:
-    """Write a picture or a film; the suffix of the file says which.
+    """Write a picture or a video; the suffix of the file says which.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
 
 def _save_gif(stack: Image, path: Path, fps: float) -> None:
     library = pillow()
-    # One palette for the whole film, taken from a few of its pictures: colours do not flicker.
+    # One palette for the whole video, taken from a few of its pictures: colours do not flicker.
     # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
     few = stack[:: max(1, len(stack) // 8)]
     stripes = np.repeat(np.array([*legend().values()], np.uint8), 8, axis=0)[:, None, :]

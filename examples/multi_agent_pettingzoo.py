@@ -93,7 +93,7 @@ def main() -> None:
     frames: list = []
     play(game, policies["learned"], held_out[0].name, frames)
     render.save(frames, args.out / "game.gif")
-    print(f"policy and film in {args.out}")
+    print(f"policy and video in {args.out}")
 
 
 if __name__ == "__main__":

@@ -113,24 +113,24 @@ def test_vector_wrappers_scale_and_list_what_the_worlds_give(mode, scenes):
 
 
 @pytest.mark.parametrize("vector", [False, True])
-def test_episodes_are_filmed(vector, scenes, tmp_path):
+def test_episodes_are_recorded_as_video(vector, scenes, tmp_path):
     pytest.importorskip("moviepy")
     import imageio.v2 as imageio
 
-    films = tmp_path / "films"
+    videos = tmp_path / "videos"
     options = {"scenes": scenes, "render_mode": "rgb_array", "picture": {"size": (64, 64)}, **RULES}
     if vector:
-        env = vector_wrappers.RecordVideo(EgoVectorEnv(2, **options), str(films), video_length=9)
+        env = vector_wrappers.RecordVideo(EgoVectorEnv(2, **options), str(videos), video_length=9)
         env.reset(seed=0)
         for _ in range(12):
             env.step(np.zeros((2, 2), np.float32))
     else:
         env = gymnasium.make(ID, **options)
-        env = wrappers.RecordVideo(env, str(films), episode_trigger=lambda n: n == 0)
+        env = wrappers.RecordVideo(env, str(videos), episode_trigger=lambda n: n == 0)
         play(env, 25)
     env.close()
-    (film,) = films.glob("*.mp4")
-    frames = imageio.mimread(film)
+    (video,) = videos.glob("*.mp4")
+    frames = imageio.mimread(video)
     assert 8 <= len(frames) <= 22
     assert min(frames[0].shape[:2]) == 64
     assert frames[0].std() > 1.0

@@ -18,7 +18,7 @@ CAR = {"heading_rad": [0.0], "size_m": [[4.6, 1.9]]}
 GROUND = render.legend()["ground"]
 
 
-def film(num_frames: int = 6) -> np.ndarray:
+def video(num_frames: int = 6) -> np.ndarray:
     return np.stack(
         [
             render.draw(
@@ -120,14 +120,14 @@ def test_any_numbers_give_a_picture_or_a_config_error(agents, span_m, size):
 
 
 def test_a_png_holds_exactly_the_picture(tmp_path):
-    picture = film(1)[0]
+    picture = video(1)[0]
     for frames in (picture, picture[None], [picture]):
         render.save(frames, tmp_path / "a.png")
         assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png").convert("RGB")), picture)
 
 
 def test_a_gif_holds_all_pictures_at_their_rate_with_the_ego_in_its_colour(tmp_path):
-    frames = film()
+    frames = video()
     render.save(iter(frames), tmp_path / "a.gif", fps=20)
     with Image.open(tmp_path / "a.gif") as gif:
         assert gif.n_frames == len(frames)
@@ -143,7 +143,7 @@ def test_an_mp4_of_odd_size_holds_all_pictures(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     import imageio.v2 as imageio
 
-    frames = film()
+    frames = video()
     render.save(frames, tmp_path / "a.mp4", fps=10)
     # The reader claims endless length: no list(reader).
     with imageio.get_reader(tmp_path / "a.mp4") as reader:
@@ -155,7 +155,7 @@ def test_an_mp4_of_odd_size_holds_all_pictures(tmp_path):
 def test_an_mp4_without_its_package_names_the_install_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingFeatureError, match=r"imageio\[ffmpeg\]"):
-        render.save(film(), tmp_path / "a.mp4")
+        render.save(video(), tmp_path / "a.mp4")
 
 
 @pytest.mark.parametrize(

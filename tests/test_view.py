@@ -1,4 +1,4 @@
-"""Replay pages, pictures and films of rollouts, and the verb that writes them."""
+"""Replay pages, pictures and videos of rollouts, and the verb that writes them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, play_scene, write_page
 from ccdiff_env.view.contacts import contacts
-from ccdiff_env.view.film import Film
 from ccdiff_env.view.outcome import happenings, outcome
+from ccdiff_env.view.video import Video
 
 
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
@@ -311,7 +311,7 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsy
         ("page.html", []),
         ("two.html", ["--compare", "log"]),
         ("step.png", ["--png", "30", "--graph"]),
-        ("film.gif", ["--gif", "--size", "160", "--speed", "4"]),
+        ("video.gif", ["--gif", "--size", "160", "--speed", "4"]),
     ):
         out = tmp_path / name
         assert cli.main(["view", run, "-o", str(out), *options]) == 0
@@ -320,12 +320,12 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsy
     assert len(elements((tmp_path / "two.html").read_text(encoding="utf-8"))) == 2
     with Image.open(tmp_path / "step.png") as picture:
         assert picture.size == (720, 720)
-    with Image.open(tmp_path / "film.gif") as film:
-        assert film.n_frames == 41  # four times the pace at no more than 20 pictures a second
-        assert film.info["duration"] == 50
+    with Image.open(tmp_path / "video.gif") as video:
+        assert video.n_frames == 41  # four times the pace at no more than 20 pictures a second
+        assert video.info["duration"] == 50
 
 
-def test_films_of_two_runs_stand_side_by_side(tmp_path):
+def test_videos_of_two_runs_stand_side_by_side(tmp_path):
     from PIL import Image
 
     planned_rollout().save(tmp_path / "run.npz")
@@ -336,9 +336,9 @@ def test_films_of_two_runs_stand_side_by_side(tmp_path):
         assert picture.size == (206, 100)
         both = np.asarray(picture)
     run = planned_rollout()
-    films = [Film(r, size=(100, 100)) for r in (run, log_rollout(run.scene, like=run))]
-    np.testing.assert_array_equal(both[:, :100], films[0].frame(30))
-    np.testing.assert_array_equal(both[:, 106:], films[1].frame(30))
+    videos = [Video(r, size=(100, 100)) for r in (run, log_rollout(run.scene, like=run))]
+    np.testing.assert_array_equal(both[:, :100], videos[0].frame(30))
+    np.testing.assert_array_equal(both[:, 106:], videos[1].frame(30))
 
 
 def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
@@ -368,13 +368,13 @@ def test_a_scene_played_with_ccdiff_traffic_shows_its_plans():
 def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):
     imageio = pytest.importorskip("imageio.v2")
     pytest.importorskip("imageio_ffmpeg")
-    out = tmp_path / "film.mp4"
+    out = tmp_path / "video.mp4"
     options = ["--mp4", "--size", "160", "--follow", planned_rollout().agent_ids[1]]
     assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
-    film = imageio.get_reader(out).get_meta_data()
+    video = imageio.get_reader(out).get_meta_data()
     seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1
-    assert film["duration"] == pytest.approx(seconds, abs=0.2)
-    assert film["size"] == (160, 160)
+    assert video["duration"] == pytest.approx(seconds, abs=0.2)
+    assert video["size"] == (160, 160)
 
 
 def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
@@ -436,9 +436,9 @@ def test_the_scenes_are_listed(capsys):
 
 
 def test_pictures_have_the_ego_in_the_middle_in_its_colour():
-    film = Film(planned_rollout(), size=(200, 200), span_m=40.0)
-    assert tuple(film.frame(0)[100, 100]) == (0, 87, 184)
-    assert sum(1 for _ in film.frames(every=20)) == 5
+    video = Video(planned_rollout(), size=(200, 200), span_m=40.0)
+    assert tuple(video.frame(0)[100, 100]) == (0, 87, 184)
+    assert sum(1 for _ in video.frames(every=20)) == 5
 
 
 def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
@@ -449,8 +449,8 @@ def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
     _, arrays = unpacked(elements(page_html(gone))[0])
     assert arrays["valid"][1, 40:].max() == 0
     assert np.ptp(arrays["x"][1, 39:]) == 0.0
-    film = Film(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
-    seen = [bool((film.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
+    video = Video(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
+    seen = [bool((video.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
     assert seen == [True, False]
 
 

@@ -17,10 +17,10 @@ from ccdiff_env.terminal import say_page, shown
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
-from ccdiff_env.view.film import Film, film_strip, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
+from ccdiff_env.view.video import Video, save_video, side_by_side
 
 MAX_CRITICALITY = 2.0
 #: Options that play a scene, and what they are without being given.
@@ -31,7 +31,7 @@ PLAYED: dict[str, Any] = {
     "criticality": (0.0,),
     "save": None,
 }
-#: Options of pictures and films likewise.
+#: Options of pictures and videos likewise.
 DRAWN: dict[str, Any] = {"follow": None, "span": 90.0, "size": 720, "speed": 1.0, "graph": False}
 
 
@@ -89,14 +89,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove)",
     )
-    draw = parser.add_argument_group("a picture or a film instead of a page")
+    draw = parser.add_argument_group("a picture or a video instead of a page")
     draw.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step")
     draw.add_argument("--gif", action="store_true", help="write a GIF")
     draw.add_argument("--mp4", action="store_true", help="write an MP4")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (the ego)")
     draw.add_argument("--span", type=float, help="metres across a picture (90)")
     draw.add_argument("--size", type=int, help="pixels of a picture's sides (720)")
-    draw.add_argument("--speed", type=float, help="pace of a film (1)")
+    draw.add_argument("--speed", type=float, help="pace of a video (1)")
     draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
 
 
@@ -214,7 +214,7 @@ def _picture(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
     }
     first, *others = (run.rollout for run in runs)
     if args.png is None:
-        save_film(
+        save_video(
             first,
             out,
             compare=others,
@@ -223,6 +223,6 @@ def _picture(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
             **options,
         )
         return
-    films = [Film(run, **options) for run in (first, *others)]
-    films[0].frame(args.png)  # says what is wrong with the step
-    render.save(film_strip(films, args.png), out)
+    videos = [Video(run, **options) for run in (first, *others)]
+    videos[0].frame(args.png)  # says what is wrong with the step
+    render.save(side_by_side(videos, args.png), out)

@@ -13,10 +13,10 @@ from ccdiff_env.files import file_name
 from ccdiff_env.render import Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.captions import subtitle
-from ccdiff_env.view.film import Film
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.sources import log_rollout, rollout_files
+from ccdiff_env.view.video import Video
 
 THUMBNAIL = (320, 200)
 
@@ -97,11 +97,11 @@ def entry(rollout: Rollout, title: str, page: str, *, picture: bool = True) -> E
 
 def thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
     """The moment that matters, else the middle."""
-    film = Film(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
+    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
     last = rollout.num_steps - 1
     if opening_s is None:
-        return film.frame(last // 2)
-    return film.frame(min(round((opening_s + LEAD_S) / rollout.dt_s), last))
+        return video.frame(last // 2)
+    return video.frame(min(round((opening_s + LEAD_S) / rollout.dt_s), last))
 
 
 def _data_address(image: Image) -> str:

@@ -10,9 +10,9 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.files import file_name
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 from ccdiff_env.traffic import driver_names
-from ccdiff_env.view.film import Film, save_film
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import play_scene
+from ccdiff_env.view.video import Video, save_video
 
 #: Shares of an episode whose states are drawn.
 SHOWN = (0.0, 0.35, 0.7, 1.0)
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=1, help="episodes per scene")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode")
     parser.add_argument("--out", required=True, type=Path, help="folder to write")
-    parser.add_argument("--gif", action="store_true", help="a film of each episode, too")
+    parser.add_argument("--gif", action="store_true", help="a video of each episode, too")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,12 +56,12 @@ def run(args: argparse.Namespace) -> int:
             )
             name = file_name(f"{scene.name}-{args.seed + k}")
             rollout.save(args.out / f"{name}.npz")
-            film = Film(rollout, size=(640, 640))
+            video = Video(rollout, size=(640, 640))
             for share in SHOWN:
                 step = round(share * (rollout.num_steps - 1))
-                render.save(film.frame(step), args.out / f"{name}-{step:03d}.png")
+                render.save(video.frame(step), args.out / f"{name}-{step:03d}.png")
             if args.gif:
-                save_film(rollout, args.out / f"{name}.gif", size=(480, 480))
+                save_video(rollout, args.out / f"{name}.gif", size=(480, 480))
             hits = len({(e.agent_id, e.partner_id) for e in rollout.collisions()}) // 2
             print(f"{name}: {rollout.num_steps - 1} steps, {hits} collisions")
     print(write_pages(args.out, args.out / "pages")[0])

@@ -1,4 +1,4 @@
-"""Pictures and films of rollouts."""
+"""Pictures and videos of rollouts."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ TRAIL_S = 3.0
 MARK_S = 1.0
 """Time for which a collision stays marked."""
 GAP = 6
-"""Pixels between films side by side."""
+"""Pixels between videos side by side."""
 
 
-class Film:
+class Video:
     """Draws steps of one rollout.
 
     Parameters
@@ -159,15 +159,15 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     return centres
 
 
-def film_strip(films: Sequence[Film], step: int) -> render.Image:
-    """Draw a step of each film side by side; films that are over show their last."""
-    pictures = [film.frame(min(step, film.num_steps - 1)) for film in films]
+def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
+    """Draw a step of each video side by side; videos that are over show their last."""
+    pictures = [video.frame(min(step, video.num_steps - 1)) for video in videos]
     gap = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for picture in pictures for part in (gap, picture)]
     return np.concatenate(parts[1:], axis=1)
 
 
-def save_film(
+def save_video(
     rollout: Rollout,
     path: str | Path,
     *,
@@ -177,7 +177,7 @@ def save_film(
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
     **options: object,
 ) -> None:
-    """Write a film (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
+    """Write a video (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
 
     Parameters
     ----------
@@ -192,12 +192,12 @@ def save_film(
     progress
         Goes over the steps, and may show how far it is.
     options
-        Those of :class:`Film`.
+        Those of :class:`Video`.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
     fps = speed / rollout.dt_s
     every = max(1, int(np.ceil(fps / max_fps - 1e-9)))
-    films = [Film(run, **options) for run in (rollout, *compare)]  # type: ignore[arg-type]
-    steps = range(0, max(film.num_steps for film in films), every)
-    render.save((film_strip(films, step) for step in progress(steps)), path, fps=fps / every)
+    videos = [Video(run, **options) for run in (rollout, *compare)]  # type: ignore[arg-type]
+    steps = range(0, max(video.num_steps for video in videos), every)
+    render.save((side_by_side(videos, step) for step in progress(steps)), path, fps=fps / every)

@@ -1,6 +1,6 @@
 """The moving pictures of docs/tasks.md: one recorded episode of each task.
 
-``python -m tools.task_films docs`` writes ``task_ego.gif``, ``task_selection.gif`` and
+``python -m tools.task_videos docs`` writes ``task_ego.gif``, ``task_selection.gif`` and
 ``task_game.gif`` anew.
 """
 
@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, policies, render
-from ccdiff_env.view.film import Film
 from ccdiff_env.view.sources import find_scene, play_scene
+from ccdiff_env.view.video import Video
 
 __all__ = ["RUNS"]
 
@@ -73,9 +73,9 @@ def write(folder: Path) -> None:
         # a picture that stands still makes a small file; the end matters most
         way_m = played.position[0, : last + 1][played.valid[0, : last + 1]]
         x_m, y_m = way_m[3 * len(way_m) // 4]
-        film = Film(played, size=(480, 270), span_m=85.0, centre_m=(float(x_m), float(y_m)))
+        video = Video(played, size=(480, 270), span_m=85.0, centre_m=(float(x_m), float(y_m)))
         steps = [*range(last), *[last] * HOLD]
-        render.save((film.frame(step) for step in steps), folder / f"task_{name}.gif", fps=10)
+        render.save((video.frame(step) for step in steps), folder / f"task_{name}.gif", fps=10)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The moving picture of the README: one embedded scene as recorded, and in CCDiff traffic.
 
-``python -m tools.readme_film docs/hero.gif`` makes it anew.
+``python -m tools.readme_video docs/hero.gif`` makes it anew.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from ccdiff_env import render
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view import log_rollout
-from ccdiff_env.view.film import Film, film_strip
 from ccdiff_env.view.sources import find_scene, play_scene
+from ccdiff_env.view.video import Video, side_by_side
 
 SCENE, SEED = "left-turn-00", 0
 TITLES = ("recorded", "CCDiff, realistic", "CCDiff, criticality 1")
@@ -39,14 +39,14 @@ def runs() -> tuple[Rollout, Rollout, Rollout]:
 def frames() -> Iterator[render.Image]:
     """Yield pictures [H, W, 3] up to the collision, at which the last run ends."""
     played = runs()
-    films = [
-        Film(run, size=PANEL, span_m=SPAN_M, centre_m=CENTRE_M, captions=False) for run in played
+    videos = [
+        Video(run, size=PANEL, span_m=SPAN_M, centre_m=CENTRE_M, captions=False) for run in played
     ]
     last = played[-1].num_steps - 1
     steps = [*range(FIRST_STEP, last), *[last] * round(HOLD_S / played[-1].dt_s)]
     title = None
     for step in steps:
-        strip = film_strip(films, step)
+        strip = side_by_side(videos, step)
         title = _titles(strip.shape[1]) if title is None else title
         yield np.concatenate([title, strip])
 
