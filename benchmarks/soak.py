@@ -34,7 +34,7 @@ def resident_mib() -> float:
 
 
 def one_round(seed: int) -> int:
-    """Vector, single and several-vehicle environments, pictures, snapshots; steps of worlds."""
+    """Vector, single and several-vehicle environments, images, snapshots; steps of worlds."""
     steps = 0
     rng = np.random.default_rng(seed)
     for traffic, num_worlds in KINDS:

@@ -224,7 +224,7 @@ class Scene:
             What is in the middle: the id of an agent (where it is logged nearest to the step) or
             a point of the scene frame, metres.
         heading_up
-            Turn the picture so that the agent in the middle heads to the top; else north is there.
+            Turn the image so that the agent in the middle heads to the top; else north is there.
         trails
             Draw the last three seconds of every agent.
         route
@@ -235,7 +235,7 @@ class Scene:
         Returns
         -------
         ndarray
-            Picture [H, W, 3], uint8.
+            Image [H, W, 3], uint8.
 
         Raises
         ------
@@ -267,8 +267,8 @@ def load_nuscenes(
     cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
 def drivers() -> list[tuple[str, str, tuple[int, int, int], int]]:
-    """Return name, title, colour and number in pictures of everybody who may move an agent: those
-    that pictures tell apart, in the order of their numbers, then kinds that look like one of them.
+    """Return name, title, colour and number in images of everybody who may move an agent: those
+    that images tell apart, in the order of their numbers, then kinds that look like one of them.
     """
 
 @final
@@ -449,7 +449,7 @@ class VecWorld:
         route: bool,
         labels: bool,
     ) -> U8:
-        """Return a picture [H, W, 3]."""
+        """Return an image [H, W, 3]."""
 
 def build_mark() -> int: ...
 def networks_wanted(config: str) -> list[tuple[str, str, str]]: ...

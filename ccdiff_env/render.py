@@ -1,4 +1,4 @@
-"""Top-down pictures: drawing agents and lines, and writing pictures and videos to files."""
+"""Top-down images: drawing agents and lines, and writing images and videos to files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
 
 
 def legend() -> dict[str, tuple[int, int, int]]:
-    """Return names and colours (red, green, blue) of everything in a picture, drivers first."""
+    """Return names and colours (red, green, blue) of everything in an image, drivers first."""
     return dict(_native.render_legend())
 
 
@@ -71,7 +71,7 @@ def draw(
     collided
         Agents [A] to outline in red.
     size
-        Width and height of the picture, pixels.
+        Width and height of the image, pixels.
     span_m
         Metres across the width.
     centre_m
@@ -95,7 +95,7 @@ def draw(
     Returns
     -------
     ndarray
-        Picture [H, W, 3], uint8.
+        Image [H, W, 3], uint8.
 
     Raises
     ------
@@ -132,23 +132,23 @@ def draw(
 
 
 def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: float = 10.0) -> None:
-    """Write a picture or a video; the suffix of the file says which.
+    """Write an image or a video; the suffix of the file says which.
 
     Parameters
     ----------
     frames
-        One picture [H, W, 3] or pictures [T, H, W, 3] (array or iterable) of one size, uint8.
+        One image [H, W, 3] or images [T, H, W, 3] (array or iterable) of one size, uint8.
     path
-        ``.png`` (one picture), ``.gif`` or ``.mp4``. The folder must exist.
+        ``.png`` (one image), ``.gif`` or ``.mp4``. The folder must exist.
     fps
-        Pictures per second. GIF counts time in hundredths of a second.
+        Images per second. GIF counts time in hundredths of a second.
 
     Raises
     ------
     ShapeError
-        If there is no picture, or not all of them are uint8 [H, W, 3] of one size.
+        If there is no image, or not all of them are uint8 [H, W, 3] of one size.
     ConfigError
-        If the suffix is another one, a PNG gets several pictures, or ``fps`` is not positive.
+        If the suffix is another one, a PNG gets several images, or ``fps`` is not positive.
     MissingFeatureError
         If the package that writes the format is not installed.
     """
@@ -160,7 +160,7 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
     if suffix == ".png":
         if len(stack) != 1:
             raise ConfigError(
-                f"{path.name}: a PNG holds one picture, got {len(stack)}; use .gif or .mp4"
+                f"{path.name}: a PNG holds one image, got {len(stack)}; use .gif or .mp4"
             )
         pillow().fromarray(stack[0]).save(path)
     elif suffix == ".gif":
@@ -173,12 +173,12 @@ def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: floa
 
 def _save_gif(stack: Image, path: Path, fps: float) -> None:
     library = pillow()
-    # One palette for the whole video, taken from a few of its pictures: colours do not flicker.
+    # One palette for the whole video, taken from a few of its images: colours do not flicker.
     # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
     few = stack[:: max(1, len(stack) // 8)]
     stripes = np.repeat(np.array([*legend().values()], np.uint8), 8, axis=0)[:, None, :]
-    pictures = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
-    palette = library.fromarray(np.concatenate(pictures)).quantize(256, method=0, dither=0)
+    images = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
+    palette = library.fromarray(np.concatenate(images)).quantize(256, method=0, dither=0)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0
@@ -215,12 +215,12 @@ def pillow() -> ModuleType:
     try:
         from PIL import Image as library
     except ImportError as error:
-        raise MissingFeatureError("writing pictures needs Pillow: pip install pillow") from error
+        raise MissingFeatureError("writing images needs Pillow: pip install pillow") from error
     return library
 
 
 def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
-    """Pictures as one array [T, H, W, 3]."""
+    """Images as one array [T, H, W, 3]."""
     array: npt.NDArray[Any]
     if isinstance(frames, np.ndarray):
         array = frames[None] if frames.ndim == 3 else frames

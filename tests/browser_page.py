@@ -49,8 +49,8 @@ class Page:
         self.frames()
         return self.page.evaluate(f"replay.{expression}")
 
-    def picture(self):
-        """Pixels of the first map as text; equal pictures give equal text."""
+    def image(self):
+        """Pixels of the first map as text; equal images give equal text."""
         self.frames()
         return self.page.evaluate("document.querySelector('.map').toDataURL()")
 

@@ -320,7 +320,7 @@ def test_weight_headers_of_absurd_networks(tmp_path, size):
         Planner(path)
 
 
-def test_long_names_are_cut_in_pictures():
+def test_long_names_are_cut_in_images():
     scene = log_rollout(ccdiff_env.embedded_scenes()[0]).to_scene("n" * 100_000)
     env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
     env.reset(seed=0)

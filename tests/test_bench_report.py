@@ -59,10 +59,10 @@ def test_markdown_of_reports_becomes_html():
 
 
 def test_pages_need_nothing_else(tmp_path):
-    picture = tmp_path / "plot.png"
-    picture.write_bytes(b"\x89PNG")
+    image = tmp_path / "plot.png"
+    image.write_bytes(b"\x89PNG")
     page = tmp_path / "report.html"
-    plots = [picture, tmp_path / "absent.png"]
+    plots = [image, tmp_path / "absent.png"]
     write_report_page(page, title="A & B", line="{line}", plots=plots, parts={"T": "x", "E": " "})
     found = Parts(page.read_text(encoding="utf-8"))
     assert found.links == ["#t"]

@@ -394,7 +394,7 @@ def test_random_calls_never_crash(data, scenes):
 # ---------------------------------------------------------------------------------- pictures
 
 
-def test_pictures_have_the_size_asked_for(scenes):
+def test_images_have_the_size_asked_for(scenes):
     env = EgoEnv(scenes=scenes, render_mode="rgb_array", picture={"size": (200, 100)})
     env.reset(seed=0)
     first = env.render()

@@ -89,7 +89,7 @@ def test_another_process_finds_the_same_episode(scenes, tmp_path):
     assert int(out.stdout) == len(env.certificate().actions)
 
 
-def test_pictures_are_kept_on_request(scenes):
+def test_images_are_kept_on_request(scenes):
     env, rewards = driven(scenes, horizon_steps=3)
     again = replay(env.certificate(), scenes, render_mode="rgb_array", size=(32, 32))
     assert len(again.frames) == len(rewards) + 1

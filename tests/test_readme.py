@@ -1,4 +1,4 @@
-"""Pictures made by tools: the README video is small and shows what its titles say; the gallery."""
+"""Images made by tools: the README video is small and shows what its titles say; the gallery."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from PIL import Image
 from ccdiff_env.view.outcome import outcome
 from tools import gallery, readme_video, task_videos
 
-PICTURE = Path(__file__).resolve().parents[1] / "docs/hero.gif"
+HERO = Path(__file__).resolve().parents[1] / "docs/hero.gif"
 
 
-def test_the_picture_moves_and_loads_fast():
-    assert PICTURE.stat().st_size < 500_000
-    with Image.open(PICTURE) as video:
+def test_the_image_moves_and_loads_fast():
+    assert HERO.stat().st_size < 500_000
+    with Image.open(HERO) as video:
         assert video.n_frames > 30
 
 
 @pytest.mark.parametrize("task", task_videos.RUNS)
-def test_the_picture_of_a_task_moves_and_loads_fast(task):
-    path = PICTURE.with_name(f"task_{task}.gif")
+def test_the_image_of_a_task_moves_and_loads_fast(task):
+    path = HERO.with_name(f"task_{task}.gif")
     assert path.stat().st_size < 400_000
     with Image.open(path) as video:
         assert video.n_frames > 30
-    assert path.name in PICTURE.with_name("tasks.md").read_text(encoding="utf-8")
+    assert path.name in HERO.with_name("tasks.md").read_text(encoding="utf-8")
 
 
-def test_criticality_alone_makes_the_collision_of_the_picture():
+def test_criticality_alone_makes_the_collision_of_the_image():
     log, realistic, critical = readme_video.runs()
     assert {run.scene.name for run in (log, realistic, critical)} == {readme_video.SCENE}
     last = critical.num_steps - 1

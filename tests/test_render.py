@@ -1,4 +1,4 @@
-"""Pictures from arrays, and files: pixels against what was asked for, files against Pillow."""
+"""Images from arrays, and files: pixels against what was asked for, files against Pillow."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def test_names_and_colours_follow_the_native_table():
 
 @pytest.mark.parametrize("driver", render.DRIVERS)
 def test_an_agent_has_the_colour_of_its_driver_and_the_ground_is_round_it(driver):
-    picture = render.draw([[7.0, -3.0]], **CAR, driver=driver, size=(200, 100), span_m=20)
-    assert picture.shape == (100, 200, 3)
-    assert picture.dtype == np.uint8
-    assert tuple(picture[50, 100]) == render.legend()[driver]
-    assert tuple(picture[10, 10]) == GROUND
+    image = render.draw([[7.0, -3.0]], **CAR, driver=driver, size=(200, 100), span_m=20)
+    assert image.shape == (100, 200, 3)
+    assert image.dtype == np.uint8
+    assert tuple(image[50, 100]) == render.legend()[driver]
+    assert tuple(image[10, 10]) == GROUND
 
 
 def test_the_direction_given_points_to_the_top():
@@ -50,7 +50,7 @@ def test_the_direction_given_points_to_the_top():
     assert tuple(east_up[60, 100]) == tuple(north_up[100, 140]) == render.legend()["idm"]
 
 
-def test_each_thing_asked_for_changes_the_picture_and_nothing_else_does():
+def test_each_thing_asked_for_changes_the_image_and_nothing_else_does():
     base = {
         "position_m": [[0, 0], [12, 3]],
         "heading_rad": [0, 1],
@@ -104,10 +104,10 @@ def test_what_cannot_be_drawn_is_refused_and_named(change, error, says):
     st.floats(width=32),
     st.tuples(st.integers(-2, 60), st.integers(0, 60)),
 )
-def test_any_numbers_give_a_picture_or_a_config_error(agents, span_m, size):
+def test_any_numbers_give_a_image_or_a_config_error(agents, span_m, size):
     rows = np.array(agents, np.float32).reshape(-1, 3)
     try:
-        picture = render.draw(
+        image = render.draw(
             rows[:, :2],
             heading_rad=rows[:, 2],
             size_m=np.full((len(rows), 2), 2.0),
@@ -116,17 +116,17 @@ def test_any_numbers_give_a_picture_or_a_config_error(agents, span_m, size):
         )
     except ConfigError:
         return
-    assert picture.shape == (size[1], size[0], 3)
+    assert image.shape == (size[1], size[0], 3)
 
 
-def test_a_png_holds_exactly_the_picture(tmp_path):
-    picture = video(1)[0]
-    for frames in (picture, picture[None], [picture]):
+def test_a_png_holds_exactly_the_image(tmp_path):
+    image = video(1)[0]
+    for frames in (image, image[None], [image]):
         render.save(frames, tmp_path / "a.png")
-        assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png").convert("RGB")), picture)
+        assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png").convert("RGB")), image)
 
 
-def test_a_gif_holds_all_pictures_at_their_rate_with_the_ego_in_its_colour(tmp_path):
+def test_a_gif_holds_all_images_at_their_rate_with_the_ego_in_its_colour(tmp_path):
     frames = video()
     render.save(iter(frames), tmp_path / "a.gif", fps=20)
     with Image.open(tmp_path / "a.gif") as gif:
@@ -139,7 +139,7 @@ def test_a_gif_holds_all_pictures_at_their_rate_with_the_ego_in_its_colour(tmp_p
             assert np.abs(got - frames[t]).mean() < 1.0
 
 
-def test_an_mp4_of_odd_size_holds_all_pictures(tmp_path):
+def test_an_mp4_of_odd_size_holds_all_images(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     import imageio.v2 as imageio
 

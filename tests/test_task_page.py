@@ -1,4 +1,4 @@
-"""The page of the tasks says what the schemas say, and its pictures exist."""
+"""The page of the tasks says what the schemas say, and its images exist."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_tables_are_those_of_the_schemas():
     assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
 
 
-def test_pictures_and_pages_that_are_named_exist():
+def test_images_and_pages_that_are_named_exist():
     text = PAGE.read_text(encoding="utf-8")
     for name in re.findall(r"\]\(([\w./]+)\)", text):
         assert (PAGE.parent / name).exists(), name

@@ -1,4 +1,4 @@
-"""Replay pages, pictures and videos of rollouts, and the verb that writes them."""
+"""Replay pages, images and videos of rollouts, and the verb that writes them."""
 
 from __future__ import annotations
 
@@ -302,7 +302,7 @@ def test_a_name_is_a_file_a_scene_or_an_error(tmp_path):
         find_rollout("log")
 
 
-def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsys):
+def test_the_verb_writes_a_page_a_comparison_a_image_and_a_gif(tmp_path, capsys):
     from PIL import Image
 
     planned_rollout().save(tmp_path / "run.npz")
@@ -318,10 +318,10 @@ def test_the_verb_writes_a_page_a_comparison_a_picture_and_a_gif(tmp_path, capsy
         assert capsys.readouterr().out.strip() == str(out)
         assert out.stat().st_size > 1000
     assert len(elements((tmp_path / "two.html").read_text(encoding="utf-8"))) == 2
-    with Image.open(tmp_path / "step.png") as picture:
-        assert picture.size == (720, 720)
+    with Image.open(tmp_path / "step.png") as image:
+        assert image.size == (720, 720)
     with Image.open(tmp_path / "video.gif") as video:
-        assert video.n_frames == 41  # four times the pace at no more than 20 pictures a second
+        assert video.n_frames == 41  # four times the pace at no more than 20 images a second
         assert video.info["duration"] == 50
 
 
@@ -332,9 +332,9 @@ def test_videos_of_two_runs_stand_side_by_side(tmp_path):
     out = tmp_path / "two.png"
     options = ["--png", "30", "--size", "100", "--compare", "log", "-o", str(out)]
     assert cli.main(["view", str(tmp_path / "run.npz"), *options]) == 0
-    with Image.open(out) as picture:
-        assert picture.size == (206, 100)
-        both = np.asarray(picture)
+    with Image.open(out) as image:
+        assert image.size == (206, 100)
+        both = np.asarray(image)
     run = planned_rollout()
     videos = [Video(r, size=(100, 100)) for r in (run, log_rollout(run.scene, like=run))]
     np.testing.assert_array_equal(both[:, :100], videos[0].frame(30))
@@ -435,7 +435,7 @@ def test_the_scenes_are_listed(capsys):
     assert first[-2:] == [str(scenes[0].num_agents), str(vehicles)]
 
 
-def test_pictures_have_the_ego_in_the_middle_in_its_colour():
+def test_images_have_the_ego_in_the_middle_in_its_colour():
     video = Video(planned_rollout(), size=(200, 200), span_m=40.0)
     assert tuple(video.frame(0)[100, 100]) == (0, 87, 184)
     assert sum(1 for _ in video.frames(every=20)) == 5

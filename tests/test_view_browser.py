@@ -97,9 +97,9 @@ def test_steps_and_the_time_line_move_the_cursor(visit):
     page.mouse.up()
     page.frames()
     assert page.time() == pytest.approx(4.0, abs=0.1)
-    before = page.picture()
+    before = page.image()
     page.click("#forward")
-    assert page.picture() != before
+    assert page.image() != before
 
 
 def test_the_page_shows_the_poses_of_the_rollout(visit):
@@ -118,16 +118,16 @@ def test_the_page_shows_the_poses_of_the_rollout(visit):
 
 
 @pytest.mark.parametrize("layer", ["trails", "plans", "graph", "labels", "lanes"])
-def test_each_layer_has_a_button_that_changes_the_picture(visit, layer):
+def test_each_layer_has_a_button_that_changes_the_image(visit, layer):
     page = visit("one.html")
     page.evaluate("replay.seek(3.25)")
-    before, was = page.picture(), page.state(f"layers.{layer}")
+    before, was = page.image(), page.state(f"layers.{layer}")
     page.click(f"#layer-{layer}")
     assert page.state(f"layers.{layer}") is (not was)
     assert page.get_attribute(f"#layer-{layer}", "aria-pressed") == str(not was).lower()
-    assert page.picture() != before
+    assert page.image() != before
     page.click(f"#layer-{layer}")
-    assert page.picture() == before
+    assert page.image() == before
 
 
 def test_keys_do_what_the_help_says(visit):

@@ -1,4 +1,4 @@
-"""The moving picture of the README: one embedded scene as recorded, and in CCDiff traffic.
+"""The animation of the README: one embedded scene as recorded, and in CCDiff traffic.
 
 ``python -m tools.readme_video docs/hero.gif`` makes it anew.
 """
@@ -23,7 +23,7 @@ PANEL = (384, 360)
 TITLE_PX = 40
 FIRST_STEP = 18
 HOLD_S = 1.2
-"""The picture rests at the collision, whose vehicles have a red outline."""
+"""The image rests at the collision, whose vehicles have a red outline."""
 
 
 def runs() -> tuple[Rollout, Rollout, Rollout]:
@@ -37,7 +37,7 @@ def runs() -> tuple[Rollout, Rollout, Rollout]:
 
 
 def frames() -> Iterator[render.Image]:
-    """Yield pictures [H, W, 3] up to the collision, at which the last run ends."""
+    """Yield images [H, W, 3] up to the collision, at which the last run ends."""
     played = runs()
     videos = [
         Video(run, size=PANEL, span_m=SPAN_M, centre_m=CENTRE_M, captions=False) for run in played

@@ -1,4 +1,4 @@
-"""The moving pictures of docs/tasks.md: one recorded episode of each task.
+"""The animations of docs/tasks.md: one recorded episode of each task.
 
 ``python -m tools.task_videos docs`` writes ``task_ego.gif``, ``task_selection.gif`` and
 ``task_game.gif`` anew.
@@ -20,7 +20,7 @@ __all__ = ["RUNS"]
 SEED = 0
 LAST_STEP = 60
 HOLD = 10
-"""Pictures for which the end stays."""
+"""Images for which the end stays."""
 
 
 def ego() -> Rollout:
@@ -70,7 +70,7 @@ def write(folder: Path) -> None:
     for name, run in RUNS.items():
         played = run()
         last = min(played.num_steps - 1, LAST_STEP)
-        # a picture that stands still makes a small file; the end matters most
+        # an image that stands still makes a small file; the end matters most
         way_m = played.position[0, : last + 1][played.valid[0, : last + 1]]
         x_m, y_m = way_m[3 * len(way_m) // 4]
         video = Video(played, size=(480, 270), span_m=85.0, centre_m=(float(x_m), float(y_m)))

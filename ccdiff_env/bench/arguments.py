@@ -36,8 +36,8 @@ __all__ = [
 ]
 
 K = TypeVar("K", bound=Hashable)
-#: Replays that a report shows with pictures.
-PICTURES = 8
+#: Replays that a report shows with images.
+MAX_IMAGES = 8
 
 
 class _Names:
@@ -191,7 +191,7 @@ class Run:
             "workers": args.workers,
             "progress": not args.quiet,
         }
-        self._pictures: list[tuple[str, str, Path]] = []
+        self._images: list[tuple[str, str, Path]] = []
         self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
         #: Weight files by network, in place of the shipped ones.
@@ -249,9 +249,9 @@ class Run:
         """
         pages, changed = make_replays(wanted, self.folder, **self._options)
         self._num_changed += len(changed)
-        for key, address in list(pages.items())[:PICTURES]:
-            picture = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
-            self._pictures.append((title(key), address, picture))
+        for key, address in list(pages.items())[:MAX_IMAGES]:
+            image = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
+            self._images.append((title(key), address, image))
         return pages
 
     def write(self, file: str, text: str) -> None:
@@ -266,7 +266,7 @@ class Run:
         title
             Heading.
         plots
-            Pictures in the run folder.
+            Images in the run folder.
         parts
             Headings, and Markdown files in the run folder.
         """
@@ -283,9 +283,9 @@ class Run:
             head: (self.folder / file).read_text(encoding="utf-8") for head, file in parts.items()
         }
         page = self.folder / "report.html"
-        pictures = [self.folder / name for name in plots]
+        images = [self.folder / name for name in plots]
         write_report_page(
-            page, title=title, line=line, plots=pictures, parts=texts, pictures=self._pictures
+            page, title=title, line=line, plots=images, parts=texts, images=self._images
         )
         print(align((self.folder / "table.md").read_text(encoding="utf-8")))
         if self._num_changed:

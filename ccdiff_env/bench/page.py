@@ -41,7 +41,7 @@ def write_report_page(
     line: str,
     plots: Sequence[Path],
     parts: Mapping[str, str],
-    pictures: Sequence[tuple[str, str, Path]] = (),
+    images: Sequence[tuple[str, str, Path]] = (),
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
@@ -52,12 +52,12 @@ def write_report_page(
     title, line
         Heading, and what stands below it.
     plots
-        Pictures (PNG) to show, or the SVG beside them; those that do not exist are left out.
+        Images (PNG) to show, or the SVG beside them; those that do not exist are left out.
     parts
         Sections: heading and Markdown, see :func:`markdown_html`; empty ones are left out. The
         first one comes before the plots; it should say what was found.
-    pictures
-        Replays to show: title, address, and file of a picture (PNG).
+    images
+        Replays to show: title, address, and file of an image (PNG).
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{_anchor(h)}">{html.escape(h)}</a>' for h in shown)
@@ -67,7 +67,7 @@ def write_report_page(
     ]
     first, rest = _split_lead(sections[0] if sections else "")
     drawn = "\n".join(_plot(plot) for plot in plots if plot.exists())
-    cards = "\n".join(_card(*entry) for entry in pictures)
+    cards = "\n".join(_card(*entry) for entry in images)
     body = "\n".join(
         [
             f"<nav>{contents}</nav>",
@@ -103,8 +103,8 @@ def _plot(path: Path) -> str:
     return f'<img src="{_data(path)}" alt="{html.escape(path.stem)}">'
 
 
-def _card(title: str, address: str, picture: Path) -> str:
-    image = f'<img src="{_data(picture)}" alt="">' if picture.exists() else ""
+def _card(title: str, address: str, path: Path) -> str:
+    image = f'<img src="{_data(path)}" alt="">' if path.exists() else ""
     href = html.escape(address, quote=True)
     return f'<a class="card" href="{href}">{image}<span>{html.escape(title)}</span></a>'
 

@@ -115,7 +115,7 @@ def play_again(
 
 
 def write_replay(rollout: Rollout, path: Path) -> str:
-    """Write the page of an episode, and a picture beside it; returns its address from the folder
+    """Write the page of an episode, and an image beside it; returns its address from the folder
     above.
 
     It opens two seconds before what matters, see :class:`~ccdiff_env.view.outcome.Outcome`, and
@@ -124,7 +124,7 @@ def write_replay(rollout: Rollout, path: Path) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_page(rollout, path, home=("../report.html", "report"))
     fate = outcome(rollout)
-    with suppress(MissingFeatureError):  # reports do without pictures where Pillow is missing
+    with suppress(MissingFeatureError):  # reports do without images where Pillow is missing
         save(thumbnail(rollout, fate.opening_s), path.with_suffix(".png"))
     follow, time_s = None, fate.opening_s
     hits = rollout.collisions("ego") or rollout.collisions()

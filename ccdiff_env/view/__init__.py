@@ -1,4 +1,4 @@
-"""Replays to look at: HTML pages, pictures and videos of rollouts and logs."""
+"""Replays to look at: HTML pages, images and videos of rollouts and logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Captions of rollouts and their agents, the same on pages and pictures."""
+"""Captions of rollouts and their agents, the same on pages and images."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import driver_titles
 
-#: Titles of drivers, in the order of the legend; names are those of pictures.
+#: Titles of drivers, in the order of the legend; names are those of images.
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 
 
 def driver_of(rollout: Rollout, agent: int) -> str:
-    """Return who drives an agent as pictures have it: the ego is its own driver, agents that a
+    """Return who drives an agent as images have it: the ego is its own driver, agents that a
     plan guides are adversaries.
     """
     name = rollout.agent_ids[agent]

@@ -31,7 +31,7 @@ PLAYED: dict[str, Any] = {
     "criticality": (0.0,),
     "save": None,
 }
-#: Options of pictures and videos likewise.
+#: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {"follow": None, "span": 90.0, "size": 720, "speed": 1.0, "graph": False}
 
 
@@ -89,13 +89,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove)",
     )
-    draw = parser.add_argument_group("a picture or a video instead of a page")
-    draw.add_argument("--png", type=int, metavar="STEP", help="write a picture of a step")
+    draw = parser.add_argument_group("an image or a video instead of a page")
+    draw.add_argument("--png", type=int, metavar="STEP", help="write an image of a step")
     draw.add_argument("--gif", action="store_true", help="write a GIF")
     draw.add_argument("--mp4", action="store_true", help="write an MP4")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (the ego)")
-    draw.add_argument("--span", type=float, help="metres across a picture (90)")
-    draw.add_argument("--size", type=int, help="pixels of a picture's sides (720)")
+    draw.add_argument("--span", type=float, help="metres across an image (90)")
+    draw.add_argument("--size", type=int, help="pixels of an image's sides (720)")
     draw.add_argument("--speed", type=float, help="pace of a video (1)")
     draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
 
@@ -118,13 +118,13 @@ def run(args: argparse.Namespace) -> int:
     if not kinds:
         _settle(args, DRAWN, "goes with --png, --gif and --mp4")
     elif args.open:
-        raise ConfigError("--open shows pages, not pictures")
+        raise ConfigError("--open shows pages, not images")
     _settle(args, PLAYED | DRAWN)
     runs = _runs(args)
     suffix = kinds[0] if kinds else "html"
     out = args.out or Path(file_name(runs[0].rollout.scene.name, f".{suffix}"))
     if kinds:
-        _picture(args, runs, out)
+        _image(args, runs, out)
         print(out)
         return 0
     first, *beside = (run.rollout for run in runs)
@@ -205,7 +205,7 @@ def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
     return 0
 
 
-def _picture(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
+def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
     options: dict[str, Any] = {
         "size": (args.size, args.size),
         "span_m": args.span,

@@ -30,7 +30,7 @@ class Entry:
     title: str
     line: str
     outcome: Outcome
-    picture: str
+    image: str
     """Address of the thumbnail: a data address."""
 
 
@@ -48,7 +48,7 @@ def write_pages(
     compare_log
         Show the log of the scene beside each rollout.
     thumbnails
-        Put a picture of each rollout on the index.
+        Put an image of each rollout on the index.
 
     Returns
     -------
@@ -75,14 +75,14 @@ def write_pages(
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         titles = (name,) if log is None else (name, "log")
         write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
-        entries.append(entry(rollout, name, page.name, picture=thumbnails))
+        entries.append(entry(rollout, name, page.name, image=thumbnails))
         pages.append(page)
     index = out / "index.html"
     index.write_text(index_page(folder.name or "replays", entries), encoding="utf-8")
     return [index, *pages]
 
 
-def entry(rollout: Rollout, title: str, page: str, *, picture: bool = True) -> Entry:
+def entry(rollout: Rollout, title: str, page: str, *, image: bool = True) -> Entry:
     """Return the entry of a rollout, whose page has a name beside the index."""
     fate = outcome(rollout)
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
@@ -91,7 +91,7 @@ def entry(rollout: Rollout, title: str, page: str, *, picture: bool = True) -> E
         title=title,
         line=subtitle(rollout),
         outcome=fate,
-        picture=_data_address(thumbnail(rollout, moment)) if picture else "",
+        image=_data_address(thumbnail(rollout, moment)) if image else "",
     )
 
 
@@ -136,12 +136,12 @@ _TOOLS = """<div class="tools">
 def _card(entry: Entry) -> str:
     fate = entry.outcome
     alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
-    picture = f'<img src="{entry.picture}" alt="{alt}" loading="lazy">' if entry.picture else ""
+    image = f'<img src="{entry.image}" alt="{alt}" loading="lazy">' if entry.image else ""
     name = html.escape(entry.title, quote=True)
     bad = int(fate.tone == "bad")
     return (
         f'<a class="card" href="{html.escape(entry.href, quote=True)}" data-name="{name}" '
-        f'data-bad="{bad}" data-others="{fate.others}">{picture}<h2 title="{name}">{name}</h2>'
+        f'data-bad="{bad}" data-others="{fate.others}">{image}<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
         f"<p>{html.escape(entry.line)}</p></a>"
     )

@@ -41,7 +41,7 @@ def rollout_html(rollout: Rollout) -> str:
 
 
 def scene_html(scene: Scene) -> str:
-    """Return a picture of the middle of the log, and one line on the scene."""
+    """Return an image of the middle of the log, and one line on the scene."""
     line = html.escape(scene_line(scene))
     try:
         library = pillow()

@@ -165,7 +165,7 @@ def address(
 
 
 def colours() -> dict[str, str]:
-    """Return the colour of each driver, as in pictures: ``"#rrggbb"``."""
+    """Return the colour of each driver, as in images: ``"#rrggbb"``."""
     drivers = {name: _hex(colour) for name, _, colour, _ in _native.drivers()}
     return {**drivers, "static": _hex(render.legend()["static obstacle"])}
 

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play the scenes; write rollouts, pictures and pages; print the index."""
+    """Play the scenes; write rollouts, images and pages; print the index."""
     args.out.mkdir(parents=True, exist_ok=True)
     for scene in _scenes(args):
         for k in range(args.episodes):

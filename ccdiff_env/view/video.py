@@ -1,4 +1,4 @@
-"""Pictures and videos of rollouts."""
+"""Images and videos of rollouts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Video:
     follow
         Id of the agent in the middle; the first agent (the ego) by default.
     centre_m
-        A point (x, y) of the scene in the middle instead, metres: the picture stands still.
+        A point (x, y) of the scene in the middle instead, metres: the image stands still.
     graph
         Draw the causal graph of the plan in force.
     captions
@@ -73,7 +73,7 @@ class Video:
         return self._rollout.num_steps
 
     def frames(self, *, every: int = 1) -> Iterator[render.Image]:
-        """Yield pictures [H, W, 3] of every n-th step."""
+        """Yield images [H, W, 3] of every n-th step."""
         for step in range(0, self._rollout.num_steps, every):
             yield self.frame(step)
 
@@ -161,9 +161,9 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
 
 def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
     """Draw a step of each video side by side; videos that are over show their last."""
-    pictures = [video.frame(min(step, video.num_steps - 1)) for video in videos]
-    gap = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
-    parts = [part for picture in pictures for part in (gap, picture)]
+    images = [video.frame(min(step, video.num_steps - 1)) for video in videos]
+    gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
+    parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)
 
 
@@ -188,7 +188,7 @@ def save_video(
     speed
         Pace.
     max_fps
-        Pictures per second that are kept at most.
+        Images per second that are kept at most.
     progress
         Goes over the steps, and may show how far it is.
     options

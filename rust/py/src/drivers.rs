@@ -3,7 +3,7 @@
 use crate::python_policy::PythonPolicy;
 use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_render::Driver;
+use ccdiff_render::DrawStyle;
 use ccdiff_sim::options::{self, Setting};
 use ccdiff_sim::policy::Idm;
 use ccdiff_sim::world::WorldConfig;
@@ -31,28 +31,28 @@ struct Kind {
     name: &'static str,
     /// Name in reports.
     title: &'static str,
-    /// Whose colour it has in pictures.
-    drawn: Driver,
+    /// Whose colour it has in images.
+    drawn: DrawStyle,
     /// How it is made here; policies with a network are made by `_models`.
     make: Option<Make>,
 }
 
-const fn kind(name: &'static str, title: &'static str, drawn: Driver, make: Option<Make>) -> Kind {
+const fn kind(name: &'static str, title: &'static str, drawn: DrawStyle, make: Option<Make>) -> Kind {
     Kind { name, title, drawn, make }
 }
 
 /// The kinds. A new one is a line here; `replay` and `constant_velocity` have no options and are always there.
 const KINDS: [Kind; 10] = [
-    kind("idm", "IDM", Driver::Idm, Some(idm)),
-    kind("python", "Python model", Driver::Other, Some(python)),
-    kind("ccdiff", "CCDiff", Driver::Ccdiff, None),
-    kind("simnet", "SimNet", Driver::Ccdiff, None),
-    kind("trafficsim", "TrafficSim", Driver::Ccdiff, None),
-    kind("trafficsim_port", "TrafficSim (port)", Driver::Ccdiff, None),
-    kind("strive", "STRIVE", Driver::Ccdiff, None),
-    kind("bits", "BITS", Driver::Ccdiff, None),
-    kind("ctg", "CTG", Driver::Ccdiff, None),
-    kind("ctgpp", "CTG++", Driver::Ccdiff, None),
+    kind("idm", "IDM", DrawStyle::Idm, Some(idm)),
+    kind("python", "Python model", DrawStyle::Other, Some(python)),
+    kind("ccdiff", "CCDiff", DrawStyle::Ccdiff, None),
+    kind("simnet", "SimNet", DrawStyle::Ccdiff, None),
+    kind("trafficsim", "TrafficSim", DrawStyle::Ccdiff, None),
+    kind("trafficsim_port", "TrafficSim (port)", DrawStyle::Ccdiff, None),
+    kind("strive", "STRIVE", DrawStyle::Ccdiff, None),
+    kind("bits", "BITS", DrawStyle::Ccdiff, None),
+    kind("ctg", "CTG", DrawStyle::Ccdiff, None),
+    kind("ctgpp", "CTG++", DrawStyle::Ccdiff, None),
 ];
 
 /// Adds the functions of this file to the module.
@@ -61,24 +61,24 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(drivers, module)?)
 }
 
-/// How pictures show a kind of driver.
-pub(crate) fn drawn(kind: &str) -> Driver {
-    let pictured = Driver::ALL.into_iter().find(|d| d.name() == kind);
+/// How images show a kind of driver.
+pub(crate) fn drawn(kind: &str) -> DrawStyle {
+    let drawn = DrawStyle::ALL.into_iter().find(|d| d.name() == kind);
     let like = KINDS.iter().find(|k| k.name == kind).map(|k| k.drawn);
-    pictured.or(like).unwrap_or(Driver::Other)
+    drawn.or(like).unwrap_or(DrawStyle::Other)
 }
 
-/// Name, title, colour and number in pictures.
+/// Name, title, colour and number in images.
 type Row = (&'static str, &'static str, (u8, u8, u8), u8);
 
-/// Name, title, colour and number in pictures of everybody who may move an agent: those that pictures tell apart, in
+/// Name, title, colour and number in images of everybody who may move an agent: those that images tell apart, in
 /// the order of their numbers, then the kinds that look like one of them.
 #[pyfunction]
 fn drivers() -> Vec<Row> {
-    let row = |name, title, d: Driver| (name, title, (d.colour().0, d.colour().1, d.colour().2), d as u8);
-    let pictured = Driver::ALL.iter().map(|d| row(d.name(), d.title(), *d));
+    let row = |name, title, d: DrawStyle| (name, title, (d.colour().0, d.colour().1, d.colour().2), d as u8);
+    let drawn = DrawStyle::ALL.iter().map(|d| row(d.name(), d.title(), *d));
     let others = KINDS.iter().filter(|k| k.drawn.name() != k.name);
-    pictured.chain(others.map(|k| row(k.name, k.title, k.drawn))).collect()
+    drawn.chain(others.map(|k| row(k.name, k.title, k.drawn))).collect()
 }
 
 fn idm(recipe: &Recipe<'_>) -> PyResult<Policy> {

@@ -10,7 +10,7 @@ mod scene;
 mod scene_map;
 mod schemas;
 mod world;
-mod world_picture;
+mod world_image;
 mod world_plans;
 mod world_state;
 

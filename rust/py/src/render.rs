@@ -1,11 +1,11 @@
-//! Bindings of `ccdiff_render`: pictures from arrays and from the log of a scene.
+//! Bindings of `ccdiff_render`: images from arrays and from the log of a scene.
 
 use crate::enter::flags;
 use crate::scene::PyScene;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, Centre, Driver, Image, Line, LogShot, MapLayers, Picture, RenderError, palette,
-    render, render_log,
+    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, LogView, MapLayers, RenderError,
+    palette, render, render_log,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{AgentKind, Map, Scene};
@@ -28,7 +28,7 @@ pub(crate) fn from_render(error: RenderError) -> PyErr {
     }
 }
 
-/// The picture as an array [H, W, 3].
+/// The image as an array [H, W, 3].
 pub(crate) fn to_array(py: Python<'_>, image: Image) -> PyResult<Bound<'_, PyArray3<u8>>> {
     let shape = [image.height as usize, image.width as usize, 3];
     PyArray1::from_vec(py, image.rgb).reshape(shape)
@@ -74,7 +74,7 @@ pub(crate) enum CentreArg {
 ///
 /// # Errors
 /// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
-pub(crate) fn scene_picture<'py>(
+pub(crate) fn scene_image<'py>(
     py: Python<'py>,
     scene: &Arc<Scene>,
     step: isize,
@@ -96,9 +96,9 @@ pub(crate) fn scene_picture<'py>(
     let step_idx = usize::try_from(step).map_err(|_| {
         ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
     })?;
-    let shot = LogShot { step_idx, centre, span_m, width, height, heading_up, trails, route, labels };
+    let log_view = LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels };
     let layers = layers_of(&scene.map)?;
-    let image = py.detach(|| render_log(scene, &layers, &shot)).map_err(from_render)?;
+    let image = py.detach(|| render_log(scene, &layers, &log_view)).map_err(from_render)?;
     to_array(py, image)
 }
 
@@ -106,9 +106,9 @@ pub(crate) fn scene_picture<'py>(
 pub(crate) fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(w), Ok(h)) => Ok((w, h)),
-        _ => Err(ConfigError::new_err(format!(
-            "picture size is {width} x {height} pixels, expected 1 or more"
-        ))),
+        _ => {
+            Err(ConfigError::new_err(format!("image size is {width} x {height} pixels, expected 1 or more")))
+        }
     }
 }
 
@@ -122,9 +122,9 @@ fn points(what: &str, array: &Points<'_>) -> PyResult<Vec<Point2>> {
     Ok(array.as_array().rows().into_iter().map(|row| Point2::new(row[0], row[1])).collect())
 }
 
-fn driver(number: u8) -> PyResult<Driver> {
-    let last = Driver::ALL.len() - 1;
-    Driver::from_number(number)
+fn driver(number: u8) -> PyResult<DrawStyle> {
+    let last = DrawStyle::ALL.len() - 1;
+    DrawStyle::from_number(number)
         .ok_or_else(|| ConfigError::new_err(format!("driver is {number}, expected 0 to {last}")))
 }
 
@@ -170,7 +170,7 @@ fn boxes(
         .collect()
 }
 
-/// A picture [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.render.draw`.
+/// An image [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.render.draw`.
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, scene, size, span_m, centre_m, up_rad,
     route_m, trails, samples, arrows, collisions_m, caption, scale_bar))]
@@ -196,7 +196,7 @@ fn render_arrays<'py>(
     scale_bar: bool,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let boxes = boxes(&position_m, &heading_rad, &size_m, &kind, &driver, &collided)?;
-    let owned = |what, list: Vec<(Points<'py>, u8)>| -> PyResult<Vec<(Vec<Point2>, Driver)>> {
+    let owned = |what, list: Vec<(Points<'py>, u8)>| -> PyResult<Vec<(Vec<Point2>, DrawStyle)>> {
         list.iter().map(|(p, d)| Ok((points(what, p)?, self::driver(*d)?))).collect()
     };
     let (trails, samples) = (owned("trail", trails)?, owned("sample", samples)?);
@@ -218,7 +218,7 @@ fn render_arrays<'py>(
     let image = py.detach(|| {
         let trails: Vec<Line<'_>> = trails.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
         let samples: Vec<Line<'_>> = samples.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
-        let picture = Picture {
+        let drawing = Drawing {
             map: layers.as_deref(),
             route: &route,
             trails: &trails,
@@ -229,12 +229,12 @@ fn render_arrays<'py>(
             caption,
             scale_bar,
         };
-        render(&picture, &camera)
+        render(&drawing, &camera)
     });
     to_array(py, image.map_err(from_render)?)
 }
 
-/// Names and colours (red, green, blue) of everything in a picture, drivers first.
+/// Names and colours (red, green, blue) of everything in an image, drivers first.
 #[pyfunction]
 fn render_legend() -> Vec<(&'static str, (u8, u8, u8))> {
     palette::legend().into_iter().map(|(name, c)| (name, (c.0, c.1, c.2))).collect()

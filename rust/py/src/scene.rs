@@ -1,7 +1,7 @@
 //! `Scene`, and the functions that load scenes.
 
 use crate::enter::flags;
-use crate::render::{CentreArg, scene_picture};
+use crate::render::{CentreArg, scene_image};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
@@ -262,7 +262,7 @@ impl PyScene {
         scene_map::to_dict(py, &self.scene.map)
     }
 
-    /// One step of the log as a picture, uint8 [H, W, 3].
+    /// One step of the log as an image, uint8 [H, W, 3].
     #[pyo3(signature = (step=0, *, size=(640, 640), span_m=100.0, centre=CentreArg::Id(EGO_ID.to_owned()),
         heading_up=false, trails=true, route=true, labels=true))]
     fn render<'py>(
@@ -278,7 +278,7 @@ impl PyScene {
         labels: bool,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let scene = &self.scene;
-        scene_picture(py, scene, step, size, span_m, centre, heading_up, trails, route, labels)
+        scene_image(py, scene, step, size, span_m, centre, heading_up, trails, route, labels)
     }
 
     /// The scene itself: it never changes.

@@ -5,7 +5,7 @@ use crate::enter::{ProcessGuard, enter};
 use crate::render::CentreArg;
 use crate::scene::PyScene;
 use crate::schemas::to_json;
-use crate::world_picture::{self, Trails, ViewOptions};
+use crate::world_image::{self, Trails, ViewOptions};
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
@@ -135,7 +135,7 @@ pub(crate) struct PyWorldStatus {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for pictures, `networks` are policies by
+    /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are policies by
     /// name ([`drivers::networks_wanted`]), `models` the objects behind Python models.
     #[new]
     #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, networks=None, models=None))]
@@ -454,7 +454,7 @@ impl PyVecWorld {
         world_state::actions(py, &actions, self.world.decoder().width())
     }
 
-    /// Picture [H, W, 3] of a world.
+    /// Image [H, W, 3] of a world.
     #[pyo3(signature = (world_idx, *, size, span_m, centre, heading_up, trails, route, labels))]
     fn render<'py>(
         &self,
@@ -471,6 +471,6 @@ impl PyVecWorld {
         self.home.check()?;
         let view = ViewOptions { size, span_m, centre, heading_up, route, labels };
         let trails = self.trails.as_ref().filter(|_| trails).map(|t| t.of(world_idx));
-        world_picture::draw(py, &self.world, world_idx, trails, view)
+        world_image::draw(py, &self.world, world_idx, trails, view)
     }
 }

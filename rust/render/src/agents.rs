@@ -2,14 +2,14 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::palette::{self, Driver, Rgb};
+use crate::palette::{self, DrawStyle, Rgb};
 use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 
 /// Smallest side or radius an agent is drawn with, pixels.
 const MIN_HALF_PX: f32 = 1.5;
 
-/// One agent of a picture.
+/// One agent of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AgentBox {
     /// Centre and heading in the scene frame.
@@ -21,7 +21,7 @@ pub struct AgentBox {
     /// Kind: sets the shape.
     pub kind: AgentKind,
     /// Who moves it: sets the colour.
-    pub driver: Driver,
+    pub driver: DrawStyle,
     /// Whether it is in a collision: outlined in red.
     pub collided: bool,
 }
@@ -32,9 +32,9 @@ pub(crate) fn draw(canvas: &mut Canvas, boxes: &[AgentBox]) {
     let in_sight = |b: &&AgentBox| view.sees(&Bounds::of(&[b.pose.position]), b.length_m + b.width_m + 1.0);
     let mut order: Vec<&AgentBox> = boxes.iter().filter(in_sight).collect();
     order.sort_by_key(|b| match (b.kind, b.driver) {
-        (_, Driver::Ego) => 4,
+        (_, DrawStyle::Ego) => 4,
         (AgentKind::Static, _) => 0,
-        (_, Driver::Replay) => 1,
+        (_, DrawStyle::Replay) => 1,
         (AgentKind::Vehicle, _) => 2,
         _ => 3,
     });
@@ -61,7 +61,7 @@ fn draw_one(canvas: &mut Canvas, b: &AgentBox) {
     let fill = if b.kind == AgentKind::Static { palette::STATIC } else { b.driver.colour() };
     if b.collided {
         canvas.stroke_path(&body, palette::COLLISION, 1.0, 2.0 * canvas.px(0.45, 2.2).min(5.0), true);
-    } else if b.driver == Driver::Ego {
+    } else if b.driver == DrawStyle::Ego {
         canvas.stroke_path(&body, palette::PAPER, 0.95, 2.0 * canvas.px(0.35, 2.0).min(4.0), true);
     } else if b.kind == AgentKind::Pedestrian {
         canvas.stroke_path(&body, palette::PAPER, 0.9, 2.0 * outline_px, true);

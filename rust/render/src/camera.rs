@@ -1,32 +1,32 @@
-//! Where the picture is taken from.
+//! Where the image is taken from.
 
 use crate::error::{RenderError, Result};
 use ccdiff_sim::geom::{Point2, Real, Vector2, math};
 use std::f32::consts::FRAC_PI_2;
 
-/// Longest side of a picture, pixels.
+/// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: u32 = 8192;
-/// The `up_rad` of a picture with +y (north) at the top.
+/// The `up_rad` of an image with +y (north) at the top.
 pub const NORTH_UP_RAD: Real = FRAC_PI_2;
 
 /// A camera that looks straight down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// Point of the scene frame in the middle of the picture, metres.
+    /// Point of the scene frame in the middle of the image, metres.
     pub centre: Point2,
-    /// Direction of the scene frame that points to the top of the picture, radians counter-clockwise from +x:
-    /// [`NORTH_UP_RAD`], or the heading of an agent for a heading-up picture.
+    /// Direction of the scene frame that points to the top of the image, radians counter-clockwise from +x:
+    /// [`NORTH_UP_RAD`], or the heading of an agent for a heading-up image.
     pub up_rad: Real,
     /// Scale, metres per pixel, > 0.
     pub metres_per_pixel: Real,
-    /// Width of the picture, pixels.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Height of the picture, pixels.
+    /// Height of the image, pixels.
     pub height: u32,
 }
 
 impl Camera {
-    /// North-up camera over a point, `span_m` metres across the picture's width.
+    /// North-up camera over a point, `span_m` metres across the image's width.
     pub fn over(centre: Point2, span_m: Real, width: u32, height: u32) -> Self {
         let metres_per_pixel = span_m / width.max(1) as Real;
         Self { centre, up_rad: NORTH_UP_RAD, metres_per_pixel, width, height }
@@ -69,7 +69,7 @@ impl Camera {
     }
 }
 
-/// A checked camera: the map from the scene frame (metres, y up) to the picture (pixels, y down).
+/// A checked camera: the map from the scene frame (metres, y up) to the image (pixels, y down).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct View {
     centre: Point2,
@@ -77,7 +77,7 @@ pub(crate) struct View {
     /// Pixels per metre.
     pub(crate) px_per_m: Real,
     half_px: Vector2,
-    /// Radius of the circle round what the picture shows, metres.
+    /// Radius of the circle round what the image shows, metres.
     reach_m: Real,
 }
 
@@ -91,7 +91,7 @@ impl View {
         (self.half_px.x + right * self.px_per_m, self.half_px.y - up * self.px_per_m)
     }
 
-    /// Whether bounds, widened by a margin in metres, can touch the picture.
+    /// Whether bounds, widened by a margin in metres, can touch the image.
     pub(crate) fn sees(self, bounds: &Bounds, margin_m: Real) -> bool {
         let reach = self.reach_m + margin_m;
         bounds.max.x >= self.centre.x - reach

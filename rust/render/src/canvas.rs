@@ -10,7 +10,7 @@ use tiny_skia::{
 
 /// Points nearer than this to the one before are left out, pixels.
 const MERGE_PX: f32 = 0.35;
-/// Coordinates are held within this, pixels: far outside any picture, well inside what the rasteriser can take.
+/// Coordinates are held within this, pixels: far outside any image, well inside what the rasteriser can take.
 const FAR_PX: f32 = 1e6;
 
 /// A pixel buffer and the view that places metres on it.

@@ -1,11 +1,11 @@
-//! What can go wrong when a picture is asked for.
+//! What can go wrong when an image is asked for.
 
 /// Everything the renderer refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {
-    /// The picture has no pixels or too many.
-    #[error("picture size is {width} x {height} pixels, expected 1 to {max} on each side")]
+    /// The image has no pixels or too many.
+    #[error("image size is {width} x {height} pixels, expected 1 to {max} on each side")]
     Size {
         /// Width asked for, pixels.
         width: u32,
@@ -50,8 +50,8 @@ pub enum RenderError {
         /// Steps of the log.
         num_steps: usize,
     },
-    /// The middle of the picture cannot be found.
-    #[error("centre of the picture is {got}, expected {expected}")]
+    /// The middle of the image cannot be found.
+    #[error("centre of the image is {got}, expected {expected}")]
     Centre {
         /// What was asked for.
         got: String,

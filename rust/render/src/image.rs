@@ -1,8 +1,8 @@
-//! The finished picture.
+//! The finished image.
 
 use crate::palette::Rgb;
 
-/// An opaque picture, row-major [H, W, 3] bytes, row 0 at the top.
+/// An opaque image, row-major [H, W, 3] bytes, row 0 at the top.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Image {
     /// Width W, pixels.

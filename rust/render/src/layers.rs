@@ -1,4 +1,4 @@
-//! The static part of a picture: layers of the map, prepared once per scene and drawn per picture.
+//! The static part of an image: layers of the map, prepared once per scene and drawn per image.
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
@@ -15,7 +15,7 @@ const ROAD_DASH_M: (Real, Real) = (4.0, 2.0);
 const STRIPE_M: (Real, Real) = (0.6, 0.6);
 /// Most dashes or stripes of one line or crossing; a longer line is drawn solid.
 const MAX_PIECES: Real = 2000.0;
-/// Points of a line that are looked at together when the picture is cut to the view.
+/// Points of a line that are looked at together when the image is cut to the view.
 const CHUNK_POINTS: usize = 32;
 
 /// Rings of one polygon: the outer one, then holes.
@@ -33,7 +33,7 @@ struct Piece {
 }
 
 /// The layers of a map, cut into pieces that can be left out where the camera does not see them: dashes and
-/// stripes are laid out once. Build it once per scene and use it for every picture.
+/// stripes are laid out once. Build it once per scene and use it for every image.
 #[derive(Debug, Clone, Default)]
 pub struct MapLayers {
     drivable_area: Vec<Area>,

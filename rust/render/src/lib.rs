@@ -1,11 +1,11 @@
-//! Top-down pictures of a scene or a running world, drawn on the processor.
+//! Top-down images of a scene or a running world, drawn on the processor.
 //!
-//! What flows in: a [`Picture`] — map layers, agents as boxes, trails, a route, planned samples, causal arrows — and
+//! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, planned samples, causal arrows — and
 //! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes. The same input gives the same bytes.
 //!
 //! ```text
 //! Map ──► MapLayers ──┐
-//!  (once per scene)   ├─► Picture ──► render(picture, camera) ──► Image
+//!  (once per scene)   ├─► Drawing ──► render(drawing, camera) ──► Image
 //! agents, lines ──────┘
 //! ```
 //!
@@ -14,23 +14,23 @@
 mod agents;
 mod camera;
 mod canvas;
+mod drawing;
 mod error;
 mod image;
 mod layers;
 mod lines;
 mod log;
 pub mod palette;
-mod picture;
 mod text;
 
 pub use agents::AgentBox;
 pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
+pub use drawing::{Drawing, render};
 pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
 pub use lines::{Arrow, Line};
 pub use log::{
-    Centre, LogShot, driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose, render_log,
+    Centre, LogView, driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose, render_log,
 };
-pub use palette::{Driver, Rgb};
-pub use picture::{Picture, render};
+pub use palette::{DrawStyle, Rgb};

@@ -2,7 +2,7 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::palette::{self, Driver};
+use crate::palette::{self, DrawStyle};
 use ccdiff_sim::geom::{Point2, Real};
 
 /// Steps of fading along a trail.
@@ -14,7 +14,7 @@ pub struct Line<'a> {
     /// Points in the scene frame, metres, in order of time.
     pub points: &'a [Point2],
     /// Who moves the agent: sets the colour.
-    pub driver: Driver,
+    pub driver: DrawStyle,
 }
 
 /// An edge of the causal graph: `from` influences `to`.
@@ -33,7 +33,7 @@ pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
     let mut outline = Outline::new();
     outline.polyline(canvas.view, points);
     let width = canvas.px(1.3, 2.5);
-    canvas.stroke(outline, Driver::Ego.colour(), 0.2, width, true);
+    canvas.stroke(outline, DrawStyle::Ego.colour(), 0.2, width, true);
 }
 
 /// A line that fades towards its old end.

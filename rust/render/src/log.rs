@@ -1,20 +1,20 @@
-//! Pictures of a scene's log: what stands where at a step, trails and the ego's route.
+//! Images of a scene's log: what stands where at a step, trails and the ego's route.
 
 use crate::agents::AgentBox;
 use crate::camera::Camera;
+use crate::drawing::{Drawing, render};
 use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
 use crate::lines::Line;
-use crate::palette::Driver;
-use crate::picture::{Picture, render};
+use crate::palette::DrawStyle;
 use ccdiff_sim::geom::{Point2, Pose2, Real};
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 
 /// How far back trails of a log reach, seconds.
 const TRAIL_S: Real = 3.0;
 
-/// What the middle of a picture follows.
+/// What the middle of an image follows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Centre {
     /// An agent, by its index in the scene.
@@ -23,14 +23,14 @@ pub enum Centre {
     Point(Point2),
 }
 
-/// A picture of one step of a log.
+/// An image of one step of a log.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LogShot {
+pub struct LogView {
     /// Step of the log.
     pub step_idx: usize,
     /// What is in the middle.
     pub centre: Centre,
-    /// Metres across the picture's width.
+    /// Metres across the image's width.
     pub span_m: Real,
     /// Width, pixels.
     pub width: u32,
@@ -53,46 +53,46 @@ pub struct LogShot {
 /// # Errors
 /// [`RenderError::Step`] past the end, [`RenderError::Centre`] for an agent that does not exist or is never logged,
 /// and for `heading_up` without an agent; and those of [`render`].
-pub fn render_log(scene: &Scene, map: &MapLayers, shot: &LogShot) -> Result<Image> {
-    let step_idx = shot.step_idx;
+pub fn render_log(scene: &Scene, map: &MapLayers, log_view: &LogView) -> Result<Image> {
+    let step_idx = log_view.step_idx;
     if step_idx >= scene.num_steps {
         return Err(RenderError::Step { got: step_idx, num_steps: scene.num_steps });
     }
     let boxes = logged_boxes(scene, step_idx);
-    let num_back = if shot.trails { (TRAIL_S / scene.dt_s).ceil() as usize + 1 } else { 0 };
+    let num_back = if log_view.trails { (TRAIL_S / scene.dt_s).ceil() as usize + 1 } else { 0 };
     let movers = (0..scene.num_agents()).filter(|a| scene.agents[*a].kind != AgentKind::Static);
-    let trails: Vec<(Vec<Point2>, Driver)> =
+    let trails: Vec<(Vec<Point2>, DrawStyle)> =
         movers.map(|a| (logged_trail(scene, a, step_idx, num_back), driver_of(scene, a))).collect();
     let trails: Vec<Line<'_>> =
         trails.iter().map(|(points, driver)| Line { points, driver: *driver }).collect();
     let ego = scene.agent_index(EGO_ID);
-    let route = ego.filter(|_| shot.route).map(|a| logged_future(scene, a, step_idx)).unwrap_or_default();
-    let caption = if shot.labels { caption(scene, step_idx, ego) } else { String::new() };
-    let picture = Picture {
+    let route = ego.filter(|_| log_view.route).map(|a| logged_future(scene, a, step_idx)).unwrap_or_default();
+    let caption = if log_view.labels { caption(scene, step_idx, ego) } else { String::new() };
+    let drawing = Drawing {
         map: Some(map),
         route: &route,
         trails: &trails,
         boxes: &boxes,
         caption: &caption,
-        scale_bar: shot.labels,
-        ..Picture::default()
+        scale_bar: log_view.labels,
+        ..Drawing::default()
     };
-    render(&picture, &camera(scene, shot)?)
+    render(&drawing, &camera(scene, log_view)?)
 }
 
-fn camera(scene: &Scene, shot: &LogShot) -> Result<Camera> {
-    let over = |centre| Camera::over(centre, shot.span_m, shot.width, shot.height);
+fn camera(scene: &Scene, log_view: &LogView) -> Result<Camera> {
+    let over = |centre| Camera::over(centre, log_view.span_m, log_view.width, log_view.height);
     let fail = |got, expected| Err(RenderError::Centre { got, expected });
-    match shot.centre {
-        Centre::Point(_) if shot.heading_up => {
-            fail("a point".into(), "an agent, for a picture with heading up")
+    match log_view.centre {
+        Centre::Point(_) if log_view.heading_up => {
+            fail("a point".into(), "an agent, for an image with heading up")
         }
         Centre::Point(p) => Ok(over(p)),
         Centre::Agent(a) if a >= scene.num_agents() => {
             fail(format!("agent {a}"), "the index of an agent of the scene")
         }
-        Centre::Agent(a) => match nearest_logged_pose(scene, a, shot.step_idx) {
-            Some(pose) if shot.heading_up => Ok(over(pose.position).heading_up(pose.heading_rad)),
+        Centre::Agent(a) => match nearest_logged_pose(scene, a, log_view.step_idx) {
+            Some(pose) if log_view.heading_up => Ok(over(pose.position).heading_up(pose.heading_rad)),
             Some(pose) => Ok(over(pose.position)),
             None => fail(format!("agent {:?}", scene.agents[a].id), "an agent that is logged at some step"),
         },
@@ -112,7 +112,7 @@ fn caption(scene: &Scene, step_idx: usize, ego: Option<usize>) -> String {
     }
 }
 
-/// Boxes of the agents logged at a step: the ego as [`Driver::Ego`], all others as [`Driver::Replay`]. None past
+/// Boxes of the agents logged at a step: the ego as [`DrawStyle::Ego`], all others as [`DrawStyle::Replay`]. None past
 /// the end.
 pub fn logged_boxes(scene: &Scene, step_idx: usize) -> Vec<AgentBox> {
     let present = (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx));
@@ -159,9 +159,9 @@ pub fn nearest_logged_pose(scene: &Scene, agent_idx: usize, step_idx: usize) -> 
     Some(logged_pose(scene, agent_idx, step))
 }
 
-/// [`Driver::Ego`] or [`Driver::Replay`].
-pub fn driver_of(scene: &Scene, agent_idx: usize) -> Driver {
-    if scene.agents[agent_idx].id == EGO_ID { Driver::Ego } else { Driver::Replay }
+/// [`DrawStyle::Ego`] or [`DrawStyle::Replay`].
+pub fn driver_of(scene: &Scene, agent_idx: usize) -> DrawStyle {
+    if scene.agents[agent_idx].id == EGO_ID { DrawStyle::Ego } else { DrawStyle::Replay }
 }
 
 fn logged_pose(scene: &Scene, agent_idx: usize, step_idx: usize) -> Pose2 {

@@ -1,4 +1,4 @@
-//! Every colour of the pictures, in one place.
+//! Every colour of the images, in one place.
 //!
 //! Agents are coloured by who drives them. The hues follow the colour-blind safe set of Okabe and Ito (2008),
 //! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
@@ -11,7 +11,7 @@ pub struct Rgb(pub u8, pub u8, pub u8);
 /// Who moves an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
-pub enum Driver {
+pub enum DrawStyle {
     /// The ego, whoever drives it.
     Ego = 0,
     /// An agent other than the ego that takes actions from outside.
@@ -30,7 +30,7 @@ pub enum Driver {
     Other = 7,
 }
 
-impl Driver {
+impl DrawStyle {
     /// All drivers, in the order of their numbers.
     pub const ALL: [Self; 8] = [
         Self::Ego,
@@ -56,7 +56,7 @@ impl Driver {
         titles[self as usize]
     }
 
-    /// The driver of a number, as [`Driver::ALL`] counts them.
+    /// The driver of a number, as [`DrawStyle::ALL`] counts them.
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.get(usize::from(number)).copied()
     }
@@ -109,9 +109,9 @@ pub const INK: Rgb = Rgb(0x25, 0x2B, 0x33);
 /// Halo round the ego, heading notches, panels behind text.
 pub const PAPER: Rgb = Rgb(0xFF, 0xFF, 0xFF);
 
-/// Names and colours of everything in a picture, for documentation: drivers first, then the map and the marks.
+/// Names and colours of everything in an image, for documentation: drivers first, then the map and the marks.
 pub fn legend() -> Vec<(&'static str, Rgb)> {
-    let drivers = Driver::ALL.iter().map(|d| (d.name(), d.colour()));
+    let drivers = DrawStyle::ALL.iter().map(|d| (d.name(), d.colour()));
     let rest = [
         ("static obstacle", STATIC),
         ("collision", COLLISION),

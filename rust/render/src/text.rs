@@ -120,14 +120,14 @@ fn write(canvas: &mut Canvas, text: &str, (x, y): (f32, f32), cap_px: f32) {
 /// Most letters of a caption.
 const LONGEST: usize = 200;
 
-/// Height of capitals for a picture, pixels.
+/// Height of capitals for an image, pixels.
 fn cap_px(width: f32, height: f32) -> f32 {
     (width.min(height) / 56.0).clamp(7.0, 24.0)
 }
 
 /// Writes a caption on a light panel in the upper left corner, as small as it takes to fit.
 pub(crate) fn caption(canvas: &mut Canvas, text: &str, (width, height): (f32, f32)) {
-    // A long caption is made smaller, to fit; a name from a file can be longer than any picture.
+    // A long caption is made smaller, to fit; a name from a file can be longer than any image.
     let text: String = text.chars().take(LONGEST).collect();
     let units = width_px(&text, 1.0) + 3.4;
     let cap = cap_px(width, height).min(width / units);

@@ -1,7 +1,7 @@
 //! A crossroads by hand.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use ccdiff_render::{AgentBox, Driver};
+use ccdiff_render::{AgentBox, DrawStyle};
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real};
 use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, Map};
 
@@ -36,7 +36,7 @@ pub(crate) fn crossroads() -> Map {
     }
 }
 
-pub(crate) fn car(x: Real, y: Real, heading_rad: Real, driver: Driver) -> AgentBox {
+pub(crate) fn car(x: Real, y: Real, heading_rad: Real, driver: DrawStyle) -> AgentBox {
     AgentBox {
         pose: Pose2::new(x, y, heading_rad),
         length_m: 4.6,

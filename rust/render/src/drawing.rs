@@ -1,4 +1,4 @@
-//! What a picture shows, and the order in which it is painted.
+//! What an image shows, and the order in which it is painted.
 
 use crate::agents::AgentBox;
 use crate::camera::Camera;
@@ -11,9 +11,9 @@ use crate::palette;
 use crate::{agents, lines, text};
 use ccdiff_sim::geom::Point2;
 
-/// Everything a picture shows. All coordinates are of the scene frame, metres. Empty lists show nothing.
+/// Everything an image shows. All coordinates are of the scene frame, metres. Empty lists show nothing.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Picture<'a> {
+pub struct Drawing<'a> {
     /// The map; `None` leaves bare ground.
     pub map: Option<&'a MapLayers>,
     /// The ego's route: a broad translucent band.
@@ -34,7 +34,7 @@ pub struct Picture<'a> {
     pub scale_bar: bool,
 }
 
-impl Picture<'_> {
+impl Drawing<'_> {
     /// Refuses numbers that are not finite.
     fn check(&self) -> Result<()> {
         const FINITE: &str = "finite numbers within 1000 km";
@@ -70,7 +70,7 @@ impl Picture<'_> {
     }
 }
 
-/// Paints a picture.
+/// Paints a drawing.
 ///
 /// Order from below: map, route, trails, samples, agents (obstacles lowest, the ego highest), arrows, collision
 /// marks, text.
@@ -78,35 +78,35 @@ impl Picture<'_> {
 /// # Errors
 /// [`RenderError::Size`] and [`RenderError::Camera`] for a camera that cannot be used, [`RenderError::Item`] for
 /// the first thing with a number that is not finite or a size that is not positive.
-pub fn render(picture: &Picture<'_>, camera: &Camera) -> Result<Image> {
+pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
     let view = camera.view()?;
-    picture.check()?;
+    drawing.check()?;
     let (width, height) = (camera.width, camera.height);
     let canvas = Canvas::new(width, height, view, palette::GROUND);
     let mut canvas = canvas.ok_or(RenderError::Size { width, height, max: crate::MAX_SIDE_PX })?;
-    if let Some(map) = picture.map {
+    if let Some(map) = drawing.map {
         map.draw(&mut canvas);
     }
-    lines::route(&mut canvas, picture.route);
-    for trail in picture.trails {
+    lines::route(&mut canvas, drawing.route);
+    for trail in drawing.trails {
         lines::trail(&mut canvas, trail);
     }
-    for sample in picture.samples {
+    for sample in drawing.samples {
         lines::sample(&mut canvas, sample);
     }
-    agents::draw(&mut canvas, picture.boxes);
-    for arrow in picture.arrows {
+    agents::draw(&mut canvas, drawing.boxes);
+    for arrow in drawing.arrows {
         lines::arrow(&mut canvas, arrow);
     }
-    for mark in picture.collisions {
+    for mark in drawing.collisions {
         lines::collision(&mut canvas, *mark);
     }
     let size_px = (width as f32, height as f32);
-    if picture.scale_bar {
+    if drawing.scale_bar {
         text::scale_bar(&mut canvas, size_px);
     }
-    if !picture.caption.is_empty() {
-        text::caption(&mut canvas, picture.caption, size_px);
+    if !drawing.caption.is_empty() {
+        text::caption(&mut canvas, drawing.caption, size_px);
     }
     Ok(canvas.finish())
 }

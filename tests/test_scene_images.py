@@ -45,14 +45,14 @@ def scene() -> _native.Scene:
 
 
 def test_the_ego_is_in_the_middle_on_the_road_and_holes_show_the_ground(scene):
-    picture = scene.render(0, size=(300, 200), **PLAIN)
-    assert picture.shape == (200, 300, 3)
-    assert picture.dtype == np.uint8
-    assert tuple(picture[100, 150]) == tuple(COLOURS["ego"])
+    image = scene.render(0, size=(300, 200), **PLAIN)
+    assert image.shape == (200, 300, 3)
+    assert image.dtype == np.uint8
+    assert tuple(image[100, 150]) == tuple(COLOURS["ego"])
     # three pixels a metre: 10 m south of the middle, and the middle of the hole
-    assert tuple(picture[130, 150]) == tuple(COLOURS["drivable area"])
-    assert tuple(picture[100 - 60 + 15, 150 + 60]) == tuple(COLOURS["drivable area"])
-    assert tuple(picture[100 - 60, 150 + 60]) == tuple(COLOURS["ground"])
+    assert tuple(image[130, 150]) == tuple(COLOURS["drivable area"])
+    assert tuple(image[100 - 60 + 15, 150 + 60]) == tuple(COLOURS["drivable area"])
+    assert tuple(image[100 - 60, 150 + 60]) == tuple(COLOURS["ground"])
 
 
 def test_the_middle_can_be_an_agent_a_point_or_wait_for_an_agent(scene):
@@ -71,14 +71,14 @@ def test_heading_up_is_north_up_turned_by_a_quarter_for_an_ego_that_heads_east(s
     assert (difference.max(axis=2) > 40).mean() < 0.005
 
 
-def test_every_option_changes_the_picture_and_the_same_call_repeats_it(scene):
+def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
     plain = scene.render(8, **PLAIN)
     assert np.array_equal(plain, scene.render(8, **PLAIN))
     for name in PLAIN:
         assert not np.array_equal(plain, scene.render(8, **{**PLAIN, name: True})), name
 
 
-def test_drawing_the_logged_agents_over_the_map_is_the_picture_of_the_log(scene):
+def test_drawing_the_logged_agents_over_the_map_is_the_image_of_the_log(scene):
     tracks = scene.tracks()
     drawn = render.draw(
         tracks["position"][:, 12],
@@ -137,7 +137,7 @@ def test_drivable_area_of_a_real_scene_is_where_shapely_says(data_root):
     lines = shapely.union_all([shapely.LineString(line) for line in lines])
     step = 10
     tracks = scene.tracks()
-    picture = scene.render(step, size=(side, side), span_m=span_m, **PLAIN)
+    image = scene.render(step, size=(side, side), span_m=span_m, **PLAIN)
     centre = tracks["position"][0, step]
     rows, columns = np.mgrid[2:side:5, 2:side:5].reshape(2, -1)
     x = centre[0] + (columns + 0.5 - side / 2) * span_m / side
@@ -153,6 +153,6 @@ def test_drivable_area_of_a_real_scene_is_where_shapely_says(data_root):
     inside = shapely.contains(drivable, points)
     assert (clear & inside).sum() > 300
     assert (clear & ~inside).sum() > 300
-    seen = picture[rows, columns]
+    seen = image[rows, columns]
     assert (seen[clear & inside] == COLOURS["drivable area"]).all()
     assert (seen[clear & ~inside] == COLOURS["ground"]).all()

@@ -1,9 +1,9 @@
-//! What stands where in a picture, and what is refused.
+//! What stands where in an image, and what is refused.
 
 mod common;
 
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, Driver, Image, Line, MapLayers, Picture, RenderError, Rgb, palette, render,
+    AgentBox, Arrow, Camera, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, palette, render,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
 use ccdiff_sim::scene::{AgentKind, Map};
@@ -11,7 +11,7 @@ use common::{car, crossroads, points, rectangle};
 use proptest::prelude::*;
 
 /// Colour of a point of the scene frame; the camera's own arithmetic, written again with f64 rotations. A colour that
-/// nothing has for a point outside the picture.
+/// nothing has for a point outside the image.
 fn colour_at(image: &Image, camera: &Camera, x: f64, y: f64) -> Rgb {
     let turn = std::f64::consts::FRAC_PI_2 - f64::from(camera.up_rad);
     let (dx, dy) = (x - f64::from(camera.centre.x), y - f64::from(camera.centre.y));
@@ -29,12 +29,12 @@ fn north_up(span_m: Real) -> Camera {
 #[test]
 fn the_ego_is_in_the_middle_and_the_road_and_the_ground_are_where_the_map_says() {
     let map = MapLayers::new(&crossroads()).unwrap();
-    let boxes = [car(0.0, 0.0, 0.0, Driver::Ego)];
-    let picture = Picture { map: Some(&map), boxes: &boxes, ..Picture::default() };
+    let boxes = [car(0.0, 0.0, 0.0, DrawStyle::Ego)];
+    let drawing = Drawing { map: Some(&map), boxes: &boxes, ..Drawing::default() };
     for camera in [north_up(80.0), north_up(80.0).heading_up(0.7), north_up(40.0).heading_up(-2.5)] {
-        let image = render(&picture, &camera).unwrap();
+        let image = render(&drawing, &camera).unwrap();
         assert_eq!(image.rgb.len(), 400 * 300 * 3);
-        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), Driver::Ego.colour());
+        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour());
         assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::DRIVABLE);
         assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::GROUND);
         assert_eq!(colour_at(&image, &camera, -10.0, 9.0), palette::WALKWAY);
@@ -51,7 +51,7 @@ fn a_hole_in_the_drivable_area_shows_the_ground_unless_another_polygon_covers_it
         [(vec![holed.clone()], palette::GROUND), (vec![holed.clone(), cover.clone()], palette::DRIVABLE)]
     {
         let map = MapLayers::new(&Map { drivable_area: areas, ..Map::default() }).unwrap();
-        let image = render(&Picture { map: Some(&map), ..Picture::default() }, &camera).unwrap();
+        let image = render(&Drawing { map: Some(&map), ..Drawing::default() }, &camera).unwrap();
         assert_eq!(colour_at(&image, &camera, -5.0, 0.0), left);
         assert_eq!(colour_at(&image, &camera, 5.0, 0.0), palette::GROUND);
         assert_eq!(colour_at(&image, &camera, 15.0, 0.0), palette::DRIVABLE);
@@ -68,7 +68,7 @@ fn no_seam_shows_between_areas_that_abut_at_any_angle() {
         };
         let map = Map { drivable_area: vec![half(-30.0, 0.0), half(0.0, 30.0)], ..Map::default() };
         let map = MapLayers::new(&map).unwrap();
-        let image = render(&Picture { map: Some(&map), ..Picture::default() }, &north_up(40.0)).unwrap();
+        let image = render(&Drawing { map: Some(&map), ..Drawing::default() }, &north_up(40.0)).unwrap();
         let Rgb(r, g, b) = palette::DRIVABLE;
         let off = image.rgb.chunks(3).filter(|c| **c != [r, g, b]).count();
         assert_eq!(off, 0, "{off} pixels at turn {turn}");
@@ -78,29 +78,29 @@ fn no_seam_shows_between_areas_that_abut_at_any_angle() {
 #[test]
 fn heading_up_turns_the_scene_so_that_what_lies_ahead_is_above() {
     let boxes = [
-        car(0.0, 0.0, 0.0, Driver::Ego),
-        car(15.0, 0.0, 0.0, Driver::Idm),
-        car(0.0, 15.0, 0.0, Driver::Ccdiff),
+        car(0.0, 0.0, 0.0, DrawStyle::Ego),
+        car(15.0, 0.0, 0.0, DrawStyle::Idm),
+        car(0.0, 15.0, 0.0, DrawStyle::Ccdiff),
     ];
-    let picture = Picture { boxes: &boxes, ..Picture::default() };
+    let drawing = Drawing { boxes: &boxes, ..Drawing::default() };
     // The ego heads east: the car ahead of it (east) is above, the one to its left (north) is left.
-    let image = render(&picture, &north_up(80.0).heading_up(0.0)).unwrap();
-    assert_eq!(image.pixel(200, 150 - 75), Some(Driver::Idm.colour()));
-    assert_eq!(image.pixel(200 - 75, 150), Some(Driver::Ccdiff.colour()));
-    let image = render(&picture, &north_up(80.0)).unwrap();
-    assert_eq!(image.pixel(200 + 75, 150), Some(Driver::Idm.colour()));
-    assert_eq!(image.pixel(200, 150 - 75), Some(Driver::Ccdiff.colour()));
+    let image = render(&drawing, &north_up(80.0).heading_up(0.0)).unwrap();
+    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Idm.colour()));
+    assert_eq!(image.pixel(200 - 75, 150), Some(DrawStyle::Ccdiff.colour()));
+    let image = render(&drawing, &north_up(80.0)).unwrap();
+    assert_eq!(image.pixel(200 + 75, 150), Some(DrawStyle::Idm.colour()));
+    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Ccdiff.colour()));
 }
 
 #[test]
 fn a_box_is_as_long_and_wide_as_the_agent_and_lies_along_its_heading() {
-    let boxes = [AgentBox { length_m: 10.0, width_m: 4.0, ..car(0.0, 0.0, 0.6, Driver::Ccdiff) }];
+    let boxes = [AgentBox { length_m: 10.0, width_m: 4.0, ..car(0.0, 0.0, 0.6, DrawStyle::Ccdiff) }];
     let camera = north_up(40.0);
-    let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap();
+    let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &camera).unwrap();
     let (s, c) = 0.6f64.sin_cos();
     let along = |f: f64, l: f64| colour_at(&image, &camera, f * c - l * s, f * s + l * c);
     for (f, l) in [(-4.6, 0.0), (0.0, 1.6), (0.0, -1.6), (-4.0, 1.4)] {
-        assert_eq!(along(f, l), Driver::Ccdiff.colour(), "inside at {f}, {l}");
+        assert_eq!(along(f, l), DrawStyle::Ccdiff.colour(), "inside at {f}, {l}");
     }
     for (f, l) in [(5.4, 0.0), (-5.4, 0.0), (0.0, 2.4), (0.0, -2.4)] {
         assert_eq!(along(f, l), palette::GROUND, "outside at {f}, {l}");
@@ -109,28 +109,28 @@ fn a_box_is_as_long_and_wide_as_the_agent_and_lies_along_its_heading() {
 
 #[test]
 fn a_collided_agent_has_a_red_outline_and_keeps_its_colour() {
-    let boxes = [AgentBox { collided: true, ..car(0.0, 0.0, 0.0, Driver::Idm) }];
+    let boxes = [AgentBox { collided: true, ..car(0.0, 0.0, 0.0, DrawStyle::Idm) }];
     let camera = north_up(20.0);
-    let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap();
-    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), Driver::Idm.colour());
+    let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &camera).unwrap();
+    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Idm.colour());
     assert_eq!(colour_at(&image, &camera, 0.0, 1.1), palette::COLLISION);
 }
 
 #[test]
 fn the_ego_is_drawn_over_what_stands_in_the_same_place_whatever_the_order() {
-    let (ego, other) = (car(0.0, 0.0, 0.0, Driver::Ego), car(0.0, 0.0, 0.0, Driver::Ccdiff));
+    let (ego, other) = (car(0.0, 0.0, 0.0, DrawStyle::Ego), car(0.0, 0.0, 0.0, DrawStyle::Ccdiff));
     for boxes in [[ego, other], [other, ego]] {
-        let image = render(&Picture { boxes: &boxes, ..Picture::default() }, &north_up(40.0)).unwrap();
-        assert_eq!(image.pixel(200, 150), Some(Driver::Ego.colour()));
+        let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &north_up(40.0)).unwrap();
+        assert_eq!(image.pixel(200, 150), Some(DrawStyle::Ego.colour()));
     }
 }
 
 #[test]
 fn a_trail_grows_stronger_towards_the_present() {
     let trail: Vec<Point2> = (0..=20).map(|i| Point2::new(i as Real - 20.0, 0.0)).collect();
-    let trails = [Line { points: &trail, driver: Driver::Ccdiff }];
+    let trails = [Line { points: &trail, driver: DrawStyle::Ccdiff }];
     let camera = Camera::over(Point2::new(-10.0, 0.0), 40.0, 400, 300);
-    let image = render(&Picture { trails: &trails, ..Picture::default() }, &camera).unwrap();
+    let image = render(&Drawing { trails: &trails, ..Drawing::default() }, &camera).unwrap();
     let red = |x: f64| colour_at(&image, &camera, x, 0.0).0;
     assert!(red(-19.0) > red(-10.5) && red(-10.5) > red(-0.5));
     assert_ne!(colour_at(&image, &camera, -19.0, 0.0), palette::GROUND);
@@ -144,13 +144,13 @@ fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
             assert_ne!(a, b, "{name} and {other}");
         }
     }
-    assert!(Driver::ALL.iter().enumerate().all(|(i, d)| Driver::from_number(i as u8) == Some(*d)));
-    assert_eq!(Driver::from_number(Driver::ALL.len() as u8), None);
+    assert!(DrawStyle::ALL.iter().enumerate().all(|(i, d)| DrawStyle::from_number(i as u8) == Some(*d)));
+    assert_eq!(DrawStyle::from_number(DrawStyle::ALL.len() as u8), None);
 }
 
 #[test]
 fn a_camera_that_cannot_be_used_is_refused_and_says_why() {
-    let ask = |camera: Camera| render(&Picture::default(), &camera).unwrap_err();
+    let ask = |camera: Camera| render(&Drawing::default(), &camera).unwrap_err();
     let good = north_up(50.0);
     assert!(matches!(ask(Camera { width: 0, ..good }), RenderError::Size { width: 0, .. }));
     assert!(matches!(ask(Camera { height: 9000, ..good }), RenderError::Size { height: 9000, .. }));
@@ -167,20 +167,20 @@ fn a_camera_that_cannot_be_used_is_refused_and_says_why() {
 
 #[test]
 fn things_that_are_not_finite_or_have_no_size_are_refused_by_kind_and_index() {
-    let good = car(0.0, 0.0, 0.0, Driver::Idm);
+    let good = car(0.0, 0.0, 0.0, DrawStyle::Idm);
     let nan = Real::NAN;
     for (bad, kind) in [
-        (car(nan, 0.0, 0.0, Driver::Idm), "position of agent"),
-        (car(0.0, 0.0, nan, Driver::Idm), "heading of agent"),
+        (car(nan, 0.0, 0.0, DrawStyle::Idm), "position of agent"),
+        (car(0.0, 0.0, nan, DrawStyle::Idm), "heading of agent"),
         (AgentBox { width_m: 0.0, ..good }, "size of agent"),
         (AgentBox { length_m: nan, ..good }, "size of agent"),
     ] {
         let boxes = [good, bad];
-        let error = render(&Picture { boxes: &boxes, ..Picture::default() }, &north_up(50.0)).unwrap_err();
+        let error = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &north_up(50.0)).unwrap_err();
         assert!(matches!(error, RenderError::Item { what, index: 1, .. } if what == kind), "{error}");
     }
     let route = points(&[(0.0, 0.0), (nan, 1.0)]);
-    let error = render(&Picture { route: &route, ..Picture::default() }, &north_up(50.0)).unwrap_err();
+    let error = render(&Drawing { route: &route, ..Drawing::default() }, &north_up(50.0)).unwrap_err();
     assert!(matches!(error, RenderError::Item { what: "route", .. }));
     let map = Map { walkways: vec![rectangle((0.0, nan), (0.0, 1.0))], ..Map::default() };
     assert_eq!(MapLayers::new(&map).unwrap_err(), RenderError::Map { layer: "walkways" });
@@ -202,7 +202,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn whatever_comes_in_gives_a_picture_or_an_error_and_the_same_one_twice(
+    fn whatever_comes_in_gives_a_image_or_an_error_and_the_same_one_twice(
         (a, b, c, d) in (line(9), line(9), line(9), line(9)),
         (x, y, turn, scale) in (coordinate(), coordinate(), -9f32..9., prop_oneof![4 => 1e-3f32..2., 1 => any::<f32>()]),
         (width, height) in (0u32..90, 0u32..90),
@@ -225,14 +225,14 @@ proptest! {
                 length_m: *l,
                 width_m: 0.4 * l,
                 kind: AgentKind::ALL[*kind],
-                driver: Driver::ALL[*driver],
+                driver: DrawStyle::ALL[*driver],
                 collided: *kind == 1,
             })
             .collect();
-        let lines = [Line { points: &a, driver: Driver::Ccdiff }, Line { points: &d, driver: Driver::Ego }];
+        let lines = [Line { points: &a, driver: DrawStyle::Ccdiff }, Line { points: &d, driver: DrawStyle::Ego }];
         let ends = a.iter().zip(&b);
         let arrows: Vec<Arrow> = ends.map(|(p, q)| Arrow { from: *p, to: *q, weight: scale }).collect();
-        let picture = Picture {
+        let drawing = Drawing {
             map: layers.as_ref().ok(),
             route: &c,
             trails: &lines,
@@ -245,8 +245,8 @@ proptest! {
         };
         let camera =
             Camera { centre: Point2::new(x, y), up_rad: turn, metres_per_pixel: scale, width, height };
-        let first = render(&picture, &camera);
-        prop_assert_eq!(&first, &render(&picture, &camera));
+        let first = render(&drawing, &camera);
+        prop_assert_eq!(&first, &render(&drawing, &camera));
         if let Ok(image) = first {
             prop_assert_eq!(image.rgb.len(), (width * height * 3) as usize);
         }
@@ -257,9 +257,9 @@ proptest! {
         // Whole metres keep the differences exact.
         let shift = Vector2::new(x.round(), y.round());
         let shot = |by: Vector2| {
-            let boxes = [AgentBox { pose: Pose2::new(by.x, by.y, h), ..car(0.0, 0.0, h, Driver::Ego) }];
+            let boxes = [AgentBox { pose: Pose2::new(by.x, by.y, h), ..car(0.0, 0.0, h, DrawStyle::Ego) }];
             let camera = Camera::over(Point2::from(by), 30.0, 96, 64);
-            render(&Picture { boxes: &boxes, ..Picture::default() }, &camera).unwrap()
+            render(&Drawing { boxes: &boxes, ..Drawing::default() }, &camera).unwrap()
         };
         let (here, there) = (shot(Vector2::zeros()), shot(shift));
         let far = here.rgb.iter().zip(&there.rgb).filter(|(a, b)| a.abs_diff(**b) > 12).count();

@@ -1,9 +1,9 @@
-//! Pictures of a running world.
+//! Images of a running world.
 
 use crate::drivers;
 use crate::render::{CentreArg, from_render, layers_of, pixels, to_array};
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_render::{AgentBox, Camera, Driver as Colour, Line, Picture, render};
+use ccdiff_render::{AgentBox, Camera, DrawStyle, Drawing, Line, render};
 use ccdiff_sim::Result;
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::EGO_ID;
@@ -12,7 +12,7 @@ use numpy::PyArray3;
 use pyo3::prelude::*;
 use std::collections::VecDeque;
 
-/// What a picture of a world takes.
+/// What an image of a world takes.
 pub(crate) struct ViewOptions {
     pub(crate) size: (i64, i64),
     pub(crate) span_m: f32,
@@ -144,8 +144,8 @@ pub(crate) fn draw<'py>(
     let colour_of = |a: usize| {
         let (name, kind) = world.driver_name(status.drivers[a]);
         match drivers::drawn(kind) {
-            _ if is_guided(a, name) => Colour::Adversary,
-            _ if scene.agents[a].id == EGO_ID => Colour::Ego,
+            _ if is_guided(a, name) => DrawStyle::Adversary,
+            _ if scene.agents[a].id == EGO_ID => DrawStyle::Ego,
             driver => driver,
         }
     };
@@ -169,7 +169,7 @@ pub(crate) fn draw<'py>(
         .collect();
     let marks: Vec<Point2> =
         touching.iter().map(|(i, j)| middle(states.position(*i), states.position(*j))).collect();
-    let past: Vec<(Vec<Point2>, Colour)> = match trail.flatten() {
+    let past: Vec<(Vec<Point2>, DrawStyle)> = match trail.flatten() {
         Some(trail) => {
             let movers =
                 (0..states.len()).filter(|a| scene.agents[*a].kind != ccdiff_sim::scene::AgentKind::Static);
@@ -196,7 +196,7 @@ pub(crate) fn draw<'py>(
     let camera = Camera::over(pose.position, view.span_m, width, height);
     let camera = if view.heading_up { camera.heading_up(pose.heading_rad) } else { camera };
     let layers = layers_of(&scene.map)?;
-    let picture = Picture {
+    let drawing = Drawing {
         map: Some(&layers),
         route,
         trails: &trails,
@@ -204,8 +204,8 @@ pub(crate) fn draw<'py>(
         collisions: &marks,
         caption: &caption,
         scale_bar: view.labels,
-        ..Picture::default()
+        ..Drawing::default()
     };
-    let image = py.detach(|| render(&picture, &camera)).map_err(from_render)?;
+    let image = py.detach(|| render(&drawing, &camera)).map_err(from_render)?;
     to_array(py, image)
 }
