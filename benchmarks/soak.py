@@ -57,11 +57,11 @@ def one_round(seed: int) -> int:
     recorder.rollout().to_scene()
     env.restore(state)
     env.close()
-    game = ccdiff_env.parallel_env(agents=4, adversaries=1)
-    game.reset(seed=seed)
+    env = ccdiff_env.parallel_env(agents=4, adversaries=1)
+    env.reset(seed=seed)
     for _ in range(20):
-        if game.agents:
-            game.step({name: game.action_space(name).sample() for name in game.agents})
+        if env.agents:
+            env.step({name: env.action_space(name).sample() for name in env.agents})
     return steps + 40
 
 

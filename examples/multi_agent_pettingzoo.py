@@ -1,4 +1,4 @@
-"""Train one policy for several vehicles at once, then let it play a PettingZoo game.
+"""Train one policy for several vehicles at once, then let it play a PettingZoo environment.
 
     python examples/multi_agent_pettingzoo.py --agents 6 --steps 200000
     python examples/multi_agent_pettingzoo.py --agents 3 --adversaries 1
@@ -43,15 +43,15 @@ def load(args: argparse.Namespace, which: int):
     return ccdiff_env.load_nuscenes(args.dataroot, args.version, args.splits[which])
 
 
-def play(game, act, scene: str, frames: list | None = None) -> dict[str, dict]:
+def play(env, act, scene: str, frames: list | None = None) -> dict[str, dict]:
     """One episode; returns the metrics of every agent."""
-    observations, _ = game.reset(seed=0, options={"scene": scene})
+    observations, _ = env.reset(seed=0, options={"scene": scene})
     metrics = {}
-    while game.agents:
+    while env.agents:
         if frames is not None:
-            frames.append(game.render())
-        actions = {name: act(observations[name]) for name in game.agents}
-        observations, _, terminations, truncations, infos = game.step(actions)
+            frames.append(env.render())
+        actions = {name: act(observations[name]) for name in env.agents}
+        observations, _, terminations, truncations, infos = env.step(actions)
         for name in infos:
             if terminations[name] or truncations[name]:
                 metrics[name] = infos[name].get("metrics", {})
@@ -79,7 +79,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     model.save(args.out / "shared.zip")
 
-    game = ccdiff_env.parallel_env(scenes=held_out, info="end", render_mode="rgb_array", **options)
+    env = ccdiff_env.parallel_env(scenes=held_out, info="end", render_mode="rgb_array", **options)
     rng = np.random.default_rng(args.seed)
     policies = {
         "learned": lambda obs: model.predict(obs, deterministic=True)[0],
@@ -87,12 +87,12 @@ def main() -> None:
     }
     print(f"{len(held_out)} held-out scenes, {args.agents} vehicles each:")
     for name, act in policies.items():
-        ended = [m for s in held_out for m in play(game, act, s.name).values() if m]
+        ended = [m for s in held_out for m in play(env, act, s.name).values() if m]
         means = {k: np.mean([m[k] for m in ended]) for k in ("collision", "off_road", "progress")}
         print(f"  {name:8s}", "  ".join(f"{k} {v:.3f}" for k, v in means.items()))
     frames: list = []
-    play(game, policies["learned"], held_out[0].name, frames)
-    render.save(frames, args.out / "game.gif")
+    play(env, policies["learned"], held_out[0].name, frames)
+    render.save(frames, args.out / "episode.gif")
     print(f"policy and video in {args.out}")
 
 

@@ -1,4 +1,4 @@
-"""Egos against adversaries with RLlib: one game, opposite rewards, a policy for each role.
+"""Egos against adversaries with RLlib: one environment, opposite rewards, a policy for each role.
 
 pip install "ray[rllib,tune]"
 python examples/self_play_rllib.py --iterations 50
@@ -17,7 +17,7 @@ from ray.tune.registry import register_env
 import ccdiff_env
 
 #: Rank 0 is the ego, ranks 1 and 2 the two nearest vehicles, who play against it.
-GAME = {"agents": 3, "adversaries": "others", "names": "slot", "traffic": "idm", "info": "end"}
+OPTIONS = {"agents": 3, "adversaries": "others", "names": "slot", "traffic": "idm", "info": "end"}
 
 
 def arguments() -> argparse.Namespace:
@@ -30,7 +30,7 @@ def arguments() -> argparse.Namespace:
 
 
 def make(_config: dict) -> ParallelPettingZooEnv:
-    return ParallelPettingZooEnv(ccdiff_env.parallel_env(scenes="train", **GAME))
+    return ParallelPettingZooEnv(ccdiff_env.parallel_env(scenes="train", **OPTIONS))
 
 
 def role(agent_id: str, *_args, **_kwargs) -> str:

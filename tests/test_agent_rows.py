@@ -1,4 +1,4 @@
-"""Games of several vehicles in many worlds: rows agree with the PettingZoo form, and learn."""
+"""Multi-agent environments in many worlds: rows agree with the PettingZoo form, and learn."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from stable_baselines3 import PPO
 
 from ccdiff_env import embedded_scenes, parallel_env
-from ccdiff_env.envs.rows import AgentVectorEnv
+from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError
 

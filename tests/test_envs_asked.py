@@ -8,7 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import ccdiff_env
-from ccdiff_env.envs.rows import AgentVectorEnv
+from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.errors import ConfigError, ResetNeededError
 
 

@@ -1,4 +1,4 @@
-"""Games of several vehicles: PettingZoo's own suites, names, roles, endings."""
+"""Multi-agent environments: PettingZoo's own suites, names, roles, endings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Roles in games: rewards of adversaries and the end of a game, against the formula in numpy."""
+"""Roles: rewards of adversaries and the end of an episode, against the formula in numpy."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_adversaries_are_paid_what_the_egos_lose(scenes, shaping, threads):
         own = own_rewards(out.columns, names)
         want = expected(own, out.columns, played, adversary, names, shaping)
         assert np.array_equal(rewards.reshape(shape), want)
-        # a game without an ego is over at once
+        # an episode without an ego is over at once
         over = (terminated | truncated).reshape(shape)
         left = played & ~over
         alone = (left & adversary).any(axis=1) & ~(left & ~adversary).any(axis=1)

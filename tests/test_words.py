@@ -60,9 +60,16 @@ FORMER = {
     ),
     r"\b(orr|cfd)_parity\b": ("orr_reference_impl, cfd_reference_impl", "ccdiff_env docs"),
     r"\bbeen_on_road\b": ("has_been_on_road", "rust docs"),
-    r"\b[Ff]ilm(s|_strip)?\b|save_film": ("Video, save_video, side_by_side", "ccdiff_env tools docs"),
+    r"\b[Ff]ilm(s|_strip)?\b|save_film": (
+        "Video, save_video, side_by_side",
+        "ccdiff_env tools docs",
+    ),
     r"\b[Pp]ictures?\b": ("image, animation, Drawing", "rust/render ccdiff_env/view tools"),
     r"\b(Driver|LogShot)\b": ("DrawStyle, LogView", "rust/render"),
+    r"\b[Gg]ames?\b|\bGAME\b": (
+        "multi-agent environment, playground",
+        "rust ccdiff_env docs tools examples benchmarks",
+    ),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

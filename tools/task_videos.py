@@ -1,7 +1,7 @@
 """The animations of docs/tasks.md: one recorded episode of each task.
 
 ``python -m tools.task_videos docs`` writes ``task_ego.gif``, ``task_selection.gif`` and
-``task_game.gif`` anew.
+``task_multi_agent.gif`` anew.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def selection() -> Rollout:
     return recorder.rollout()
 
 
-def game() -> Rollout:
+def multi_agent() -> Rollout:
     """Return an episode of four vehicles, each driven by the shipped ego, among IDM's."""
     policy = policies.load("ego")
     env = parallel_env(
@@ -62,7 +62,7 @@ def game() -> Rollout:
 
 
 #: Episodes by name of the task.
-RUNS = {"ego": ego, "selection": selection, "game": game}
+RUNS = {"ego": ego, "selection": selection, "multi_agent": multi_agent}
 
 
 def write(folder: Path) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from ccdiff_env.envs.rows import AgentVectorEnv
+from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.selection import AdversarySelectionEnv, AdversarySelectionVectorEnv
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
@@ -67,7 +67,7 @@ def make_vec(num_envs: int = 1, **options: Any) -> EgoVectorEnv:
 
 
 def parallel_env(**options: Any) -> MultiAgentEnv:
-    """Return a game of several vehicles as a PettingZoo ``ParallelEnv``.
+    """Return an environment of several vehicles, a PettingZoo ``ParallelEnv``.
 
     Parameters
     ----------
@@ -85,20 +85,20 @@ def parallel_env(**options: Any) -> MultiAgentEnv:
         from ccdiff_env.envs.parallel import MultiAgentEnv
     except ModuleNotFoundError as error:
         raise MissingFeatureError(
-            "games of several agents need PettingZoo: pip install pettingzoo"
+            "environments of several agents need PettingZoo: pip install pettingzoo"
         ) from error
     return MultiAgentEnv(**options)
 
 
 def aec_env(**options: Any) -> Any:
-    """Return the same game as a PettingZoo ``AECEnv``, by PettingZoo's own conversion.
+    """Return the same environment as a PettingZoo ``AECEnv``, by PettingZoo's own conversion.
 
     Parameters
     ----------
     **options
         As for :func:`parallel_env`.
     """
-    game = parallel_env(**options)
+    env = parallel_env(**options)
     from pettingzoo.utils.conversions import parallel_to_aec
 
-    return parallel_to_aec(game)
+    return parallel_to_aec(env)

@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.curriculum import Criticality
-from ccdiff_env.envs.game import Adversaries, Agents, AgentSelection, Names
+from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection, Names
 from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
@@ -82,7 +82,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
     Notes
     -----
     Agents end at different times. Who ends by an accident stays in the way of the others; who
-    reaches its goal leaves. With adversaries, the game is truncated once no ego is left.
+    reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
@@ -114,7 +114,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         check_render_mode(render_mode, ("human", "rgb_array"))
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not an option of games: use agents")
+                raise ConfigError(f"{name} is not an option of several agents: use agents")
         if max_cycles is not None:
             held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
             options = {"horizon_steps": max_cycles * held, **options}

@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.fit import STATISTICS
-from ccdiff_env.envs.rows import AgentVectorEnv
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError

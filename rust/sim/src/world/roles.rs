@@ -1,4 +1,4 @@
-//! Roles in a game of several agents: an adversary is paid what the others lose, and plays only while one of them does.
+//! Roles of several agents: an adversary is paid what the others lose, and plays only while one of them does.
 
 use crate::geom::Real;
 use crate::world::buffers::StepBuffers;

@@ -1,4 +1,4 @@
-"""Games of several vehicles in many worlds at once: every controlled vehicle is a row."""
+"""Vector environment of several vehicles in many worlds: every controlled vehicle is a row."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
+from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.game import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
@@ -92,7 +92,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         check_render_mode(render_mode, ("rgb_array",))
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not an option of games: use agents")
+                raise ConfigError(f"{name} is not an option of several agents: use agents")
         chosen = scene_set(scenes)
         resolved = world_config(chosen, config, options, observation)
         selection = AgentSelection.of(

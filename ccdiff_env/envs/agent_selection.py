@@ -1,4 +1,4 @@
-"""Who plays in a game of several agents: which vehicles, under which names, in which roles."""
+"""Agents of a multi-agent environment: which vehicles, under which names, in which roles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-//! The game: a scene, its world, and the arrays that JavaScript reads.
+//! The playground: a scene, its world, and the arrays that JavaScript reads.
 
 use ccdiff_nuscenes::decode_scene;
 use ccdiff_sim::policy::Driver;
@@ -39,7 +39,7 @@ ccdiff_sim::with_step_arrays!(arrays);
 
 /// What a page plays.
 #[derive(Default)]
-pub(crate) struct Game {
+pub(crate) struct Playground {
     /// Bytes from JavaScript.
     pub(crate) given: Vec<u8>,
     /// Why the last call failed.
@@ -52,7 +52,7 @@ pub(crate) struct Game {
     world: Option<VecWorld>,
 }
 
-impl Game {
+impl Playground {
     pub(crate) fn num_agents(&self) -> usize {
         self.states.len() / STATE
     }
