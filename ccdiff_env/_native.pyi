@@ -430,7 +430,7 @@ class VecWorld:
     def candidates(
         self, world_idx: int, rows: Sequence[int], before: Sequence[int], num_rows: int
     ) -> dict[str, F32]:
-        """Return what a chooser of adversaries sees: ``agents`` [n, F], and ``ttc``, ``distance``,
+        """Return what an adversary policy sees: ``agents`` [n, F], and ``ttc``, ``distance``,
         ``graph``, ``attention`` [n, n], with n = num_rows + 1, the ego first.
         """
 

@@ -25,7 +25,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--version", default="v1.0-mini")
     parser.add_argument("--split", default="mini_val")
     parser.add_argument("--ego", default="idm", help="replay, idm, constant_velocity or a .zip")
-    parser.add_argument("--chooser", default="causal", help="none, random, distance, ttc, causal")
+    parser.add_argument(
+        "--adversary-policy", default="causal", help="none, random, nearest, ttc, causal"
+    )
     parser.add_argument("--budget", type=int, default=2)
     parser.add_argument("--criticality", type=float, default=1.0)
     parser.add_argument("--seeds", type=int, default=1, help="episodes per scene")
@@ -46,7 +48,8 @@ def main() -> None:
         scenes, args.all = scenes[:1], True
         options = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 20}
     env = AdversarySelectionEnv(scenes=scenes, ego=args.ego, budget=args.budget, **options)
-    recorder = Recorder(env, ego=args.ego, chooser=args.chooser, budget=args.budget)
+    policy = args.adversary_policy
+    recorder = Recorder(env, ego=args.ego, adversary_policy=policy, budget=args.budget)
     env.on_step = recorder.step  # a decision has several steps
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
@@ -56,14 +59,14 @@ def main() -> None:
             recorder.start()
             done, adversaries = False, set()
             while not done:
-                *_, terminated, truncated, info = env.step(env.baseline(args.chooser, seed))
+                *_, terminated, truncated, info = env.step(env.baseline(policy, seed))
                 adversaries.update(info["adversaries"])
                 done = terminated or truncated
             rollout = recorder.rollout()
             if not (args.all or rollout.collisions("ego")):
                 continue
             verdict = counterfactual.rollout_avoidability(rollout)
-            name = file_name(f"{scene.name}-{args.chooser}-{seed}")
+            name = file_name(f"{scene.name}-{policy}-{seed}")
             rollout.save(args.out / f"{name}.npz")
             rollout.to_scenarionet(args.out / f"{name}.pkl", name)
             row = {

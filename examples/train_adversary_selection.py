@@ -1,4 +1,4 @@
-"""Learn which vehicles to turn against an ego, and compare with simple choosers.
+"""Learn which vehicles to turn against an ego, and compare with simple adversary policies.
 
     python examples/train_adversary_selection.py --ego idm --budget 2 --steps 20000
 
@@ -76,19 +76,19 @@ def main() -> None:
     )
     model.learn(args.steps)
     args.out.mkdir(parents=True, exist_ok=True)
-    model.save(args.out / "chooser.zip")
+    model.save(args.out / "adversary_policy.zip")
 
     def learned(env, obs):
         return model.predict(obs, action_masks=env.action_masks(), deterministic=True)[0]
 
-    choosers = {"PPO": learned}
+    policies = {"PPO": learned}
     for name in (
         ("none", "causal") if args.smoke else ("none", "random", "nearest", "ttc", "causal")
     ):
-        choosers[name] = lambda env, obs, name=name: env.baseline(name)
+        policies[name] = lambda env, obs, name=name: env.baseline(name)
     print(f"{len(held_out)} held-out scenes, ego {args.ego}, at most {args.budget} adversaries:")
-    print(f"  {'chooser':10s} {'collisions':>10s} {'realism cost':>13s} {'return':>8s}")
-    for name, choose in choosers.items():
+    print(f"  {'policy':10s} {'collisions':>10s} {'realism cost':>13s} {'return':>8s}")
+    for name, choose in policies.items():
         hits, cost, total = evaluate(choose, held_out, options)
         print(f"  {name:10s} {hits:10.3f} {cost:13.3f} {total:8.3f}")
 

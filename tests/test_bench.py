@@ -425,8 +425,8 @@ def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
     assert taught[0].arguments["start"] == base[0].arguments["path"]
 
 
-def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
-    training = selection.chooser_jobs(
+def test_adversary_policies_are_trained_tried_and_compared_at_equal_cost(tmp_path):
+    training = selection.adversary_policy_jobs(
         {"embedded": "train"}, [0], ego="replay", steps=64, folder=tmp_path
     )
     run_jobs(training, tmp_path / "training", progress=False)
@@ -434,16 +434,17 @@ def test_choosers_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     names = scene_names(VAL)[:2]
     choice = {"source": VAL, "names": names, "ego": "replay", "seed": 0}
     rows = {
-        (chooser, strength): selection.choose(chooser=chooser, strength=strength, **choice)
-        for chooser, strength in (("none", 0.0), ("nearest", 1.0), ("fork", 1.0), (policy, 1.0))
+        (name, strength): selection.choose(adversary_policy=name, strength=strength, **choice)
+        for name, strength in (("none", 0.0), ("nearest", 1.0), ("fork", 1.0), (policy, 1.0))
     }
     assert all([row["scene"] for row in found] == names for found in rows.values())
     assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
     assert min(row["realism_cost"] for row in rows["nearest", 1.0]) > 0.0
     assert min(row["adversaries"] for row in rows["fork", 1.0]) > 0.0
-    assert rows["nearest", 1.0] == selection.choose(chooser="nearest", strength=1.0, **choice)
-    for chooser in ("nearest", "fork"):
-        two = selection.choose(chooser=chooser, strength=1.0, budget=2, **choice)
+    again = selection.choose(adversary_policy="nearest", strength=1.0, **choice)
+    assert rows["nearest", 1.0] == again
+    for name in ("nearest", "fork"):
+        two = selection.choose(adversary_policy=name, strength=1.0, budget=2, **choice)
         assert all(row["adversaries"] <= 2.0 for row in two)
         assert max(row["adversaries"] for row in two) > 1.0
     with pytest.raises(ConfigError, match="budget is 2"):
@@ -463,8 +464,8 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
             ("none", 0.0): row(0.0, 0.0),
             ("ttc", 0.5): row(0.1, 0.2),
             ("ttc", 1.0): row(0.3, 0.4),
-            ("choosers/ppo-0.zip", 1.0): row(0.5, 0.25),
-            ("choosers/ppo-1.zip", 1.0): row(0.3, 0.35),
+            ("adversary_policies/ppo-0.zip", 1.0): row(0.5, 0.25),
+            ("adversary_policies/ppo-1.zip", 1.0): row(0.3, 0.35),
         }
     )
     assert (
@@ -473,7 +474,7 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
     assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
 
 
-def test_choosers_are_compared_with_the_causal_ranking_scene_by_scene():
+def test_adversary_policies_are_compared_with_the_causal_ranking_scene_by_scene():
     def rows(hits, shift):
         parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "adversaries": 1.0}
         return [{"collision": hit, **parts} for hit in hits]

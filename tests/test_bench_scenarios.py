@@ -99,7 +99,7 @@ def test_scenes_are_drawn_again_until_the_ego_collides(tmp_path, monkeypatch):
     assert len(kept) > 1, kept
 
 
-def test_a_chooser_turns_one_vehicle_on_the_ego_at_every_plan(tmp_path, monkeypatch):
+def test_an_adversary_policy_turns_one_vehicle_on_the_ego_at_every_plan(tmp_path, monkeypatch):
     """One that always takes the first row, which is the nearest vehicle."""
 
     class Nearest:
@@ -109,7 +109,9 @@ def test_a_chooser_turns_one_vehicle_on_the_ego_at_every_plan(tmp_path, monkeypa
 
     sb3_contrib = pytest.importorskip("sb3_contrib")
     monkeypatch.setattr(sb3_contrib.MaskablePPO, "load", lambda path, device: Nearest())
-    traffic = TRAFFIC[f"chooser:{tmp_path}/first.zip"]
+    traffic = TRAFFIC[f"adversary:{tmp_path}/first.zip"]
+    with pytest.warns(DeprecationWarning, match="'chooser' is called 'adversary'"):
+        assert TRAFFIC[f"chooser:{tmp_path}/first.zip"] == traffic
     assert (traffic.driver, traffic.label) == ("ccdiff", "CCDiff, chosen by first")
     _, recorded = drive(scenes_of(VAL, NAMES), "idm", traffic, record=NAMES)
     for rollout in recorded.values():

@@ -71,8 +71,8 @@ def test_a_recorder_made_after_a_reset_has_started(scenes):
     env.step(env.action_space.sample())
     recorder.step()
     assert recorder.rollout().num_steps == 2
-    chooser = ccdiff_env.AdversarySelectionEnv(scenes=scenes)
-    chooser.reset(seed=0)
-    recorder = ccdiff_env.Recorder(chooser)
-    chooser.step(chooser.baseline("nearest"))
-    assert recorder.rollout().num_steps == chooser.unwrapped.worlds.config.ccdiff.replan_steps + 1
+    env = ccdiff_env.AdversarySelectionEnv(scenes=scenes)
+    env.reset(seed=0)
+    recorder = ccdiff_env.Recorder(env)
+    env.step(env.baseline("nearest"))
+    assert recorder.rollout().num_steps == env.unwrapped.worlds.config.ccdiff.replan_steps + 1

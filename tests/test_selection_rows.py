@@ -1,4 +1,4 @@
-"""What the chooser of adversaries sees, and step metrics of any agents, against numpy."""
+"""What an adversary policy sees, and step metrics of any agents, against numpy."""
 
 from __future__ import annotations
 

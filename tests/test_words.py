@@ -70,6 +70,10 @@ FORMER = {
         "multi-agent environment, playground",
         "rust ccdiff_env docs tools examples benchmarks",
     ),
+    r"\b[Cc]hoosers?\b(?!\")|\bCHOOSERS\b": (
+        "adversary policy, AdversaryPolicy, ADVERSARY_POLICIES",
+        "rust ccdiff_env docs examples",
+    ),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

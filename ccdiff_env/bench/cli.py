@@ -356,7 +356,7 @@ def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_run_arguments(parser)
     parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
     parser.add_argument("--ego", default="replay", help="driver of the ego, or a policy (.zip)")
-    parser.add_argument("--seeds", type=int, default=3, help="choosers that are trained")
+    parser.add_argument("--seeds", type=int, default=3, help="adversary policies that are trained")
     parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
     parser.add_argument("--budget", type=int, default=1, help="vehicles chosen at once")
     parser.set_defaults(run=_selection)
@@ -366,19 +366,21 @@ def _selection(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import selection
 
     run = Run(args, "selection", ego=args.ego, steps=args.steps, budget=args.budget)
-    jobs = selection.chooser_jobs(
+    folder = run.folder / "choosers"  # its name in a run folder of before
+    folder = folder if folder.exists() else run.folder / "adversary_policies"
+    jobs = selection.adversary_policy_jobs(
         stage_source(args, run.source),
         [args.seed + k for k in range(args.seeds)],
         ego=args.ego,
         steps=args.steps,
-        folder=run.folder / "choosers",
+        folder=folder,
     )
     run.results(jobs, "training")
     policies = [str(job.arguments["path"]) for job in jobs]
     tests = selection.trial_jobs(
         run.source, policies, ego=args.ego, seed=args.seed, budget=args.budget
     )
-    text = selection.selection_table(run.rows(tests, "chooser", "strength"))
+    text = selection.selection_table(run.rows(tests, "adversary_policy", "strength"))
     run.write("table.md", text)
     print(align(text))
     return 0

@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.chooser import REPLAN_STEPS, Chooser
+from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers
 from ccdiff_env.bench.pdm import PdmPlanner
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.errors import UnknownNameError, renamed
 from ccdiff_env.files import file_name
 from ccdiff_env.planners import Ego, Seat, ego_driver
 from ccdiff_env.recorder import Recorder
@@ -57,15 +57,15 @@ class Traffic:
     """Traffic to test planners in.
 
     ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
-    else it is drawn once. ``chooser``: policy that says who is turned on the ego, see
-    :class:`~ccdiff_env.bench.chooser.Chooser`.
+    else it is drawn once. ``adversary_policy``: file of a policy that says who is turned on the
+    ego, see :class:`~ccdiff_env.bench.adversary_policy.AdversaryPolicy`.
     """
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     draws: int = 1
-    chooser: str | None = None
+    adversary_policy: str | None = None
 
 
 _TITLES = driver_titles()
@@ -81,10 +81,10 @@ def _critical(level: float, driver: str = "ccdiff", *, avoidable_only: bool = Fa
 
 def _named(label: str, name: str) -> Traffic:
     kind, _, path = name.partition(":")
-    if kind != "chooser":
+    if renamed("traffic", kind, {"chooser": "adversary"}) != "adversary":
         return Traffic(label, name)
     options = {"criticality": 1.0, "num_samples": 1, "replan_steps": REPLAN_STEPS}
-    return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, chooser=path)
+    return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, adversary_policy=path)
 
 
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
@@ -129,7 +129,7 @@ def planner_jobs(
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
         :func:`play`.
     traffic
-        Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``chooser:FILE`` of a
+        Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``adversary:FILE`` of a
         policy that ``bench selection`` trained.
     seed
         Seed of the episodes.
@@ -258,7 +258,8 @@ def drive(
     nothing = np.zeros((len(scenes), native.action_width), np.float32)
     if seat is not None:
         seat.begin(worlds)
-    chooser = None if traffic.chooser is None else Chooser(worlds, traffic.chooser)
+    path = traffic.adversary_policy
+    adversary_policy = None if path is None else AdversaryPolicy(worlds, path)
     names = worlds.column_names
     recorders = {
         i: Recorder(worlds, world_idx=i, planner=driver if seat is None else seat.name)
@@ -272,11 +273,11 @@ def drive(
     running = np.ones(len(scenes), np.bool_)
     while running.any():
         actions = nothing if seat is None else seat(out.obs[:, 0], running)
-        if chooser is not None:
-            chooser.choose(running)
+        if adversary_policy is not None:
+            adversary_policy.choose(running)
         native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out, running)
-        if chooser is not None:
-            chooser.step(running)
+        if adversary_policy is not None:
+            adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
             figures[i].append(out.columns[i, 0].copy())
             if i in recorders:

@@ -1,6 +1,6 @@
 """Who is turned against the ego: a learned choice beside simple ones, at equal realism cost.
 
-Every chooser names vehicles at every plan of CCDiff traffic, one unless told otherwise, whose plans
+Every adversary policy names vehicles at every plan of CCDiff traffic, one by default, whose plans
 guidance then bends towards a contact with the ego. The learned one is MaskablePPO of sb3-contrib,
 and names one. A simple one pays for its collisions by the strength of the guidance: its share of
 scenes with a collision at another's cost is read off the line through its points.
@@ -15,26 +15,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.chooser import MAX_AGENTS, REPLAN_STEPS
+from ccdiff_env.bench.adversary_policy import MAX_AGENTS, REPLAN_STEPS
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.errors import ConfigError
 
 __all__ = [
-    "CHOOSERS",
+    "ADVERSARY_POLICIES",
     "STRENGTHS",
+    "adversary_policy_jobs",
     "choose",
-    "chooser_jobs",
     "selection_table",
-    "train_chooser",
+    "train_adversary_policy",
     "trial_jobs",
 ]
 
-#: The simple choosers, see :meth:`AdversarySelectionVectorEnv.baseline`; ``fork`` tries every
-#: candidate in forks of the world and takes the one that comes nearest to the ego.
-CHOOSERS = ("none", "random", "nearest", "ttc", "causal", "fork")
-#: Strengths of the guidance at which the simple choosers are measured; PPO chooses at 1.
+#: The simple ones, see :meth:`AdversarySelectionVectorEnv.baseline`; ``fork`` tries every candidate
+#: in forks of the world and takes the one that comes nearest to the ego.
+ADVERSARY_POLICIES = ("none", "random", "nearest", "ttc", "causal", "fork")
+#: Strengths of the guidance at which the simple adversary policies are measured; PPO chooses at 1.
 STRENGTHS = (0.25, 0.5, 0.75, 1.0)
 NUM_ENVS = 32
 #: Rewards of training: a fifth of the default ones, so that the loss of the value function does not
@@ -62,10 +62,10 @@ def _options(ego: str, strength: float) -> dict[str, Any]:
     }
 
 
-def chooser_jobs(
+def adversary_policy_jobs(
     source: Mapping[str, str], seeds: Sequence[int], *, ego: str, steps: int, folder: Path
 ) -> list[Job]:
-    """Return the jobs that train one chooser per seed; policies go to a folder.
+    """Return the jobs that train one adversary policy per seed; policies go to a folder.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def chooser_jobs(
     ego
         Who drives the ego, see :class:`~ccdiff_env.AdversarySelectionEnv`.
     steps
-        Decisions per chooser.
+        Decisions per adversary policy.
     folder
         Where policies go.
     """
     return [
         Job(
             f"train-{seed}",
-            f"{__name__}:train_chooser",
+            f"{__name__}:train_adversary_policy",
             {
                 "source": dict(source),
                 "ego": ego,
@@ -96,7 +96,7 @@ def chooser_jobs(
     ]
 
 
-def train_chooser(
+def train_adversary_policy(
     *, source: Mapping[str, str], ego: str, seed: int, steps: int, path: str
 ) -> dict[str, Any]:
     """Train MaskablePPO and save it.
@@ -142,33 +142,33 @@ def train_chooser(
 def trial_jobs(
     source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
 ) -> list[Job]:
-    """Return the jobs that let every chooser choose: choosers x strengths x pieces of scenes.
+    """Return the jobs that try every adversary policy: policies x strengths x chunks of the scenes.
 
     Raises
     ------
     ConfigError
-        For trained choosers, which name one vehicle, with another budget.
+        For trained adversary policies, which name one vehicle, with another budget.
     """
     if policies and budget != 1:
-        raise ConfigError(f"budget is {budget}, expected 1 for choosers that are trained")
+        raise ConfigError(f"budget is {budget}, expected 1 for adversary policies that are trained")
     conditions = [("none", 0.0)]
-    conditions += [(name, s) for name in CHOOSERS if name != "none" for s in STRENGTHS]
+    conditions += [(name, s) for name in ADVERSARY_POLICIES if name != "none" for s in STRENGTHS]
     conditions += [(path, 1.0) for path in policies]
     return [
         Job(
-            f"{Path(chooser).stem}-{strength:g}-{i:03d}",
+            f"{Path(policy).stem}-{strength:g}-{i:03d}",
             f"{__name__}:choose",
             {
                 "source": dict(source),
                 "names": names,
-                "chooser": chooser,
+                "adversary_policy": policy,
                 "strength": strength,
                 "ego": ego,
                 "seed": seed,
                 "budget": budget,
             },
         )
-        for chooser, strength in conditions
+        for policy, strength in conditions
         for i, names in enumerate(chunks(scene_names(source), CHUNK))
     ]
 
@@ -177,20 +177,20 @@ def choose(
     *,
     source: Mapping[str, str],
     names: Sequence[str],
-    chooser: str,
+    adversary_policy: str,
     strength: float,
     ego: str,
     seed: int,
     budget: int = 1,
 ) -> list[dict[str, Any]]:
-    """Let a chooser choose in every scene once.
+    """Let an adversary policy choose in every scene once.
 
     Parameters
     ----------
     source, names
         The scenes.
-    chooser
-        One of :data:`CHOOSERS`, or the path of a policy of MaskablePPO.
+    adversary_policy
+        One of :data:`ADVERSARY_POLICIES`, or the path of a policy of MaskablePPO.
     strength
         Strength of the guidance (criticality).
     ego
@@ -211,26 +211,26 @@ def choose(
 
     scenes = scenes_of(source, names)
     options = _options(ego, strength)
-    if chooser in CHOOSERS:
+    if adversary_policy in ADVERSARY_POLICIES:
         options |= {"action_mode": "multibinary", "budget": budget}
     env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **options)
     policy = None
-    if chooser not in CHOOSERS:
+    if adversary_policy not in ADVERSARY_POLICIES:
         from sb3_contrib import MaskablePPO
 
-        policy = MaskablePPO.load(chooser, device="cpu")
+        policy = MaskablePPO.load(adversary_policy, device="cpu")
     obs, _ = env.reset(seed=[seed] * len(scenes), options={"scene": list(range(len(scenes)))})
     rows: list[dict[str, Any]] = [{} for _ in scenes]
     at_fault = np.zeros(len(scenes))
     for decision in range(env.worlds.config.horizon_steps):
         if all(rows):
             break
-        if chooser == "fork":
+        if adversary_policy == "fork":
             gaps = env.fork_gaps(FORK_STEPS)
             nearest = gaps.argsort(axis=1, kind="stable").argsort(axis=1) < budget
             actions = (nearest & np.isfinite(gaps)).astype(np.int8)
         elif policy is None:
-            actions = env.baseline(chooser, seed=1000 * decision)
+            actions = env.baseline(adversary_policy, seed=1000 * decision)
         else:
             masks = env.action_masks()
             actions, _ = policy.predict(obs, action_masks=masks, deterministic=True)
@@ -258,7 +258,7 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
     Parameters
     ----------
     rows
-        One dictionary per scene (see :func:`choose`) of every chooser at every strength. Choosers
+        One dictionary per scene (see :func:`choose`) of every policy at every strength. Files
         ``.../ppo-<seed>.zip`` are shown as one, mean ± spread over seeds.
     """
     keys = ("collision", "at_fault", "realism_cost", "shift_sigmas", "adversaries")
@@ -267,7 +267,8 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
     }
     learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
     lines = [
-        "| chooser | strength | ego collides % | at fault % | C(tau) | shift sigmas | chosen |",
+        "| adversary policy | strength | ego collides % | at fault % | C(tau) "
+        "| shift sigmas | chosen |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     factors = (
@@ -295,7 +296,7 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
     else:
         return "\n".join(lines) + "\n"
     lines += ["", f"At the shift of {head} ({shift:.2f} sigmas), between measured strengths:", ""]
-    lines += ["| chooser | ego collides % |", "|---|---:|", *first]
+    lines += ["| adversary policy | ego collides % |", "|---|---:|", *first]
     floor = next((m for (name, _), m in means.items() if name == "none"), None)
     for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
         points = [m for (n, _), m in means.items() if n == name]
@@ -317,7 +318,7 @@ def _less_causal(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) 
         return np.array([row[key] for row in rows[name, 1.0]], np.float64)
 
     lines = ["", "Less the causal ranking, both at strength 1, ± standard error over scenes:", ""]
-    lines += ["| chooser | ego collides % | shift, sigmas |", "|---|---:|---:|"]
+    lines += ["| adversary policy | ego collides % | shift, sigmas |", "|---|---:|---:|"]
     for name in (n for n, strength in rows if strength == 1.0 and n != "causal"):
         cells = []
         for key, factor, digits in (("collision", 100.0, 1), ("shift_sigmas", 1.0, 2)):

@@ -19,8 +19,8 @@ from ccdiff_env.planners import Ego, ego_driver
 
 __all__ = ["BASELINES", "SelectionBatch"]
 
-#: Choosers to compare with: nobody, chance, nearest to the ego, soonest contact with the ego, the
-#: causal ranking (clique occurrences).
+#: Adversary policies to compare with: nobody, chance, nearest to the ego, soonest contact with the
+#: ego, the causal ranking (clique occurrences).
 BASELINES: dict[str, KeyRanking | None] = {
     "none": None,
     "random": "random",
@@ -127,7 +127,7 @@ class SelectionBatch:
             self._began = True
 
     def observe(self, world_idx: int) -> dict[str, npt.NDArray[Any]]:
-        """Return what the chooser of a world sees."""
+        """Return what the adversary policy of a world sees."""
         return self.episode(world_idx).observe(self.actions.num_rows)
 
     def mask(self, world_idx: int) -> npt.NDArray[np.bool_]:
@@ -137,7 +137,7 @@ class SelectionBatch:
         return np.arange(rows) < present
 
     def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
-        """Return the action that a simple chooser of :data:`BASELINES` would take in a world."""
+        """Return the action that an adversary policy of :data:`BASELINES` would take in a world."""
         name = renamed("baseline", name, {"distance": "nearest"})
         if name not in BASELINES:
             raise unknown("baseline", str(name), BASELINES)

@@ -140,11 +140,11 @@ class SelectionEpisode:
         )
 
     def rows(self, num_rows: int) -> list[int]:
-        """Return the candidates that the chooser sees, nearest first."""
+        """Return the candidates that the adversary policy sees, nearest first."""
         return self.rank("nearest")[:num_rows]
 
     def observe(self, num_rows: int) -> dict[str, npt.NDArray[Any]]:
-        """Return what the chooser sees, with so many rows of candidates."""
+        """Return what the adversary policy sees, with so many rows of candidates."""
         rows = self.rows(num_rows)
         native, before = self._worlds.native, sorted(self.before)
         return {

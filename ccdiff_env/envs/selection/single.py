@@ -195,7 +195,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         return self._batch.actions.masks(self._batch.mask(0))
 
     def baseline(self, name: str, seed: int = 0) -> Any:
-        """Return what a simple chooser would do now.
+        """Return what a simple adversary policy would do now.
 
         Parameters
         ----------

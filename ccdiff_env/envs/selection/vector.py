@@ -217,7 +217,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         return np.stack(masks)
 
     def baseline(self, name: str, seed: int = 0) -> npt.NDArray[Any]:
-        """Return what a simple chooser would do now in each world [E, ...]; seeds are seed + i."""
+        """Return what an adversary policy would do in each world [E, ...]; seeds are seed + i."""
         return np.stack([self._batch.baseline(i, name, seed + i) for i in range(self.num_envs)])
 
     def fork_gaps(self, steps: int) -> F32:

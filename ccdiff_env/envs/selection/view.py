@@ -1,4 +1,4 @@
-"""The space of what the chooser of adversaries sees; the rows themselves are made in Rust."""
+"""The space of what an adversary policy sees; the rows themselves are made in Rust."""
 
 from __future__ import annotations
 

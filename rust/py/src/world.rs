@@ -435,7 +435,7 @@ impl PyVecWorld {
         world_state::step_metrics(py, &self.world.step_metrics(world_idx, &agents).map_err(from_sim)?)
     }
 
-    /// What a chooser of adversaries sees, as arrays by name.
+    /// What an adversary policy sees, as arrays by name.
     fn candidates<'py>(
         &self,
         py: Python<'py>,

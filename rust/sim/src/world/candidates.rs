@@ -1,4 +1,4 @@
-//! What a chooser of adversaries sees of a world: a row for the ego and for each candidate, and matrices between them.
+//! What an adversary policy sees of a world: a row for the ego and for each candidate, and matrices between them.
 
 use crate::causal::graph::{CausalGraph, GraphThresholds};
 use crate::causal::measures::{AgentFrame, Ttc, normalised_ttc};
@@ -104,7 +104,7 @@ pub struct CandidateRows {
 }
 
 impl VecWorld {
-    /// What a chooser sees: the agents of `rows` behind the first slot's, up to `num_rows` of them; `before` are the
+    /// What an adversary policy sees: the agents of `rows` behind the first slot's, up to `num_rows` of them; `before` are the
     /// adversaries of the decision before.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-"""Traffic in which a learned chooser says, at every plan, which vehicle is turned on the ego."""
+"""A learned adversary policy in traffic: at every plan it says which vehicle turns on the ego."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ccdiff_env.envs.selection.episode import SelectionEpisode
 from ccdiff_env.envs.selection.options import SelectionActions, SelectionReward
 from ccdiff_env.envs.worlds import Worlds
 
-__all__ = ["MAX_AGENTS", "REPLAN_STEPS", "Chooser"]
+__all__ = ["MAX_AGENTS", "REPLAN_STEPS", "AdversaryPolicy"]
 
-#: Vehicles that a chooser sees, the nearest ones.
+#: Vehicles that an adversary policy sees, the nearest ones.
 MAX_AGENTS = 8
 #: Steps from one decision to the next: 2 s, in which who was chosen can come near the ego.
 REPLAN_STEPS = 20
 
 
-class Chooser:
+class AdversaryPolicy:
     """Chooses in worlds that have begun: one vehicle each, nobody else is guided.
 
     Parameters
