@@ -76,7 +76,7 @@ def test_a_step_on_the_page_has_the_bits_of_a_step_in_python(visit, name, traffi
     bits = page.evaluate(
         """actions => {
           const bits = (values) => [...new Uint32Array(new Float32Array(values).buffer)];
-          const columns = () => bits(drive.settings.columns.map((name) => drive.facts[name]));
+          const columns = () => bits(drive.settings.columns.map((name) => drive.info[name]));
           const all = [bits(drive.engine.states)], figures = [];
           for (const action of actions) {
             if (drive.outcome) break;

@@ -220,7 +220,7 @@ def test_the_wheel_zooms_and_the_point_under_it_stays(visit):
     assert page.screen("ego") == pytest.approx([x, y], abs=1)
 
 
-def test_hovering_shows_facts_and_a_click_chooses_the_agent(visit):
+def test_hovering_shows_captions_and_a_click_chooses_the_agent(visit):
     page = visit("one.html")
     second = planned_rollout().agent_ids[1]
     page.evaluate("id => { replay.followAgent('ego'); replay.seek(2); }", second)
@@ -233,4 +233,4 @@ def test_hovering_shows_facts_and_a_click_chooses_the_agent(visit):
     assert "m/s" in page.inner_text("#tip")
     page.mouse.click(x, y)
     assert page.state("focus") == second
-    assert second in page.inner_text("#facts")
+    assert second in page.inner_text("#captions")

@@ -147,13 +147,13 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
                 page = file_name(f"set-{made.folder.name}-{scene}", ".html")
                 path = folder / "replays" / page
                 scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
-            facts = ["yes" if fact else "no" for fact in (s.at_fault, s.avoidable)]
+            verdicts = ["yes" if so else "no" for so in (s.at_fault, s.avoidable)]
             cost, shift, fde = (
                 np.nan if x is None else x for x in (s.realism_cost, s.shift_sigmas, s.fde_m)
             )
             kind = str(s.kind).removeprefix("collision_")
             lines.append(
-                f"| {scene} | {kind} | {s.time_s:.1f} | {' | '.join(facts)} | "
+                f"| {scene} | {kind} | {s.time_s:.1f} | {' | '.join(verdicts)} | "
                 f"{_number(cost, 2)} | {_number(shift, 2)} | {_number(fde, 1)} |"
             )
         lines.append("")

@@ -113,7 +113,7 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
     the default.
     """
     scene = rollout.scene
-    facts = [
+    captions = [
         ("scene", scene.name),
         ("place", scene.location),
         ("source", scene.source),
@@ -124,12 +124,12 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
         ("traffic lights", "not in the data"),
     ]
     for name, value in rollout.meta.items():
-        if isinstance(value, (str, int, float)) and (name, value) not in facts:
-            facts.append((name, str(value)))
+        if isinstance(value, (str, int, float)) and (name, value) not in captions:
+            captions.append((name, str(value)))
     config = rollout.meta.get("config")
     if isinstance(config, dict):
-        facts.extend(_changes(config, json.loads(_native.default_world_config())))
-    return [(name, value) for name, value in facts if value]
+        captions.extend(_changes(config, json.loads(_native.default_world_config())))
+    return [(name, value) for name, value in captions if value]
 
 
 def _changes(

@@ -156,7 +156,7 @@ class Drive {
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
     this.time = run.start + this.steps * run.dt;
-    this.facts = this.engine.columns(this.settings.columns);
+    this.info = this.engine.columns(this.settings.columns);
   }
 
   /** One step of the world with a normalised action: acceleration and yaw rate. */
@@ -164,28 +164,28 @@ class Drive {
     this.engine.step(action);
     this.steps += 1;
     this.put();
-    const { settings, facts } = this;
+    const { settings, info } = this;
     this.reward += settings.columns.filter((name) => name.startsWith("reward_"))
-      .reduce((sum, name) => sum + facts[name], 0);
+      .reduce((sum, name) => sum + info[name], 0);
     if (this.engine.done) this.finish();
     this.touch();
   }
 
   /** What became of the episode. */
   finish() {
-    const run = this.runs[0], { facts, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
-    const partner = facts.collision_partner - 1; // 0 is nobody
+    const run = this.runs[0], { info, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
+    const partner = info.collision_partner - 1; // 0 is nobody
     let tone = "bad", text;
-    if (facts.collision) {
+    if (info.collision) {
       const other = run.agents[partner];
-      const side = other && other.kind === "static" ? "static" : SIDES[facts.collision_kind];
+      const side = other && other.kind === "static" ? "static" : SIDES[info.collision_kind];
       const words = (settings.collisions[side] || "{one} and {other} touch").replace("{one}", "ego");
-      const fault = facts.at_fault ? "at fault" : "not at fault";
+      const fault = info.at_fault ? "at fault" : "not at fault";
       text = `${words.replace("{other}", other ? other.title.replace(" · ", " (") + ")" : "someone")} at ${seconds} s, ${fault}`;
       run.events.push({ kind: "collision", step: this.steps, agent: 0, partner, lane: "ego", text });
-    } else if (facts.off_road) {
+    } else if (info.off_road) {
       text = `ego left the road at ${seconds} s`;
-    } else if (facts.goal_reached) {
+    } else if (info.goal_reached) {
       [tone, text] = ["good", `ego reached its goal at ${seconds} s`];
     } else {
       [tone, text] = ["plain", `ego not at its goal in ${seconds} s`];
@@ -256,7 +256,7 @@ class Drive {
     showLegend(this, this.settings);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
     $("figures").textContent = `${(this.steps * run.dt).toFixed(1)} s · ${speed.toFixed(1)} m/s · `
-      + `${Math.floor(100 * this.facts.route_completion)} % of the way · return ${this.reward.toFixed(1)}`;
+      + `${Math.floor(100 * this.info.route_completion)} % of the way · return ${this.reward.toFixed(1)}`;
     $("heading").setAttribute("aria-pressed", this.headingUp);
     $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }

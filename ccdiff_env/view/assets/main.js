@@ -244,31 +244,31 @@ function showControls(player) {
   }
 }
 
-/** Facts of the chosen agent; where two runs say different things, both stand there. */
+/** Captions of the chosen agent; where two runs say different things, both stand there. */
 function showFocus(player) {
-  const list = $("facts");
+  const list = $("captions");
   const knowing = player.runs.filter((run) => run.indexOf.has(player.focus));
   if (!knowing.length) {
-    list.replaceChildren(element("p", "quiet", "Tap an agent to see its facts."));
+    list.replaceChildren(element("p", "quiet", "Tap an agent to see what is known of it."));
     return;
   }
   const known = knowing.map((run) => {
     const agent = run.indexOf.get(player.focus);
-    return new Map(factsOf(run, agent, run.stepAt(player.time)));
+    return new Map(captionsOf(run, agent, run.stepAt(player.time)));
   });
-  const names = [...new Set(known.flatMap((facts) => [...facts.keys()]))];
+  const names = [...new Set(known.flatMap((captions) => [...captions.keys()]))];
   const rows = names.map((name) => {
-    const values = known.map((facts) => facts.get(name) || "–");
+    const values = known.map((captions) => captions.get(name) || "–");
     return [name, ...(values.every((value) => value === values[0]) ? [values[0]] : values)];
   });
   const run = knowing[0];
-  showFacts(list, run.agents[run.indexOf.get(player.focus)].title, rows);
+  showCaptions(list, run.agents[run.indexOf.get(player.focus)].title, rows);
 }
 
 function showAbout(runs) {
   for (const run of runs) {
-    const list = element("div", "facts about");
-    showFacts(list, run.title, run.about);
+    const list = element("div", "captions about");
+    showCaptions(list, run.title, run.about);
     $("about").append(list);
   }
 }
@@ -312,7 +312,7 @@ function wirePane(pane, player) {
       pane.canvas.style.cursor = id === null ? "" : "pointer";
       if (id === null) return hide();
       const agent = pane.run.indexOf.get(id), box = pane.canvas.getBoundingClientRect();
-      showFacts(tip, pane.run.agents[agent].title, factsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -2));
+      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -2));
       tip.hidden = false;
       tip.style.left = `${Math.min(box.left + x + 16, innerWidth - tip.offsetWidth - 8)}px`;
       tip.style.top = `${Math.min(box.top + y + 16, innerHeight - tip.offsetHeight - 8)}px`;

@@ -1,4 +1,4 @@
-// Everything beside the map: what happened, facts of an agent, figures at the cursor, contacts.
+// Everything beside the map: what happened, captions of an agent, figures at the cursor, contacts.
 
 const KMH = 3.6;
 const TTC_ROWS = 5; // pairs in the list at most
@@ -14,48 +14,48 @@ function element(tag, className, text) {
   return node;
 }
 
-/** Facts of one agent at a step, as pairs of name and value. */
-function factsOf(run, agent, at) {
+/** Captions of one agent at a step, as pairs of name and value. */
+function captionsOf(run, agent, at) {
   const { kind, category, length, width, drivenBy, id } = run.agents[agent];
-  const facts = [["kind", category || kind]];
-  if (kind !== "static") facts.push(["driven by", drivenBy]);
-  facts.push(["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`]);
+  const captions = [["kind", category || kind]];
+  if (kind !== "static") captions.push(["driven by", drivenBy]);
+  captions.push(["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`]);
   const pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
-  if (!pose) return [...facts, ["state", "not in the scene now"], ["id", id]];
+  if (!pose) return [...captions, ["state", "not in the scene now"], ["id", id]];
   const speed = Math.hypot(pose.vx, pose.vy);
   if (kind !== "static") {
-    facts.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
+    captions.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
     const least = run.pairs(step)
       .filter(([a, b]) => a === agent || b === agent)
       .sort((p, q) => p[2] - q[2])[0];
     if (least) {
       const other = run.agents[least[0] === agent ? least[1] : least[0]];
-      facts.push(["contact in", `${least[2].toFixed(1)} s with ${other.label}`]);
+      captions.push(["contact in", `${least[2].toFixed(1)} s with ${other.label}`]);
     }
   }
-  facts.push(...planFacts(run, agent, step));
-  facts.push(["heading", `${Math.round(wrap(pose.heading) * 180 / Math.PI) || 0}°`]);
-  facts.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`], ["id", id]);
-  return facts;
+  captions.push(...planCaptions(run, agent, step));
+  captions.push(["heading", `${Math.round(wrap(pose.heading) * 180 / Math.PI) || 0}°`]);
+  captions.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`], ["id", id]);
+  return captions;
 }
 
 /** What the plan in force says of an agent. */
-function planFacts(run, agent, step) {
+function planCaptions(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];
   const age = `made ${((step - plan.made_at) * run.dt).toFixed(1)} s ago`;
-  const facts = [["plan", plan.follows_plan[row] ? age : `${age}, not followed`]];
-  if (plan.guided[row]) facts.push(["guided, at a cost of", plan.realism_cost[row].toFixed(3)]);
-  return facts;
+  const captions = [["plan", plan.follows_plan[row] ? age : `${age}, not followed`]];
+  if (plan.guided[row]) captions.push(["guided, at a cost of", plan.realism_cost[row].toFixed(3)]);
+  return captions;
 }
 
-/** Fill a list with facts: name and value, or a value for each run; the title says whose. */
-function showFacts(list, title, facts) {
-  list.replaceChildren(element("div", "facts-title", title));
-  for (const [name, ...values] of facts) {
-    const row = element("div", "fact");
-    row.append(element("span", "fact-name", name));
-    const both = element("span", "fact-value");
+/** Fill a list with captions: name and value, or a value for each run; the title says whose. */
+function showCaptions(list, title, captions) {
+  list.replaceChildren(element("div", "captions-title", title));
+  for (const [name, ...values] of captions) {
+    const row = element("div", "caption");
+    row.append(element("span", "caption-name", name));
+    const both = element("span", "caption-value");
     values.forEach((value, i) => {
       const shown = element("span", "", value);
       if (values.length > 1) shown.prepend(badge(i));
