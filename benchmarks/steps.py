@@ -135,7 +135,7 @@ def equal_work(envs: int, threads: int) -> Steps:
         observation=ObservationConfig(
             num_neighbors=VEHICLES - 1,
             num_route_points=0,
-            num_map_pieces=200,
+            num_map_segments=200,
             radius_m=200.0,
             masks=False,
             ego_columns=(

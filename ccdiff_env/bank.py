@@ -150,7 +150,7 @@ def _record(
     tag: str,
     avoidable_only: bool,
 ) -> None:
-    """Record one piece and write its file."""
+    """Record one part and write its file."""
     import torch
 
     torch.set_num_threads(1)

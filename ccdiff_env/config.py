@@ -66,7 +66,7 @@ Traffic: TypeAlias = str | Mapping[str, float]
 
 #: Former names of options, for one release.
 FORMER: dict[type[Any], dict[str, str]] = {
-    ObservationConfig: {"num_agents": "num_neighbors"},
+    ObservationConfig: {"num_agents": "num_neighbors", "num_map_pieces": "num_map_segments"},
     CcdiffConfig: {
         "others": "background_driver",
         "partners": "collision_targets",

@@ -74,6 +74,9 @@ FORMER = {
         "adversary policy, AdversaryPolicy, ADVERSARY_POLICIES",
         "rust ccdiff_env docs examples",
     ),
+    r"MapPieces|map_pieces|\b[Pp]ieces\b": ("MapSegments, segments", "rust/sim/src/observe"),
+    r"\bnum_map_pieces\b": ("num_map_segments", "rust docs examples benchmarks tools"),
+    r"\b[Ff]acts\b": ("captions, info", "ccdiff_env/view tools/playground"),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

@@ -107,7 +107,7 @@ def generation_jobs(
     seed: int = 0,
     num_plans: int = 128,
 ) -> list[Job]:
-    """Return the jobs that make scenario sets: generators x pieces of the scenes.
+    """Return the jobs that make scenario sets: generators x chunks of the scenes.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def generation_jobs(
         As in :func:`ccdiff_env.bench.scenario_sets.generate`.
     """
     traffic_named(traffic)
-    pieces = chunks(scene_names(source), CHUNK)
+    parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
             f"make-{g:02d}-{i:03d}",
@@ -135,7 +135,7 @@ def generation_jobs(
             },
         )
         for g, (generator, folder) in enumerate(folders.items())
-        for i, names in enumerate(pieces)
+        for i, names in enumerate(parts)
     ]
 
 

@@ -27,7 +27,7 @@ RETRIES = 5
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work: a function of this package and what it is called with.
+    """A function of this package and what it is called with.
 
     Parameters
     ----------

@@ -27,11 +27,11 @@ TRAINING_STAGES: dict[str, dict[str, Any]] = {
     # criticality is drawn anew for every episode, so that realistic traffic is not forgotten
     "critical": {"traffic": "ccdiff", "criticality": (0.0, 2.0)},
 }
-#: What the egos see: themselves, their route and the agents. Pieces of the map, the time that is
+#: What the egos see: themselves, their route and the agents. Segments of the map, the time that is
 #: left and the like tell one scene from another: egos that see them drive the scenes of training by
 #: heart and do worse in unseen ones.
 OBSERVATION: dict[str, Any] = {
-    "num_map_pieces": 0,
+    "num_map_segments": 0,
     "ego_columns": (
         "speed",
         "acceleration",

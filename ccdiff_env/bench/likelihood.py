@@ -258,7 +258,7 @@ def likelihood_jobs(
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> list[Job]:
-    """Return the jobs: methods x pieces of the scenes, all vehicles driven by the method.
+    """Return the jobs: methods x chunks of the scenes, all vehicles driven by the method.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def likelihood_jobs(
     for name in methods:
         if name not in METHODS:
             raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
-    pieces = chunks(scene_names(source), CHUNK)
+    parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
             f"{method}-{i:03d}",
@@ -293,7 +293,7 @@ def likelihood_jobs(
             },
         )
         for method in methods
-        for i, names in enumerate(pieces)
+        for i, names in enumerate(parts)
     ]
 
 

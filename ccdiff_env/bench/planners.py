@@ -117,7 +117,7 @@ def planner_jobs(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
 ) -> list[Job]:
-    """Return the jobs of a planner benchmark: planners x traffic x pieces of the scenes.
+    """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def planner_jobs(
     for name in traffic:
         if name not in TRAFFIC:
             raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
-    pieces = chunks(scene_names(source), CHUNK)
+    parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
             f"{p:02d}-{file_name(name, '')}-{seed}-{i:03d}",
@@ -155,7 +155,7 @@ def planner_jobs(
         )
         for p, planner in enumerate(planners)
         for name in traffic
-        for i, names in enumerate(pieces)
+        for i, names in enumerate(parts)
     ]
 
 

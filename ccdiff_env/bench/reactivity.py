@@ -139,7 +139,7 @@ def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
 def reactivity_jobs(
     source: Mapping[str, str], traffic: Sequence[str], *, seed: int = 0
 ) -> list[Job]:
-    """Return the jobs: traffic x ways x pieces of the scenes.
+    """Return the jobs: traffic x ways x chunks of the scenes.
 
     Parameters
     ----------
@@ -153,14 +153,14 @@ def reactivity_jobs(
     for name in traffic:
         if name not in TRAFFIC:
             raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
-    pieces = chunks(scene_names(source), CHUNK)
+    parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
             f"{name}-{way}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": dict(source),
-                "names": piece,
+                "names": part,
                 "traffic": name,
                 "way": way,
                 "seed": seed,
@@ -168,7 +168,7 @@ def reactivity_jobs(
         )
         for name in traffic
         for way in WAYS
-        for i, piece in enumerate(pieces)
+        for i, part in enumerate(parts)
     ]
 
 

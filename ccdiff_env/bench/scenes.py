@@ -76,5 +76,5 @@ def scene_names(source: Mapping[str, str]) -> list[str]:
 
 
 def chunks(names: Sequence[str], size: int) -> list[list[str]]:
-    """Return names in pieces. Pieces decide which scenes share a batch of the network."""
+    """Return names in chunks. Chunks decide which scenes share a batch of the network."""
     return [list(names[i : i + size]) for i in range(0, len(names), size)]

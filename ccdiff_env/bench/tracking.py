@@ -31,7 +31,7 @@ MODELS = ("unicycle", "bicycle", "delta_pose")
 
 
 def tracking_jobs(source: Mapping[str, str], models: Sequence[str] = MODELS) -> list[Job]:
-    """Return the jobs: models of motion x pieces of the scenes.
+    """Return the jobs: models of motion x chunks of the scenes.
 
     Parameters
     ----------

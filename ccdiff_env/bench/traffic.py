@@ -54,7 +54,7 @@ def traffic_jobs(
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> list[Job]:
-    """Return the jobs of a traffic benchmark: methods x K x replan period x pieces of the scenes.
+    """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
     The floor, K = 0, is always among them. What cannot differ is not played twice: other periods of
     methods that do not plan, and all vehicles by another ranking than that of ``ccdiff``, where
@@ -113,21 +113,21 @@ def traffic_jobs(
             f"{__name__}:evaluate",
             {
                 "source": dict(source),
-                "names": piece,
+                "names": part,
                 "method": method,
                 "num_controlled": k,
                 "replan_steps": n,
                 "seed": seed,
                 **({"weights": dict(weights)} if weights else {}),
                 **(
-                    {"lists": {scene: list(lists[scene]) for scene in piece}}
+                    {"lists": {scene: list(lists[scene]) for scene in part}}
                     if METHODS[method].ranking == "listed"
                     else {}
                 ),
             },
         )
         for method, k, n in conditions
-        for i, piece in enumerate(chunks(names, CHUNK))
+        for i, part in enumerate(chunks(names, CHUNK))
     ]
 
 

@@ -19,7 +19,7 @@ WIDTHS = {"agents": 48, "map": 32}
 
 
 class RowsExtractor(BaseFeaturesExtractor):
-    """Agents and map pieces each pass one network; of every feature the greatest stays.
+    """Agents and map segments each pass one network; of every feature the greatest stays.
 
     So what is learned of one row holds for all rows, and their order means nothing (Qi et al.,
     PointNet, CVPR 2017). Ego and route are handed on as they are. Output: [B, F] of the ego, route

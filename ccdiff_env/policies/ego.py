@@ -28,7 +28,7 @@ OBSERVATION: Mapping[str, Any] = {
     "num_neighbors": 12,
     "num_route_points": 10,
     "route_spacing_m": 4.0,
-    "num_map_pieces": 0,
+    "num_map_segments": 0,
     "ego_columns": (
         "speed",
         "acceleration",

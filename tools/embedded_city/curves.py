@@ -1,4 +1,4 @@
-"""Plane curves made of straight pieces and arcs: what roads, lanes and kerbs of the embedded city
+"""Plane curves made of straight segments and arcs: what roads, lanes and kerbs of the embedded city
 are drawn with.
 
 Everything here is plain ``float`` arithmetic, so that the generated data set is the same on every
@@ -50,8 +50,8 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A straight piece or an arc of constant curvature (positive to the left)."""
+class Segment:
+    """A straight segment or an arc of constant curvature (positive to the left)."""
 
     start: Pose
     length: float
@@ -74,62 +74,62 @@ class Piece:
         """The last pose."""
         return self.at(self.length)
 
-    def offset(self, left_m: float) -> Piece:
-        """Return the parallel piece ``left_m`` metres to the left."""
+    def offset(self, left_m: float) -> Segment:
+        """Return the parallel segment ``left_m`` metres to the left."""
         scale = 1.0 - self.curvature * left_m
-        return Piece(self.start.ahead(0.0, left_m), self.length * scale, self.curvature / scale)
+        return Segment(self.start.ahead(0.0, left_m), self.length * scale, self.curvature / scale)
 
-    def reversed(self) -> Piece:
-        """Return the same piece driven the other way."""
-        return Piece(self.end.reversed(), self.length, -self.curvature)
+    def reversed(self) -> Segment:
+        """Return the same segment driven the other way."""
+        return Segment(self.end.reversed(), self.length, -self.curvature)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Pieces that follow each other with the same direction where they meet."""
+    """Segments that follow each other with the same direction where they meet."""
 
-    pieces: tuple[Piece, ...]
+    segments: tuple[Segment, ...]
 
     @property
     def length(self) -> float:
         """Length in metres."""
-        return sum(p.length for p in self.pieces)
+        return sum(p.length for p in self.segments)
 
     @property
     def start(self) -> Pose:
         """The first pose."""
-        return self.pieces[0].start
+        return self.segments[0].start
 
     @property
     def end(self) -> Pose:
         """The last pose."""
-        return self.pieces[-1].end
+        return self.segments[-1].end
 
     def at(self, along_m: float) -> Pose:
         """Return the pose after ``along_m`` metres, clamped to the curve."""
         rest = max(along_m, 0.0)
-        for piece in self.pieces:
-            if rest <= piece.length:
-                return piece.at(rest)
-            rest -= piece.length
+        for segment in self.segments:
+            if rest <= segment.length:
+                return segment.at(rest)
+            rest -= segment.length
         return self.end
 
     def offset(self, left_m: float) -> Curve:
         """Return the parallel curve ``left_m`` metres to the left."""
-        return Curve(tuple(p.offset(left_m) for p in self.pieces))
+        return Curve(tuple(p.offset(left_m) for p in self.segments))
 
     def reversed(self) -> Curve:
         """Return the same curve driven the other way."""
-        return Curve(tuple(p.reversed() for p in reversed(self.pieces)))
+        return Curve(tuple(p.reversed() for p in reversed(self.segments)))
 
     def trimmed(self, first_m: float, last_m: float) -> Curve:
         """Return the part between two distances from the start."""
         out, passed = [], 0.0
-        for piece in self.pieces:
-            a, b = max(first_m - passed, 0.0), min(last_m - passed, piece.length)
+        for segment in self.segments:
+            a, b = max(first_m - passed, 0.0), min(last_m - passed, segment.length)
             if b - a > 1e-6:
-                out.append(Piece(piece.at(a), b - a, piece.curvature))
-            passed += piece.length
+                out.append(Segment(segment.at(a), b - a, segment.curvature))
+            passed += segment.length
         return Curve(tuple(out))
 
     def outline(self, step_rad: float = 0.07) -> list[Xy]:
@@ -137,9 +137,9 @@ class Curve:
         turning.
         """
         out = [self.start.xy]
-        for piece in self.pieces:
-            num = max(1, math.ceil(abs(piece.curvature) * piece.length / step_rad))
-            out += [piece.at(piece.length * (i + 1) / num).xy for i in range(num)]
+        for segment in self.segments:
+            num = max(1, math.ceil(abs(segment.curvature) * segment.length / step_rad))
+            out += [segment.at(segment.length * (i + 1) / num).xy for i in range(num)]
         return out
 
     def sampled(self, step_m: float) -> list[Pose]:
@@ -150,7 +150,7 @@ class Curve:
 
 def joined(curves: Iterable[Curve]) -> Curve:
     """Return the curves as one."""
-    return Curve(tuple(p for c in curves for p in c.pieces))
+    return Curve(tuple(p for c in curves for p in c.segments))
 
 
 def filleted(points: Sequence[Xy], radii: Sequence[float]) -> Curve:
@@ -158,7 +158,7 @@ def filleted(points: Sequence[Xy], radii: Sequence[float]) -> Curve:
     a corner).
     """
     yaws = [math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in pairwise(points)]
-    pieces: list[Piece] = []
+    segments: list[Segment] = []
     at = Pose(*points[0], yaws[0])
     for corner, radius, before, after in zip(points[1:-1], radii, yaws, yaws[1:], strict=False):
         turn = wrap(after - before)
@@ -166,12 +166,12 @@ def filleted(points: Sequence[Xy], radii: Sequence[float]) -> Curve:
         straight = math.dist(at.xy, corner) - tangent
         if straight < 0.0:
             raise ValueError(f"no room for a corner of radius {radius} m at {corner}")
-        pieces.append(Piece(at, straight))
-        arc = Piece(pieces[-1].end, radius * abs(turn), math.copysign(1.0 / radius, turn))
-        pieces.append(arc)
+        segments.append(Segment(at, straight))
+        arc = Segment(segments[-1].end, radius * abs(turn), math.copysign(1.0 / radius, turn))
+        segments.append(arc)
         at = Pose(*arc.end.xy, after)
-    pieces.append(Piece(at, math.dist(at.xy, points[-1])))
-    return Curve(tuple(p for p in pieces if p.length > 1e-6))
+    segments.append(Segment(at, math.dist(at.xy, points[-1])))
+    return Curve(tuple(p for p in segments if p.length > 1e-6))
 
 
 def crossing_of(a: Pose, b: Pose) -> Xy | None:
@@ -185,7 +185,7 @@ def crossing_of(a: Pose, b: Pose) -> Xy | None:
 
 
 def connection(start: Pose, end: Pose, largest_m: float = math.inf) -> Curve:
-    """Return a smooth curve from one pose to another: one arc between straight pieces, or two arcs
+    """Return a smooth curve from one pose to another: one arc between straight segments, or two arcs
     for a shift.
 
     The arc of the first kind has the largest radius that fits, but none above ``largest_m``.
@@ -216,7 +216,7 @@ def _two_arcs(start: Pose, end: Pose) -> Curve:
     return Curve((first, _arc_to(Pose(*middle, first.end.yaw), end.xy)))
 
 
-def _arc_to(start: Pose, to: Xy) -> Piece:
+def _arc_to(start: Pose, to: Xy) -> Segment:
     """Return the arc that leaves ``start`` along its direction and ends at ``to``."""
     dx, dy = to[0] - start.x, to[1] - start.y
     left = -math.sin(start.yaw) * dx + math.cos(start.yaw) * dy
@@ -224,5 +224,5 @@ def _arc_to(start: Pose, to: Xy) -> Piece:
     chord2 = dx * dx + dy * dy
     curvature = 2.0 * left / chord2
     if abs(curvature) < 1e-7:
-        return Piece(start, math.sqrt(chord2))
-    return Piece(start, 2.0 * math.atan2(left, ahead) / curvature, curvature)
+        return Segment(start, math.sqrt(chord2))
+    return Segment(start, 2.0 * math.atan2(left, ahead) / curvature, curvature)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tools.embedded_city.city import LANE_WIDTH_M, PARKING_M, WALKWAY_M, City, Lane, Road
-from tools.embedded_city.curves import Curve, Piece, Xy
+from tools.embedded_city.curves import Curve, Segment, Xy
 
 Record = dict[str, Any]
 
@@ -155,7 +155,7 @@ class MapWriter:
                 right_lane_divider_segments=self._divider_segments(lane.curve.offset(-half)),
             )
         self.lane_tokens[lane.name] = token
-        self.paths[token] = [_arcline(piece) for piece in lane.curve.pieces]
+        self.paths[token] = [_arcline(segment) for segment in lane.curve.segments]
 
     def _divider_segments(self, curve: Curve) -> list[Record]:
         return [{"node_token": self._node(p), "segment_type": "NIL"} for p in curve.outline()]
@@ -255,18 +255,18 @@ class MapWriter:
         )
 
 
-def _arcline(piece: Piece) -> Record:
-    """Return a piece as a nuScenes arcline path."""
-    start, end = piece.start, piece.end
-    straight = abs(piece.curvature) < 1e-6
+def _arcline(segment: Segment) -> Record:
+    """Return a segment as a nuScenes arcline path."""
+    start, end = segment.start, segment.end
+    straight = abs(segment.curvature) < 1e-6
     return {
         "start_pose": [round(start.x, 4), round(start.y, 4), round(start.yaw, 6)],
         "end_pose": [round(end.x, 4), round(end.y, 4), round(end.yaw, 6)],
-        "shape": "LSL" if straight or piece.curvature > 0.0 else "RSR",
-        "radius": STRAIGHT_RADIUS_M if straight else round(1.0 / abs(piece.curvature), 4),
-        "segment_length": [0.0, round(piece.length, 4), 0.0]
+        "shape": "LSL" if straight or segment.curvature > 0.0 else "RSR",
+        "radius": STRAIGHT_RADIUS_M if straight else round(1.0 / abs(segment.curvature), 4),
+        "segment_length": [0.0, round(segment.length, 4), 0.0]
         if straight
-        else [round(piece.length, 4), 0.0, 0.0],
+        else [round(segment.length, 4), 0.0, 0.0],
     }
 
 

@@ -7,8 +7,8 @@ const ACTOR_COLOURS = {
     arrow: "#c79bf2", label: "#e8edf3", labelHalo: "rgba(13,17,22,.85)", ghost: "#dfe6ee" },
 };
 const TRAIL_SECONDS = 3;
-const TRAIL_PIECES = 6;
-const PLAN_PIECES = 4;
+const TRAIL_SEGMENTS = 6;
+const PLAN_SEGMENTS = 4;
 const FLASH_SECONDS = 1.2; // how long a collision stays marked
 const LEAST_PIXELS = 9; // length of a vehicle on the screen, at least
 const KIND_COLOURS = {
@@ -70,10 +70,10 @@ class Actors {
       if (run.valid(agent, first)
         && Math.hypot(pose.x - run.a.x[base + first], pose.y - run.a.y[base + first]) < 0.6) return;
       context.strokeStyle = this.colour(agent, theme, pose);
-      for (let piece = 0; piece < TRAIL_PIECES; piece++) {
-        const from = step - Math.round(count * (TRAIL_PIECES - piece) / TRAIL_PIECES);
-        const to = step - Math.round(count * (TRAIL_PIECES - piece - 1) / TRAIL_PIECES);
-        context.globalAlpha = 0.08 + 0.42 * (piece + 1) / TRAIL_PIECES;
+      for (let segment = 0; segment < TRAIL_SEGMENTS; segment++) {
+        const from = step - Math.round(count * (TRAIL_SEGMENTS - segment) / TRAIL_SEGMENTS);
+        const to = step - Math.round(count * (TRAIL_SEGMENTS - segment - 1) / TRAIL_SEGMENTS);
+        context.globalAlpha = 0.08 + 0.42 * (segment + 1) / TRAIL_SEGMENTS;
         context.beginPath();
         let open = false;
         for (let i = Math.max(from, 0); i <= to; i++) {
@@ -82,7 +82,7 @@ class Actors {
           else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
           open = true;
         }
-        if (open && piece === TRAIL_PIECES - 1) context.lineTo(pose.x, pose.y);
+        if (open && segment === TRAIL_SEGMENTS - 1) context.lineTo(pose.x, pose.y);
         context.stroke();
       }
     });
@@ -140,13 +140,13 @@ class Actors {
     context.globalAlpha = 1;
   }
 
-  /** Stroke a line of n points in pieces, each fainter than the one before. */
+  /** Stroke a line of n points in segments, each fainter than the one before. */
   fading(context, strength, n, trace) {
-    for (let piece = 0; piece < PLAN_PIECES; piece++) {
-      const first = Math.floor((n - 1) * piece / PLAN_PIECES);
-      const last = Math.floor((n - 1) * (piece + 1) / PLAN_PIECES);
+    for (let segment = 0; segment < PLAN_SEGMENTS; segment++) {
+      const first = Math.floor((n - 1) * segment / PLAN_SEGMENTS);
+      const last = Math.floor((n - 1) * (segment + 1) / PLAN_SEGMENTS);
       if (last === first) continue;
-      context.globalAlpha = strength * (1 - 0.8 * piece / PLAN_PIECES);
+      context.globalAlpha = strength * (1 - 0.8 * segment / PLAN_SEGMENTS);
       context.beginPath();
       trace(first, last);
       context.stroke();

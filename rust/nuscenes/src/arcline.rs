@@ -1,4 +1,4 @@
-//! Lane centre lines of the map expansion: chains of paths, each of three pieces that are arcs or straight.
+//! Lane centre lines of the map expansion: chains of paths, each of three segments that are arcs or straight.
 
 /// Paths longer than this are damaged data, metres.
 const MAX_PATH_M: f64 = 1e5;
@@ -10,11 +10,11 @@ const MIN_SPACING_M: f64 = 1e-2;
 pub(crate) struct ArcLinePath {
     /// x, y, yaw in the global frame.
     pub(crate) start_pose: [f64; 3],
-    /// L, S or R for each piece.
+    /// L, S or R for each segment.
     pub(crate) shape: String,
     /// Radius of the arcs, metres.
     pub(crate) radius: f64,
-    /// Length of each piece, metres.
+    /// Length of each segment, metres.
     pub(crate) segment_length: [f64; 3],
 }
 
@@ -44,7 +44,7 @@ impl ArcLinePath {
         Ok(())
     }
 
-    /// Signed curvature of each piece, 1/metre, left positive.
+    /// Signed curvature of each segment, 1/metre, left positive.
     fn curvatures_1pm(&self) -> Option<[f64; 3]> {
         let mut curvatures = [0.0; 3];
         let mut letters = self.shape.bytes();
@@ -59,22 +59,22 @@ impl ArcLinePath {
         letters.next().is_none().then_some(curvatures)
     }
 
-    /// The pieces, one behind the other.
-    fn pieces(&self, curvatures_1pm: [f64; 3]) -> [Piece; 3] {
+    /// The segments, one behind the other.
+    fn segments(&self, curvatures_1pm: [f64; 3]) -> [Segment; 3] {
         let [mut x, mut y, mut yaw] = self.start_pose;
         [0, 1, 2].map(|i| {
             let (sin, cos) = yaw.sin_cos();
             let (curvature_1pm, length_m) = (curvatures_1pm[i], self.segment_length[i]);
-            let piece = Piece { x, y, sin, cos, curvature_1pm, length_m };
-            [x, y] = piece.at(length_m);
+            let segment = Segment { x, y, sin, cos, curvature_1pm, length_m };
+            [x, y] = segment.at(length_m);
             yaw += curvature_1pm * length_m;
-            piece
+            segment
         })
     }
 }
 
 /// An arc or a straight line.
-struct Piece {
+struct Segment {
     x: f64,
     y: f64,
     sin: f64,
@@ -83,7 +83,7 @@ struct Piece {
     length_m: f64,
 }
 
-impl Piece {
+impl Segment {
     /// Position `along_m` from its start.
     fn at(&self, along_m: f64) -> [f64; 2] {
         // the chord of the arc, in the frame of its start
@@ -100,16 +100,16 @@ impl Piece {
     }
 }
 
-/// Position `distance_m` along some pieces.
-fn position_along(pieces: &[Piece; 3], distance_m: f64) -> [f64; 2] {
+/// Position `distance_m` along some segments.
+fn position_along(segments: &[Segment; 3], distance_m: f64) -> [f64; 2] {
     let mut left_m = distance_m;
-    for piece in &pieces[..2] {
-        if left_m <= piece.length_m {
-            return piece.at(left_m);
+    for segment in &segments[..2] {
+        if left_m <= segment.length_m {
+            return segment.at(left_m);
         }
-        left_m -= piece.length_m;
+        left_m -= segment.length_m;
     }
-    pieces[2].at(left_m.min(pieces[2].length_m))
+    segments[2].at(left_m.min(segments[2].length_m))
 }
 
 /// Points of a centre line about `spacing_m` apart, ends of paths included. Empty where all paths have no length.
@@ -122,10 +122,10 @@ pub(crate) fn discretise(paths: &[ArcLinePath], spacing_m: f64) -> Result<Vec<[f
         path.check()?;
         let Some(curvatures) = path.curvatures_1pm() else { continue };
         let length: f64 = path.segment_length.iter().sum();
-        let (pieces, count) = (path.pieces(curvatures), ((length / spacing_m).ceil() as usize).max(1));
+        let (segments, count) = (path.segments(curvatures), ((length / spacing_m).ceil() as usize).max(1));
         points.reserve(count + 1);
         for i in 0..=count {
-            let point = position_along(&pieces, length * i as f64 / count as f64);
+            let point = position_along(&segments, length * i as f64 / count as f64);
             let near = |p: &[f64; 2]| (p[0] - point[0]).hypot(p[1] - point[1]) < MIN_SPACING_M;
             if !points.last().is_some_and(near) {
                 points.push(point);

@@ -149,31 +149,31 @@ fn near_ring(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds, mut keep: im
     }
 }
 
-/// Appends the pieces of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
-fn clip_line(points: &[Point2], min: Point2, max: Point2, pieces: &mut Vec<Vec<Point2>>) {
-    let mut piece: Vec<Point2> = Vec::new();
-    let mut close = |piece: &mut Vec<Point2>| {
-        piece.dedup();
-        if piece.len() >= 2 {
-            pieces.push(std::mem::take(piece));
+/// Appends the segments of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
+fn clip_line(points: &[Point2], min: Point2, max: Point2, segments: &mut Vec<Vec<Point2>>) {
+    let mut segment: Vec<Point2> = Vec::new();
+    let mut close = |segment: &mut Vec<Point2>| {
+        segment.dedup();
+        if segment.len() >= 2 {
+            segments.push(std::mem::take(segment));
         }
-        piece.clear();
+        segment.clear();
     };
     for pair in points.windows(2) {
         let Some((from, to)) = clip_segment(pair[0], pair[1], min, max) else {
-            close(&mut piece);
+            close(&mut segment);
             continue;
         };
-        if piece.last() != Some(&from) {
-            close(&mut piece);
-            piece.push(from);
+        if segment.last() != Some(&from) {
+            close(&mut segment);
+            segment.push(from);
         }
-        piece.push(to);
+        segment.push(to);
         if to != pair[1] {
-            close(&mut piece);
+            close(&mut segment);
         }
     }
-    close(&mut piece);
+    close(&mut segment);
 }
 
 fn clip_segment(a: Point2, b: Point2, min: Point2, max: Point2) -> Option<(Point2, Point2)> {
@@ -212,14 +212,14 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_leaves_and_comes_back_gives_two_pieces() {
+    fn a_line_that_leaves_and_comes_back_gives_two_segments() {
         let points = [[-2.0, 0.5], [0.5, 0.5], [0.5, 3.0], [0.8, 3.0], [0.8, 0.5]];
         let points = points.map(|[x, y]| Point2::new(x, y));
-        let mut pieces = Vec::new();
-        clip_line(&points, Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), &mut pieces);
-        assert_eq!(pieces.len(), 2);
-        assert_eq!(pieces[0].len(), 3);
-        assert!((length(&pieces[0]) - 1.0).abs() < 1e-6 && (length(&pieces[1]) - 0.5).abs() < 1e-6);
+        let mut segments = Vec::new();
+        clip_line(&points, Point2::new(0.0, 0.0), Point2::new(1.0, 1.0), &mut segments);
+        assert_eq!(segments.len(), 2);
+        assert_eq!(segments[0].len(), 3);
+        assert!((length(&segments[0]) - 1.0).abs() < 1e-6 && (length(&segments[1]) - 0.5).abs() < 1e-6);
     }
 
     fn near(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds) -> Vec<[f64; 2]> {
@@ -276,17 +276,17 @@ mod tests {
         ) {
             let points: Vec<Point2> = xy.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
             let (min, max) = (Point2::new(-1.0, -1.0), Point2::new(1.0, 1.0));
-            let mut pieces = Vec::new();
-            clip_line(&points, min, max, &mut pieces);
+            let mut segments = Vec::new();
+            clip_line(&points, min, max, &mut segments);
             let inside = |p: Point2, slack: f32| p.x.abs() <= 1.0 + slack && p.y.abs() <= 1.0 + slack;
-            for piece in &pieces {
-                prop_assert!(piece.len() >= 2 && piece.iter().all(|p| inside(*p, 1e-5)));
+            for segment in &segments {
+                prop_assert!(segment.len() >= 2 && segment.iter().all(|p| inside(*p, 1e-5)));
             }
             let sampled: f32 = points.windows(2).map(|w| {
                 let hits = (0..2000).filter(|i| inside(w[0] + (w[1] - w[0]) * ((*i as f32 + 0.5) / 2000.0), 0.0));
                 (w[1] - w[0]).norm() * hits.count() as f32 / 2000.0
             }).sum();
-            prop_assert!((pieces.iter().map(|p| length(p)).sum::<f32>() - sampled).abs() < 0.06);
+            prop_assert!((segments.iter().map(|p| length(p)).sum::<f32>() - sampled).abs() < 0.06);
         }
     }
 }

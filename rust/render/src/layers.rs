@@ -14,7 +14,7 @@ const ROAD_DASH_M: (Real, Real) = (4.0, 2.0);
 /// Width of a stripe of a crossing and of the gap after it, metres.
 const STRIPE_M: (Real, Real) = (0.6, 0.6);
 /// Most dashes or stripes of one line or crossing; a longer line is drawn solid.
-const MAX_PIECES: Real = 2000.0;
+const MAX_SEGMENTS: Real = 2000.0;
 /// Points of a line that are looked at together when the image is cut to the view.
 const CHUNK_POINTS: usize = 32;
 
@@ -25,27 +25,27 @@ struct Area {
     bounds: Bounds,
 }
 
-/// A piece of a line.
+/// A segment of a line.
 #[derive(Debug, Clone)]
-struct Piece {
+struct Segment {
     points: Vec<Point2>,
     bounds: Bounds,
 }
 
-/// The layers of a map, cut into pieces that can be left out where the camera does not see them: dashes and
+/// The layers of a map, cut into segments that can be left out where the camera does not see them: dashes and
 /// stripes are laid out once. Build it once per scene and use it for every image.
 #[derive(Debug, Clone, Default)]
 pub struct MapLayers {
     drivable_area: Vec<Area>,
-    kerbs: Vec<Piece>,
+    kerbs: Vec<Segment>,
     walkways: Vec<Area>,
     carpark_areas: Vec<Area>,
     ped_crossings: Vec<Area>,
     stripes: Vec<Area>,
     stop_lines: Vec<Area>,
-    centre_lines: Vec<Piece>,
-    lane_dividers: Vec<Piece>,
-    road_dividers: Vec<Piece>,
+    centre_lines: Vec<Segment>,
+    lane_dividers: Vec<Segment>,
+    road_dividers: Vec<Segment>,
 }
 
 impl MapLayers {
@@ -78,18 +78,18 @@ impl MapLayers {
         areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
         // All edges first, the surface on top: only the edge of the union stays.
         let width = canvas.px(0.5, 1.6);
-        pieces(canvas, &self.kerbs, palette::KERB, width, true);
+        segments(canvas, &self.kerbs, palette::KERB, width, true);
         areas(canvas, &self.drivable_area, palette::DRIVABLE, 1.0);
         areas(canvas, &self.carpark_areas, palette::CARPARK, 1.0);
         areas(canvas, &self.ped_crossings, palette::CROSSING, 1.0);
         areas(canvas, &self.stripes, palette::STRIPE, 1.0);
         areas(canvas, &self.stop_lines, palette::STOP, 0.22);
         let width = canvas.px(0.08, 0.6).min(1.2);
-        pieces(canvas, &self.centre_lines, palette::CENTRE_LINE, width, false);
+        segments(canvas, &self.centre_lines, palette::CENTRE_LINE, width, false);
         let width = canvas.px(0.16, 0.9);
-        pieces(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width, false);
+        segments(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width, false);
         let width = canvas.px(0.2, 1.1);
-        pieces(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width, false);
+        segments(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width, false);
     }
 }
 
@@ -124,39 +124,39 @@ fn turned(ring: &[Point2], counter_clockwise: bool) -> Vec<Point2> {
     ring
 }
 
-impl Piece {
+impl Segment {
     fn new(points: Vec<Point2>) -> Self {
         let bounds = Bounds::of(&points);
         Self { points, bounds }
     }
 }
 
-/// Strokes the pieces in sight as one path.
-fn pieces(canvas: &mut Canvas, list: &[Piece], rgb: Rgb, width_px: f32, round: bool) {
+/// Strokes the segments in sight as one path.
+fn segments(canvas: &mut Canvas, list: &[Segment], rgb: Rgb, width_px: f32, round: bool) {
     let mut outline = Outline::new();
-    for piece in list.iter().filter(|p| canvas.view.sees(&p.bounds, 1.0)) {
-        outline.polyline(canvas.view, &piece.points);
+    for segment in list.iter().filter(|p| canvas.view.sees(&p.bounds, 1.0)) {
+        outline.polyline(canvas.view, &segment.points);
     }
     canvas.stroke(outline, rgb, 1.0, width_px, round);
 }
 
-/// Cuts a line into pieces of a few points that share their ends.
-fn chunks(line: &[Point2]) -> Vec<Piece> {
+/// Cuts a line into segments of a few points that share their ends.
+fn chunks(line: &[Point2]) -> Vec<Segment> {
     let starts = (0..line.len().saturating_sub(1)).step_by(CHUNK_POINTS);
-    starts.map(|i| Piece::new(line[i..line.len().min(i + CHUNK_POINTS + 1)].to_vec())).collect()
+    starts.map(|i| Segment::new(line[i..line.len().min(i + CHUNK_POINTS + 1)].to_vec())).collect()
 }
 
-/// The edges of a polygon, in pieces.
-fn kerbs(polygon: &Polygon) -> Vec<Piece> {
+/// The edges of a polygon, in segments.
+fn kerbs(polygon: &Polygon) -> Vec<Segment> {
     let rings = std::iter::once(&polygon.exterior).chain(&polygon.holes);
     let closed = |ring: &Vec<Point2>| ring.iter().chain(ring.first()).copied().collect::<Vec<_>>();
     rings.flat_map(|ring| chunks(&closed(ring))).collect()
 }
 
 /// Lays dashes along a line.
-fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Piece> {
+fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Segment> {
     let length_m: Real = line.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    if length_m / (dash_m + gap_m) > MAX_PIECES {
+    if length_m / (dash_m + gap_m) > MAX_SEGMENTS {
         return chunks(line);
     }
     let mut out = Vec::new();
@@ -170,7 +170,7 @@ fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Piece> {
             let at = w[0] + (w[1] - w[0]) * (done_m / segment_m);
             if on {
                 dash.push(at);
-                out.push(Piece::new(std::mem::take(&mut dash)));
+                out.push(Segment::new(std::mem::take(&mut dash)));
             } else {
                 dash.push(at);
             }
@@ -183,7 +183,7 @@ fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Piece> {
         }
     }
     if dash.len() >= 2 {
-        out.push(Piece::new(dash));
+        out.push(Segment::new(dash));
     }
     out
 }
@@ -199,7 +199,7 @@ fn stripes(crossing: &Polygon) -> Vec<Area> {
     let (low, high) = spread(along);
     let period = STRIPE_M.0 + STRIPE_M.1;
     let count = ((high - low) / period).floor();
-    if !(1.0..=MAX_PIECES).contains(&count) {
+    if !(1.0..=MAX_SEGMENTS).contains(&count) {
         return Vec::new();
     }
     // Centred, so that both ends of the crossing look the same.

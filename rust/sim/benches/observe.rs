@@ -7,7 +7,7 @@
 
 use ccdiff_sim::Result;
 use ccdiff_sim::geom::{Polyline, Pose2};
-use ccdiff_sim::observe::{EgoFacts, Layout, MapPieces, ObservationConfig, Observer, View};
+use ccdiff_sim::observe::{EgoFacts, Layout, MapSegments, ObservationConfig, Observer, View};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{AgentKind, Scene};
 use ccdiff_sim::state::{AgentStates, Body};
@@ -24,7 +24,7 @@ struct City {
     states: Vec<AgentStates>,
     bodies: Vec<Body>,
     kinds: Vec<AgentKind>,
-    pieces: MapPieces,
+    segments: MapSegments,
     routes: Vec<Polyline>,
 }
 
@@ -36,7 +36,7 @@ impl City {
         Self {
             bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
-            pieces: MapPieces::new(&scene.map),
+            segments: MapSegments::new(&scene.map),
             scene,
             states,
             routes,
@@ -48,7 +48,7 @@ impl City {
             states: &self.states[tick % self.states.len()],
             bodies: &self.bodies,
             kinds: &self.kinds,
-            pieces: &self.pieces,
+            segments: &self.segments,
             route: &self.routes[agent_idx],
             route_s_m: 0.0,
             agent_idx,
@@ -80,12 +80,12 @@ fn states_at(scene: &Scene, step_idx: usize) -> AgentStates {
 }
 
 /// 7 + 63 x 7 + 200 x 7 floats, less the groups that are left out.
-fn comparison_row(num_neighbors: usize, num_map_pieces: usize) -> ObservationConfig {
+fn comparison_row(num_neighbors: usize, num_map_segments: usize) -> ObservationConfig {
     let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
     ObservationConfig {
         num_neighbors,
         num_route_points: 0,
-        num_map_pieces,
+        num_map_segments,
         radius_m: 200.0,
         masks: false,
         ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),

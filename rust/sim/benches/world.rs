@@ -144,7 +144,7 @@ fn comparison_row() -> ObservationConfig {
     ObservationConfig {
         num_neighbors: 63,
         num_route_points: 0,
-        num_map_pieces: 200,
+        num_map_segments: 200,
         radius_m: 200.0,
         masks: false,
         ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),

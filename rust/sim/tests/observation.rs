@@ -5,7 +5,7 @@ mod common;
 
 use ccdiff_sim::events::leader;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
-use ccdiff_sim::observe::{EntryKind, Layout, MapPieces, ObservationConfig};
+use ccdiff_sim::observe::{EntryKind, Layout, MapSegments, ObservationConfig};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{Map, Scene};
 use ccdiff_sim::state::Body;
@@ -199,23 +199,23 @@ proptest! {
 }
 
 #[test]
-fn map_pieces_cover_their_lines_and_the_cut_is_left_out() {
+fn map_segments_cover_their_lines_and_the_cut_is_left_out() {
     let scene = GridCity { num_roads: 1, ..GridCity::default() }.scene();
-    let pieces = MapPieces::new(&scene.map);
-    let total: f32 = pieces.pieces().map(|p| 2.0 * p.half_length_m).sum();
+    let segments = MapSegments::new(&scene.map);
+    let total: f32 = segments.segments().map(|p| 2.0 * p.half_length_m).sum();
     // two roads of 80 m: two lanes and a divider each; the edges of the crossing roads but for the ends, which lie on
     // the rectangle of the crop
     let expected = 2.0 * 80.0 * 3.0 + 2.0 * 2.0 * 80.0;
     assert!((total - expected).abs() < 1.0, "{total} against {expected}");
-    assert!(pieces.pieces().all(|p| p.half_length_m <= 2.51));
-    let near = pieces.nearest(Point2::new(3.0, -2.0));
-    let all: Vec<_> = pieces.pieces().collect();
+    assert!(segments.segments().all(|p| p.half_length_m <= 2.51));
+    let near = segments.nearest(Point2::new(3.0, -2.0));
+    let all: Vec<_> = segments.segments().collect();
     let distance = |k: u32| {
-        let piece = all[k as usize];
-        (piece.x - 3.0).hypot(piece.y + 2.0)
+        let segment = all[k as usize];
+        (segment.x - 3.0).hypot(segment.y + 2.0)
     };
     assert!(near.windows(2).all(|w| distance(w[0]) <= distance(w[1]) + 5.7));
-    let best = (0..pieces.len() as u32).map(distance).fold(f32::MAX, f32::min);
+    let best = (0..segments.len() as u32).map(distance).fold(f32::MAX, f32::min);
     assert!(distance(near[0]) <= best + 5.7);
 }
 
@@ -225,7 +225,7 @@ fn chosen_columns_make_the_row_of_the_comparison() {
     let observation = ObservationConfig {
         num_neighbors: 63,
         num_route_points: 0,
-        num_map_pieces: 200,
+        num_map_segments: 200,
         masks: false,
         ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),
         agent_columns: names(&["x", "y", "cos", "sin", "speed", "length", "width"]),
@@ -272,7 +272,7 @@ proptest! {
     /// Some rows are written by loops of their own, those of the comparison and the whole rows of the map among them.
     #[test]
     fn chosen_columns_are_the_columns_of_whole_rows(
-        num_agents in 2usize..90, rows in 0usize..70, pieces in 0usize..250, columns in 0usize..3,
+        num_agents in 2usize..90, rows in 0usize..70, segments in 0usize..250, columns in 0usize..3,
     ) {
         let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>());
         let agent_columns = ["x", "y", "cos", "sin", "speed", "length", "width"];
@@ -281,7 +281,7 @@ proptest! {
             1 => vec!["is_lane", "y", "x"],
             _ => vec!["x", "y", "cos", "sin", "half_length"],
         };
-        let whole = ObservationConfig { num_neighbors: rows, num_map_pieces: pieces, ..ObservationConfig::default() };
+        let whole = ObservationConfig { num_neighbors: rows, num_map_segments: segments, ..ObservationConfig::default() };
         let chosen = ObservationConfig {
             agent_columns: names(&agent_columns), map_columns: names(&map_columns), ..whole.clone()
         };

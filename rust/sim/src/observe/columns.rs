@@ -1,8 +1,8 @@
 //! The table of columns: what each number of a row means and how it is computed. A new column is one entry here.
 
 use super::column::{Axis, Column};
-use super::map_pieces::PieceKind;
-use super::source::{OfAgent, OfEgo, OfPiece};
+use super::map_segments::SegmentKind;
+use super::source::{OfAgent, OfEgo, OfSegment};
 use crate::events::time_to_contact;
 use crate::geom::Real;
 use crate::scene::AgentKind;
@@ -193,22 +193,22 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
 ];
 
 /// Columns of `map`.
-pub(super) static MAP: &[Entry<OfPiece>] = &[
-    entry("x", "m", 60.0, SIGNED, "middle of the piece, ahead", OfPiece::Place(Axis::X)),
-    entry("y", "m", 60.0, SIGNED, "middle of the piece, to the left", OfPiece::Place(Axis::Y)),
-    entry("cos", "", 1.0, SIGNED, "cosine of its direction", OfPiece::Direction(Axis::X)),
-    entry("sin", "", 1.0, SIGNED, "sine of its direction", OfPiece::Direction(Axis::Y)),
-    entry("half_length", "m", 5.0, POSITIVE, "half its length", OfPiece::HalfLength),
-    kind("is_lane", "centre line of a lane", PieceKind::Lane),
-    kind("is_connector", "centre line of a lane connector", PieceKind::Connector),
-    kind("is_road_divider", "line between directions", PieceKind::RoadDivider),
-    kind("is_lane_divider", "line between lanes", PieceKind::LaneDivider),
-    kind("is_road_edge", "edge of the drivable area", PieceKind::RoadEdge),
-    kind("is_crossing", "edge of a pedestrian crossing", PieceKind::Crossing),
-    kind("is_stop_line", "edge of a stop line area", PieceKind::StopLine),
-    kind("is_walkway", "edge of a walkway", PieceKind::Walkway),
+pub(super) static MAP: &[Entry<OfSegment>] = &[
+    entry("x", "m", 60.0, SIGNED, "middle of the piece, ahead", OfSegment::Place(Axis::X)),
+    entry("y", "m", 60.0, SIGNED, "middle of the piece, to the left", OfSegment::Place(Axis::Y)),
+    entry("cos", "", 1.0, SIGNED, "cosine of its direction", OfSegment::Direction(Axis::X)),
+    entry("sin", "", 1.0, SIGNED, "sine of its direction", OfSegment::Direction(Axis::Y)),
+    entry("half_length", "m", 5.0, POSITIVE, "half its length", OfSegment::HalfLength),
+    kind("is_lane", "centre line of a lane", SegmentKind::Lane),
+    kind("is_connector", "centre line of a lane connector", SegmentKind::Connector),
+    kind("is_road_divider", "line between directions", SegmentKind::RoadDivider),
+    kind("is_lane_divider", "line between lanes", SegmentKind::LaneDivider),
+    kind("is_road_edge", "edge of the drivable area", SegmentKind::RoadEdge),
+    kind("is_crossing", "edge of a pedestrian crossing", SegmentKind::Crossing),
+    kind("is_stop_line", "edge of a stop line area", SegmentKind::StopLine),
+    kind("is_walkway", "edge of a walkway", SegmentKind::Walkway),
 ];
 
-const fn kind(name: &'static str, doc: &'static str, kind: PieceKind) -> Entry<OfPiece> {
-    entry(name, "", 1.0, POSITIVE, doc, OfPiece::Is(kind))
+const fn kind(name: &'static str, doc: &'static str, kind: SegmentKind) -> Entry<OfSegment> {
+    entry(name, "", 1.0, POSITIVE, doc, OfSegment::Is(kind))
 }

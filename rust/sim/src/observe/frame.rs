@@ -192,7 +192,7 @@ fn put_each<const G: usize, T: Copy>(
     }
 }
 
-/// Kinds of pieces, a power of two.
+/// Kinds of segments, a power of two.
 pub(super) const KINDS: usize = 8;
 
 /// The number 1 with a kind in its low bits: a float like any other, from which the kind is read by a mask.
@@ -205,8 +205,8 @@ const KIND_BIT: usize = 5;
 
 /// The kind that [`of_kind`] put into the last number.
 #[inline(always)]
-pub(super) fn kind_idx(piece: &F32x8) -> usize {
-    (piece.0[7].to_bits() >> KIND_BIT) as usize % KINDS
+pub(super) fn kind_idx(segment: &F32x8) -> usize {
+    (segment.0[7].to_bits() >> KIND_BIT) as usize % KINDS
 }
 
 simd_dispatch! {
@@ -228,16 +228,16 @@ simd_dispatch! {
         });
     }
 
-    /// The same in the rows of pieces of the map; `added` holds numbers for each kind.
-    pub(super) fn fill_pieces<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8; KINDS]; G], pieces: &[F32x8], nearest: &[u32], width: usize,
+    /// The same in the rows of segments of the map; `added` holds numbers for each kind.
+    pub(super) fn fill_segments<G, T>(
+        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8; KINDS]; G], segments: &[F32x8], nearest: &[u32], width: usize,
         room: usize, out: &mut [Real],
     ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
         let transforms = groups.map(|group| group.in_frame(frame, origin));
         put_each::<G, _>(nearest, width, room, out, |k, g| {
-            let piece = &pieces[k as usize];
-            let added = &added[g][kind_idx(piece)];
-            if g < T { transform(&transforms[g], (piece, added)) } else { added.0 }
+            let segment = &segments[k as usize];
+            let added = &added[g][kind_idx(segment)];
+            if g < T { transform(&transforms[g], (segment, added)) } else { added.0 }
         });
     }
 }

@@ -3,7 +3,7 @@
 use super::bev::{BEV_CHANNELS, BevChannel, BevConfig};
 use super::column::Column;
 use super::columns::{self, AGENTS, EGO, MAP, ROUTE};
-use super::map_pieces::MAX_PIECES;
+use super::map_segments::MAX_SEGMENTS;
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::options;
@@ -22,8 +22,8 @@ options! {
         num_route_points: usize = 20, range within(0.0, 256.0);
         /// Distance from one route point to the next.
         route_spacing_m: Real = 2.0, unit "m", range within(0.0, 1000.0).open_below();
-        /// Nearest pieces of map lines, N rows.
-        num_map_pieces: usize = 64, range within(0.0, MAX_PIECES as f64);
+        /// Nearest segments of map lines, N rows.
+        num_map_segments: usize = 64, range within(0.0, MAX_SEGMENTS as f64);
         /// Agents farther than this are not seen.
         radius_m: Real = 60.0, unit "m", range within(0.0, 1000.0).open_below();
         /// Whether masks are part of the row.
@@ -136,7 +136,7 @@ impl Layout {
         layout.push("ego", None, pick(&ego, &chosen[0]));
         layout.push("route", Some(("route_mask", c.num_route_points)), columns_of(&ROUTE));
         layout.push("agents", Some(("agents_mask", c.num_neighbors)), pick(&agent, &chosen[1]));
-        layout.push("map", Some(("map_mask", c.num_map_pieces)), pick(&map, &chosen[2]));
+        layout.push("map", Some(("map_mask", c.num_map_segments)), pick(&map, &chosen[2]));
         if layout.size == 0 {
             let expected = "at least one number".into();
             return Err(SimError::Config { field: "observation".into(), got: "nothing".into(), expected });

@@ -1,9 +1,9 @@
-//! Rows of map pieces.
+//! Rows of map segments.
 
 use super::columns::MAP;
-use super::frame::{F32x8, Frame, Group, KINDS, LANES, fill_pieces};
-use super::map_pieces::MapPieces;
-use super::source::OfPiece;
+use super::frame::{F32x8, Frame, Group, KINDS, LANES, fill_segments};
+use super::map_segments::MapSegments;
+use super::source::OfSegment;
 use crate::geom::{Point2, Real};
 
 /// Chosen columns that are written at once.
@@ -11,11 +11,11 @@ use crate::geom::{Point2, Real};
 struct Columns {
     /// Those that depend on the place.
     of_places: Group,
-    /// For each kind of piece the columns of kinds, zeros elsewhere.
+    /// For each kind of segment the columns of kinds, zeros elsewhere.
     of_kinds: [F32x8; KINDS],
 }
 
-/// Writes the nearest map pieces.
+/// Writes the nearest map segments.
 #[derive(Debug, Clone)]
 pub(super) struct MapRows {
     num_rows: usize,
@@ -34,28 +34,32 @@ impl MapRows {
     }
 
     /// Fills [N, F] and the mask [N] (or nothing, where there is no mask).
-    pub(super) fn write(&self, pieces: &MapPieces, frame: &Frame, out: &mut [Real], mask: &mut [Real]) {
+    pub(super) fn write(&self, segments: &MapSegments, frame: &Frame, out: &mut [Real], mask: &mut [Real]) {
         if out.is_empty() {
             return;
         }
-        let nearest = pieces.nearest(Point2::new(frame.x, frame.y));
+        let nearest = segments.nearest(Point2::new(frame.x, frame.y));
         let nearest = &nearest[..nearest.len().min(self.num_rows)];
         let (rows, absent) = out.split_at_mut(nearest.len() * self.width);
         let origin = F32x8([frame.x, frame.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
             let first = pass * 2 * LANES;
-            let (width, room, places) = (self.width, self.width - first, pieces.places());
+            let (width, room, places) = (self.width, self.width - first, segments.places());
             let Some(rows) = rows.get_mut(first..) else { break };
             match columns {
                 [a, b] if b.of_places.moves() => {
                     let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
-                    fill_pieces::<2, 2>(&groups, frame, &origin, &added, places, nearest, width, room, rows);
+                    fill_segments::<2, 2>(
+                        &groups, frame, &origin, &added, places, nearest, width, room, rows,
+                    );
                 }
                 [a, b] => {
                     let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
-                    fill_pieces::<2, 1>(&groups, frame, &origin, &added, places, nearest, width, room, rows);
+                    fill_segments::<2, 1>(
+                        &groups, frame, &origin, &added, places, nearest, width, room, rows,
+                    );
                 }
-                [a] => fill_pieces::<1, 1>(
+                [a] => fill_segments::<1, 1>(
                     &[&a.of_places],
                     frame,
                     &origin,
@@ -83,10 +87,10 @@ impl Columns {
         for (lane, entry) in chosen.iter().map(|c| &MAP[*c]).enumerate() {
             let (places, column) = (&mut columns.of_places, &entry.column);
             match entry.source {
-                OfPiece::Place(axis) => places.set_vector(lane, MapPieces::PLACE, axis, column),
-                OfPiece::Direction(axis) => places.set_vector(lane, MapPieces::DIRECTION, axis, column),
-                OfPiece::HalfLength => places.set_number(lane, MapPieces::HALF_LENGTH, column),
-                OfPiece::Is(kind) => columns.of_kinds[kind as usize].0[lane] = 1.0,
+                OfSegment::Place(axis) => places.set_vector(lane, MapSegments::PLACE, axis, column),
+                OfSegment::Direction(axis) => places.set_vector(lane, MapSegments::DIRECTION, axis, column),
+                OfSegment::HalfLength => places.set_number(lane, MapSegments::HALF_LENGTH, column),
+                OfSegment::Is(kind) => columns.of_kinds[kind as usize].0[lane] = 1.0,
             }
         }
         columns

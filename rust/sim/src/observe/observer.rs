@@ -28,7 +28,7 @@ impl Observer {
         Self {
             ego: EgoRow::new(ego),
             agents: AgentRows::new(agents, c.num_neighbors, c.radius_m),
-            map: MapRows::new(map, c.num_map_pieces),
+            map: MapRows::new(map, c.num_map_segments),
             layout,
         }
     }
@@ -50,7 +50,8 @@ impl Observer {
         let c = &self.layout.config;
         // a group without rows or columns has no mask either
         let mask = |size: usize, rows: usize| if c.masks && size > 0 { rows } else { 0 };
-        let (num_points, num_neighbors, num_pieces) = (c.num_route_points, c.num_neighbors, c.num_map_pieces);
+        let (num_points, num_neighbors, num_segments) =
+            (c.num_route_points, c.num_neighbors, c.num_map_segments);
         let (agents_size, map_size) = (self.agents.size(), self.map.size());
         let (out, rest) = out.split_at_mut(self.ego.size());
         self.ego.write(view, out);
@@ -61,6 +62,6 @@ impl Observer {
         let (agents_mask, rest) = rest.split_at_mut(mask(agents_size, num_neighbors));
         self.agents.write(view, &frame, out, agents_mask);
         let (out, rest) = rest.split_at_mut(map_size);
-        self.map.write(view.pieces, &frame, out, &mut rest[..mask(map_size, num_pieces)]);
+        self.map.write(view.segments, &frame, out, &mut rest[..mask(map_size, num_segments)]);
     }
 }

@@ -1,7 +1,7 @@
 //! What the numbers of a row are taken from: one kind of source for each part of the row.
 
 use super::column::{Axis, clip};
-use super::map_pieces::PieceKind;
+use super::map_segments::SegmentKind;
 use super::view::View;
 use crate::events::{Leader, leader};
 use crate::geom::{Projection, Real, Vector2, math};
@@ -132,15 +132,15 @@ impl Pair<'_> {
     }
 }
 
-/// Where a number about a piece of the map comes from.
+/// Where a number about a segment of the map comes from.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum OfPiece {
+pub(super) enum OfSegment {
     /// A component of its middle.
     Place(Axis),
     /// A component of its direction.
     Direction(Axis),
     /// Half its length.
     HalfLength,
-    /// 1 for pieces of a kind.
-    Is(PieceKind),
+    /// 1 for segments of a kind.
+    Is(SegmentKind),
 }

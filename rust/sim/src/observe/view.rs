@@ -1,6 +1,6 @@
 //! What a row is written from: the states of a world and facts about the observing agent.
 
-use super::map_pieces::MapPieces;
+use super::map_segments::MapSegments;
 use crate::geom::{Polyline, Real};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Body};
@@ -38,7 +38,7 @@ pub struct View<'a> {
     /// Their kinds.
     pub kinds: &'a [AgentKind],
     /// The map.
-    pub pieces: &'a MapPieces,
+    pub segments: &'a MapSegments,
     /// Route of the observing agent.
     pub route: &'a Polyline,
     /// Its position along the route, metres.

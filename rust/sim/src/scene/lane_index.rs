@@ -17,7 +17,7 @@ const SIMPLIFY_M: Real = 0.01;
 /// Headings are told apart in this many sectors when the lists are built.
 const NUM_SECTORS: usize = 8;
 
-/// A straight piece of a centre line.
+/// A straight segment of a centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Segment {
     start: Point2,
@@ -194,7 +194,7 @@ impl Segment {
     }
 }
 
-/// Appends the pieces of a centre line, straight runs merged (Douglas and Peucker 1973).
+/// Appends the segments of a centre line, straight runs merged (Douglas and Peucker 1973).
 fn add_segments(lane_idx: u32, points: &[Point2], segments: &mut Vec<Segment>) {
     let mut s_m = vec![0.0_f64; points.len()];
     for i in 1..points.len() {

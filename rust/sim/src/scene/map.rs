@@ -84,7 +84,7 @@ impl Map {
         .find_map(|(name, ok)| (!ok).then_some(name))
     }
 
-    /// Length of all lines and rings, metres along x plus metres along y: what observations cut into pieces.
+    /// Length of all lines and rings, metres along x plus metres along y: what observations cut into segments.
     pub fn length_m(&self) -> f64 {
         let along = |points: &[Point2]| -> f64 {
             points.windows(2).map(|w| f64::from((w[1].x - w[0].x).abs() + (w[1].y - w[0].y).abs())).sum()

@@ -1,7 +1,7 @@
 //! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
 
 use crate::geom::{Bitmap, Real, Region};
-use crate::observe::{BevConfig, MapPieces};
+use crate::observe::{BevConfig, MapSegments};
 use crate::scene::{AgentKind, LaneIndex, Scene};
 use crate::state::Body;
 use crate::world::log::Log;
@@ -26,8 +26,8 @@ pub struct PreparedScene {
     pub routes: Vec<Route>,
     /// The log step by step.
     pub(crate) log: Log,
-    /// Map pieces for observations.
-    pub pieces: MapPieces,
+    /// Map segments for observations.
+    pub segments: MapSegments,
     /// What does not move in bird's-eye rasters; `None` without rasters.
     pub(crate) ground: Option<Bitmap>,
 }
@@ -48,7 +48,7 @@ impl PreparedScene {
             bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
-            pieces: MapPieces::new(map),
+            segments: MapSegments::new(map),
             ground: bev.map(|bev| bev.ground(map)),
             road,
             lanes,

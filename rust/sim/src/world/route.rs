@@ -9,7 +9,7 @@ const SPACING_M: Real = 1.0;
 const MIN_STEP_M: Real = 0.5;
 /// How far a route goes on past the end of the log, metres.
 const EXTENSION_M: Real = 80.0;
-/// Most of one straight piece of a lane that a route follows past the end of the log, metres.
+/// Most of one straight segment of a lane that a route follows past the end of the log, metres.
 const LONGEST_STEP_M: Real = 1000.0;
 /// Lateral acceleration at which curves are taken, m/s².
 const CURVE_MPS2: Real = 3.0;

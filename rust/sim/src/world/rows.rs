@@ -49,7 +49,7 @@ impl World {
                 states: &e.states,
                 bodies: &self.scene.bodies,
                 kinds: &self.scene.kinds,
-                pieces: &self.scene.pieces,
+                segments: &self.scene.segments,
                 route,
                 route_s_m: e.route_s_m[a],
                 agent_idx: a,

@@ -1,13 +1,13 @@
-//! The map as short straight pieces, and the nearest of them for every place.
+//! The map as short straight segments, and the nearest of them for every place.
 
 use super::frame::{F32x8, KINDS, kind_idx, of_kind};
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::OnceLock;
 
-/// Longest piece, metres, with room for rounding.
+/// Longest segment, metres, with room for rounding.
 const PIECE_M: Real = 5.01;
-/// A piece ends where its line has turned by more than 20 degrees since the piece began.
+/// A segment ends where its line has turned by more than 20 degrees since the segment began.
 const MIN_COS: Real = 0.94;
 /// Points nearer than this are one, metres.
 const MIN_STEP_M: Real = 1e-3;
@@ -15,13 +15,13 @@ const MIN_STEP_M: Real = 1e-3;
 const CELL_M: Real = 4.0;
 /// Most cells of a map.
 const MAX_CELLS: Real = 65_536.0;
-/// Most pieces that a place knows.
-pub(crate) const MAX_PIECES: usize = 256;
+/// Most segments that a place knows.
+pub(crate) const MAX_SEGMENTS: usize = 256;
 
-/// What a piece belongs to.
+/// What a segment belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-pub enum PieceKind {
+pub enum SegmentKind {
     /// Centre line of a lane.
     Lane = 0,
     /// Centre line of a lane connector.
@@ -40,7 +40,7 @@ pub enum PieceKind {
     Walkway = 7,
 }
 
-impl PieceKind {
+impl SegmentKind {
     const ALL: [Self; KINDS] = [
         Self::Lane,
         Self::Connector,
@@ -55,7 +55,7 @@ impl PieceKind {
 
 /// A short straight part of a line of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Piece {
+pub struct Segment {
     /// Middle, x, metres.
     pub x: Real,
     /// Middle, y, metres.
@@ -67,19 +67,19 @@ pub struct Piece {
     /// Half the length, metres.
     pub half_length_m: Real,
     /// What it belongs to.
-    pub kind: PieceKind,
+    pub kind: SegmentKind,
 }
 
-/// Pieces of all lines of a map, with the nearest ones of each 4 m cell.
+/// Segments of all lines of a map, with the nearest ones of each 4 m cell.
 ///
 /// The list of a cell is made when it is first asked for, from the cell's centre, and shared by all worlds: so
 /// "nearest" is meant up to the cell's half diagonal, 2.8 m (places off the map take the cell at its border). Ties go
 /// to the lower index.
 ///
-/// Memory: 32 bytes a piece, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
+/// Memory: 32 bytes a segment, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
 #[derive(Debug, Default)]
-pub struct MapPieces {
-    /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each piece.
+pub struct MapSegments {
+    /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each segment.
     places: Vec<F32x8>,
     low: [Real; 2],
     cell_m: Real,
@@ -87,44 +87,45 @@ pub struct MapPieces {
     cells: Vec<OnceLock<Box<[u32]>>>,
 }
 
-impl MapPieces {
+impl MapSegments {
     /// Cuts the lines of a map.
     ///
     /// Edges of areas that lie on the bounding box of all areas and dividers are left out: there the map was cut out,
     /// nothing ends. (Lanes are kept whole by the loaders, so they do not count.)
     pub fn new(map: &Map) -> Self {
-        let mut pieces = Self::default();
+        let mut segments = Self::default();
         for lane in &map.lanes {
-            let kind = if lane.kind == LaneKind::Connector { PieceKind::Connector } else { PieceKind::Lane };
-            pieces.add_line(&lane.centreline, kind);
+            let kind =
+                if lane.kind == LaneKind::Connector { SegmentKind::Connector } else { SegmentKind::Lane };
+            segments.add_line(&lane.centreline, kind);
         }
         for (lines, kind) in
-            [(&map.road_dividers, PieceKind::RoadDivider), (&map.lane_dividers, PieceKind::LaneDivider)]
+            [(&map.road_dividers, SegmentKind::RoadDivider), (&map.lane_dividers, SegmentKind::LaneDivider)]
         {
             for line in lines {
-                pieces.add_line(line, kind);
+                segments.add_line(line, kind);
             }
         }
         let cut = Cut::of(map);
         for (polygons, kind) in [
-            (&map.drivable_area, PieceKind::RoadEdge),
-            (&map.ped_crossings, PieceKind::Crossing),
-            (&map.stop_lines, PieceKind::StopLine),
-            (&map.walkways, PieceKind::Walkway),
+            (&map.drivable_area, SegmentKind::RoadEdge),
+            (&map.ped_crossings, SegmentKind::Crossing),
+            (&map.stop_lines, SegmentKind::StopLine),
+            (&map.walkways, SegmentKind::Walkway),
         ] {
             for ring in polygons.iter().flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes)) {
-                pieces.add_ring(ring, &cut, kind);
+                segments.add_ring(ring, &cut, kind);
             }
         }
-        pieces.make_cells();
-        pieces
+        segments.make_cells();
+        segments
     }
 
-    /// All pieces.
-    pub fn pieces(&self) -> impl ExactSizeIterator<Item = Piece> {
+    /// All segments.
+    pub fn segments(&self) -> impl ExactSizeIterator<Item = Segment> {
         self.places.iter().map(|place| {
             let [x, y, cos, sin, half_length_m, ..] = place.0;
-            Piece { x, y, cos, sin, half_length_m, kind: PieceKind::ALL[kind_idx(place)] }
+            Segment { x, y, cos, sin, half_length_m, kind: SegmentKind::ALL[kind_idx(place)] }
         })
     }
 
@@ -133,13 +134,13 @@ impl MapPieces {
     pub(super) const DIRECTION: usize = 2;
     pub(super) const HALF_LENGTH: usize = 4;
 
-    /// The numbers of all pieces.
+    /// The numbers of all segments.
     #[inline(always)]
     pub(super) fn places(&self) -> &[F32x8] {
         &self.places
     }
 
-    /// Number of pieces.
+    /// Number of segments.
     pub fn len(&self) -> usize {
         self.places.len()
     }
@@ -157,7 +158,7 @@ impl MapPieces {
             + lists.map(|list| size_of_val::<[u32]>(list)).sum::<usize>()
     }
 
-    /// Indices of the pieces nearest to a place, nearest first, at most 256.
+    /// Indices of the segments nearest to a place, nearest first, at most 256.
     pub fn nearest(&self, at: Point2) -> &[u32] {
         if self.is_empty() {
             return &[];
@@ -182,15 +183,15 @@ impl MapPieces {
             u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
         };
         let mut keys: Vec<u64> = self.places.iter().enumerate().map(key).collect();
-        if keys.len() > MAX_PIECES {
-            keys.select_nth_unstable(MAX_PIECES);
-            keys.truncate(MAX_PIECES);
+        if keys.len() > MAX_SEGMENTS {
+            keys.select_nth_unstable(MAX_SEGMENTS);
+            keys.truncate(MAX_SEGMENTS);
         }
         keys.sort_unstable();
         keys.iter().map(|k| (k & 0xffff_ffff) as u32).collect()
     }
 
-    fn add(&mut self, a: Point2, b: Point2, kind: PieceKind) {
+    fn add(&mut self, a: Point2, b: Point2, kind: SegmentKind) {
         let d = b - a;
         let length = math::hypot(d.x, d.y);
         if length < MIN_STEP_M {
@@ -210,8 +211,8 @@ impl MapPieces {
         ]));
     }
 
-    /// Joins the short segments of a line to pieces up to a bend, and cuts the long ones.
-    fn add_line(&mut self, line: &[Point2], kind: PieceKind) {
+    /// Joins the short edges of a line to segments up to a bend, and cuts the long ones.
+    fn add_line(&mut self, line: &[Point2], kind: SegmentKind) {
         let Some((mut from, rest)) = line.split_first().map(|(p, rest)| (*p, rest)) else { return };
         let (mut last, mut travelled_m) = (from, 0.0);
         let mut direction: Option<Vector2> = None;
@@ -243,7 +244,7 @@ impl MapPieces {
     }
 
     /// Adds a ring, but for its edges on the cut.
-    fn add_ring(&mut self, ring: &[Point2], cut: &Cut, kind: PieceKind) {
+    fn add_ring(&mut self, ring: &[Point2], cut: &Cut, kind: SegmentKind) {
         let Some(last) = ring.last() else { return };
         let mut run = vec![*last];
         let mut previous = *last;
@@ -314,8 +315,8 @@ mod tests {
         Polygon { exterior: vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)], holes: Vec::new() }
     }
 
-    fn length_of(pieces: &MapPieces, kind: PieceKind) -> Real {
-        pieces.pieces().filter(|p| p.kind == kind).map(|p| 2.0 * p.half_length_m).sum()
+    fn length_of(segments: &MapSegments, kind: SegmentKind) -> Real {
+        segments.segments().filter(|p| p.kind == kind).map(|p| 2.0 * p.half_length_m).sum()
     }
 
     #[test]
@@ -326,11 +327,11 @@ mod tests {
             road_dividers: vec![vec![Point2::new(0.0, 0.0), Point2::new(2.0, 0.0), Point2::new(2.0, 2.0)]],
             ..Map::default()
         };
-        let pieces = MapPieces::new(&map);
-        assert!((length_of(&pieces, PieceKind::Crossing) - 4.0).abs() < 1e-3);
-        assert!((length_of(&pieces, PieceKind::RoadDivider) - 4.0).abs() < 1e-3);
+        let segments = MapSegments::new(&map);
+        assert!((length_of(&segments, SegmentKind::Crossing) - 4.0).abs() < 1e-3);
+        assert!((length_of(&segments, SegmentKind::RoadDivider) - 4.0).abs() < 1e-3);
         // the walkway is the cut itself
-        assert_eq!(length_of(&pieces, PieceKind::Walkway), 0.0);
+        assert_eq!(length_of(&segments, SegmentKind::Walkway), 0.0);
     }
 
     #[test]
@@ -338,16 +339,16 @@ mod tests {
         let road = square(-10.0, -10.0, 20.0);
         let map =
             Map { drivable_area: vec![road], walkways: vec![square(-15.0, -15.0, 30.0)], ..Map::default() };
-        assert!((length_of(&MapPieces::new(&map), PieceKind::RoadEdge) - 80.0).abs() < 1e-2);
+        assert!((length_of(&MapSegments::new(&map), SegmentKind::RoadEdge) - 80.0).abs() < 1e-2);
     }
 
     #[test]
     fn maps_of_any_extent_have_few_cells() {
         let far = vec![Point2::new(-9e5, 0.0), Point2::new(-9e5, 1.0)];
         let near = vec![Point2::new(9e5, 9e5), Point2::new(9e5, 9e5 + 1.0)];
-        let pieces = MapPieces::new(&Map { lane_dividers: vec![far, near], ..Map::default() });
-        assert!(pieces.cells.len() <= MAX_CELLS as usize);
-        assert_eq!(pieces.nearest(Point2::new(1e6, 1e6)), [1, 0]);
-        assert!(MapPieces::new(&Map::default()).nearest(Point2::origin()).is_empty());
+        let segments = MapSegments::new(&Map { lane_dividers: vec![far, near], ..Map::default() });
+        assert!(segments.cells.len() <= MAX_CELLS as usize);
+        assert_eq!(segments.nearest(Point2::new(1e6, 1e6)), [1, 0]);
+        assert!(MapSegments::new(&Map::default()).nearest(Point2::origin()).is_empty());
     }
 }
