@@ -40,6 +40,19 @@ def causal_rank(
     seed: int,
     settings: tuple[float, int, int, int],
 ) -> tuple[list[int], int, bool]: ...
+def causal_key_agents(
+    ranking: str,
+    x: F32,
+    y: F32,
+    heading: F32,
+    speed: F32,
+    length: F32,
+    width: F32,
+    valid: Bool,
+    candidates: Bool,
+    ego_idx: int,
+    seed: int,
+) -> list[int]: ...
 def render_arrays(
     position_m: F32,
     heading_rad: F32,

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import causal
+from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.config import unknown
 from ccdiff_env.errors import renamed
@@ -73,30 +73,25 @@ def rank_agents(
     ConfigError
         For another ranking.
     """
-    # rankings of the causal graph look at one moment after the other
-    position, heading, speed, valid = (
-        np.ascontiguousarray(states.swapaxes(0, 1)) for states in (position, heading, speed, valid)
+    # rankings look at one moment after the other
+    x, y, headings, speeds, there = (
+        np.ascontiguousarray(states.T)
+        for states in (position[..., 0], position[..., 1], heading, speed, valid)
     )
-    there = candidates & valid[-1]
-    there[ego_idx] = False
-    chosen = np.flatnonzero(there)
-    distance_m = np.linalg.norm(position[-1] - position[-1, ego_idx], axis=-1)
-    ranking = ranking_named(ranking)
-    if ranking == "nearest":
-        return [int(i) for i in chosen[np.argsort(distance_m[chosen], kind="stable")]]
-    if ranking == "ttc":
-        now = causal.ttc(position[-1], heading[-1], speed[-1], size, valid[-1], normalised=False)
-        order = np.lexsort((distance_m[chosen], now[ego_idx, chosen]))
-        return [int(i) for i in chosen[order]]
-    if ranking == "cliques":
-        near = causal.distance(position, valid, normalised=True)
-        contact = causal.ttc(position, heading, speed, size, valid)
-        every = causal.rank(
-            "cliques", top_k=len(there), valid=valid[-1], ttc=contact, distance=near
-        )
-        return [i for i in every.agents if there[i]]
-    every = causal.rank(ranking, top_k=len(there), valid=there, seed=seed)
-    return list(every.agents)
+    length, width = np.ascontiguousarray(size.T)
+    return _native.causal_key_agents(
+        ranking_named(ranking),
+        x,
+        y,
+        headings,
+        speeds,
+        length,
+        width,
+        there,
+        candidates,
+        ego_idx,
+        seed,
+    )
 
 
 def logged_vehicles(scene: Scene, step: int, ranking: KeyRanking, seed: int = 0) -> list[int]:

@@ -15,7 +15,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, ren
 from pettingzoo.test.max_cycles_test import max_cycles_test
 
 import ccdiff_env
-from ccdiff_env import aec_env, embedded_scenes, errors, key_agents, parallel_env
+from ccdiff_env import aec_env, causal, embedded_scenes, errors, key_agents, parallel_env
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 
 
@@ -145,6 +145,52 @@ def metres_of_others(scene, step):
         for i, kind in enumerate(scene.agent_types)
         if kind == "vehicle" and tracks["valid"][i, step] and i != 0
     }
+
+
+def ranked_by_numpy(ranking, states, candidates, ego, seed):
+    """The order in NumPy, from measures of pairs over time [T, M, M]."""
+    position, heading, speed, valid, size = states
+    position, heading, speed, valid = (a.swapaxes(0, 1) for a in (position, heading, speed, valid))
+    there = candidates & valid[-1]
+    there[ego] = False
+    chosen = np.flatnonzero(there)
+    metres = np.linalg.norm(position[-1] - position[-1, ego], axis=-1)
+    if ranking == "nearest":
+        return chosen[np.argsort(metres[chosen], kind="stable")].tolist()
+    contact = causal.ttc(position, heading, speed, size, valid, normalised=False)
+    if ranking == "ttc":
+        return chosen[np.lexsort((metres[chosen], contact[-1, ego, chosen]))].tolist()
+    if ranking == "cliques":
+        near = causal.distance(position, valid, normalised=True)
+        pairs = {"ttc": causal.normalise_ttc(contact), "distance": near}
+        every = causal.rank("cliques", top_k=len(there), valid=valid[-1], **pairs).agents
+        return [i for i in every if there[i]]
+    return causal.rank(ranking, top_k=len(there), valid=there, seed=seed).agents
+
+
+def test_rankings_of_any_states_are_those_of_numpy():
+    rng = np.random.default_rng(4)
+    for num_agents, num_steps in itertools.product((1, 2, 9, 24), (1, 7)):
+        shape = (num_agents, num_steps)
+        grid = rng.integers(-4, 5, (*shape, 2)) * 5.0  # many are equally far
+        states = (
+            grid.astype(np.float32),
+            rng.uniform(-4, 4, shape).astype(np.float32),
+            rng.choice([0.0, 8.0], shape).astype(np.float32),
+            rng.random(shape) < 0.8,
+            np.full((num_agents, 2), (4.5, 2.0), np.float32),
+        )
+        candidates, ego = rng.random(num_agents) < 0.8, int(rng.integers(num_agents))
+        names = ("position", "heading", "speed", "valid", "size")
+        for ranking in key_agents.RANKINGS:
+            got = key_agents.rank_agents(
+                ranking,
+                **dict(zip(names, states, strict=True)),
+                candidates=candidates,
+                ego_idx=ego,
+                seed=3,
+            )
+            assert got == ranked_by_numpy(ranking, states, candidates.copy(), ego, 3)
 
 
 def test_the_ranking_by_distance_is_that_of_brute_force(scenes):

@@ -144,6 +144,12 @@ impl<'a> AgentFrame<'a> {
         }
     }
 
+    /// Distances [M] of all centres from an agent's, metres, whoever is there.
+    pub fn distance_from_m(&self, agent_idx: usize) -> Vec<Real> {
+        let centre = |i: usize| Vector2::new(self.x_m[i], self.y_m[i]);
+        (0..self.num_agents()).map(|i| (centre(i) - centre(agent_idx)).norm()).collect()
+    }
+
     /// Writes the distances of the centres, metres, into `out` [M, M]; infinite where an agent is absent.
     ///
     /// # Errors

@@ -5,10 +5,12 @@
 
 mod clique_search;
 mod greedy;
+mod key_agents;
 mod occurrence;
 
 pub use clique_search::{HeaviestCliques, WeightedGraph};
 pub use greedy::{GreedyOrder, greedy_order};
+pub use key_agents::KeyRanking;
 pub use occurrence::{CliqueSettings, Occurrences, clique_occurrences};
 
 use super::graph::CausalGraph;
