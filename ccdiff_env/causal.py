@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError, renamed
+from ccdiff_env.errors import ShapeError, renamed, takes_former_names
 
 TTC_CAP_S = 20.0
 """Times to contact are capped here, seconds."""
 DISTANCE_CAP_M = 20.0
 """Distances beyond this are 0 in the normalised form, metres."""
 NODE_LIMIT = 20_000
-"""Cliques that a search visits per step at most, unless told otherwise."""
+"""Cliques that a search visits per step at most, by default."""
 GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
 """Agents are joined in the causal graph up to this time to contact, s, and distance, m."""
 
@@ -186,11 +186,12 @@ def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
     return (DISTANCE_CAP_M - np.clip(metres, 0.0, DISTANCE_CAP_M)) / np.float32(DISTANCE_CAP_M)
 
 
+@takes_former_names(joined="adjacency")
 @dataclass(frozen=True)
 class Graph:
     """The decision causal graph G."""
 
-    joined: npt.NDArray[np.bool_]
+    adjacency: npt.NDArray[np.bool_]
     """[M, M]; entry (i, j) says that j may influence i. Always true on the diagonal."""
     sparsity: float
     """Share of ordered pairs of different agents that are not joined."""
@@ -220,8 +221,10 @@ def graph(
         raise ShapeError(
             f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] both"
         )
-    joined, sparsity = _native.causal_graph(seconds, metres, max_ttc_s, max_distance_m, symmetric)
-    return Graph(joined=joined, sparsity=sparsity)
+    adjacency, sparsity = _native.causal_graph(
+        seconds, metres, max_ttc_s, max_distance_m, symmetric
+    )
+    return Graph(adjacency=adjacency, sparsity=sparsity)
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
     """Return the weight file of the shipped ``fast`` network of a kind.
 
     With ``one_step`` that of the network which was taught to plan in one denoising step, with
-    ``routes`` that of the network which may be told where its vehicles go.
+    ``routes`` that of the network which may know where its vehicles go.
 
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
@@ -256,7 +256,7 @@ class Planner:
         gradient_statistics
             Whether guided plans come with the statistics of gradients.
         follow_route
-            Whether the network is told where the vehicles go, as ``CcdiffConfig.follow_route``.
+            Whether the network knows where the vehicles go, as ``CcdiffConfig.follow_route``.
 
         Raises
         ------

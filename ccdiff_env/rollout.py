@@ -298,8 +298,8 @@ class Rollout:
             for i, (made_at, names) in enumerate(head["plans"])
         )
         drivers = _typed(arrays, "drivers", np.int64)
-        told = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
-        table = tuple((str(name), str(kind)) for name, kind in told)
+        listed = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
+        table = tuple((str(name), str(kind)) for name, kind in listed)
         if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(table):
             raise DatasetError(f"drivers up to {drivers.max()}, expected less than {len(table)}")
         return cls(

@@ -71,7 +71,7 @@ class _Array:
 
 
 def _shown(value: object) -> str:
-    """Text of a value that is short and takes no time; a container is told by its type."""
+    """Text of a value that is short and takes no time; a container is named by its type."""
     return repr(value)[:80] if isinstance(value, (str, bool, float)) else type(value).__name__
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ccdiff_env.errors import ConfigError
 
-#: Places on a route that a network is told of, metres ahead: as far as a plan of 5 s may lead in a
+#: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
 #: town.
 ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--routes",
         action="store_true",
-        help="CCDiff may be told where vehicles go; half of them are told in training",
+        help="CCDiff may know where vehicles go; in training it knows it of half of them",
     )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")

@@ -1,4 +1,4 @@
-"""Scenario sets and the cross matrix: what is saved, what is refused, who meets what in them."""
+"""Scenario sets and cross-evaluation: what is saved, what is refused, who meets what in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from view_rollouts import planned_rollout
 
 from ccdiff_env import cli
-from ccdiff_env.bench.cross import (
+from ccdiff_env.bench.cross_evaluation import (
     Realism,
     cross_jobs,
     evaluate_in_set,

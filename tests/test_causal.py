@@ -239,9 +239,9 @@ def test_graph_joins_within_both_thresholds_and_always_self():
     ttc_s = np.array([[0, 3.0, 1], [3.1, 0, 20], [1, 20, 0]])
     metres = np.array([[0, 50, 51], [50, 0, 5], [51, 5, np.inf]])
     g = causal.graph(ttc_s, metres)
-    assert g.joined.tolist() == [[True, True, False], [False, True, False], [False, False, True]]
+    assert g.adjacency.tolist() == [[True, True, False], [False, True, False], [False, False, True]]
     assert g.sparsity == pytest.approx(5 / 6)
-    assert causal.graph(ttc_s, metres, symmetric=True).joined[1, 0]
+    assert causal.graph(ttc_s, metres, symmetric=True).adjacency[1, 0]
     assert causal.graph(ttc_s, metres, max_ttc_s=20, max_distance_m=100).sparsity == 0
 
 

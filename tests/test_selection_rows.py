@@ -53,7 +53,7 @@ def rows_in_numpy(states, size, chosen, before, plan, num_rows):
     for name, values in {
         "ttc": causal.normalise_ttc(seconds),
         "distance": 1.0 - np.minimum(metres, 50.0) / 50.0,
-        "graph": causal.graph(seconds, metres).joined,
+        "graph": causal.graph(seconds, metres).adjacency,
         "attention": attention,
     }.items():
         found[name] = np.zeros((n, n))

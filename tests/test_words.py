@@ -77,6 +77,15 @@ FORMER = {
     r"MapPieces|map_pieces|\b[Pp]ieces\b": ("MapSegments, segments", "rust/sim/src/observe"),
     r"\bnum_map_pieces\b": ("num_map_segments", "rust docs examples benchmarks tools"),
     r"\b[Ff]acts\b": ("captions, info", "ccdiff_env/view tools/playground"),
+    r"\bBody(?!,$)\b|\b[Bb]odies\b": (
+        "Footprint, footprints",
+        "rust/sim/src/events rust/sim/src/state.rs",
+    ),
+    r"\bSTANDING_": ("STATIONARY_", "rust ccdiff_env"),
+    r"\burgency_s\b|\bPlannerView\b": ("edge_time_s, PlanInput", "rust"),
+    r"\.joined\b": ("is_edge, adjacency", "rust/models rust/sim ccdiff_env docs"),
+    r"cross matrix": ("cross-evaluation", "ccdiff_env docs"),
+    r"\btold (its )?routes\b": ("with routes", "ccdiff_env docs"),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

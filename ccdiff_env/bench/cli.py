@@ -197,7 +197,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _scenarios(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.cross import traffic_named
+    from ccdiff_env.bench.cross_evaluation import traffic_named
     from ccdiff_env.bench.cross_ranking import ranking
 
     kinds = args.traffic.split(",")
@@ -228,7 +228,12 @@ def _scenarios(args: argparse.Namespace) -> int:
 
 def _scenarios_of(args: argparse.Namespace) -> int:
     """Make and drive the sets of one kind of traffic."""
-    from ccdiff_env.bench.cross import cross_jobs, generation_jobs, set_folders, write_sets
+    from ccdiff_env.bench.cross_evaluation import (
+        cross_jobs,
+        generation_jobs,
+        set_folders,
+        write_sets,
+    )
     from ccdiff_env.bench.cross_report import avoidable_rows, write_collisions, write_cross
     from ccdiff_env.bench.planner_report import short_name, worst_scenes, worst_table
 

@@ -165,9 +165,9 @@ def paper_pairs(
             continue
         value, low, high = difference(figures, others, name)
         agrees = value * theirs > 0.0
-        told = low > 0.0 or high < 0.0
+        is_clear = low > 0.0 or high < 0.0
         pairs, same = pairs + 1, same + agrees
-        clear, clear_same = clear + told, clear_same + (told and agrees)
+        clear, clear_same = clear + is_clear, clear_same + (is_clear and agrees)
     return pairs, same, clear, clear_same
 
 

@@ -1,4 +1,4 @@
-"""The cross matrix: scenario sets made against some egos, every planner driven in all of them.
+"""Cross-evaluation: scenario sets made against some egos, every planner driven in all of them.
 
 In a set the others do as recorded, whatever the planner does; beside that, every planner meets
 traffic that reacts to it, with the same scenes and seed.

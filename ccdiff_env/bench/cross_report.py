@@ -1,4 +1,4 @@
-"""Report of the cross matrix: what is in the sets, who collides in whose set, and the scores."""
+"""Report of a cross-evaluation: what is in the sets, who collides in whose set, and scores."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.cross import Realism
+from ccdiff_env.bench.cross_evaluation import Realism
 from ccdiff_env.bench.planner_report import mean_interval, short_name
 from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay

@@ -165,14 +165,14 @@ def _conflict(plans: list[TrafficPlan]) -> tuple[float, float]:
     in which it is negative, means over guided vehicles that have a gradient and over plans; NaN
     without any.
     """
-    told = [
+    explained = [
         (p.realism_cosine[p.guided], p.conflict_share[p.guided])
         for p in plans
         if p.realism_cosine is not None and p.conflict_share is not None
     ]
-    if not told:
+    if not explained:
         return np.nan, np.nan
-    cosine, share = (np.concatenate(parts) for parts in zip(*told, strict=True))
+    cosine, share = (np.concatenate(parts) for parts in zip(*explained, strict=True))
     pulled = cosine != 0.0
     if not pulled.any():
         return np.nan, np.nan

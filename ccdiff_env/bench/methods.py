@@ -113,18 +113,18 @@ METHODS: dict[str, Method] = NamedDrivers(
         "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
         "ccdiff_careful": Method("CCDiff, careful, N=1", "ccdiff", ccdiff={"careful": True}),
         "ccdiff_routes": Method(
-            "CCDiff told its routes", "ccdiff", ccdiff={**_GUIDED, "follow_route": True}
+            "CCDiff with routes", "ccdiff", ccdiff={**_GUIDED, "follow_route": True}
         ),
         "ccdiff_routes_unguided": Method(
-            "CCDiff told its routes, no guidance",
+            "CCDiff with routes, no guidance",
             "ccdiff",
             ccdiff={"num_samples": 5, "follow_route": True},
         ),
         "ccdiff_routes_one_sample": Method(
-            "CCDiff told its routes, no guidance, N=1", "ccdiff", ccdiff={"follow_route": True}
+            "CCDiff with routes, no guidance, N=1", "ccdiff", ccdiff={"follow_route": True}
         ),
         "ccdiff_routes_careful": Method(
-            "CCDiff told its routes, careful, N=1",
+            "CCDiff with routes, careful, N=1",
             "ccdiff",
             ccdiff={"follow_route": True, "careful": True},
         ),

@@ -40,7 +40,7 @@ HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
 #: Speed below which a logged vehicle counts as standing, m/s.
-STANDING_MPS = 0.5
+STATIONARY_MPS = 0.5
 
 
 def traffic_jobs(
@@ -176,7 +176,7 @@ def control_set(
     """
     agents = _vehicles(scene)
     velocity = scene.tracks()["velocity"][agents, START_STEP]
-    moving = np.linalg.norm(velocity, axis=-1) > STANDING_MPS
+    moving = np.linalg.norm(velocity, axis=-1) > STATIONARY_MPS
     order = {scene.agent_ids[agent]: i for i, agent in enumerate(agents)}
     history = relations(scene, agents, START_STEP)
     ranked = causal.rank(

@@ -400,7 +400,7 @@ class Worlds:
 
 
 class FollowsTraining:
-    """What every environment can be told while an ego learns in it."""
+    """What can be changed in every environment while an ego learns in it."""
 
     worlds: Worlds
 

@@ -29,7 +29,7 @@ AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrafficBatch:
-    """What a traffic model is told: all agents of all worlds for which a plan is due.
+    """What a traffic model sees: all agents of all worlds for which a plan is due.
 
     M agents of W worlds, H past states each, the present one last. Positions and headings are those
     of the frame of each agent's scene. Entries of states that are not valid are zero.
@@ -77,7 +77,7 @@ class PythonTraffic(PythonOptions):
     """A traffic model of one's own as a driver: ``traffic=PythonTraffic(model)``.
 
     The model is called once per plan phase for all worlds that are due, and its plans are followed
-    in between. It must be a function of what it is told (randomness from ``seed`` alone): then the
+    in between. It must be a function of what it sees (randomness from ``seed`` alone): then the
     same seed gives the same traffic, and snapshots, which hold the plans, need nothing of it.
 
     Parameters

@@ -56,7 +56,7 @@ def page_html(
     home
         Address and title of a page above this one, to be linked.
     edit
-        Let agents be dragged elsewhere; the page around this one is told.
+        Let agents be dragged elsewhere; the page around this one is notified.
 
     Raises
     ------

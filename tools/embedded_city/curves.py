@@ -185,7 +185,7 @@ def crossing_of(a: Pose, b: Pose) -> Xy | None:
 
 
 def connection(start: Pose, end: Pose, largest_m: float = math.inf) -> Curve:
-    """Return a smooth curve from one pose to another: one arc between straight segments, or two arcs
+    """Return a smooth curve from one pose to another: one arc between straight lines, or two arcs
     for a shift.
 
     The arc of the first kind has the largest radius that fits, but none above ``largest_m``.

@@ -374,7 +374,7 @@ function nose(context, length, ink) {
 }
 
 /**
- * A bent arrow, so that both directions of a pair can be told apart; it stays away from both ends.
+ * A bent arrow, so that both directions of a pair can be seen; it stays away from both ends.
  * Without a head it is a line.
  */
 function arrow(context, p, q, colour, width, head, gapFrom, gapTo) {

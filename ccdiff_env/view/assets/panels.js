@@ -2,7 +2,7 @@
 
 const KMH = 3.6;
 const TTC_ROWS = 5; // pairs in the list at most
-const STANDING_MPS = 0.3;
+const STATIONARY_MPS = 0.3;
 const RUN_DASHES = [[], [5, 3], [2, 2], [8, 2, 2, 2]];
 const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
@@ -259,7 +259,7 @@ class ContactPanel {
     };
     const moves = (agent) => {
       const pose = run.pose(agent, step);
-      return pose && Math.hypot(pose.vx, pose.vy) > STANDING_MPS;
+      return pose && Math.hypot(pose.vx, pose.vy) > STATIONARY_MPS;
     };
     const solid = (agent) => run.agents[agent].kind !== "static";
     return run.pairs(step)

@@ -19,7 +19,7 @@ pub struct Batch {
     /// Rows of the agents in each slot [R, K], int64; slot 0 is the row itself.
     pub neighbours: Tensor,
     /// Whether a slot is an edge of G [R, K], bool.
-    pub joined: Tensor,
+    pub is_edge: Tensor,
     /// Edges [R, K, tokens, 9].
     pub edges: Tensor,
     /// Rasters [R, channels, size, size], bytes; `None` for a map-blind network.
@@ -75,7 +75,7 @@ impl Batch {
         let mut poses = Vec::with_capacity(rows * 3);
         let mut speed = Vec::with_capacity(rows);
         let mut neighbours = vec![0i64; rows * slots];
-        let mut joined = vec![0u8; rows * slots];
+        let mut is_edge = vec![0u8; rows * slots];
         let mut edges = vec![0f32; rows * slots * edge];
         let (mut image, mut route) = (Vec::new(), Vec::new());
         for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
@@ -92,7 +92,7 @@ impl Batch {
                     neighbours[to + slot] = (offset + local) as i64;
                 }
                 for slot in 0..own {
-                    joined[to + slot] = u8::from(scene.joined[from + slot]);
+                    is_edge[to + slot] = u8::from(scene.is_edge[from + slot]);
                 }
                 edges[to * edge..(to + own) * edge]
                     .copy_from_slice(&scene.edges[from * edge..(from + own) * edge]);
@@ -124,7 +124,7 @@ impl Batch {
             poses: put(Tensor::from_slice(&poses), &[r, 3]),
             speed_mps: put(Tensor::from_slice(&speed), &[r]),
             neighbours: put(Tensor::from_slice(&neighbours), &[r, k]),
-            joined: put(Tensor::from_slice(&joined).to_kind(Kind::Bool), &[r, k]),
+            is_edge: put(Tensor::from_slice(&is_edge).to_kind(Kind::Bool), &[r, k]),
             edges: put(Tensor::from_slice(&edges), &[r, k, tokens as i64, EDGE_FEATURES as i64]),
             image,
         })
@@ -159,7 +159,7 @@ impl Batch {
             poses: self.poses.shallow_clone(),
             speed_mps: self.speed_mps.shallow_clone(),
             neighbours: self.neighbours.shallow_clone(),
-            joined: self.joined.logical_and(&keep.unsqueeze(1)),
+            is_edge: self.is_edge.logical_and(&keep.unsqueeze(1)),
             edges: self.edges.shallow_clone(),
             image,
         }
@@ -179,7 +179,7 @@ impl Batch {
         let all = Tensor::ones([self.num_rows()], (Kind::Bool, self.speed_mps.device()));
         let mut batch = self.with_graph_dropped(&all, config);
         batch.neighbours = batch.neighbours.narrow(1, 0, 1);
-        batch.joined = batch.joined.narrow(1, 0, 1);
+        batch.is_edge = batch.is_edge.narrow(1, 0, 1);
         batch.edges = batch.edges.narrow(1, 0, 1);
         batch
     }

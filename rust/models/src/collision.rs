@@ -63,14 +63,14 @@ impl Neighbours {
         let radius = of_others(&(&width * 0.5)).view([rows, slots - 1, 1, 1]);
         let reach = (of_others(&(&length * 0.5)).view([rows, slots - 1, 1, 1]) - &radius).clamp_min(0.0);
         let offsets = reach * Tensor::linspace(-1.0, 1.0, NUM_DISKS, (Kind::Float, width.device()));
-        let joined = batch.joined.narrow(1, 1, slots - 1).to_kind(Kind::Float).unsqueeze(2) * at_now(8);
+        let is_edge = batch.is_edge.narrow(1, 1, slots - 1).to_kind(Kind::Float).unsqueeze(2) * at_now(8);
         Some(Self {
             centre: (
                 (x + at_now(0)).unsqueeze(3) + along_x.unsqueeze(3) * &offsets,
                 (y + at_now(1)).unsqueeze(3) + along_y.unsqueeze(3) * &offsets,
             ),
             radius,
-            counts: (of_others(&every_other(&targets.valid, 1)) * joined).unsqueeze(3),
+            counts: (of_others(&every_other(&targets.valid, 1)) * is_edge).unsqueeze(3),
             half: ((length * 0.5).view([-1, 1, 1, 1]), (width * 0.5).view([-1, 1, 1, 1])),
         })
     }
@@ -148,7 +148,7 @@ mod tests {
             poses: Tensor::zeros([2, 3], (Kind::Float, Device::Cpu)),
             speed_mps: Tensor::from_slice(&[10f32, speed_mps]),
             neighbours: Tensor::from_slice(&[0i64, 1, 1, 1]).view([2, 2]),
-            joined: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
+            is_edge: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
             edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
             image: None,
             first_knots: None,

@@ -273,8 +273,8 @@ impl Dataset {
                 let picked = [step[0], step[1], step[4], step[5], step[6]];
                 history.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));
             }
-            for (edge, joined) in features.edges.chunks_exact(per_edge).zip(&features.joined) {
-                if *joined {
+            for (edge, is_edge) in features.edges.chunks_exact(per_edge).zip(&features.is_edge) {
+                if *is_edge {
                     let now = &edge[per_edge - EDGE_FEATURES..];
                     let picked = [now[0], now[1], now[4], now[5]];
                     edges.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));

@@ -45,7 +45,7 @@ pub struct SceneFeatures {
     /// Agent (0..M) in each slot, [M, K]; unused slots hold the agent itself.
     pub neighbours: Vec<usize>,
     /// Whether a slot is an edge of the decision causal graph G to another agent, [M, K]; false for slot 0.
-    pub joined: Vec<bool>,
+    pub is_edge: Vec<bool>,
     /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`EDGE_FEATURES`].
     pub edges: Vec<f32>,
     /// Map raster [M, channels, size, size] coded as bytes, see [`raster`]; empty for a map-blind network.
@@ -87,15 +87,15 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     let distance_m = distance_at(window, &agents, now)?;
     let (graph, order) = match config.neighbour_order {
         NeighbourOrder::Urgency => {
-            let urgency_s = urgency(window, &agents, now, &ttc_now, config);
-            (joined_graph(&urgency_s, &distance_m, agents.len(), config)?, urgency_s)
+            let edge_time_s = urgency(window, &agents, now, &ttc_now, config);
+            (graph_of_edges(&edge_time_s, &distance_m, agents.len(), config)?, edge_time_s)
         }
         NeighbourOrder::Distance => {
             let at_once = vec![0.0; distance_m.len()];
-            (joined_graph(&at_once, &distance_m, agents.len(), config)?, distance_m)
+            (graph_of_edges(&at_once, &distance_m, agents.len(), config)?, distance_m)
         }
     };
-    let (num_slots, neighbours, joined) = slots(&graph, &order, config.max_neighbours);
+    let (num_slots, neighbours, is_edge) = slots(&graph, &order, config.max_neighbours);
     let token_steps = config.history_token_steps();
     let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
     for (token, step) in token_steps.iter().enumerate() {
@@ -103,7 +103,7 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         for row in 0..agents.len() {
             for slot in 0..num_slots {
                 let other = neighbours[row * num_slots + slot];
-                if slot > 0 && !joined[row * num_slots + slot] {
+                if slot > 0 && !is_edge[row * num_slots + slot] {
                     continue;
                 }
                 let at = ((row * num_slots + slot) * token_steps.len() + token) * EDGE_FEATURES;
@@ -124,7 +124,7 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         history,
         num_slots,
         neighbours,
-        joined,
+        is_edge,
         edges,
         image: Vec::new(),
         graph,
@@ -174,7 +174,12 @@ fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize)
 }
 
 /// The graph of M agents by times and distances [M, M].
-fn joined_graph(times_s: &[f32], distance_m: &[f32], m: usize, config: &ModelConfig) -> Result<CausalGraph> {
+fn graph_of_edges(
+    times_s: &[f32],
+    distance_m: &[f32],
+    m: usize,
+    config: &ModelConfig,
+) -> Result<CausalGraph> {
     let thresholds =
         GraphThresholds { ttc_s: config.ttc_threshold_s, distance_m: config.distance_threshold_m };
     Ok(CausalGraph::from_measures(m, times_s, distance_m, thresholds)?)
@@ -187,18 +192,18 @@ fn joined_graph(times_s: &[f32], distance_m: &[f32], m: usize, config: &ModelCon
 /// equal speed does not see its leader.
 fn urgency(window: &Window, agents: &[usize], step: usize, ttc_s: &[f32], config: &ModelConfig) -> Vec<f32> {
     let (m, limit_s) = (agents.len(), config.headway_threshold_s);
-    let mut urgency_s = ttc_s.to_vec();
+    let mut edge_time_s = ttc_s.to_vec();
     if limit_s <= 0.0 {
-        return urgency_s;
+        return edge_time_s;
     }
     for (i, j) in (0..m * m).map(|k| (k / m, k % m)).filter(|(i, j)| i != j) {
         let headway_s = headway_s(window, (agents[i], agents[j]), step);
         if headway_s <= limit_s {
-            let entry = &mut urgency_s[i * m + j];
+            let entry = &mut edge_time_s[i * m + j];
             *entry = entry.min(headway_s * (config.ttc_threshold_s / limit_s).min(1.0));
         }
     }
-    urgency_s
+    edge_time_s
 }
 
 /// Time i needs to where the rear of j is now, seconds; infinite where j is not ahead in i's corridor, which is i's
@@ -233,16 +238,16 @@ fn slots(graph: &CausalGraph, order: &[f32], max_neighbours: usize) -> (usize, V
         .collect();
     let num_slots = 1 + lists.iter().map(Vec::len).max().unwrap_or(0);
     let mut neighbours = Vec::with_capacity(m * num_slots);
-    let mut joined = Vec::with_capacity(m * num_slots);
+    let mut is_edge = Vec::with_capacity(m * num_slots);
     for (i, list) in lists.iter().enumerate() {
         neighbours.push(i);
-        joined.push(false);
+        is_edge.push(false);
         for slot in 0..num_slots - 1 {
             neighbours.push(list.get(slot).copied().unwrap_or(i));
-            joined.push(slot < list.len());
+            is_edge.push(slot < list.len());
         }
     }
-    (num_slots, neighbours, joined)
+    (num_slots, neighbours, is_edge)
 }
 
 /// Edge of agents (i, j) at a step in i's frame of now; `None` where either was not there.

@@ -16,9 +16,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
 
-/// What a planner is told about one world.
+/// What a planner sees of one world.
 #[derive(Debug, Clone, Copy)]
-pub struct WorldView<'a> {
+pub struct PlanInput<'a> {
     /// States of the world's vehicles over the last steps.
     pub window: &'a Window,
     /// The scene's map, drawn once by [`Planner::bitmap`].
@@ -125,7 +125,7 @@ impl Plan {
         let (m, k) = (self.agents.len(), self.features.num_slots);
         let slots = self.attention.as_ref()?;
         let mut matrix = vec![0.0; m * m];
-        for (at, weight) in slots.iter().enumerate().filter(|(at, _)| self.features.joined[*at]) {
+        for (at, weight) in slots.iter().enumerate().filter(|(at, _)| self.features.is_edge[*at]) {
             matrix[at / k * m + self.features.neighbours[at]] = *weight;
         }
         Some(matrix)
@@ -226,11 +226,11 @@ impl Planner {
     ///
     /// # Errors
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
-    pub fn plan(&mut self, worlds: &[WorldView<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
+    pub fn plan(&mut self, worlds: &[PlanInput<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
         let options = options.clone().validated()?.of_kind(self.config().kind)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
         let config = self.network.space().config();
-        let build = |w: &WorldView<'_>| features::build(w.window, w.bitmap, &self.inputs);
+        let build = |w: &PlanInput<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {
@@ -320,7 +320,7 @@ struct Drawn {
 
 /// Guidance of the worlds that have a guide; `None` without a configuration or any guide.
 fn guide_of<'a>(
-    worlds: &[WorldView<'a>],
+    worlds: &[PlanInput<'a>],
     features: &[SceneFeatures],
     model: &ModelConfig,
     options: &'a PlanOptions,
@@ -329,7 +329,7 @@ fn guide_of<'a>(
     let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
         return Ok(None);
     };
-    let context = |(world, features): (&WorldView<'a>, &SceneFeatures)| {
+    let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
         world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, config)).transpose()
     };
     let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;

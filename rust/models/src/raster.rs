@@ -261,7 +261,7 @@ fn draw_histories(
     let frame = &features.poses[row];
     for slot in (0..slots).rev() {
         let at = row * slots + slot;
-        if slot > 0 && !features.joined[at] {
+        if slot > 0 && !features.is_edge[at] {
             continue;
         }
         let agent = features.agents[features.neighbours[at]];

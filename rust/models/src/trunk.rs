@@ -78,7 +78,7 @@ impl Trunk {
         // the first token's edges are those of now
         let (edges, available) = edge::at_tokens(&batch.edges, &self.config);
         let edges = self.edges.forward(&edges.narrow(2, 0, 1));
-        let slots = Slots::new(&batch.neighbours, &batch.joined, &available.narrow(2, 0, 1));
+        let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);
         let token = x.apply(&self.norm).squeeze_dim(1);
         let n = &self.config.normalisation;

@@ -12,7 +12,7 @@ use ccdiff_models::guidance::{
     AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuidance,
 };
 use ccdiff_models::plan_model::build;
-use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_sim::scene::Scene;
@@ -63,10 +63,10 @@ fn plans(
             (Window::from_scene(scene, *step, &vehicles(scene), 31), planner.bitmap(scene))
         })
         .collect();
-    let views: Vec<WorldView<'_>> = inputs
+    let views: Vec<PlanInput<'_>> = inputs
         .iter()
         .zip(worlds)
-        .map(|((window, bitmap), (_, _, seed))| WorldView {
+        .map(|((window, bitmap), (_, _, seed))| PlanInput {
             window,
             bitmap: bitmap.as_ref(),
             seed: *seed,
@@ -207,7 +207,7 @@ fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
         // step 0: hardly any history; the window's bitmap is left out: no road anywhere
         let window = Window::from_scene(&scene, 0, &[0], 31);
         let guide = Some(WorldGuidance::new(&[true]));
-        let view = WorldView { window: &window, bitmap: None, seed: 0, guide };
+        let view = PlanInput { window: &window, bitmap: None, seed: 0, guide };
         let plan = planner.plan(&[view], &options).unwrap().remove(0);
         assert!(plan.states.iter().all(|v| v.is_finite()), "{kind:?}");
     }

@@ -8,7 +8,7 @@ use ccdiff_models::ModelError;
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
-use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let mut planner = Planner::load(path, Device::Cpu).unwrap();
         let of_seed = |seed| {
-            let view = WorldView { window: &window, bitmap: None, seed, guide: None };
+            let view = PlanInput { window: &window, bitmap: None, seed, guide: None };
             planner.plan(&[view], &options.into()).unwrap().remove(0).states
         };
         (0..8).flat_map(of_seed).collect()

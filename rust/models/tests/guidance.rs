@@ -12,7 +12,7 @@ use ccdiff_models::guidance::{
     MapCollision, Objective, Optimiser, Rollout, Target, TargetSpeed, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
-use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
@@ -252,7 +252,7 @@ fn planned(
     let (bitmap, region) = (planner.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
     let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
     let view =
-        |seed: &u64| WorldView { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
+        |seed: &u64| PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
     let views: Vec<_> = seeds.iter().map(view).collect();
     let solver_steps = Some(if planner.plans_in_one_step() { 1 } else { 5 });
     let sampling = SampleOptions { solver_steps, num_samples: 2, ..SampleOptions::default() };

@@ -10,7 +10,7 @@ use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
-use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::{self, SampleOptions};
 use ccdiff_models::schedule::Schedule;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
@@ -91,7 +91,7 @@ fn with_the_identity_graph_an_agents_plan_does_not_depend_on_the_others() {
         );
         let plans = |scene: &Scene, identity: bool| {
             let features = features_of(scene, 20, &config);
-            assert!(features.joined[1], "the pair is joined in G");
+            assert!(features.is_edge[1], "the pair is joined in G");
             let batch = Batch::new(&[&features], &config, Device::Cpu).unwrap();
             let all = Tensor::ones([batch.num_rows()], (Kind::Bool, Device::Cpu));
             let dropped = batch.with_graph_dropped(&all, &config);
@@ -161,7 +161,7 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     let scene = common::closing_pair();
     let bitmap = planner.bitmap(&scene);
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let view = WorldView { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
+    let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
     let options = SampleOptions { solver_steps: Some(2), num_samples: 2, guidance_weight: 1.1 };
     let plan = planner.plan(&[view], &options.into()).unwrap().remove(0);
     assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * 52 * 2, 2 * 3 * 52 * 6));
@@ -226,7 +226,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let mut planner = Planner::load(&path, Device::Cpu).unwrap();
     assert_eq!(planner.header()["notes"]["licence"], "test");
     let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
-    let view = WorldView { window: &window, bitmap: None, seed: 0, guide: None };
+    let view = PlanInput { window: &window, bitmap: None, seed: 0, guide: None };
     let short = planner.plan(&[view], &PlanOptions::default()).unwrap_err();
     assert!(short.to_string().contains("expected 31"), "{short}");
     let bad = SampleOptions { guidance_weight: 0.4, ..SampleOptions::default() };
@@ -237,7 +237,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
             .contains("guidance_weight is 0.4, expected a number in [1, 2)")
     );
     let empty = Window { num_steps: 31, ..Window::default() };
-    let nobody = WorldView { window: &empty, bitmap: None, seed: 0, guide: None };
+    let nobody = PlanInput { window: &empty, bitmap: None, seed: 0, guide: None };
     assert!(planner.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
 
     let mut bytes = std::fs::read(&path).unwrap();
@@ -268,7 +268,7 @@ fn futures_of_a_straight_drive_are_straight_and_masked_where_the_log_ends() {
         );
     }
     // a car that closes in at 8 m/s from 25 m is 3 s away
-    assert!(features.joined[1] && features.ttc_s[1] < 3.0);
+    assert!(features.is_edge[1] && features.ttc_s[1] < 3.0);
     let pushed = data.sample(0, Some(Noise::new(3, 1))).unwrap();
     assert_eq!(data.sample(0, Some(Noise::new(3, 1))).unwrap(), pushed);
     assert!(matches!(data.sample(10_000, None), Err(ModelError::Shape { .. })));

@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig};
 use ccdiff_models::features::{self, Window, route_ahead};
-use ccdiff_models::planner::{PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{PlanInput, PlanOptions, Planner};
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::Scene;
@@ -71,7 +71,7 @@ fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
 fn planned(weights: &Path, window: &Window) -> Vec<f32> {
     let mut planner = Planner::load(weights, Device::Cpu).unwrap();
     let plan = |seed| {
-        let view = WorldView { window, bitmap: None, seed, guide: None };
+        let view = PlanInput { window, bitmap: None, seed, guide: None };
         planner.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
     };
     (0..16).flat_map(plan).collect()

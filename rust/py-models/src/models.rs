@@ -6,7 +6,7 @@ use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuidance};
-use ccdiff_models::planner::{Plan, PlanOptions, Planner, WorldView};
+use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::{ModelError, device_named};
@@ -324,10 +324,10 @@ fn plan_logged(
     let guides = guided.is_some();
     let roads: Vec<Option<Region>> =
         logged.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
-    let worlds: Vec<WorldView<'_>> = windows
+    let worlds: Vec<PlanInput<'_>> = windows
         .iter()
         .enumerate()
-        .map(|(k, window)| WorldView {
+        .map(|(k, window)| PlanInput {
             window,
             bitmap: bitmaps[k].as_ref(),
             seed: logged.seeds[k],

@@ -9,7 +9,7 @@ use ccdiff_sim::metrics::{
     Trajectories, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
     off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
 };
-use ccdiff_sim::state::Body;
+use ccdiff_sim::state::Footprint;
 use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
@@ -41,12 +41,12 @@ pub(crate) struct NativeMotion {
     y_m: Vec<f32>,
     heading_rad: Vec<f32>,
     valid: Vec<bool>,
-    bodies: Vec<Body>,
+    footprints: Vec<Footprint>,
 }
 
 impl NativeMotion {
     fn view(&self) -> Result<Trajectories<'_>, SimError> {
-        Trajectories::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies)
+        Trajectories::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.footprints)
     }
 }
 
@@ -69,8 +69,8 @@ impl NativeMotion {
         valid: PyReadonlyArray2<'_, bool>,
         size: PyF32<'_>,
     ) -> PyResult<Self> {
-        let bodies = match size.shape() {
-            [_, 2] => size.as_slice()?.chunks_exact(2).map(|s| Body::new(s[0], s[1])).collect(),
+        let footprints = match size.shape() {
+            [_, 2] => size.as_slice()?.chunks_exact(2).map(|s| Footprint::new(s[0], s[1])).collect(),
             got => return Err(ShapeError::new_err(format!("size has shape {got:?}, expected [A, 2]"))),
         };
         let motion = Self {
@@ -80,7 +80,7 @@ impl NativeMotion {
             y_m: y.as_slice()?.to_vec(),
             heading_rad: heading.as_slice()?.to_vec(),
             valid: flags(&valid)?,
-            bodies,
+            footprints,
         };
         motion.view().map_err(from_sim)?;
         Ok(motion)
@@ -130,7 +130,7 @@ impl NativeMotion {
             .ok_or_else(|| ShapeError::new_err("drivable has no polygon of three or more finite points"))?;
         let motion = self.view().map_err(from_sim)?;
         let report = off_road_report(&motion, &region, &flags(&counted)?, replan_steps);
-        let shape = [self.bodies.len(), self.num_steps];
+        let shape = [self.footprints.len(), self.num_steps];
         let centroid = report.flags.iter().map(|f| f.centroid).collect();
         let corner = report.flags.iter().map(|f| f.corner).collect();
         Ok((

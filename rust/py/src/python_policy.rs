@@ -65,7 +65,7 @@ impl PythonPolicy {
         let world = |row: &(usize, usize)| due[row.0].world;
         let of_rows = |f: &dyn Fn(&(usize, usize)) -> i64| rows.iter().map(f).collect::<Vec<_>>();
         let of_worlds = |f: &dyn Fn(&PlanRequest<'_>) -> i64| due.iter().map(|r| f(r)).collect::<Vec<_>>();
-        let body = |row: &(usize, usize)| {
+        let footprint = |row: &(usize, usize)| {
             let agent = &world(row).scene.scene.agents[row.1];
             [agent.length_m, agent.width_m]
         };
@@ -77,7 +77,7 @@ impl PythonPolicy {
         let speed = past.iter().map(|p| p.speed_mps).collect();
         dict.set_item("speed_mps", shaped::<f32>(py, speed, &[m, h])?)?;
         dict.set_item("valid", shaped(py, past.iter().map(|p| p.valid).collect(), &[m, h])?)?;
-        dict.set_item("size_m", shaped(py, rows.iter().flat_map(body).collect(), &[m, 2])?)?;
+        dict.set_item("size_m", shaped(py, rows.iter().flat_map(footprint).collect(), &[m, 2])?)?;
         let kinds = rows.iter().map(|row| world(row).scene.kinds[row.1] as u8).collect();
         dict.set_item("kind", shaped::<u8>(py, kinds, &[m])?)?;
         let drives = rows.iter().map(|(w, a)| due[*w].drives(*a)).collect();
@@ -126,13 +126,13 @@ impl PythonPolicy {
         width: usize,
     ) {
         let (states, dt_s) = (request.world.states, request.world.config.dt_s);
-        let body = &request.world.scene.bodies[agent_idx];
+        let footprint = &request.world.scene.footprints[agent_idx];
         let mut kin = states.kin_state(agent_idx);
         let mut at = states.position(agent_idx);
         plan.record.agents.push(agent_idx);
         for step in steps.chunks_exact(width) {
             if let [acceleration, yaw_rate] = step {
-                self.dynamics.step(&mut kin, [*acceleration, *yaw_rate, 0.0], dt_s, body);
+                self.dynamics.step(&mut kin, [*acceleration, *yaw_rate, 0.0], dt_s, footprint);
                 plan.record.samples.extend([kin.x, kin.y, kin.heading_rad]);
                 plan.speed_mps.push(kin.speed_mps);
             } else if let [x, y, heading_rad] = step {

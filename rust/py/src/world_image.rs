@@ -149,7 +149,7 @@ pub(crate) fn draw<'py>(
             driver => driver,
         }
     };
-    let touching: Vec<(usize, usize)> = world
+    let in_contact: Vec<(usize, usize)> = world
         .contacts(world_idx)
         .map_err(from_sim)?
         .iter()
@@ -164,11 +164,11 @@ pub(crate) fn draw<'py>(
             width_m: scene.agents[a].width_m,
             kind: scene.agents[a].kind,
             driver: colour_of(a),
-            collided: touching.iter().any(|(i, j)| *i == a || *j == a),
+            collided: in_contact.iter().any(|(i, j)| *i == a || *j == a),
         })
         .collect();
     let marks: Vec<Point2> =
-        touching.iter().map(|(i, j)| middle(states.position(*i), states.position(*j))).collect();
+        in_contact.iter().map(|(i, j)| middle(states.position(*i), states.position(*j))).collect();
     let past: Vec<(Vec<Point2>, DrawStyle)> = match trail.flatten() {
         Some(trail) => {
             let movers =

@@ -9,7 +9,7 @@ use ccdiff_sim::dynamics::{BicycleLimits, Dynamics};
 use ccdiff_sim::events::{Collisions, lane_facts, off_road};
 use ccdiff_sim::geom::{OrientedBox, Point2, Polygon, Polyline, Pose2, Real, Region, Vector2, math};
 use ccdiff_sim::scene::{AgentKind, Lane, LaneIndex, LaneKind, Map};
-use ccdiff_sim::state::{AgentStates, Body};
+use ccdiff_sim::state::{AgentStates, Footprint};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -94,11 +94,11 @@ fn city() -> Map {
 
 /// Agents on the lanes, headings along them, a little beside and askew; at most one pair in a hundred agents overlaps
 /// where `apart` is asked for.
-fn traffic(map: &Map, num_agents: usize, apart: bool) -> (AgentStates, Vec<Body>, Vec<AgentKind>) {
+fn traffic(map: &Map, num_agents: usize, apart: bool) -> (AgentStates, Vec<Footprint>, Vec<AgentKind>) {
     let mut numbers = Numbers(7);
     let mut states = AgentStates::new(num_agents);
     let lines: Vec<Polyline> = map.lanes.iter().filter_map(|l| Polyline::new(l.centreline.clone())).collect();
-    let body = Body::new(4.6, 1.9);
+    let footprint = Footprint::new(4.6, 1.9);
     let mut agent = 0;
     while agent < num_agents {
         let line = &lines[(numbers.next() * lines.len() as Real) as usize];
@@ -111,13 +111,13 @@ fn traffic(map: &Map, num_agents: usize, apart: bool) -> (AgentStates, Vec<Body>
         );
         states.place(agent, pose, pose.rotate(Vector2::new(10.0 * numbers.next(), 0.0)));
         states.active[agent] = true;
-        let own = states.oriented_box(agent, &body);
-        let hits = |other: usize| own.overlaps(&states.oriented_box(other, &body));
+        let own = states.oriented_box(agent, &footprint);
+        let hits = |other: usize| own.overlaps(&states.oriented_box(other, &footprint));
         if !apart || agent % 100 == 99 || !(0..agent).any(hits) {
             agent += 1;
         }
     }
-    (states, vec![body; num_agents], vec![AgentKind::Vehicle; num_agents])
+    (states, vec![footprint; num_agents], vec![AgentKind::Vehicle; num_agents])
 }
 
 fn main() {
@@ -133,8 +133,8 @@ fn main() {
     let mut numbers = Numbers(3);
     let mut anywhere = || Point2::new(SIDE_M * numbers.next(), SIDE_M * numbers.next());
     let points: Vec<Point2> = (0..CALLS).map(|_| anywhere()).collect();
-    let (states, bodies, _) = traffic(&map, CALLS, false);
-    let boxes: Vec<OrientedBox> = (0..CALLS).map(|i| states.oriented_box(i, &bodies[i])).collect();
+    let (states, footprints, _) = traffic(&map, CALLS, false);
+    let boxes: Vec<OrientedBox> = (0..CALLS).map(|i| states.oriented_box(i, &footprints[i])).collect();
     let mut near = |b: &OrientedBox| {
         let by = Vector2::new(12.0 * numbers.next() - 6.0, 12.0 * numbers.next() - 6.0);
         OrientedBox { centre: b.centre + by, ..*b }
@@ -160,7 +160,7 @@ fn main() {
     time("nearest lane, agents on lanes", CALLS, |i| {
         lanes.nearest(states.position(i), states.cos[i], states.sin[i], 10.0)
     });
-    time("off road, agents on lanes", CALLS, |i| off_road(&states, i, &bodies[i], &region));
+    time("off road, agents on lanes", CALLS, |i| off_road(&states, i, &footprints[i], &region));
     time("lane facts, agents on lanes", CALLS, |i| lane_facts(&states, i, &lanes, 10.0));
     if let Some(route) = Polyline::new(map.lanes[0].centreline.clone()) {
         time("line at", CALLS, |i| route.at(points[i].x));
@@ -170,11 +170,11 @@ fn main() {
     let mut moving = states.clone();
     for dynamics in [Dynamics::default(), Dynamics::Bicycle(BicycleLimits::default())] {
         let name = format!("{} step of an agent", dynamics.name());
-        time(&name, CALLS, |i| dynamics.step_agent(&mut moving, i, [0.1, 0.02, 0.0], 0.1, &bodies[i]));
+        time(&name, CALLS, |i| dynamics.step_agent(&mut moving, i, [0.1, 0.02, 0.0], 0.1, &footprints[i]));
     }
 
     for num_agents in [8, 32, 64, 96, 128, 256, 512] {
-        let (states, bodies, kinds) = traffic(&map, num_agents, true);
+        let (states, footprints, kinds) = traffic(&map, num_agents, true);
         let mut collisions = Collisions::new();
         let calls = 200_000 / num_agents;
         println!("A = {num_agents}");
@@ -182,9 +182,9 @@ fn main() {
             let per_call = time(name, calls, |_| call());
             println!("{:<52} {:>10.1} ns", "    per agent", per_call / num_agents as f64);
         };
-        per_agent("  detect", &mut || collisions.detect(&states, &bodies, &kinds));
-        per_agent("  detect, circles", &mut || collisions.detect_by_circles(&states, &bodies, &kinds));
-        per_agent("  detect, sweep", &mut || collisions.detect_by_sweep(&states, &bodies, &kinds));
+        per_agent("  detect", &mut || collisions.detect(&states, &footprints, &kinds));
+        per_agent("  detect, circles", &mut || collisions.detect_by_circles(&states, &footprints, &kinds));
+        per_agent("  detect, sweep", &mut || collisions.detect_by_sweep(&states, &footprints, &kinds));
         println!("    {} pairs", collisions.pairs().len());
     }
 }

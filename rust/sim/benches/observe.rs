@@ -10,7 +10,7 @@ use ccdiff_sim::geom::{Polyline, Pose2};
 use ccdiff_sim::observe::{EgoFacts, Layout, MapSegments, ObservationConfig, Observer, View};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{AgentKind, Scene};
-use ccdiff_sim::state::{AgentStates, Body};
+use ccdiff_sim::state::{AgentStates, Footprint};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ struct City {
     scene: Scene,
     /// States at each of [`STEPS`].
     states: Vec<AgentStates>,
-    bodies: Vec<Body>,
+    footprints: Vec<Footprint>,
     kinds: Vec<AgentKind>,
     segments: MapSegments,
     routes: Vec<Polyline>,
@@ -34,7 +34,7 @@ impl City {
         let states: Vec<AgentStates> = STEPS.map(|t| states_at(&scene, t)).collect();
         let routes = (0..num_agents).map(|a| Polyline::straight(&states[0].pose(a), 200.0)).collect();
         Self {
-            bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
+            footprints: scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             segments: MapSegments::new(&scene.map),
             scene,
@@ -46,7 +46,7 @@ impl City {
     fn view(&self, tick: usize, agent_idx: usize) -> View<'_> {
         View {
             states: &self.states[tick % self.states.len()],
-            bodies: &self.bodies,
+            footprints: &self.footprints,
             kinds: &self.kinds,
             segments: &self.segments,
             route: &self.routes[agent_idx],
@@ -113,7 +113,7 @@ fn report(name: &str, city: &City, config: &ObservationConfig) -> Result<()> {
     let layout = Layout::new(config)?;
     let (num_agents, size) = (city.scene.num_agents(), layout.size);
     let mut observer = Observer::new(layout);
-    observer.enter(&city.bodies, &city.kinds);
+    observer.enter(&city.footprints, &city.kinds);
     let mut out = vec![0.0_f32; num_agents * size];
     let mut tick = 0;
     let write_ns = best_ns(num_agents, || {

@@ -1,11 +1,11 @@
-//! States of the agents of one running world, structure of arrays, and their bodies.
+//! States of the agents of one running world, structure of arrays, and their footprints.
 
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
 use serde::{Deserialize, Serialize};
 
 /// Size of an agent, constant over an episode.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Body {
+pub struct Footprint {
     /// Half the length, metres.
     pub half_length_m: Real,
     /// Half the width, metres.
@@ -14,8 +14,8 @@ pub struct Body {
     pub radius_m: Real,
 }
 
-impl Body {
-    /// Body from full length and width, metres.
+impl Footprint {
+    /// Footprint from full length and width, metres.
     pub fn new(length_m: Real, width_m: Real) -> Self {
         let (half_length_m, half_width_m) = (0.5 * length_m, 0.5 * width_m);
         Self { half_length_m, half_width_m, radius_m: math::hypot(half_length_m, half_width_m) }
@@ -138,13 +138,13 @@ impl AgentStates {
 
     /// Box of an agent.
     #[inline]
-    pub fn oriented_box(&self, agent_idx: usize, body: &Body) -> OrientedBox {
+    pub fn oriented_box(&self, agent_idx: usize, footprint: &Footprint) -> OrientedBox {
         OrientedBox {
             centre: self.position(agent_idx),
             cos: self.cos[agent_idx],
             sin: self.sin[agent_idx],
-            half_length_m: body.half_length_m,
-            half_width_m: body.half_width_m,
+            half_length_m: footprint.half_length_m,
+            half_width_m: footprint.half_width_m,
         }
     }
 

@@ -4,14 +4,14 @@ use ccdiff_sim::dynamics::{
     ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, KinState, UnicycleLimits,
 };
 use ccdiff_sim::geom::{Pose2, Vector2};
-use ccdiff_sim::state::{AgentStates, Body};
+use ccdiff_sim::state::{AgentStates, Footprint};
 use ccdiff_sim::world::{ActionConfig, WorldConfig};
 use proptest::prelude::*;
 
 const DT_S: f32 = 0.1;
 
-fn car() -> Body {
-    Body::new(4.6, 1.9)
+fn car() -> Footprint {
+    Footprint::new(4.6, 1.9)
 }
 
 fn models() -> [Dynamics; 3] {
@@ -73,8 +73,8 @@ fn stepwise_unicycle_follows_the_released_vectors() {
 #[test]
 fn bicycle_drives_the_circle_of_its_steering_angle() {
     let limits = BicycleLimits::default();
-    let body = car();
-    let wheelbase = f64::from(limits.wheelbase_m(&body));
+    let footprint = car();
+    let wheelbase = f64::from(limits.wheelbase_m(&footprint));
     let steering = 0.3_f64;
     // the rear axle runs on a circle of radius L / tan δ, the centre of the box on one through half the wheelbase
     let rear_radius = wheelbase / steering.tan();
@@ -83,7 +83,7 @@ fn bicycle_drives_the_circle_of_its_steering_angle() {
     let centre = (-0.5 * wheelbase, rear_radius);
     let bicycle = Dynamics::Bicycle(limits);
     for _ in 0..100 {
-        bicycle.step(&mut state, [0.0, steering as f32, 0.0], DT_S, &body);
+        bicycle.step(&mut state, [0.0, steering as f32, 0.0], DT_S, &footprint);
         let distance = (f64::from(state.x) - centre.0).hypot(f64::from(state.y) - centre.1);
         assert!((distance - radius).abs() < 0.02, "{distance} m from the centre of a circle of {radius} m");
     }

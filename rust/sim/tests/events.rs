@@ -6,26 +6,26 @@ use ccdiff_sim::events::{
 };
 use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Region, Vector2};
 use ccdiff_sim::scene::AgentKind;
-use ccdiff_sim::state::{AgentStates, Body};
+use ccdiff_sim::state::{AgentStates, Footprint};
 use geo::{Area, BooleanOps};
 use proptest::prelude::*;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// x, y, heading, speed of cars of 4 m x 2 m.
-fn cars(cars: &[(f32, f32, f32, f32)]) -> (AgentStates, Vec<Body>, Vec<AgentKind>) {
+fn cars(cars: &[(f32, f32, f32, f32)]) -> (AgentStates, Vec<Footprint>, Vec<AgentKind>) {
     let mut states = AgentStates::new(cars.len());
     for (i, (x, y, heading, speed)) in cars.iter().enumerate() {
         let pose = Pose2::new(*x, *y, *heading);
         states.place(i, pose, pose.rotate(Vector2::new(*speed, 0.0)));
         states.active[i] = true;
     }
-    (states, vec![Body::new(4.0, 2.0); cars.len()], vec![AgentKind::Vehicle; cars.len()])
+    (states, vec![Footprint::new(4.0, 2.0); cars.len()], vec![AgentKind::Vehicle; cars.len()])
 }
 
 fn detect(agents: &[(f32, f32, f32, f32)]) -> Collisions {
-    let (states, bodies, kinds) = cars(agents);
+    let (states, footprints, kinds) = cars(agents);
     let mut collisions = Collisions::new();
-    collisions.detect(&states, &bodies, &kinds);
+    collisions.detect(&states, &footprints, &kinds);
     collisions
 }
 
@@ -67,28 +67,28 @@ fn head_on_collisions_are_the_fault_of_both_unless_one_stands() {
 
 #[test]
 fn an_agent_inside_another_is_placed_by_its_centre() {
-    let (states, mut bodies, kinds) = cars(&[(0.0, 0.0, 0.0, 0.0), (3.0, 0.0, 0.0, 0.0)]);
-    bodies[0] = Body::new(10.0, 3.0);
-    bodies[1] = Body::new(0.4, 0.4);
+    let (states, mut footprints, kinds) = cars(&[(0.0, 0.0, 0.0, 0.0), (3.0, 0.0, 0.0, 0.0)]);
+    footprints[0] = Footprint::new(10.0, 3.0);
+    footprints[1] = Footprint::new(0.4, 0.4);
     let mut collisions = Collisions::new();
-    collisions.detect(&states, &bodies, &kinds);
+    collisions.detect(&states, &footprints, &kinds);
     assert_eq!(collisions.first_partner(0).unwrap().kind, ContactKind::Front);
 }
 
 #[test]
 fn absent_agents_and_pairs_of_static_agents_do_not_collide() {
-    let (mut states, bodies, mut kinds) =
+    let (mut states, footprints, mut kinds) =
         cars(&[(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)]);
     let mut collisions = Collisions::new();
-    collisions.detect(&states, &bodies, &kinds);
+    collisions.detect(&states, &footprints, &kinds);
     assert_eq!(collisions.pairs(), [(0, 1), (0, 2), (1, 2)]);
     kinds[0] = AgentKind::Static;
     kinds[1] = AgentKind::Static;
-    collisions.detect(&states, &bodies, &kinds);
+    collisions.detect(&states, &footprints, &kinds);
     assert_eq!(collisions.pairs(), [(0, 2), (1, 2)]);
     assert_eq!(collisions.first_partner(2).unwrap().partner, 0);
     states.active[0] = false;
-    collisions.detect(&states, &bodies, &kinds);
+    collisions.detect(&states, &footprints, &kinds);
     assert_eq!(collisions.pairs(), [(1, 2)]);
     assert_eq!(collisions.first_partner(0), None);
     assert_eq!(collisions.first_partner(99), None);
@@ -98,8 +98,8 @@ fn absent_agents_and_pairs_of_static_agents_do_not_collide() {
 fn corners_leave_the_road_before_the_centre_does() {
     let square = [(0.0, -50.0), (50.0, -50.0), (50.0, 50.0), (0.0, 50.0)].map(|(x, y)| Point2::new(x, y));
     let region = Region::new(&[Polygon::from_exterior(square.to_vec())]).unwrap();
-    let (states, bodies, _) = cars(&[(25.0, 0.0, 1.0, 0.0), (1.5, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0)]);
-    let flags = [0, 1, 2].map(|agent| off_road(&states, agent, &bodies[agent], &region));
+    let (states, footprints, _) = cars(&[(25.0, 0.0, 1.0, 0.0), (1.5, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0)]);
+    let flags = [0, 1, 2].map(|agent| off_road(&states, agent, &footprints[agent], &region));
     let flag = |corner, centroid| OffRoad { corner, centroid };
     assert_eq!(flags, [flag(false, false), flag(true, false), flag(true, true)]);
 }
@@ -112,20 +112,20 @@ proptest! {
         absent in prop::collection::vec(0usize..80, 0..8),
     ) {
         let poses: Vec<_> = agents.iter().map(|(x, y, h, ..)| (*x, *y, *h, 0.0)).collect();
-        let (mut states, mut bodies, kinds) = cars(&poses);
-        for (body, (.., length, width)) in bodies.iter_mut().zip(&agents) {
-            *body = Body::new(*length, *width);
+        let (mut states, mut footprints, kinds) = cars(&poses);
+        for (footprint, (.., length, width)) in footprints.iter_mut().zip(&agents) {
+            *footprint = Footprint::new(*length, *width);
         }
         for i in absent {
             states.active[i % agents.len()] = false;
         }
         let (mut circles, mut sweep) = (Collisions::new(), Collisions::new());
-        circles.detect_by_circles(&states, &bodies, &kinds);
-        sweep.detect_by_sweep(&states, &bodies, &kinds);
+        circles.detect_by_circles(&states, &footprints, &kinds);
+        sweep.detect_by_sweep(&states, &footprints, &kinds);
         prop_assert_eq!(circles.pairs(), sweep.pairs());
         prop_assert!(circles.pairs().is_sorted());
         let polygon = |i: usize| {
-            let corners = states.oriented_box(i, &bodies[i]).corners();
+            let corners = states.oriented_box(i, &footprints[i]).corners();
             let ring = corners.iter().map(|c| (f64::from(c.x), f64::from(c.y))).collect::<Vec<_>>();
             geo::Polygon::new(ring.into(), vec![])
         };
@@ -152,7 +152,7 @@ proptest! {
         for asked in [&present[..present.len().min(2)], &present[..]] {
             let of = |pair: &&(u32, u32)| asked.contains(&pair.0) || asked.contains(&pair.1);
             let wanted: Vec<_> = circles.pairs().iter().filter(of).copied().collect();
-            let found = Collisions::new().pairs_of(&states, &bodies, &kinds, asked).to_vec();
+            let found = Collisions::new().pairs_of(&states, &footprints, &kinds, asked).to_vec();
             prop_assert_eq!(found.iter().filter(of).copied().collect::<Vec<_>>(), wanted);
         }
     }
@@ -165,15 +165,15 @@ proptest! {
         away in prop::collection::vec(prop::bool::weighted(0.3), 40),
         asked in prop::collection::vec(any::<bool>(), 40),
     ) {
-        let (mut states, bodies, _) = cars(&agents);
+        let (mut states, footprints, _) = cars(&agents);
         for a in 0..agents.len() {
             states.active[a] = !away[a];
         }
         let asked = (0..agents.len()).filter(|a| asked[*a]);
         let mut times = LeastTimes::default();
-        times.find(&states, &bodies, asked.clone(), 10.0);
+        times.find(&states, &footprints, asked.clone(), 10.0);
         for a in asked {
-            let of_pair = |j: usize| time_to_contact(&states, &bodies, a, j, 10.0).unwrap_or(10.0);
+            let of_pair = |j: usize| time_to_contact(&states, &footprints, a, j, 10.0).unwrap_or(10.0);
             let others = (0..agents.len()).filter(|j| *j != a && states.active[*j]);
             let expected = others.map(of_pair).fold(10.0, f32::min);
             prop_assert_eq!(times.of(a).to_bits(), expected.to_bits());
@@ -183,9 +183,9 @@ proptest! {
 
 /// The leader of the first car on a straight route along x from −10 to 100 m, the car 10 m along it.
 fn ahead(agents: &[(f32, f32, f32, f32)]) -> Option<Leader> {
-    let (states, bodies, _) = cars(agents);
+    let (states, footprints, _) = cars(agents);
     let route = Polyline::new((-10..=100).map(|x| Point2::new(x as f32, 0.0)).collect()).unwrap();
-    leader(&states, &bodies, &route, 10.0, 0, 1.0)
+    leader(&states, &footprints, &route, 10.0, 0, 1.0)
 }
 
 #[test]

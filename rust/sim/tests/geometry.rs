@@ -1,7 +1,7 @@
 //! Boxes, polygons, regions and lines against the `geo` crate and against slow obvious code.
 
 use ccdiff_sim::geom::{OrientedBox, Point2, Polygon, Polyline, Pose2, Real, Region, Vector2};
-use ccdiff_sim::state::Body;
+use ccdiff_sim::state::Footprint;
 use geo::{Area, BooleanOps, BoundingRect, Contains, Distance, Euclidean, Intersects, Length, LineString};
 use proptest::prelude::*;
 use std::f32::consts::TAU;
@@ -38,7 +38,7 @@ fn distance_to_rings(polygon: &Polygon, p: Point2) -> f64 {
 
 fn oriented_box() -> impl Strategy<Value = OrientedBox> {
     (-8f32..8.0, -8f32..8.0, -7f32..7.0, 0.3f32..12.0, 0.3f32..3.0)
-        .prop_map(|(x, y, h, length, width)| Body::new(length, width).at(&Pose2::new(x, y, h)))
+        .prop_map(|(x, y, h, length, width)| Footprint::new(length, width).at(&Pose2::new(x, y, h)))
 }
 
 fn shifted(b: &OrientedBox, by: Vector2) -> OrientedBox {
@@ -114,14 +114,14 @@ fn wild() -> impl Strategy<Value = f32> {
 
 #[test]
 fn corners_run_counter_clockwise_from_the_front_left() {
-    let b = Body::new(4.0, 2.0).at(&Pose2::new(1.0, 2.0, 0.0));
+    let b = Footprint::new(4.0, 2.0).at(&Pose2::new(1.0, 2.0, 0.0));
     let expected = [(3.0, 3.0), (-1.0, 3.0), (-1.0, 1.0), (3.0, 1.0)].map(|(x, y)| Point2::new(x, y));
     assert_eq!(b.corners(), expected);
 }
 
 #[test]
 fn boxes_that_touch_or_hold_each_other_overlap() {
-    let at = |x, y, size| Body::new(size, size).at(&Pose2::new(x, y, 0.0));
+    let at = |x, y, size| Footprint::new(size, size).at(&Pose2::new(x, y, 0.0));
     assert!(at(0.0, 0.0, 2.0).overlaps(&at(2.0, 0.0, 2.0)));
     assert!(at(0.0, 0.0, 2.0).overlaps(&at(2.0, 2.0, 2.0)));
     assert!(at(0.0, 0.0, 8.0).overlaps(&at(1.0, 1.0, 1.0)));
@@ -131,9 +131,9 @@ fn boxes_that_touch_or_hold_each_other_overlap() {
 
 #[test]
 fn head_on_boxes_touch_after_gap_over_closing_speed() {
-    let body = Body::new(4.5, 2.0);
-    let a = body.at(&Pose2::new(0.0, 0.0, 0.0));
-    let b = body.at(&Pose2::new(24.5, 1.0, std::f32::consts::PI));
+    let footprint = Footprint::new(4.5, 2.0);
+    let a = footprint.at(&Pose2::new(0.0, 0.0, 0.0));
+    let b = footprint.at(&Pose2::new(24.5, 1.0, std::f32::consts::PI));
     let time = a.time_to_contact(Vector2::new(6.0, 0.0), &b, Vector2::new(-4.0, 0.0), 5.0).unwrap();
     assert!((time - 2.0).abs() < 1e-5);
     assert_eq!(a.time_to_contact(Vector2::new(6.0, 0.0), &b, Vector2::new(-4.0, 0.0), 1.9), None);

@@ -8,7 +8,7 @@ use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::observe::{EntryKind, Layout, MapSegments, ObservationConfig};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{Map, Scene};
-use ccdiff_sim::state::Body;
+use ccdiff_sim::state::Footprint;
 use ccdiff_sim::world::{Autoreset, Route, WorldConfig};
 use common::{Batch, actions, city};
 use proptest::prelude::*;
@@ -90,7 +90,7 @@ fn nearest_agents_agree_with_a_slow_search() {
 fn the_leader_of_the_observation_is_that_of_the_events() {
     let scene = city(40);
     let route = Route::new(&scene, 0, None);
-    let bodies: Vec<_> = scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect();
+    let footprints: Vec<_> = scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect();
     let mut batch = Batch::new(vec![scene], config(), 1, 1);
     batch.reset_all(1);
     let ego = batch.world.layout().entry("ego").unwrap().clone();
@@ -100,7 +100,7 @@ fn the_leader_of_the_observation_is_that_of_the_events() {
     for t in 0..60 {
         batch.step(&actions(t, 2)).unwrap();
         let status = batch.world.status(0).unwrap();
-        let found = leader(status.states, &bodies, &route.path, status.route_s_m[0], 0, 1.0);
+        let found = leader(status.states, &footprints, &route.path, status.route_s_m[0], 0, 1.0);
         let (expected_gap, expected_closing) =
             found.map_or((60.0, 0.0), |l| (l.gap_m, status.states.speed_mps[0] - l.speed_mps));
         assert!((batch.obs[gap] * 60.0 - expected_gap.clamp(0.0, 60.0)).abs() < 1e-3);

@@ -39,12 +39,12 @@ fn channels_show_what_is_at_the_centres_of_their_pixels() {
         let ego = states.pose(0);
         let others: Vec<usize> = (1..states.len()).filter(|j| states.active[*j]).collect();
         let near = |a: usize, at: Point2, margin_m: f32| {
-            let mut body = scene.bodies[a];
-            body.half_length_m += margin_m;
-            body.half_width_m += margin_m;
-            let probe = ccdiff_sim::state::Body::new(1e-3, 1e-3);
+            let mut footprint = scene.footprints[a];
+            footprint.half_length_m += margin_m;
+            footprint.half_width_m += margin_m;
+            let probe = ccdiff_sim::state::Footprint::new(1e-3, 1e-3);
             let there = Pose2::new(at.x, at.y, 0.0);
-            body.at(&states.pose(a)).overlaps(&probe.at(&there))
+            footprint.at(&states.pose(a)).overlaps(&probe.at(&there))
         };
         let mut road_pixels = 0;
         for row in 0..60 {

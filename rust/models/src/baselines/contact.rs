@@ -12,8 +12,8 @@ const SAME_SPOT_M2: f64 = 1e-12;
 /// Every `STRIDE`-th step of a plan is looked at.
 pub(super) const STRIDE: i64 = 2;
 
-/// Bodies over time: rows of x, y, heading [R, T] in one frame, lengths and widths [R].
-pub(super) struct Bodies<'a> {
+/// Footprints over time: rows of x, y, heading [R, T] in one frame, lengths and widths [R].
+pub(super) struct Footprints<'a> {
     pub(super) x: &'a Tensor,
     pub(super) y: &'a Tensor,
     pub(super) heading: &'a Tensor,
@@ -21,7 +21,7 @@ pub(super) struct Bodies<'a> {
     pub(super) width: &'a Tensor,
 }
 
-impl Bodies<'_> {
+impl Footprints<'_> {
     /// Penalties in [0, 1] of pairs of rows, [P, T]: 1 − d/R for the least distance d of two circles and the sum R of
     /// their radii, 0 where none touch.
     pub(super) fn penalties(&self, first: &Tensor, second: &Tensor) -> Tensor {
@@ -80,14 +80,14 @@ impl Pairs {
         let (ahead, left) = (states.select(2, 0), states.select(2, 1));
         let (cos, sin) = (pose(2).cos(), pose(2).sin());
         let body = batch.history.select(1, batch.history.size()[1] - 1);
-        let bodies = Bodies {
+        let footprints = Footprints {
             x: &(pose(0) + &cos * &ahead - &sin * &left),
             y: &(pose(1) + &sin * &ahead + &cos * &left),
             heading: &(pose(2) + states.select(2, 3)),
             length: &body.select(1, 5),
             width: &body.select(1, 6),
         };
-        bodies.penalties(&self.first, &self.second)
+        footprints.penalties(&self.first, &self.second)
     }
 
     /// Share of pairs in contact, each counted once at most: (1/N²) Σ_{i≠j} min(1, Σ_t penalty), mean over scenes.
@@ -104,7 +104,7 @@ impl Pairs {
     }
 }
 
-/// Share of the bodies' eight boundary points off the drivable area as the rows' rasters show it, mean over the looked-at
+/// Share of the footprints' eight boundary points off the drivable area as the rows' rasters show it, mean over the looked-at
 /// steps and the rows that move; zero without a map.
 pub(super) fn off_road(batch: &Batch, states: &Tensor, config: &ModelConfig, moving_mps: f64) -> Tensor {
     let moving = batch.speed_mps.abs().gt(moving_mps).to_kind(Kind::Float);
@@ -142,7 +142,7 @@ mod tests {
     /// Penalty of a second car at a pose against one at the origin, both 4.5 m by 2 m, and its gradient.
     fn penalty(second: [f32; 3], length: f32, width: f32) -> (f64, [f64; 3]) {
         let pose = Tensor::from_slice(&[[0f32; 3], second].concat()).view([2, 3, 1]).set_requires_grad(true);
-        let bodies = Bodies {
+        let footprints = Footprints {
             x: &pose.select(1, 0),
             y: &pose.select(1, 1),
             heading: &pose.select(1, 2),
@@ -150,7 +150,7 @@ mod tests {
             width: &Tensor::from_slice(&[2.0f32, width]),
         };
         let found =
-            bodies.penalties(&Tensor::from_slice(&[0i64]), &Tensor::from_slice(&[1i64])).sum(Kind::Float);
+            footprints.penalties(&Tensor::from_slice(&[0i64]), &Tensor::from_slice(&[1i64])).sum(Kind::Float);
         found.backward();
         let gradient = pose.grad();
         (found.double_value(&[]), [0, 1, 2].map(|c| gradient.double_value(&[1, c, 0])))
@@ -189,14 +189,15 @@ mod tests {
         let x = [[0f32, 1.0, 2.0], [6.0, 5.5, 5.0], [0.0, 1.0, 2.0]];
         let y = [[0f32; 3], [0.0; 3], [3.0, 2.2, 1.6]];
         let rows = |v: [[f32; 3]; 3]| Tensor::from_slice(&v.concat()).view([3, 3]);
-        let bodies = Bodies {
+        let footprints = Footprints {
             x: &rows(x),
             y: &rows(y),
             heading: &Tensor::zeros([3, 3], (Kind::Float, tch::Device::Cpu)),
             length: &Tensor::full([3], 4.5, (Kind::Float, tch::Device::Cpu)),
             width: &Tensor::full([3], 2.0, (Kind::Float, tch::Device::Cpu)),
         };
-        let pairs = bodies.penalties(&Tensor::from_slice(&[0i64, 0, 1]), &Tensor::from_slice(&[1i64, 2, 2]));
+        let pairs =
+            footprints.penalties(&Tensor::from_slice(&[0i64, 0, 1]), &Tensor::from_slice(&[1i64, 2, 2]));
         for (pair, want) in [0.75, 0.2, 0.161_847].into_iter().enumerate() {
             assert!((pairs.double_value(&[pair as i64, 2]) - want).abs() < 1e-5);
         }

@@ -123,7 +123,7 @@ impl Network {
         Context {
             history,
             edges: self.edges.forward(&edges),
-            slots: Slots::new(&batch.neighbours, &batch.joined, &edge_available),
+            slots: Slots::new(&batch.neighbours, &batch.is_edge, &edge_available),
             map,
             seen,
             speed_mps: batch.speed_mps.shallow_clone(),

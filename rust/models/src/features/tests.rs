@@ -26,7 +26,7 @@ fn a_follower_sees_its_leader_by_headway_alone() {
     let without = ModelConfig { headway_threshold_s: 0.0, ..with.clone() };
     let joined = |cars: &[[f32; 4]], config: &ModelConfig| {
         let features = build(&window(cars, config), None, config).unwrap();
-        (features.graph.contains(0, 1), features.graph.contains(1, 0), features.joined.iter().any(|j| *j))
+        (features.graph.contains(0, 1), features.graph.contains(1, 0), features.is_edge.iter().any(|j| *j))
     };
     // 10 m/s, 26 m from bumper to bumper: 2.6 s
     let equal = [[0.0, 0.0, 0.0, 10.0], [30.0, 0.5, 0.05, 10.0]];
@@ -52,7 +52,7 @@ fn by_distance_the_eight_nearest_take_the_slots_and_nobody_beyond_fifty_metres()
         let found = build(&window(&cars, &config), None, &config).unwrap();
         let slots: Vec<f32> = found.neighbours[..found.num_slots].iter().map(|j| places[*j]).collect();
         assert_eq!(slots, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0]);
-        assert!(found.joined[1..found.num_slots].iter().all(|j| *j));
+        assert!(found.is_edge[1..found.num_slots].iter().all(|j| *j));
         let far = places.iter().position(|x| *x == 50.1).unwrap();
         assert!(!found.graph.contains(0, far) && !found.graph.contains(far, 0));
     }

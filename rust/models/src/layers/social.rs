@@ -21,8 +21,8 @@ pub(crate) struct Slots {
 
 impl Slots {
     /// From neighbour rows [R, K], edges of G [R, K] and availability [R, K, T].
-    pub(crate) fn new(neighbours: &Tensor, joined: &Tensor, available: &Tensor) -> Self {
-        let others = available.logical_and(&joined.unsqueeze(2));
+    pub(crate) fn new(neighbours: &Tensor, is_edge: &Tensor, available: &Tensor) -> Self {
+        let others = available.logical_and(&is_edge.unsqueeze(2));
         let num_slots = others.size()[1];
         let rest = others.narrow(1, 1, num_slots - 1);
         let alone = others.any_dim(1, true).logical_not();
@@ -221,12 +221,12 @@ mod tests {
         // slot 0 is the row itself, then the others in order
         let order: Vec<i64> =
             (0..m).flat_map(|i| std::iter::once(i).chain((0..m).filter(move |j| *j != i))).collect();
-        let joined: Vec<bool> =
+        let is_edge: Vec<bool> =
             order.iter().enumerate().map(|(at, j)| at % 5 != 0 && graph[at / 5 * 5 + *j as usize]).collect();
         let neighbours = Tensor::from_slice(&order).view([m, m]);
         let slots = Slots::new(
             &neighbours,
-            &Tensor::from_slice(&joined).view([m, m]),
+            &Tensor::from_slice(&is_edge).view([m, m]),
             &Tensor::ones([m, m, 1], (Kind::Bool, Device::Cpu)),
         );
         let index = neighbours.unsqueeze(2).expand([m, m, 8], false);

@@ -12,9 +12,9 @@ use ccdiff_sim::scene::{AgentKind, EGO_ID};
 use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
-const STANDING_REACH_M: Real = 20.0;
+const STATIONARY_REACH_M: Real = 20.0;
 /// Logged speed below which a vehicle counts as standing, m/s (reference.md#sampling).
-const STANDING_MPS: Real = 0.5;
+const STATIONARY_MPS: Real = 0.5;
 /// Vehicles beside each other by at most this are in one lane, metres.
 const SAME_LANE_M: Real = 2.0;
 
@@ -51,7 +51,7 @@ pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
         .map(|a| match rule {
             ParkedRule::Parked => world.scene.routes[a].is_parked(),
             ParkedRule::Standing => {
-                scene.is_valid(a, start) && scene.tracks.velocity[scene.at(a, start)].norm() <= STANDING_MPS
+                scene.is_valid(a, start) && scene.tracks.velocity[scene.at(a, start)].norm() <= STATIONARY_MPS
             }
         })
         .collect()
@@ -97,7 +97,7 @@ impl PlannedAgents {
         let near_moving = |a: usize| {
             let p = states.position(a);
             let mut moving = there.iter().filter(|b| !parked[**b]);
-            moving.any(|b| (states.position(*b) - p).norm() < STANDING_REACH_M)
+            moving.any(|b| (states.position(*b) - p).norm() < STATIONARY_REACH_M)
         };
         let agents: Vec<usize> = there.iter().copied().filter(|a| !parked[*a] || near_moving(*a)).collect();
         let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();

@@ -7,7 +7,7 @@ use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
 use crate::noise::Noise;
-use crate::planner::{Plan, PlanOptions, Planner, WorldView as PlannerView};
+use crate::planner::{Plan, PlanInput, PlanOptions, Planner};
 use crate::raster::MapBitmap;
 use crate::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Vector2};
@@ -226,7 +226,7 @@ impl PlannedTraffic {
         };
         let moved: Vec<Vec<(Vec<bool>, Real)>> =
             groups.iter().map(|(due, _)| due.iter().map(moved).collect()).collect();
-        let mut shards: Vec<(Vec<PlannerView<'_>>, &PlanOptions)> = Vec::new();
+        let mut shards: Vec<(Vec<PlanInput<'_>>, &PlanOptions)> = Vec::new();
         for ((due, options), moved) in groups.iter().zip(&moved) {
             // about equally large
             let size = due.len().div_ceil(due.len().div_ceil(SHARD_WORLDS).max(1)).max(1);
@@ -316,14 +316,14 @@ impl PlannedTraffic {
     }
 }
 
-/// What the planner is told about a world, whose rows `moved` says guidance moves, and at which scale.
+/// What the planner sees of a world, whose rows `moved` says guidance moves, and at which scale.
 fn view_of<'a>(
     due: &'a PreparedRequest<'_>,
     (moved, guidance_scale): &'a (Vec<bool>, Real),
     options: &PlanOptions,
-) -> PlannerView<'a> {
+) -> PlanInput<'a> {
     let world = &due.request.world;
-    PlannerView {
+    PlanInput {
         window: &due.planned.window,
         bitmap: due.bitmap.as_deref(),
         seed: world.noise_seed,

@@ -27,7 +27,7 @@ impl Default for GraphThresholds {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CausalGraph {
     num_agents: usize,
-    joined: Vec<bool>,
+    is_edge: Vec<bool>,
 }
 
 impl CausalGraph {
@@ -64,21 +64,21 @@ impl CausalGraph {
                 });
             }
         }
-        let mut joined: Vec<bool> = ttc_s
+        let mut is_edge: Vec<bool> = ttc_s
             .iter()
             .zip(distance_m)
             .map(|(&t, &d)| t <= thresholds.ttc_s && d <= thresholds.distance_m)
             .collect();
         for i in 0..num_agents {
-            joined[i * num_agents + i] = true;
+            is_edge[i * num_agents + i] = true;
         }
-        Ok(Self { num_agents, joined })
+        Ok(Self { num_agents, is_edge })
     }
 
     /// The graph that joins every agent with itself alone: the counterfactual of the unconditional branch.
     pub fn identity(num_agents: usize) -> Self {
-        let joined = (0..num_agents * num_agents).map(|k| k / num_agents == k % num_agents).collect();
-        Self { num_agents, joined }
+        let is_edge = (0..num_agents * num_agents).map(|k| k / num_agents == k % num_agents).collect();
+        Self { num_agents, is_edge }
     }
 
     /// Number of agents M.
@@ -88,20 +88,20 @@ impl CausalGraph {
 
     /// All entries [M, M], row-major.
     pub fn as_slice(&self) -> &[bool] {
-        &self.joined
+        &self.is_edge
     }
 
     /// Whether j may influence i; false for indices out of range.
     pub fn contains(&self, i: usize, j: usize) -> bool {
-        j < self.num_agents && self.joined.get(i * self.num_agents + j).copied().unwrap_or(false)
+        j < self.num_agents && self.is_edge.get(i * self.num_agents + j).copied().unwrap_or(false)
     }
 
     /// The graph that joins a pair in both directions if this one joins it in either.
     #[must_use]
     pub fn symmetrised(&self) -> Self {
         let m = self.num_agents;
-        let joined = (0..m * m).map(|k| self.joined[k] || self.joined[(k % m) * m + k / m]).collect();
-        Self { num_agents: m, joined }
+        let is_edge = (0..m * m).map(|k| self.is_edge[k] || self.is_edge[(k % m) * m + k / m]).collect();
+        Self { num_agents: m, is_edge }
     }
 
     /// Share of ordered pairs of different agents that are not joined, in [0, 1]; 1 for fewer than two agents.
@@ -110,7 +110,7 @@ impl CausalGraph {
         if pairs == 0 {
             return 1.0;
         }
-        let edges = self.joined.iter().filter(|&&e| e).count() - self.num_agents;
+        let edges = self.is_edge.iter().filter(|&&e| e).count() - self.num_agents;
         1.0 - edges as Real / pairs as Real
     }
 }

@@ -4,7 +4,7 @@ use super::{Action, KinState, LateralSpeed};
 use crate::geom::{Real, math};
 use crate::options;
 use crate::options::{above, within};
-use crate::state::Body;
+use crate::state::Footprint;
 use std::f32::consts::TAU;
 
 /// Below this speed the heading says nothing about the steering angle, metres per second.
@@ -31,8 +31,8 @@ options! {
 impl BicycleLimits {
     /// Distance between the axles of a body, metres. The centre of the box lies midway.
     #[inline]
-    pub fn wheelbase_m(&self, body: &Body) -> Real {
-        2.0 * body.half_length_m * self.wheelbase_share
+    pub fn wheelbase_m(&self, footprint: &Footprint) -> Real {
+        2.0 * footprint.half_length_m * self.wheelbase_share
     }
 
     pub(super) fn action_bounds(&self) -> (Action, Action) {
@@ -57,11 +57,11 @@ impl BicycleLimits {
         sin: Real,
         action: Action,
         dt_s: Real,
-        body: &Body,
+        footprint: &Footprint,
     ) -> LateralSpeed {
         let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let steering = action[1].clamp(-self.max_steering_rad, self.max_steering_rad);
-        let wheelbase_m = self.wheelbase_m(body);
+        let wheelbase_m = self.wheelbase_m(footprint);
         let curvature = math::tan(steering) / wheelbase_m;
         let next_speed = (state.speed_mps + acceleration * dt_s).clamp(self.speed_mps[0], self.speed_mps[1]);
         let mean_speed = 0.5 * (state.speed_mps + next_speed);
@@ -84,13 +84,13 @@ impl BicycleLimits {
         next: &KinState,
         turn_rad: Real,
         dt_s: Real,
-        body: &Body,
+        footprint: &Footprint,
     ) -> Action {
         let mean_speed = 0.5 * (prev.speed_mps + next.speed_mps);
         let steering = if mean_speed.abs() < MIN_STEERED_SPEED_MPS {
             0.0
         } else {
-            math::atan(turn_rad * self.wheelbase_m(body) / (mean_speed * dt_s))
+            math::atan(turn_rad * self.wheelbase_m(footprint) / (mean_speed * dt_s))
         };
         [(next.speed_mps - prev.speed_mps) / dt_s, steering, 0.0]
     }

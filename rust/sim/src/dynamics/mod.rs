@@ -30,7 +30,7 @@ pub use unicycle::UnicycleLimits;
 
 use crate::choices;
 use crate::geom::{Pose2, Real, Vector2, math};
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 use serde::{Deserialize, Serialize};
 
 /// An action; models with two columns ignore the third.
@@ -115,9 +115,9 @@ impl Dynamics {
 
     /// Moves a state by one step. The action must be finite; it is clipped to the limits.
     #[inline]
-    pub fn step(&self, state: &mut KinState, action: Action, dt_s: Real, body: &Body) {
+    pub fn step(&self, state: &mut KinState, action: Action, dt_s: Real, footprint: &Footprint) {
         let (sin, cos) = math::sin_cos(state.heading_rad);
-        self.advance(state, cos, sin, action, dt_s, body);
+        self.advance(state, cos, sin, action, dt_s, footprint);
     }
 
     /// Moves one agent of a world by one step and refreshes everything derived: cosine, sine, velocity,
@@ -129,12 +129,12 @@ impl Dynamics {
         agent_idx: usize,
         action: Action,
         dt_s: Real,
-        body: &Body,
+        footprint: &Footprint,
     ) {
         let before = states.kin_state(agent_idx);
         let mut after = before;
         let motion =
-            self.advance(&mut after, states.cos[agent_idx], states.sin[agent_idx], action, dt_s, body);
+            self.advance(&mut after, states.cos[agent_idx], states.sin[agent_idx], action, dt_s, footprint);
         let pose = Pose2::new(after.x, after.y, after.heading_rad);
         states.place(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, motion.lateral_mps)));
         // `place` rounds the speed through the rotation
@@ -151,11 +151,11 @@ impl Dynamics {
         sin: Real,
         action: Action,
         dt_s: Real,
-        body: &Body,
+        footprint: &Footprint,
     ) -> LateralSpeed {
         match self {
             Self::Unicycle(limits) => limits.advance(state, cos, sin, action, dt_s),
-            Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, body),
+            Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, footprint),
             Self::DeltaPose(limits) => limits.advance(state, cos, sin, action, dt_s),
             Self::Assisted(limits) => limits.unicycle().advance(state, cos, sin, action, dt_s),
         }
@@ -165,13 +165,13 @@ impl Dynamics {
     ///
     /// Exact for pairs that a step within the limits made. On logs the unicycle and the bicycle use the change of
     /// speed and heading and leave the positions out, as tbsim and its heirs do (sideways motion has no action).
-    pub fn inverse(&self, prev: &KinState, next: &KinState, dt_s: Real, body: &Body) -> Action {
+    pub fn inverse(&self, prev: &KinState, next: &KinState, dt_s: Real, footprint: &Footprint) -> Action {
         let turn_rad = math::wrap_angle(next.heading_rad - prev.heading_rad);
         match self {
             Self::Unicycle(_) | Self::Assisted(_) => {
                 [(next.speed_mps - prev.speed_mps) / dt_s, turn_rad / dt_s, 0.0]
             }
-            Self::Bicycle(limits) => limits.inverse(prev, next, turn_rad, dt_s, body),
+            Self::Bicycle(limits) => limits.inverse(prev, next, turn_rad, dt_s, footprint),
             Self::DeltaPose(_) => {
                 let (sin, cos) = math::sin_cos(prev.heading_rad);
                 let (dx, dy) = (next.x - prev.x, next.y - prev.y);

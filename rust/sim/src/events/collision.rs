@@ -6,7 +6,7 @@
 use crate::geom::{OrientedBox, Real};
 use crate::scene::AgentKind;
 use crate::simd_dispatch::simd_dispatch;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
 const SWEEP_FROM_AGENTS: usize = 80;
@@ -53,10 +53,15 @@ pub struct Contact {
 
 impl Contact {
     /// The contact of two touching agents as the first one sees it.
-    pub fn between(states: &AgentStates, bodies: &[Body], agent_idx: usize, partner_idx: usize) -> Self {
+    pub fn between(
+        states: &AgentStates,
+        footprints: &[Footprint],
+        agent_idx: usize,
+        partner_idx: usize,
+    ) -> Self {
         let (i, j) = (agent_idx, partner_idx);
-        let own = states.oriented_box(i, &bodies[i]);
-        let other = states.oriented_box(j, &bodies[j]);
+        let own = states.oriented_box(i, &footprints[i]);
+        let other = states.oriented_box(j, &footprints[j]);
         let lengths = own.edge_lengths_inside(&other);
         let kind = contact_kind(&own, &other, lengths);
         let (velocity, other_velocity) = (states.velocity(i), states.velocity(j));
@@ -96,20 +101,20 @@ impl Collisions {
 
     /// Finds all touching pairs of active agents; pairs of two static agents are left out.
     ///
-    /// `bodies` and `kinds` are indexed like `states`; agents beyond the shortest of the three are not looked at.
-    pub fn detect(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
-        self.find(states, bodies, kinds);
-        self.describe(states, bodies);
+    /// `footprints` and `kinds` are indexed like `states`; agents beyond the shortest of the three are not looked at.
+    pub fn detect(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.find(states, footprints, kinds);
+        self.describe(states, footprints);
     }
 
     /// The pairs of [`Self::detect`] alone: what is told of single agents is not made anew.
-    pub fn find(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
-        let num_agents = states.len().min(bodies.len()).min(kinds.len());
+    pub fn find(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        let num_agents = states.len().min(footprints.len()).min(kinds.len());
         let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
         if num_active < SWEEP_FROM_AGENTS {
-            self.find_by_circles(states, bodies, kinds);
+            self.find_by_circles(states, footprints, kinds);
         } else {
-            self.find_by_sweep(states, bodies, kinds);
+            self.find_by_sweep(states, footprints, kinds);
         }
     }
 
@@ -118,23 +123,23 @@ impl Collisions {
     pub fn pairs_of(
         &mut self,
         states: &AgentStates,
-        bodies: &[Body],
+        footprints: &[Footprint],
         kinds: &[AgentKind],
         agents: &[u32],
     ) -> &[(u32, u32)] {
         if agents.len() >= JOINT_FROM_AGENTS {
-            self.find(states, bodies, kinds);
+            self.find(states, footprints, kinds);
             return &self.pairs;
         }
         self.pairs.clear();
         for &a in agents {
-            let (centre, radius_m) = (states.position(a as usize), bodies[a as usize].radius_m);
-            for b in 0..states.len().min(bodies.len()).min(kinds.len()) {
-                let reach = radius_m + bodies[b].radius_m;
+            let (centre, radius_m) = (states.position(a as usize), footprints[a as usize].radius_m);
+            for b in 0..states.len().min(footprints.len()).min(kinds.len()) {
+                let reach = radius_m + footprints[b].radius_m;
                 let near = (states.position(b) - centre).norm_squared() <= reach * reach;
                 if states.active[b] && near && b as u32 != a {
                     let (i, j) = (a.min(b as u32), a.max(b as u32));
-                    push_if_touching(&mut self.pairs, states, bodies, kinds, i, j);
+                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, i, j);
                 }
             }
         }
@@ -144,14 +149,14 @@ impl Collisions {
     }
 
     /// [`Self::detect`] with circle tests of all pairs.
-    pub fn detect_by_circles(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
-        self.find_by_circles(states, bodies, kinds);
-        self.describe(states, bodies);
+    pub fn detect_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.find_by_circles(states, footprints, kinds);
+        self.describe(states, footprints);
     }
 
-    fn find_by_circles(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+    fn find_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         self.pairs.clear();
-        self.gather(states, bodies, kinds);
+        self.gather(states, footprints, kinds);
         let num_active = self.agent.len();
         for row in 0..num_active {
             let (first, blocks) = (row + 1, (num_active - row - 1).div_ceil(LANES));
@@ -165,7 +170,7 @@ impl Collisions {
                 while left != 0 {
                     let column = first + block * LANES + left.trailing_zeros() as usize / 8;
                     let (a, b) = (self.agent[row], self.agent[column]);
-                    push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
+                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
                     left &= left - 1;
                 }
             }
@@ -173,14 +178,14 @@ impl Collisions {
     }
 
     /// [`Self::detect`] with a sort along x and a sweep.
-    pub fn detect_by_sweep(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
-        self.find_by_sweep(states, bodies, kinds);
-        self.describe(states, bodies);
+    pub fn detect_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.find_by_sweep(states, footprints, kinds);
+        self.describe(states, footprints);
     }
 
-    fn find_by_sweep(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+    fn find_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         self.pairs.clear();
-        self.gather(states, bodies, kinds);
+        self.gather(states, footprints, kinds);
         self.order.clear();
         self.order.extend((0..self.agent.len()).map(|i| {
             let bits = (self.x[i] - self.radius[i]).to_bits();
@@ -200,7 +205,7 @@ impl Collisions {
                 }
                 if dx * dx + dy * dy <= reach * reach {
                     let (a, b) = (self.agent[a.min(b)], self.agent[a.max(b)]);
-                    push_if_touching(&mut self.pairs, states, bodies, kinds, a, b);
+                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
                 }
             }
         }
@@ -230,18 +235,18 @@ impl Collisions {
     }
 
     /// Copies the active agents together.
-    fn gather(&mut self, states: &AgentStates, bodies: &[Body], kinds: &[AgentKind]) {
+    fn gather(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         self.agent.clear();
         self.x.clear();
         self.y.clear();
         self.radius.clear();
-        let num_agents = states.len().min(bodies.len()).min(kinds.len());
+        let num_agents = states.len().min(footprints.len()).min(kinds.len());
         for agent in 0..num_agents {
             if states.active[agent] {
                 self.agent.push(agent as u32);
                 self.x.push(states.x[agent]);
                 self.y.push(states.y[agent]);
-                self.radius.push(bodies[agent].radius_m);
+                self.radius.push(footprints[agent].radius_m);
             }
         }
         let padded = self.agent.len() + LANES;
@@ -252,14 +257,14 @@ impl Collisions {
     }
 
     /// Fills what is known per agent from the pairs.
-    fn describe(&mut self, states: &AgentStates, bodies: &[Body]) {
+    fn describe(&mut self, states: &AgentStates, footprints: &[Footprint]) {
         self.first.clear();
         self.first.resize(states.len(), None);
         self.at_fault.clear();
         self.at_fault.resize(states.len(), false);
         for &(a, b) in &self.pairs {
             for (agent, partner) in [(a, b), (b, a)] {
-                let contact = Contact::between(states, bodies, agent as usize, partner as usize);
+                let contact = Contact::between(states, footprints, agent as usize, partner as usize);
                 self.at_fault[agent as usize] |= contact.at_fault;
                 self.first[agent as usize].get_or_insert(contact);
             }
@@ -280,10 +285,10 @@ simd_dispatch! {
 }
 
 #[inline]
-fn push_if_touching(
+fn push_if_in_contact(
     pairs: &mut Vec<(u32, u32)>,
     states: &AgentStates,
-    bodies: &[Body],
+    footprints: &[Footprint],
     kinds: &[AgentKind],
     a: u32,
     b: u32,
@@ -292,7 +297,7 @@ fn push_if_touching(
     if kinds[i] == AgentKind::Static && kinds[j] == AgentKind::Static {
         return;
     }
-    if states.oriented_box(i, &bodies[i]).overlaps(&states.oriented_box(j, &bodies[j])) {
+    if states.oriented_box(i, &footprints[i]).overlaps(&states.oriented_box(j, &footprints[j])) {
         pairs.push((a, b));
     }
 }

@@ -1,12 +1,12 @@
 //! The leader: the nearest agent on the route ahead, its gap and speed.
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// Sideways clearance that a moving obstacle must leave, metres.
 const CLEARANCE_M: Real = 0.3;
 /// The same for one that stands still: logged paths pass parked cars closely.
-const STANDING_CLEARANCE_M: Real = 0.05;
+const STATIONARY_CLEARANCE_M: Real = 0.05;
 /// Metres (samples of the route) from one place to the next when an agent is looked for along it.
 const COARSE: usize = 4;
 
@@ -26,13 +26,13 @@ pub struct Leader {
 /// points about a metre apart; `s_m` is the position along it of agent `agent_idx`.
 pub fn leader(
     states: &AgentStates,
-    bodies: &[Body],
+    footprints: &[Footprint],
     route: &Polyline,
     s_m: Real,
     agent_idx: usize,
     anticipation_s: Real,
 ) -> Option<Leader> {
-    let own = &bodies[agent_idx];
+    let own = &footprints[agent_idx];
     let pose = states.pose(agent_idx);
     let speed = states.speed_mps[agent_idx].max(0.0);
     let reach = (20.0 + speed * 4.0).min(70.0).min(route.length_m() - s_m);
@@ -40,15 +40,15 @@ pub fn leader(
     let [x0, x1, y0, y1] = bounds(window);
     let mut best: Option<Leader> = None;
     let places = states.x.iter().zip(&states.y).zip(&states.active);
-    for (j, (((x, y), active), body)) in places.zip(bodies).enumerate() {
+    for (j, (((x, y), active), footprint)) in places.zip(footprints).enumerate() {
         let (dx, dy) = (x - pose.position.x, y - pose.position.y);
-        let behind = dx * pose.cos + dy * pose.sin < -(own.radius_m + body.radius_m);
+        let behind = dx * pose.cos + dy * pose.sin < -(own.radius_m + footprint.radius_m);
         if !active | behind | (j == agent_idx) {
             continue;
         }
         // where the agent can matter: round the window, as far as it comes while it is anticipated
         let travel = states.speed_mps[j].abs() * anticipation_s;
-        let margin = own.half_width_m + body.radius_m + CLEARANCE_M + travel;
+        let margin = own.half_width_m + footprint.radius_m + CLEARANCE_M + travel;
         if (*x < x0 - margin) | (*x > x1 + margin) | (*y < y0 - margin) | (*y > y1 + margin) {
             continue;
         }
@@ -62,12 +62,12 @@ pub fn leader(
             let lateral = (py - at.position.y) * at.cos - (px - at.position.x) * at.sin;
             let along = (states.cos[j] * at.cos + states.sin[j] * at.sin).abs();
             let across = (states.sin[j] * at.cos - states.cos[j] * at.sin).abs();
-            let half_side = across * body.half_length_m + along * body.half_width_m;
-            let clearance = if moving { CLEARANCE_M } else { STANDING_CLEARANCE_M };
+            let half_side = across * footprint.half_length_m + along * footprint.half_width_m;
+            let clearance = if moving { CLEARANCE_M } else { STATIONARY_CLEARANCE_M };
             if lateral.abs() > own.half_width_m + half_side + clearance {
                 continue;
             }
-            let half_ahead = along * body.half_length_m + across * body.half_width_m;
+            let half_ahead = along * footprint.half_length_m + across * footprint.half_width_m;
             let gap_m = at_s - s_m - own.half_length_m - half_ahead;
             if best.is_none_or(|l| gap_m < l.gap_m) {
                 let v = states.velocity_x_mps[j] * at.cos + states.velocity_y_mps[j] * at.sin;

@@ -1,6 +1,6 @@
 //! What happens to agents at one step: contacts, leaving the road, driving against traffic, who is ahead.
 //!
-//! In: states, bodies and kinds of the agents of one world and the indices built from its map. Out: pairs and flags.
+//! In: states, footprints and kinds of the agents of one world and the indices built from its map. Out: pairs and flags.
 //! Decides nothing about what follows from an event, and allocates nothing after its first calls.
 
 mod collision;

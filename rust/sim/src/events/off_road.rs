@@ -1,7 +1,7 @@
 //! Leaving the drivable area.
 
 use crate::geom::{Real, Region};
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// How far an agent has left a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -14,12 +14,12 @@ pub struct OffRoad {
 
 /// Whether an agent has left a region. A square inside the region that holds the box settles most calls at once.
 #[inline]
-pub fn off_road(states: &AgentStates, agent: usize, body: &Body, region: &Region) -> OffRoad {
+pub fn off_road(states: &AgentStates, agent: usize, footprint: &Footprint, region: &Region) -> OffRoad {
     let centre = states.position(agent);
-    let reach_m: Real = body.radius_m;
+    let reach_m: Real = footprint.radius_m;
     if region.holds_square(centre, reach_m) {
         return OffRoad::default();
     }
-    let corners = states.oriented_box(agent, body).corners();
+    let corners = states.oriented_box(agent, footprint).corners();
     OffRoad { corner: corners.iter().any(|c| !region.contains(*c)), centroid: !region.contains(centre) }
 }

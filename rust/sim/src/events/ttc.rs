@@ -2,7 +2,7 @@
 
 use crate::geom::Real;
 use crate::simd_dispatch::simd_dispatch;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// Agents asked about at once.
 const LANES: usize = 8;
@@ -24,24 +24,25 @@ impl LeastTimes {
     pub fn find(
         &mut self,
         states: &AgentStates,
-        bodies: &[Body],
+        footprints: &[Footprint],
         agents: impl Iterator<Item = usize> + Clone,
         horizon_s: Real,
     ) {
-        let radius_m =
-            |(body, there): (&Body, &bool)| if *there { body.radius_m } else { Real::NEG_INFINITY };
+        let radius_m = |(footprint, there): (&Footprint, &bool)| {
+            if *there { footprint.radius_m } else { Real::NEG_INFINITY }
+        };
         self.radius_m.clear();
-        self.radius_m.extend(bodies.iter().zip(&states.active).map(radius_m));
+        self.radius_m.extend(footprints.iter().zip(&states.active).map(radius_m));
         self.may_meet.resize(states.len().next_multiple_of(LANES), 0);
         self.least_s.clear();
         self.least_s.resize(states.len(), 0.0);
         agents.clone().for_each(|a| self.least_s[a] = horizon_s);
         // who is not there would meet the others, but they do not meet it
         for a in agents.clone().filter(|a| !states.active[*a]) {
-            self.meet(states, bodies, a, horizon_s);
+            self.measure(states, footprints, a, horizon_s);
         }
         for a in agents.filter(|a| states.active[*a]) {
-            self.meet(states, bodies, a, horizon_s);
+            self.measure(states, footprints, a, horizon_s);
             self.radius_m[a] = Real::NEG_INFINITY;
         }
     }
@@ -52,12 +53,12 @@ impl LeastTimes {
     }
 
     /// Looks at an agent with all that are left.
-    fn meet(&mut self, states: &AgentStates, bodies: &[Body], agent_idx: usize, horizon_s: Real) {
+    fn measure(&mut self, states: &AgentStates, footprints: &[Footprint], agent_idx: usize, horizon_s: Real) {
         let num_agents = states.len();
         let Some(first) = self.radius_m.iter().position(|r| *r >= 0.0) else { return };
         let first = first / LANES * LANES;
         self.may_meet[num_agents..].fill(0);
-        let own_radius_m = bodies[agent_idx].radius_m;
+        let own_radius_m = footprints[agent_idx].radius_m;
         let may_meet = &mut self.may_meet[first..num_agents];
         circles_may_meet(states, &self.radius_m, own_radius_m, agent_idx, first, horizon_s, may_meet);
         self.may_meet[agent_idx] = 0;
@@ -69,7 +70,7 @@ impl LeastTimes {
                 left &= left - 1;
                 let least_s = if is_there { self.least_s[other] } else { 0.0 };
                 let within_s = self.least_s[agent_idx].max(least_s);
-                if let Some(time_s) = time_to_contact(states, bodies, agent_idx, other, within_s) {
+                if let Some(time_s) = time_to_contact(states, footprints, agent_idx, other, within_s) {
                     self.least_s[agent_idx] = self.least_s[agent_idx].min(time_s);
                     if is_there {
                         self.least_s[other] = least_s.min(time_s);
@@ -118,14 +119,14 @@ simd_dispatch! {
 #[inline]
 pub fn time_to_contact(
     states: &AgentStates,
-    bodies: &[Body],
+    footprints: &[Footprint],
     i: usize,
     j: usize,
     horizon_s: Real,
 ) -> Option<Real> {
     let d = states.position(j) - states.position(i);
     let w = states.velocity(j) - states.velocity(i);
-    let reach = bodies[i].radius_m + bodies[j].radius_m;
+    let reach = footprints[i].radius_m + footprints[j].radius_m;
     // the circles touch when |d + w t| = reach
     let (dw, ww) = (d.dot(&w), w.norm_squared());
     let gap = d.norm_squared() - reach * reach;
@@ -135,6 +136,6 @@ pub fn time_to_contact(
             return None;
         }
     }
-    let (a, b) = (states.oriented_box(i, &bodies[i]), states.oriented_box(j, &bodies[j]));
+    let (a, b) = (states.oriented_box(i, &footprints[i]), states.oriented_box(j, &footprints[j]));
     a.time_to_contact(states.velocity(i), &b, states.velocity(j), horizon_s)
 }

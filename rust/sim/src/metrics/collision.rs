@@ -88,13 +88,13 @@ impl CollisionReport {
         let mut at_start: Vec<(u32, u32)> = Vec::new();
         for step_idx in 0..motion.num_steps() {
             motion.states_at(step_idx, &mut states);
-            found.detect(&states, motion.bodies(), &kinds);
+            found.detect(&states, motion.footprints(), &kinds);
             if step_idx == 0 {
                 at_start = found.pairs().to_vec();
             }
             if let Some(log) = log {
                 log.states_at(step_idx, &mut log_states);
-                log_found.detect(&log_states, log.bodies(), &kinds);
+                log_found.detect(&log_states, log.footprints(), &kinds);
             }
             for &(a, b) in found.pairs() {
                 let pair = (a.min(b), a.max(b));

@@ -2,7 +2,7 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Pose2, Real, Vector2};
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// States of A agents over T steps, row-major [A, T]: agent a at step t is entry `a * T + t`.
 ///
@@ -15,11 +15,11 @@ pub struct Trajectories<'a> {
     y_m: &'a [Real],
     heading_rad: &'a [Real],
     valid: &'a [bool],
-    bodies: &'a [Body],
+    footprints: &'a [Footprint],
 }
 
 impl<'a> Trajectories<'a> {
-    /// A view of A * T states, with A bodies.
+    /// A view of A * T states, with A footprints.
     ///
     /// # Errors
     /// [`SimError::Length`] where the arrays do not agree, [`SimError::Config`] for a time step that is not positive
@@ -30,7 +30,7 @@ impl<'a> Trajectories<'a> {
         y_m: &'a [Real],
         heading_rad: &'a [Real],
         valid: &'a [bool],
-        bodies: &'a [Body],
+        footprints: &'a [Footprint],
     ) -> Result<Self> {
         let expected = x_m.len();
         for (what, got) in [("y", y_m.len()), ("heading", heading_rad.len()), ("validity", valid.len())] {
@@ -38,9 +38,13 @@ impl<'a> Trajectories<'a> {
                 return Err(SimError::Length { what, got, expected });
             }
         }
-        let num_steps = expected.checked_div(bodies.len()).unwrap_or(0);
-        if num_steps * bodies.len() != expected {
-            return Err(SimError::Length { what: "x", got: expected, expected: num_steps * bodies.len() });
+        let num_steps = expected.checked_div(footprints.len()).unwrap_or(0);
+        if num_steps * footprints.len() != expected {
+            return Err(SimError::Length {
+                what: "x",
+                got: expected,
+                expected: num_steps * footprints.len(),
+            });
         }
         if !(dt_s.is_finite() && dt_s > 0.0) {
             let expected = "a positive number of seconds".into();
@@ -54,12 +58,12 @@ impl<'a> Trajectories<'a> {
                 expected: "finite states wherever an agent is valid".into(),
             });
         }
-        Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, bodies })
+        Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, footprints })
     }
 
     /// Number of agents A.
     pub fn num_agents(&self) -> usize {
-        self.bodies.len()
+        self.footprints.len()
     }
 
     /// Number of steps T.
@@ -72,9 +76,9 @@ impl<'a> Trajectories<'a> {
         self.dt_s
     }
 
-    /// Bodies of the agents.
-    pub fn bodies(&self) -> &'a [Body] {
-        self.bodies
+    /// Footprints of the agents.
+    pub fn footprints(&self) -> &'a [Footprint] {
+        self.footprints
     }
 
     /// Whether an agent is there at a step; false out of range.
@@ -156,7 +160,7 @@ pub(super) struct Recorded {
     y_m: Vec<Real>,
     heading_rad: Vec<Real>,
     valid: Vec<bool>,
-    bodies: Vec<Body>,
+    footprints: Vec<Footprint>,
 }
 
 #[cfg(test)]
@@ -169,11 +173,12 @@ impl Recorded {
             y_m: all.iter().map(|s| s.map_or(Real::NAN, |s| s.1)).collect(),
             heading_rad: all.iter().map(|s| s.map_or(Real::NAN, |s| s.2)).collect(),
             valid: all.iter().map(Option::is_some).collect(),
-            bodies: vec![Body::new(4.0, 2.0); agents.len()],
+            footprints: vec![Footprint::new(4.0, 2.0); agents.len()],
         }
     }
 
     pub(super) fn motion(&self, dt_s: Real) -> Trajectories<'_> {
-        Trajectories::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.bodies).unwrap()
+        Trajectories::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.footprints)
+            .unwrap()
     }
 }

@@ -37,9 +37,9 @@ pub fn off_road_report(
     let mut states = AgentStates::new(num_agents);
     for step_idx in 0..num_steps {
         motion.states_at(step_idx, &mut states);
-        for (agent, body) in motion.bodies().iter().enumerate() {
+        for (agent, footprint) in motion.footprints().iter().enumerate() {
             if states.active[agent] {
-                flags[agent * num_steps + step_idx] = off_road(&states, agent, body, region);
+                flags[agent * num_steps + step_idx] = off_road(&states, agent, footprint, region);
             }
         }
     }

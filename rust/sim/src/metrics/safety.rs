@@ -22,7 +22,7 @@ pub fn min_ttc_s(motion: &Trajectories<'_>) -> Vec<Real> {
     for t in 0..motion.num_steps() {
         let moving: Vec<_> = (0..num_agents)
             .filter(|&a| motion.is_valid(a, t))
-            .map(|a| (a, motion.bodies()[a].at(&motion.pose(a, t)), motion.velocity(a, t)))
+            .map(|a| (a, motion.footprints()[a].at(&motion.pose(a, t)), motion.velocity(a, t)))
             .collect();
         for (k, (a, box_a, velocity_a)) in moving.iter().enumerate() {
             for (b, box_b, velocity_b) in &moving[..k] {
@@ -49,13 +49,13 @@ pub fn post_encroachment_time_s(motion: &Trajectories<'_>) -> Vec<Option<Real>> 
     let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
         .map(|a| {
             let present = (0..num_steps).filter(|&t| motion.is_valid(a, t));
-            present.map(|t| (t, motion.bodies()[a].at(&motion.pose(a, t)))).collect()
+            present.map(|t| (t, motion.footprints()[a].at(&motion.pose(a, t)))).collect()
         })
         .collect();
     let mut least: Vec<Option<usize>> = vec![None; num_agents];
     for a in 0..num_agents {
         for b in 0..a {
-            let reach_m = motion.bodies()[a].radius_m + motion.bodies()[b].radius_m;
+            let reach_m = motion.footprints()[a].radius_m + motion.footprints()[b].radius_m;
             // a later meeting than both know of already is of no interest
             let mut limit = least[a].unwrap_or(horizon + 1).max(least[b].unwrap_or(horizon + 1));
             for (t, box_a) in &boxes[a] {

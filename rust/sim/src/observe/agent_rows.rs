@@ -8,7 +8,7 @@ use super::source::{OfAgent, Pairs, Target, agent_of};
 use super::view::View;
 use crate::geom::{Point2, Projection, Real};
 use crate::scene::AgentKind;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// Indices of the first numbers of an agent: place, direction, velocity, speed.
 const PLACE: usize = 0;
@@ -80,8 +80,8 @@ impl AgentRows {
     }
 
     /// Takes the numbers that stay what they are in a scene.
-    pub(super) fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
-        self.groups.iter_mut().for_each(|columns| columns.enter(bodies, kinds));
+    pub(super) fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.groups.iter_mut().for_each(|columns| columns.enter(footprints, kinds));
     }
 
     /// Takes what the rows of all observers have in common from the states.
@@ -176,16 +176,16 @@ impl Columns {
         self.entries.iter().all(|e| matches!(e.source, OfAgent::Pair(_) | OfAgent::OnRoute(_)))
     }
 
-    fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
+    fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
         self.fixed.clear();
-        self.fixed.resize(bodies.len(), F32x8::default());
+        self.fixed.resize(footprints.len(), F32x8::default());
         for (lane, entry) in self.entries.iter().enumerate() {
             let (Column { scale, low, high, .. }, OfAgent::Fixed(number)) = (&entry.column, entry.source)
             else {
                 continue;
             };
-            for (fixed, (body, kind)) in self.fixed.iter_mut().zip(bodies.iter().zip(kinds)) {
-                fixed.0[lane] = clip(number(body, *kind) * (1.0 / scale), *low, *high);
+            for (fixed, (footprint, kind)) in self.fixed.iter_mut().zip(footprints.iter().zip(kinds)) {
+                fixed.0[lane] = clip(number(footprint, *kind) * (1.0 / scale), *low, *high);
             }
         }
     }

@@ -166,11 +166,11 @@ impl BevConfig {
             AgentKind::Pedestrian | AgentKind::Cyclist => 170,
             AgentKind::Static => 85,
         };
-        let (pose, body) = (view.states.pose(agent_idx), &view.bodies[agent_idx]);
+        let (pose, footprint) = (view.states.pose(agent_idx), &view.footprints[agent_idx]);
         let size = self.size_px as Real;
         let [u, v] = self.to_px(frame.to_local(pose.position));
         let px = |metres: Real| (metres / self.metres_per_px).max(0.5);
-        let (half_length, half_width) = (px(body.half_length_m), px(body.half_width_m));
+        let (half_length, half_width) = (px(footprint.half_length_m), px(footprint.half_width_m));
         // the heading in columns and rows
         let cos = pose.cos * frame.cos + pose.sin * frame.sin;
         let sin = pose.sin * frame.cos - pose.cos * frame.sin;

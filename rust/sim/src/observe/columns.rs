@@ -51,8 +51,8 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("yaw_rate", "rad/s", 1.0, SIGNED, "change of heading over the last step", |e| {
         e.state(|s| &s.yaw_rate_radps)
     }),
-    entry("length", "m", 10.0, POSITIVE, "of the box", |e| 2.0 * e.body().half_length_m),
-    entry("width", "m", 4.0, POSITIVE, "of the box", |e| 2.0 * e.body().half_width_m),
+    entry("length", "m", 10.0, POSITIVE, "of the box", |e| 2.0 * e.footprint().half_length_m),
+    entry("width", "m", 4.0, POSITIVE, "of the box", |e| 2.0 * e.footprint().half_width_m),
     entry("last_action_0", "", 1.0, SIGNED, "first column of the last normalised action", |e| {
         e.view.facts.last_action[0]
     }),
@@ -125,8 +125,8 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
         Velocity(Axis::Y),
     ),
     entry("speed", "m/s", 20.0, SIGNED, "along its own heading", Speed),
-    entry("length", "m", 10.0, POSITIVE, "of the box", Fixed(|body, _| 2.0 * body.half_length_m)),
-    entry("width", "m", 4.0, POSITIVE, "of the box", Fixed(|body, _| 2.0 * body.half_width_m)),
+    entry("length", "m", 10.0, POSITIVE, "of the box", Fixed(|footprint, _| 2.0 * footprint.half_length_m)),
+    entry("width", "m", 4.0, POSITIVE, "of the box", Fixed(|footprint, _| 2.0 * footprint.half_width_m)),
     entry(
         "distance",
         "m",
@@ -144,7 +144,8 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
         Pair(|all, to| {
             all.each(to, |p| {
                 let v = p.view;
-                time_to_contact(v.states, v.bodies, v.agent_idx, p.other, TTC_SCALE_S).unwrap_or(Real::MAX)
+                time_to_contact(v.states, v.footprints, v.agent_idx, p.other, TTC_SCALE_S)
+                    .unwrap_or(Real::MAX)
             });
         }),
     ),

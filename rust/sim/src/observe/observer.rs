@@ -10,7 +10,7 @@ use super::route_rows::write_route;
 use super::view::View;
 use crate::geom::Real;
 use crate::scene::AgentKind;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// Writes rows of one layout; holds the memory that it works in.
 #[derive(Debug, Clone)]
@@ -34,8 +34,8 @@ impl Observer {
     }
 
     /// Takes what stays what it is in a scene; to be called before [`Observer::prepare`] in each scene.
-    pub fn enter(&mut self, bodies: &[Body], kinds: &[AgentKind]) {
-        self.agents.enter(bodies, kinds);
+    pub fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.agents.enter(footprints, kinds);
     }
 
     /// Takes what all rows of a step have in common from the states; to be called before [`Observer::write`] whenever

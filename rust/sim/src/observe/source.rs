@@ -6,7 +6,7 @@ use super::view::View;
 use crate::events::{Leader, leader};
 use crate::geom::{Projection, Real, Vector2, math};
 use crate::scene::AgentKind;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 use std::cell::OnceCell;
 
 /// The observing agent.
@@ -30,8 +30,8 @@ impl<'a> Ego<'a> {
     }
 
     /// Its body.
-    pub(super) fn body(&self) -> &Body {
-        &self.view.bodies[self.view.agent_idx]
+    pub(super) fn footprint(&self) -> &Footprint {
+        &self.view.footprints[self.view.agent_idx]
     }
 
     /// Sine and cosine of its heading against the route.
@@ -42,7 +42,7 @@ impl<'a> Ego<'a> {
     /// The next agent on its route.
     pub(super) fn leader(&self) -> Option<Leader> {
         let v = self.view;
-        let find = || leader(v.states, v.bodies, v.route, v.route_s_m, v.agent_idx, v.anticipation_s);
+        let find = || leader(v.states, v.footprints, v.route, v.route_s_m, v.agent_idx, v.anticipation_s);
         *self.leader.get_or_init(find)
     }
 }
@@ -59,7 +59,7 @@ pub(super) enum OfAgent {
     /// Its speed along its heading.
     Speed,
     /// A number that stays what it is in a scene.
-    Fixed(fn(&Body, AgentKind) -> Real),
+    Fixed(fn(&Footprint, AgentKind) -> Real),
     /// Any number of the agent and its observer: fills a column by [`Pairs::each`].
     Pair(fn(&Pairs<'_>, Target<'_>)),
     /// The same of the agent's place along the observer's route: fills a column by [`Pairs::each_on_route`].

@@ -3,7 +3,7 @@
 use super::map_segments::MapSegments;
 use crate::geom::{Polyline, Real};
 use crate::scene::AgentKind;
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 
 /// What the world knows about the observing agent beside its state.
 #[derive(Debug, Clone, Copy)]
@@ -33,8 +33,8 @@ pub struct EgoFacts {
 pub struct View<'a> {
     /// States of all agents.
     pub states: &'a AgentStates,
-    /// Their bodies.
-    pub bodies: &'a [Body],
+    /// Their footprints.
+    pub footprints: &'a [Footprint],
     /// Their kinds.
     pub kinds: &'a [AgentKind],
     /// The map.

@@ -46,7 +46,8 @@ impl Idm {
             .max(MIN_DESIRED_MPS)
             .min(world.config.speed_limit_mps)
             .min(route.curve_speed_mps(s + speed * 0.5));
-        let ahead = leader(world.states, &world.scene.bodies, &route.path, s, agent_idx, idm.anticipation_s);
+        let ahead =
+            leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
         acceleration(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
     }
 }

@@ -29,7 +29,7 @@ const FARTHEST_M: Real = 15.0;
 /// How far ahead the way of a vehicle is seen, seconds.
 const AHEAD_S: Real = 2.0;
 /// A vehicle slower than this is walked round by the logged path, m/s.
-const STANDING_MPS: Real = 0.5;
+const STATIONARY_MPS: Real = 0.5;
 /// Time in which a pedestrian wants to be where its log is, seconds.
 const CATCH_UP_S: Real = 1.0;
 /// Nobody walks faster than this times the greatest logged speed, nor than its least value, m/s.
@@ -98,7 +98,7 @@ impl TrafficPolicy for SocialForce {
         let desired = ((wanted_s - s) / CATCH_UP_S).clamp(0.0, greatest);
         let mut force = (direction * desired - velocity) / RELAXATION_S;
         let walk = velocity.try_normalize(0.1).unwrap_or(direction);
-        let radius = |a: usize| scene.bodies[a].half_length_m.max(scene.bodies[a].half_width_m);
+        let radius = |a: usize| scene.footprints[a].half_length_m.max(scene.footprints[a].half_width_m);
         for other in (0..states.len()).filter(|a| *a != agent_idx && states.active[*a]) {
             let offset = here - states.position(other).coords;
             if offset.norm_squared() > FARTHEST_M * FARTHEST_M {
@@ -111,10 +111,10 @@ impl TrafficPolicy for SocialForce {
                     force += repulsion(gap, away, walk);
                 }
                 AgentKind::Static => {}
-                _ if states.speed_mps[other].abs() < STANDING_MPS => {}
+                _ if states.speed_mps[other].abs() < STATIONARY_MPS => {}
                 _ => {
-                    let body = &scene.bodies[other];
-                    let half = (body.half_length_m, body.half_width_m);
+                    let footprint = &scene.footprints[other];
+                    let half = (footprint.half_length_m, footprint.half_width_m);
                     let (gap, away) = vehicle_gap(here, &states.pose(other), states.velocity(other), half);
                     force += vehicle_repulsion(gap - radius(agent_idx), away, direction);
                 }

@@ -4,7 +4,7 @@ use crate::causal::graph::{CausalGraph, GraphThresholds};
 use crate::causal::measures::{AgentFrame, Ttc, normalised_ttc};
 use crate::error::{Result, SimError};
 use crate::geom::{Pose2, Real, Vector2, math};
-use crate::state::{AgentStates, Body};
+use crate::state::{AgentStates, Footprint};
 use crate::world::VecWorld;
 use serde::Serialize;
 
@@ -35,7 +35,7 @@ struct Row<'a> {
     cos_sin: (Real, Real),
     velocity: Vector2,
     state: &'a State,
-    body: Body,
+    footprint: Footprint,
     ttc_s: Real,
     was_adversary: bool,
 }
@@ -81,8 +81,8 @@ features! {
     "velocity_y", "m/s", 15.0, "relative to the ego, in its frame", |r| r.velocity.y;
     "speed", "m/s", 15.0, "along the agent's own heading", |r| r.state.speed_mps;
     "acceleration", "m/s2", 5.0, "change of speed over the last step", |r| r.state.acceleration_mps2;
-    "length", "m", 10.0, "length", |r| 2.0 * r.body.half_length_m;
-    "width", "m", 5.0, "width", |r| 2.0 * r.body.half_width_m;
+    "length", "m", 10.0, "length", |r| 2.0 * r.footprint.half_length_m;
+    "width", "m", 5.0, "width", |r| 2.0 * r.footprint.half_width_m;
     "ttc", "", 1.0, "time to contact with the ego: 1 now, 0 in 20 s or never", |r| normalised_ttc(r.ttc_s);
     "was_adversary", "", 1.0, "1 if it was one in the decision before", |r| f32::from(r.was_adversary);
     "present", "", 1.0, "1; rows without an agent are zero", |_| 1.0;
@@ -133,8 +133,8 @@ impl VecWorld {
         let chosen: Vec<usize> = std::iter::once(ego).chain(rows.iter().copied()).collect();
         let (k, n) = (chosen.len(), num_rows + 1);
         let seen: Vec<State> = chosen.iter().map(|a| State::of(status.states, *a)).collect();
-        let bodies: Vec<Body> = chosen.iter().map(|a| world.scene.bodies[*a]).collect();
-        let (ttc_s, distance_m) = pairs(&seen, &bodies)?;
+        let footprints: Vec<Footprint> = chosen.iter().map(|a| world.scene.footprints[*a]).collect();
+        let (ttc_s, distance_m) = pairs(&seen, &footprints)?;
         let graph = CausalGraph::from_measures(k, &ttc_s, &distance_m, GraphThresholds::default())?;
 
         let mut agents = vec![0.0; n * CANDIDATE_FEATURES.len()];
@@ -147,7 +147,7 @@ impl VecWorld {
                 },
                 velocity: turned(&seen[0].pose, seen[i].velocity - seen[0].velocity),
                 state: &seen[i],
-                body: bodies[i],
+                footprint: footprints[i],
                 ttc_s: ttc_s[i],
                 was_adversary: before.contains(&chosen[i]),
             };
@@ -196,9 +196,9 @@ fn turned(pose: &Pose2, v: Vector2) -> Vector2 {
 }
 
 /// Times to contact and distances of all pairs [K, K].
-fn pairs(seen: &[State], bodies: &[Body]) -> Result<(Vec<Real>, Vec<Real>)> {
+fn pairs(seen: &[State], footprints: &[Footprint]) -> Result<(Vec<Real>, Vec<Real>)> {
     let of = |value: &dyn Fn(&State) -> Real| seen.iter().map(value).collect::<Vec<Real>>();
-    let size = |value: &dyn Fn(&Body) -> Real| bodies.iter().map(value).collect::<Vec<Real>>();
+    let size = |value: &dyn Fn(&Footprint) -> Real| footprints.iter().map(value).collect::<Vec<Real>>();
     let (x, y) = (of(&|s| s.pose.position.x), of(&|s| s.pose.position.y));
     let (heading, speed) = (of(&|s| s.pose.heading_rad), of(&|s| s.speed_mps));
     let (length, width) = (size(&|b| 2.0 * b.half_length_m), size(&|b| 2.0 * b.half_width_m));

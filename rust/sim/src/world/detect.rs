@@ -25,7 +25,7 @@ impl World {
         let present = |a: &usize| e.states.active[*a];
         self.present.clear();
         self.present.extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
-        let pairs = self.collisions.pairs_of(&e.states, &scene.bodies, &scene.kinds, &self.present);
+        let pairs = self.collisions.pairs_of(&e.states, &scene.footprints, &scene.kinds, &self.present);
         e.initial_contacts.retain(|(i, j)| pairs.contains(&(*i.min(j), *i.max(j))));
         for (slot, contact) in e.slots.iter().zip(&mut self.contacts) {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
@@ -40,7 +40,7 @@ impl World {
                 if at_start {
                     e.initial_contacts.push(pair);
                 } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
-                    *contact = Some(Contact::between(&e.states, &scene.bodies, a, other));
+                    *contact = Some(Contact::between(&e.states, &scene.footprints, a, other));
                 }
             }
         }

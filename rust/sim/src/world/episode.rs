@@ -13,7 +13,7 @@ use crate::world::rng::Rng;
 use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
-pub(crate) const STANDING_M: Real = 2.0;
+pub(crate) const STATIONARY_M: Real = 2.0;
 
 /// Where a world is in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,7 +40,7 @@ pub(crate) struct Slot {
     pub(crate) last_action: [Real; 3],
     /// Acceleration of the step before, for the jerk.
     pub(crate) acceleration_mps2: Real,
-    pub(crate) touching: bool,
+    pub(crate) in_contact: bool,
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
     /// Whether the agent has been on the road; before that, it is not counted as off the road.
@@ -244,7 +244,7 @@ impl Episode {
                 best_s_m: start_s_m,
                 last_action: [0.0; 3],
                 acceleration_mps2: 0.0,
-                touching: false,
+                in_contact: false,
                 ever_collided: false,
                 ever_off_road: false,
                 has_been_on_road: false,
@@ -343,6 +343,6 @@ impl Slot {
     /// Share of the way to the goal, 0 to 1; 1 where the log stands still.
     pub(crate) fn completion(&self) -> Real {
         let way = self.goal_s_m - self.start_s_m;
-        if way < STANDING_M { 1.0 } else { ((self.best_s_m - self.start_s_m) / way).clamp(0.0, 1.0) }
+        if way < STATIONARY_M { 1.0 } else { ((self.best_s_m - self.start_s_m) / way).clamp(0.0, 1.0) }
     }
 }

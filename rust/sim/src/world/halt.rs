@@ -21,7 +21,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
     e.halted.resize(e.states.len(), false);
     e.given_contacts.clear();
     if (0..e.states.len()).any(|a| is_driven(e, a)) {
-        collisions.find(&e.states, &scene.bodies, &scene.kinds);
+        collisions.find(&e.states, &scene.footprints, &scene.kinds);
         e.given_contacts.extend_from_slice(collisions.pairs());
     }
 }
@@ -30,7 +30,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
 /// back to the moment of the contact; their velocity is that of the step, zero from the next one on. `before` holds
 /// the poses before the step.
 pub(super) fn halt(e: &mut Episode, scene: &PreparedScene, collisions: &mut Collisions, before: &[Pose2]) {
-    collisions.find(&e.states, &scene.bodies, &scene.kinds);
+    collisions.find(&e.states, &scene.footprints, &scene.kinds);
     let pairs = collisions.pairs();
     e.given_contacts.retain(|pair| pairs.contains(pair));
     for (i, j) in pairs {
@@ -58,19 +58,19 @@ fn at_contact(e: &Episode, scene: &PreparedScene, a: usize, other: usize, from: 
         let p = from.position + (to.position - from.position) * f;
         Pose2::new(p.x, p.y, from.heading_rad + turn * f)
     };
-    let obstacle = e.states.oriented_box(other, &scene.bodies[other]);
-    let overlaps = |f: f32| scene.bodies[a].at(&at(f)).overlaps(&obstacle);
+    let obstacle = e.states.oriented_box(other, &scene.footprints[other]);
+    let overlaps = |f: f32| scene.footprints[a].at(&at(f)).overlaps(&obstacle);
     if overlaps(0.0) {
         return *from;
     }
-    let (mut free, mut touching) = (0.0, 1.0);
+    let (mut free, mut in_contact) = (0.0, 1.0);
     for _ in 0..HALVINGS {
-        let middle = 0.5 * (free + touching);
+        let middle = 0.5 * (free + in_contact);
         if overlaps(middle) {
-            touching = middle;
+            in_contact = middle;
         } else {
             free = middle;
         }
     }
-    at(touching)
+    at(in_contact)
 }

@@ -260,8 +260,8 @@ impl VecWorld {
         let world = self.begun(world_idx)?;
         let (states, scene) = (&world.episode.states, &world.scene);
         let mut collisions = Collisions::new();
-        collisions.detect(states, &scene.bodies, &scene.kinds);
-        let seen = |i: u32, j: u32| Contact::between(states, &scene.bodies, i as usize, j as usize);
+        collisions.detect(states, &scene.footprints, &scene.kinds);
+        let seen = |i: u32, j: u32| Contact::between(states, &scene.footprints, i as usize, j as usize);
         Ok(collisions.pairs().iter().map(|(i, j)| (seen(*i, *j), seen(*j, *i))).collect())
     }
 
@@ -273,7 +273,7 @@ impl VecWorld {
         let world = self.begun(world_idx)?;
         let (states, scene) = (&world.episode.states, &world.scene);
         let fact = |a: usize| match &scene.road {
-            Some(road) if states.active[a] => off_road(states, a, &scene.bodies[a], road),
+            Some(road) if states.active[a] => off_road(states, a, &scene.footprints[a], road),
             _ => OffRoad::default(),
         };
         Ok((0..states.len()).map(fact).collect())
@@ -301,7 +301,8 @@ impl VecWorld {
             let mut next = AgentStates::new(1);
             next.place(0, pose, velocity);
             let (from, to) = (e.states.kin_state(a), next.kin_state(0));
-            let physical = self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.bodies[a]);
+            let physical =
+                self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.footprints[a]);
             Some(self.decoder.encode(&physical))
         };
         Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())

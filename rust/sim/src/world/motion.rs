@@ -25,8 +25,14 @@ impl World {
                 let pose = e.states.pose(a);
                 e.states.place(a, pose, Vector2::zeros());
             } else if e.drivers[a] == Driver::External {
-                let body = &self.scene.bodies[a];
-                shared.decoder.dynamics().step_agent(&mut e.states, a, self.actions[c], config.dt_s, body);
+                let footprint = &self.scene.footprints[a];
+                shared.decoder.dynamics().step_agent(
+                    &mut e.states,
+                    a,
+                    self.actions[c],
+                    config.dt_s,
+                    footprint,
+                );
             }
         }
         self.scene.log.follow(e.step_idx, &self.follow_log, &mut e.states, &mut self.masks, config.dt_s);

@@ -1,9 +1,9 @@
-//! A scene with everything a world derives from it once: indices, bodies, routes. Shared by all worlds.
+//! A scene with everything a world derives from it once: indices, footprints, routes. Shared by all worlds.
 
 use crate::geom::{Bitmap, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
 use crate::scene::{AgentKind, LaneIndex, Scene};
-use crate::state::Body;
+use crate::state::Footprint;
 use crate::world::log::Log;
 use crate::world::route::Route;
 use std::sync::Arc;
@@ -13,8 +13,8 @@ use std::sync::Arc;
 pub struct PreparedScene {
     /// The scene itself.
     pub scene: Arc<Scene>,
-    /// Bodies of the agents.
-    pub bodies: Vec<Body>,
+    /// Footprints of the agents.
+    pub footprints: Vec<Footprint>,
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
     /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
@@ -45,7 +45,7 @@ impl PreparedScene {
         let lanes = LaneIndex::new(map);
         let routes = Route::of_all(&scene, lanes.as_ref());
         Self {
-            bodies: scene.agents.iter().map(|a| Body::new(a.length_m, a.width_m)).collect(),
+            footprints: scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect(),
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
             segments: MapSegments::new(map),

@@ -5,7 +5,7 @@ use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::columns::{self, RewardForm, Step};
 use crate::world::config::WorldConfig;
-use crate::world::episode::{STANDING_M, Slot};
+use crate::world::episode::{STATIONARY_M, Slot};
 
 /// Scale of accelerations in the discomfort, m/s².
 const COMFORT_MPS2: Real = 4.0;
@@ -50,7 +50,7 @@ pub(crate) fn score(
     let lateral = speed * states.yaw_rate_radps[agent_idx];
     let jerk = (acceleration - slot.acceleration_mps2) / config.dt_s;
     slot.acceleration_mps2 = acceleration;
-    let standing = slot.goal_s_m - slot.start_s_m < STANDING_M;
+    let standing = slot.goal_s_m - slot.start_s_m < STATIONARY_M;
     let reached = !standing && !slot.goal_reached && slot.best_s_m >= slot.goal_s_m;
     slot.ever_collided |= facts.contact.is_some();
     slot.ever_off_road |= slot.off_road;

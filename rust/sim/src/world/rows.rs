@@ -41,13 +41,13 @@ impl World {
                 lateral_m: slot.route_distance_m,
                 heading_error_rad: slot.route_heading_error_rad,
                 off_road: slot.off_road,
-                collided: slot.touching,
+                collided: slot.in_contact,
                 route_remaining_m: (slot.goal_s_m - e.route_s_m[a]).max(0.0),
                 time_remaining: 1.0 - e.elapsed_steps as Real / config.horizon_steps as Real,
             };
             let view = View {
                 states: &e.states,
-                bodies: &self.scene.bodies,
+                footprints: &self.scene.footprints,
                 kinds: &self.scene.kinds,
                 segments: &self.scene.segments,
                 route,

@@ -14,13 +14,13 @@ const LANE_REACH_M: Real = 5.0;
 /// Whether an agent could stand at its logged state of the present step.
 pub(crate) fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
     let Some((pose, _)) = scene.log.at(a, e.step_idx) else { return false };
-    let (own, p) = (scene.bodies[a].at(&pose), pose.position);
+    let (own, p) = (scene.footprints[a].at(&pose), pose.position);
     let still = scene.kinds[a] == AgentKind::Static;
     (0..e.states.len()).all(|j| {
         !e.states.active[j]
             || (still && scene.kinds[j] == AgentKind::Static)
-            || !near(e.states.position(j), p, scene.bodies[j].radius_m + scene.bodies[a].radius_m)
-            || !own.overlaps(&e.states.oriented_box(j, &scene.bodies[j]))
+            || !near(e.states.position(j), p, scene.footprints[j].radius_m + scene.footprints[a].radius_m)
+            || !own.overlaps(&e.states.oriented_box(j, &scene.footprints[j]))
     })
 }
 
@@ -51,7 +51,7 @@ pub(crate) fn road_and_lane(
     let limit = lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps);
     slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
     if let Some(road) = &scene.road {
-        let off = off_road(states, a, &scene.bodies[a], road);
+        let off = off_road(states, a, &scene.footprints[a], road);
         slot.has_been_on_road |= !off.corner;
         slot.off_road = off.corner && slot.has_been_on_road;
         slot.off_road_centroid = off.centroid && slot.has_been_on_road;

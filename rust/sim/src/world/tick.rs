@@ -104,7 +104,7 @@ impl World {
     /// Puts another scene under the world.
     pub(super) fn enter(&mut self, scene: Arc<PreparedScene>) {
         self.scene = scene;
-        self.observer.enter(&self.scene.bodies, &self.scene.kinds);
+        self.observer.enter(&self.scene.footprints, &self.scene.kinds);
     }
 
     pub(crate) fn view<'a>(&'a self, config: &'a WorldConfig) -> WorldView<'a> {
