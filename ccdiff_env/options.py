@@ -191,8 +191,8 @@ class ObservationConfig:
     num_route_points: int = 20
     #: Distance from one route point to the next (m, in (0, 1000]).
     route_spacing_m: float = 2.0
-    #: Nearest pieces of map lines, N rows (in [0, 256]).
-    num_map_pieces: int = 64
+    #: Nearest segments of map lines, N rows (in [0, 256]).
+    num_map_segments: int = 64
     #: Agents farther than this are not seen (m, in (0, 1000]).
     radius_m: float = 60.0
     #: Whether masks are part of the row.
@@ -408,16 +408,16 @@ Ranking: TypeAlias = (
 )
 
 #: Who drives the vehicles outside the guided set.
-Others: TypeAlias = Literal["ccdiff", "idm", "replay"]
+BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]
 
 #: Contacts with whom count in the collision objectives.
-Partners: TypeAlias = Literal["ego", "all"]
+CollisionTargets: TypeAlias = Literal["ego", "all"]
 
 #: How a vehicle stands to the nearest of those with whom contacts count.
 Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
 
 #: Which vehicles stand still for the whole episode.
-Frozen: TypeAlias = Literal["parked", "standing"]
+ParkedRule: TypeAlias = Literal["parked", "standing"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -466,7 +466,7 @@ class CcdiffConfig:
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True
     #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
-    others: Others = "ccdiff"
+    background_driver: BackgroundDriver = "ccdiff"
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
     #: configured (>= 0). Worlds may be told another one at any time.
     criticality: float = 0.0
@@ -480,9 +480,8 @@ class CcdiffConfig:
     mask_guidance: bool = True
     #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from
     #: outside, or with anybody (paper).
-    partners: Partners = "ego"
-    #: Ids of the agents with whom contacts count, in place of ``partners``; empty: those of
-    #: ``partners``.
+    collision_targets: CollisionTargets = "ego"
+    #: Ids of the agents with whom contacts count, in place of ``collision_targets``; empty: those.
     targets: tuple[str, ...] = ()
     #: Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest
     #: target may be guided; empty: all.
@@ -498,4 +497,4 @@ class CcdiffConfig:
     #: Whether plans keep attention and gradient statistics, at some cost.
     explain: bool = False
     #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
-    frozen: Frozen = "parked"
+    parked_rule: ParkedRule = "parked"

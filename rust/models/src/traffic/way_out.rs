@@ -3,7 +3,7 @@
 use super::planned_agents::is_ego;
 use ccdiff_sim::geom::{Polyline, Pose2, Real, Vector2};
 use ccdiff_sim::policy::WorldView;
-use ccdiff_sim::state::Body;
+use ccdiff_sim::state::Footprint;
 
 /// Accelerations that are tried, each held until the ego stands, m/s²: those of `ccdiff_env.counterfactual.ego_plans`.
 const ACCELERATIONS_MPS2: [Real; 7] = [0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0];
@@ -21,7 +21,7 @@ struct Start<'a> {
     /// Distance from the route, left positive, metres.
     offset_m: Real,
     speed_mps: Real,
-    body: Body,
+    footprint: Footprint,
 }
 
 /// Poses (x, y, heading) of a vehicle after each step of its plan, [T, 3].
@@ -35,7 +35,8 @@ pub(super) struct PlannedPoses<'a> {
 pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool {
     let (states, scene) = (world.states, world.scene);
     let egos = (0..states.len()).filter(|a| states.active[*a] && is_ego(world, *a));
-    let others: Vec<(Body, &[Real])> = plans.iter().map(|p| (scene.bodies[p.agent_idx], p.poses)).collect();
+    let others: Vec<(Footprint, &[Real])> =
+        plans.iter().map(|p| (scene.footprints[p.agent_idx], p.poses)).collect();
     let has_way_out = |ego: usize| {
         let route = &scene.routes[ego].path;
         let at = route.project_near(states.position(ego), world.route_s_m[ego], 10.0);
@@ -44,7 +45,7 @@ pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool 
             s_m: at.s_m,
             offset_m: at.lateral_m,
             speed_mps: states.speed_mps[ego].max(0.0),
-            body: scene.bodies[ego],
+            footprint: scene.footprints[ego],
         };
         start.has_way_out(&others, world.config.dt_s)
     };
@@ -52,20 +53,30 @@ pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool 
 }
 
 impl Start<'_> {
-    fn has_way_out(&self, others: &[(Body, &[Real])], dt_s: Real) -> bool {
+    fn has_way_out(&self, others: &[(Footprint, &[Real])], dt_s: Real) -> bool {
         let ways = OFFSETS_M.iter().flat_map(|offset| ACCELERATIONS_MPS2.iter().map(move |a| (*a, *offset)));
         ways.into_iter().any(|(acceleration, offset)| {
-            others.iter().all(|(body, poses)| !self.touches(acceleration, offset, body, poses, dt_s))
+            others
+                .iter()
+                .all(|(footprint, poses)| !self.touches(acceleration, offset, footprint, poses, dt_s))
         })
     }
 
     /// Whether the ego touches a planned vehicle on one of the ways.
-    fn touches(&self, acceleration: Real, offset_m: Real, body: &Body, poses: &[Real], dt_s: Real) -> bool {
-        let reach_m = self.body.radius_m + body.radius_m;
+    fn touches(
+        &self,
+        acceleration: Real,
+        offset_m: Real,
+        footprint: &Footprint,
+        poses: &[Real],
+        dt_s: Real,
+    ) -> bool {
+        let reach_m = self.footprint.radius_m + footprint.radius_m;
         poses.chunks_exact(3).enumerate().any(|(step, pose)| {
             let pose = Pose2::new(pose[0], pose[1], pose[2]);
             let ego = self.pose(acceleration, offset_m, (step + 1) as Real * dt_s);
-            (pose.position - ego.position).norm() <= reach_m && self.body.at(&ego).overlaps(&body.at(&pose))
+            (pose.position - ego.position).norm() <= reach_m
+                && self.footprint.at(&ego).overlaps(&footprint.at(&pose))
         })
     }
 
@@ -90,19 +101,19 @@ mod tests {
     /// An ego at 10 m/s on a straight route along x, and whether it has a way out between vehicles that keep their velocities.
     fn has_way_out(others: &[([Real; 2], Real)]) -> bool {
         let route = Polyline::straight(&Pose2::new(0.0, 0.0, 0.0), 200.0);
-        let body = Body::new(4.0, 2.0);
-        let start = Start { route: &route, s_m: 20.0, offset_m: 0.0, speed_mps: 10.0, body };
+        let footprint = Footprint::new(4.0, 2.0);
+        let start = Start { route: &route, s_m: 20.0, offset_m: 0.0, speed_mps: 10.0, footprint };
         let plan = |([x, y], speed): &([Real; 2], Real)| -> Vec<Real> {
             (1..=50).flat_map(|t| [20.0 + x + speed * DT_S * t as Real, *y, 0.0]).collect()
         };
         let plans: Vec<Vec<Real>> = others.iter().map(plan).collect();
-        let others: Vec<_> = plans.iter().map(|p| (body, p.as_slice())).collect();
+        let others: Vec<_> = plans.iter().map(|p| (footprint, p.as_slice())).collect();
         start.has_way_out(&others, DT_S)
     }
 
     #[test]
     fn a_vehicle_that_stands_beyond_the_braking_distance_leaves_a_way_out() {
-        // 10 m/s: 6.3 m at 8 m/s², and 4 m of bodies
+        // 10 m/s: 6.3 m at 8 m/s², and 4 m of footprints
         assert!(has_way_out(&[]));
         assert!(has_way_out(&[([10.6, 0.0], 0.0), ([10.6, 2.5], 0.0), ([10.6, -2.5], 0.0)]));
         assert!(!has_way_out(&[([10.0, 0.0], 0.0), ([10.0, 2.5], 0.0), ([10.0, -2.5], 0.0)]));
