@@ -27,9 +27,12 @@ class _Help(argparse.HelpFormatter):
     """Help that shows defaults, where there are any to show."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        silent = any(action.default is none for none in (None, False, argparse.SUPPRESS))
-        shown = action.option_strings and not silent and action.default != []
-        return f"{action.help or ''} (default: %(default)s)" if shown else action.help
+        default = action.default
+        silent = any(default is none for none in (None, False, argparse.SUPPRESS)) or default == []
+        if silent or not action.option_strings:
+            return action.help
+        text = " ".join(default) if isinstance(default, list) else str(default)
+        return f"{action.help or ''} (default: {text.replace('%', '%%')})"
 
 
 class _Version(argparse.Action):
@@ -50,8 +53,8 @@ def _show_defaults(parser: argparse.ArgumentParser) -> None:
                 _show_defaults(verb)
 
 
-def parse(words: Sequence[str]) -> argparse.Namespace:
-    """Read a command line; ends the process as argparse does, where it is wrong."""
+def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser of a command line; of its verb alone it has the arguments."""
     parser = argparse.ArgumentParser(
         prog="ccdiff-env", description="Driving among learned traffic."
     )
@@ -64,7 +67,12 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
             arguments.set_defaults(run=getattr(found, "run", None))
             found.add_arguments(arguments)
     _show_defaults(parser)
-    return parser.parse_args(words)
+    return parser
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Read a command line; ends the process as argparse does, where it is wrong."""
+    return parser_for(words).parse_args(words)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

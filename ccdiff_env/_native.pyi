@@ -325,6 +325,9 @@ class VecWorld:
     def set_scene_weights(self, weights: Sequence[float] | None) -> None:
         """Draw the scenes of later episodes by weights; all alike for ``None``."""
 
+    def set_autoreset(self, config: str) -> None:
+        """Take the autoreset mode of a configuration (JSON), before the first reset."""
+
     def reset(
         self,
         seeds: Sequence[int | None],

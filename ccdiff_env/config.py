@@ -143,6 +143,22 @@ class WorldConfig(WorldOptions):
             config = dataclasses.replace(config, observation=observation)
         return config
 
+    def check_networks(self) -> None:
+        """Refuse options of networks where nobody drives by one that takes them.
+
+        Raises
+        ------
+        ConfigError
+            In one line that says what the traffic is.
+        """
+        shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
+        drivers = {*shares, self.driver, *self.drivers.values()}
+        if self.ccdiff != CcdiffConfig() and not drivers & (set(NETWORKS) - set(self.policies)):
+            raise ConfigError(
+                f"ccdiff: traffic is {self.traffic!r}, expected one of the networks that these "
+                f"options are for: {', '.join(NETWORKS)}"
+            )
+
     def to_json(self) -> str:
         """Return the configuration as JSON, as Rust reads it."""
         return json.dumps(_plain(self), allow_nan=False)

@@ -216,8 +216,8 @@ def load_nuscenes(
         Folder of the tables.
     split
         Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split that
-        the data set does
-        not have are listed in the report.
+        the data set does not have are listed in the report; a warning says so where it has less
+        than half of them.
     scenes
         Names or tokens of the scenes to load, in this order, instead of a split; a missing one
         is an error.
@@ -284,6 +284,13 @@ def load_nuscenes(
         warnings.warn(
             "no map file for some scenes (report.missing_maps): nothing is off road there; the map "
             "expansion of nuScenes belongs into maps/expansion, see docs/data.md",
+            stacklevel=2,
+        )
+    if scenes is None and names is not None and 2 * len(loaded) < len(names):
+        warnings.warn(
+            f"{version} has {len(loaded)} of the {len(names)} scenes of split {split!r} "
+            "(report.missing names the others)"
+            + ("; its own splits are mini_train and mini_val" * (version == "v1.0-mini")),
             stacklevel=2,
         )
     return SceneSet(loaded, partial(LoadReport.from_json, report))

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.scenes import splits
+from ccdiff_env.traffic import NETWORKS
 
 #: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
 #: town.
@@ -17,17 +19,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataroot", required=True, type=Path, help="folder of nuScenes")
     parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
     parser.add_argument(
-        "--split", nargs="+", default=["train", "train_val"], help="splits to train on"
+        "--split",
+        nargs="+",
+        default=["train", "train_val"],
+        help=f"splits to train on, of: {', '.join(splits())}, all",
     )
-    parser.add_argument("--model", default="ccdiff", help="ccdiff or one of its rivals")
+    parser.add_argument("--model", default="ccdiff", help=f"network, of: {', '.join(NETWORKS)}")
     parser.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="size of the network"
     )
     parser.add_argument("--out", required=True, type=Path, help="folder of the run")
     parser.add_argument(
-        "--teacher", type=Path, help="weights whose plans the network learns to make in one step"
+        "--teacher",
+        type=Path,
+        help="weights whose plans the network learns to make in one step (default: none, it learns "
+        "from the data)",
     )
-    parser.add_argument("--start", type=Path, help="weights that the run begins with")
+    parser.add_argument(
+        "--start", type=Path, help="weights that the run begins with (default: random ones)"
+    )
     parser.add_argument(
         "--routes",
         action="store_true",
@@ -36,10 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
     length.add_argument("--minutes", type=float, help="minutes of this call")
-    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="of torch")
-    parser.add_argument("--batch-scenes", type=int, help="scenes per step")
-    parser.add_argument("--learning-rate", type=float, help="of Adam; the preset's without")
-    parser.add_argument("--seed", type=int, help="of weights and batches")
+    parser.add_argument(
+        "--device", default="cpu", choices=["cpu", "cuda"], help="where torch computes"
+    )
+    parser.add_argument("--batch-scenes", type=int, help="scenes per step (default: the preset's)")
+    parser.add_argument("--learning-rate", type=float, help="of Adam (default: the preset's)")
+    parser.add_argument("--seed", type=int, help="of weights and batches (default: 0)")
     parser.add_argument(
         "--hold-out-every", type=int, default=16, help="keep every n-th scene for validation"
     )
@@ -50,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train, and print where the weights are."""
     from ccdiff_env.models import require_networks, train
-    from ccdiff_env.scenes import load_nuscenes, splits
+    from ccdiff_env.scenes import load_nuscenes
 
     kept_out = {*splits()["val"], *splits()["mini_val"]}
     if args.hold_out_every < 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import dataclasses
 import json
@@ -18,6 +19,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Rollout, Scene, WorldConfig, errors
 from ccdiff_env.bench import scenario_sets
+from ccdiff_env.bench.arguments import Run, add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.certificate import Certificate
@@ -25,8 +27,9 @@ from ccdiff_env.cli import main
 from ccdiff_env.config import BevConfig, ObservationConfig
 from ccdiff_env.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.envs.replay import replay
-from ccdiff_env.files import file_name
+from ccdiff_env.files import file_name, write_aside
 from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout
 
@@ -101,6 +104,19 @@ def test_pages_of_a_folder_do_not_replace_each_other(tmp_path):
     assert all(page.is_file() for page in pages)
 
 
+def test_a_full_disk_leaves_no_half_of_a_file(tmp_path):
+    path = tmp_path / "run.json"
+    write_aside(path, "{}")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_aside(path, "x" * 10**6)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [(found.name, found.read_text()) for found in tmp_path.iterdir()] == [("run.json", "{}")]
+
+
 def certificate():
     env = EgoEnv(traffic="replay")
     env.reset(seed=1)
@@ -114,7 +130,16 @@ JSON_READERS = {
     "configuration": (lambda path: WorldConfig.from_json(path.read_text()), "c.json"),
     "scenario set": (scenario_sets.load_scenario_set, "manifest.json"),
     "result": (lambda path: results([Job("r", "", {})], path.parent), "r.json"),
+    "settings of a run": (lambda path: run_in(path.parent), "run.json"),
+    "ranking": (read_ranking, "r.json"),
 }
+
+
+def run_in(folder):
+    """A run of a benchmark whose folder is there already."""
+    parser = argparse.ArgumentParser()
+    add_run_arguments(parser)
+    return Run(parser.parse_args(["--out", str(folder)]), "planners")
 
 
 @pytest.mark.parametrize("name", list(JSON_READERS))
@@ -339,6 +364,21 @@ def data_set(tmp_path):
         return ccdiff_env.load_nuscenes(tmp_path, VERSION, scenes=[name], cache=False)[0]
 
     return tmp_path, load
+
+
+def test_a_lane_of_very_many_pieces_costs_little(data_set):
+    folder, load = data_set
+    load()
+    path = folder / "maps/expansion/ccdiff-town.json"
+    town = json.loads(path.read_text())
+    lane = next(iter(town["arcline_path_3"]))
+    pieces = town["arcline_path_3"][lane] * 100_000
+    town["arcline_path_3"][lane] = pieces[:300_000]
+    path.write_text(json.dumps(town))
+    start = time.process_time()
+    with contextlib.suppress(errors.DatasetError):
+        load()
+    assert time.process_time() - start < 20.0
 
 
 def test_files_may_begin_with_a_byte_order_mark(data_set):

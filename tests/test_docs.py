@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import doctest
 import importlib
@@ -10,6 +11,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -159,16 +161,58 @@ def test_examples_of_docstrings_hold(name, tmp_path, monkeypatch):
     assert not found.failed
 
 
-VERBS = [[verb] for verb in ccdiff_env_cli.VERBS if verb != "bench"]
-VERBS += [["bench", kind] for kind in re.findall(r"^    (\w+)  ", help_of(["bench"]), re.MULTILINE)]
+def parsers(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, Any]]:
+    """A parser and all below it, by their words."""
+    below = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    if not below:
+        yield name, parser
+    for action in below:
+        for word, found in action.choices.items():
+            yield from parsers(found, f"{name} {word}")
 
 
-@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_help_says_what_every_option_does_and_what_there_is(verb):
-    text = help_of(verb)
-    assert "%(" not in text
-    lines = re.split(r"\n(?=  -)", text)[1:]
-    silent = [line for line in lines if not re.search(r"\s{2,}\S", line.strip(), re.DOTALL)]
-    assert silent == []
-    if "--methods" in text:
-        assert "ccdiff_unguided" in text.partition("of: ")[2]
+VERBS = {
+    name.strip(): parser
+    for verb in ccdiff_env_cli.VERBS
+    for name, parser in parsers(ccdiff_env_cli.parser_for([verb]))
+    if name.split()[0] == verb
+}
+
+
+def test_every_verb_has_a_parser_with_arguments():
+    assert set(ccdiff_env_cli.VERBS) == {name.split()[0] for name in VERBS}
+    assert len(VERBS) == len(ccdiff_env_cli.VERBS) - 1 + 10  # bench has ten kinds
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_option_says_what_it_does_and_its_default(verb):
+    parser = VERBS[verb]
+    one_of = {a for group in parser._mutually_exclusive_groups for a in group._group_actions}
+    for action in parser._actions:
+        if action.help == argparse.SUPPRESS:  # former names
+            continue
+        text = parser._get_formatter()._expand_help(action)
+        words = text.partition("(default")[0]
+        assert len(words.split()) > 1, (verb, action.option_strings)
+        is_flag = action.nargs == 0
+        if action.option_strings and not (is_flag or action.required or action in one_of):
+            assert "default: " in text, (verb, action.option_strings, text)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_lists_the_names_that_an_option_takes(verb):
+    parser = VERBS[verb]
+    listed = {
+        "--methods": "ccdiff_unguided",
+        "--planners": "pdm",
+        "--traffic": "constant_velocity" if verb in ("rollout", "view") else "ccdiff-1",
+        "--driver": "ego_replay",
+        "--ego": "ego_replay",
+        "--split": "mini_val",
+        "--train-split": "train_val",
+        "--model": "trafficsim",
+        "--dynamics": "delta_pose",
+    }
+    for option in listed.keys() & parser._option_string_actions.keys():
+        text = parser._get_formatter()._expand_help(parser._option_string_actions[option])
+        assert listed[option] in text.partition("default: ")[0].partition(" of: ")[2], option

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 import ccdiff_env
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
+from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, ResetNeededError
 
 
@@ -32,6 +33,31 @@ def test_vector_environments_answer_as_gymnasiums_own(scenes):
             env.set_attr("note", values)
     with pytest.raises(AttributeError):
         env.call("fly")
+
+
+def test_a_learner_chooses_when_worlds_begin_anew(scenes):
+    options = {"scenes": scenes, "horizon_steps": 3, "traffic": "idm"}
+    worlds = ccdiff_env.make_vec(2, **options)
+    played = []
+    for env in (worlds, ccdiff_env.make_vec(2, autoreset_mode="same_step", **options)):
+        learner = SB3VecEnv(env)
+        learner.seed(7)
+        out = [learner.reset()]
+        for _ in range(5):
+            obs, rewards, dones, _ = learner.step(np.zeros((2, 2), np.float32))
+            out += [obs, rewards, dones]
+        played.append(out)
+    assert played[0][9].all()  # the third step ends the episodes
+    assert all(np.array_equal(a, b) for a, b in zip(*played, strict=True))
+    assert worlds.autoreset_mode is AutoresetMode.SAME_STEP
+    assert worlds.config.autoreset == "same_step"
+    begun = ccdiff_env.make_vec(2, **options)
+    begun.reset(seed=0)
+    for env in (begun, gymnasium.vector.VectorWrapper(ccdiff_env.make_vec(2, **options))):
+        with pytest.raises(ConfigError, match="expected SAME_STEP: make_vec"):
+            SB3VecEnv(env)
+    with pytest.raises(ConfigError, match="have begun"):
+        begun.set_autoreset_mode("disabled")
 
 
 def test_an_unknown_keyword_is_a_type_error_too():

@@ -15,7 +15,7 @@ from ccdiff_env import causal
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import (
-    CcdiffError,
+    CheckpointError,
     ConfigError,
     DatasetError,
     DatasetNotFoundError,
@@ -25,7 +25,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, CcdiffConfig, PythonTraffic
 
 
 @pytest.fixture(scope="module")
@@ -298,9 +298,10 @@ def test_weights_that_are_not_there_or_no_weights_are_refused(scenes, tmp_path):
     with pytest.raises(OSError, match=r"none\.safetensors"):
         Play(scenes[:1], ccdiff={"weights": str(tmp_path / "none.safetensors")})
     bad = tmp_path / "bad.safetensors"
-    bad.write_bytes(b"\x08\x00\x00\x00\x00\x00\x00\x00nonsense")
-    with pytest.raises((CcdiffError, OSError)):
-        Play(scenes[:1], ccdiff={"weights": str(bad)})
+    for text in (b"\x08\x00\x00\x00\x00\x00\x00\x00nonsense", b"# A page, no weights", b""):
+        bad.write_bytes(text)
+        with pytest.raises(CheckpointError, match=r"not a safetensors file .*bad\.safetensors"):
+            Play(scenes[:1], ccdiff={"weights": str(bad)})
 
 
 def test_a_scene_without_a_map_is_refused_by_name():
@@ -363,7 +364,7 @@ def test_environments_explain_their_traffic(scenes):
     assert plan.objectives == ()
     calm = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
     calm.reset(seed=0)
-    with pytest.raises(UnknownNameError, match="driver that plans"):
+    with pytest.raises(UnknownNameError, match=r"explain: traffic is 'idm', expected one that"):
         calm.explain()
 
 
@@ -422,6 +423,26 @@ def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name)
 def test_a_network_without_weights_says_which_file_is_missing(scenes, tmp_path):
     with pytest.raises(OSError, match="absent"):
         Play(scenes[:1], traffic="ctg", ccdiff={"weights": str(tmp_path / "absent.safetensors")})
+
+
+def test_options_of_networks_are_refused_where_none_drives(scenes):
+    def coast(batch):
+        return np.zeros((len(batch.kind), 8, 2), np.float32)
+
+    own = {"mine": CcdiffConfig(num_samples=2)}
+    options = {"ccdiff": {"num_samples": 3}}
+    for traffic in ("idm", "replay", {"idm": 0.5, "replay": 0.5}, PythonTraffic(coast), "mine"):
+        for make in (ccdiff_env.EgoEnv, ccdiff_env.make_vec, ccdiff_env.parallel_env):
+            with pytest.raises(ConfigError, match=r"ccdiff: traffic is .*, expected one of"):
+                make(scenes=scenes, traffic=traffic, policies=own, **options)
+    # what says nothing is no mistake; one network among several, the ego or one vehicle is enough
+    ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", ccdiff={})
+    for fine in (
+        {"traffic": {"idm": 0.5, "ccdiff": 0.5}},
+        {"traffic": "idm", "driver": "ccdiff"},
+        {"traffic": "idm", "drivers": {scenes[0].agent_ids[1]: "ccdiff"}},
+    ):
+        ccdiff_env.EgoEnv(scenes=scenes[:1], **fine, **options)
 
 
 def test_what_means_nothing_to_a_network_is_refused_by_name(scenes, tmp_path):

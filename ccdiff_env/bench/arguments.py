@@ -20,7 +20,7 @@ from ccdiff_env.bench.scenes import source_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.terminal import align, say_page
+from ccdiff_env.terminal import DATAROOT_HELP, align, say_page, split_help
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
@@ -28,6 +28,8 @@ __all__ = [
     "add_replays",
     "add_run_arguments",
     "add_scene_arguments",
+    "add_traffic",
+    "add_train_split",
     "add_weights",
     "counts",
     "replan_steps",
@@ -89,10 +91,10 @@ PLANNERS = (
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     """Add which scenes are played."""
-    parser.add_argument("--dataroot", help="folder of nuScenes; the embedded scenes without it")
+    parser.add_argument("--dataroot", help=DATAROOT_HELP)
     parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
-    parser.add_argument("--split", help="split (ccdiff100; of the embedded scenes: val)")
-    parser.add_argument("--limit", type=int, help="only so many scenes, the first ones")
+    parser.add_argument("--split", help=split_help("ccdiff100", "val"))
+    parser.add_argument("--limit", type=int, help="only so many scenes, the first (default: all)")
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,6 +108,22 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--open", action="store_true", help="open the report in the browser")
+
+
+def add_traffic(parser: argparse.ArgumentParser, default: str, what: str = "the others") -> None:
+    """Add who drives the others, kinds of traffic by name."""
+    parser.add_argument(
+        "--traffic",
+        action=Listed,
+        names=TRAFFIC,
+        default=default,
+        help=f"{what}, comma-separated",
+    )
+
+
+def add_train_split(parser: argparse.ArgumentParser) -> None:
+    """Add which scenes are trained on."""
+    parser.add_argument("--train-split", nargs="+", help=split_help("train train_val", "train"))
 
 
 def source_from(args: argparse.Namespace) -> dict[str, Any]:
@@ -132,7 +150,7 @@ def add_weights(parser: argparse.ArgumentParser) -> None:
         "--weights",
         action="append",
         metavar="NETWORK=FILE",
-        help="weights of ccdiff-env train that drive in place of the shipped ones; more than once",
+        help="weights of ccdiff-env train; may be given more than once (default: the shipped ones)",
     )
 
 

@@ -9,13 +9,14 @@ from typing import Any
 from ccdiff_env.bench.arguments import (
     METHODS,
     PLANNERS,
-    TRAFFIC,
     Former,
     Listed,
     Run,
     add_replays,
     add_run_arguments,
     add_scene_arguments,
+    add_traffic,
+    add_train_split,
     add_weights,
     counts,
     replan_steps,
@@ -25,7 +26,7 @@ from ccdiff_env.bench.arguments import (
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import renamed
 from ccdiff_env.files import file_name
-from ccdiff_env.terminal import align, say_page
+from ccdiff_env.terminal import EGO_HELP, align, say_page
 
 __all__ = ["add_arguments"]
 
@@ -55,13 +56,19 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         default="constant_velocity,idm,ccdiff_unguided,ccdiff",
         help="comma-separated; all (every network of the paper's table, guided and not)",
     )
-    parser.add_argument("--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K")
+    parser.add_argument(
+        "--k", default="1,2,3,4,5,10,Full", help="controlled vehicles K, comma-separated; Full: all"
+    )
     parser.add_argument("--t", default="0.5", help="seconds between plans T, comma-separated")
     parser.add_argument(
-        "--t-at", metavar="K", help="only these K with all of --t, others: the first"
+        "--t-at",
+        metavar="K",
+        help="only these K with all of --t, others with the first (default: every K)",
     )
     parser.add_argument(
-        "--listed", metavar="FILE", help="lists of vehicles (JSON); adds the method ccdiff_listed"
+        "--listed",
+        metavar="FILE",
+        help="lists of vehicles (JSON) for the method ccdiff_listed (default: without it)",
     )
     add_weights(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
@@ -134,13 +141,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="constant_velocity,idm,pdm,replay",
         help=f"comma-separated, of: {PLANNERS}",
     )
-    parser.add_argument(
-        "--traffic",
-        action=Listed,
-        names=TRAFFIC,
-        default="replay,idm,ccdiff,ccdiff-0.5,ccdiff-1",
-        help="comma-separated",
-    )
+    add_traffic(parser, "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1")
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -180,14 +181,14 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     add_run_arguments(parser)
     names = "idm,constant_velocity,replay,pdm"
-    parser.add_argument("--generators", default=names, help="egos that sets are made against")
-    parser.add_argument("--planners", default=names, help="planners to test, as bench planners has")
     parser.add_argument(
-        "--traffic",
-        action=Listed,
-        names=TRAFFIC,
-        default="ccdiff-1",
-        help="what makes the sets; of several, each has a folder of its own in --out",
+        "--generators", default=names, help="egos that sets are made against, as --planners"
+    )
+    parser.add_argument("--planners", default=names, help=f"planners to test, of: {PLANNERS}")
+    add_traffic(
+        parser,
+        "ccdiff-1",
+        "what makes the sets; of several, each has a folder of its own in --out",
     )
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
@@ -286,25 +287,19 @@ def _scenarios_of(args: argparse.Namespace) -> int:
 def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
     add_run_arguments(parser)
-    parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
+    add_train_split(parser)
     parser.add_argument("--lessons", action=Former, dest="stages")
     parser.add_argument(
         "--stages",
         default="replay,ccdiff,critical",
-        help="traffic of training, of: replay, ccdiff, critical",
+        help="traffic of training, comma-separated, of: replay, ccdiff, critical",
     )
     parser.add_argument("--seeds", type=int, default=3, help="egos per traffic")
     parser.add_argument("--steps", type=int, default=150_000, help="steps of each stage")
     parser.add_argument(
         "--base-steps", type=int, default=1_200_000, help="steps in log replay before the stages"
     )
-    parser.add_argument(
-        "--traffic",
-        action=Listed,
-        names=TRAFFIC,
-        default="replay,ccdiff,ccdiff-1,ccdiff-2",
-        help="traffic of the evaluation",
-    )
+    add_traffic(parser, "replay,ccdiff,ccdiff-1,ccdiff-2", "traffic of the evaluation")
     parser.add_argument(
         "--draws", type=int, default=3, help="times that each scene is driven in CCDiff traffic"
     )
@@ -312,7 +307,8 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--race",
         type=float,
         metavar="S",
-        help="only this: seconds until 80 and 95 %% of the training episodes succeed, S at most",
+        help="only this: seconds until 80 and 95 %% of the training episodes succeed, S at most "
+        "(default: the comparison of traffic)",
     )
     parser.set_defaults(run=_learning)
 
@@ -359,8 +355,8 @@ def _learning(args: argparse.Namespace) -> int:
 def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("selection", help="learned and simple choices of the adversary")
     add_run_arguments(parser)
-    parser.add_argument("--train-split", nargs="+", help="(train train_val; embedded: train)")
-    parser.add_argument("--ego", default="replay", help="driver of the ego, or a policy (.zip)")
+    add_train_split(parser)
+    parser.add_argument("--ego", default="replay", help=EGO_HELP)
     parser.add_argument("--seeds", type=int, default=3, help="adversary policies that are trained")
     parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
     parser.add_argument("--budget", type=int, default=1, help="vehicles chosen at once")
@@ -397,7 +393,9 @@ def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
     parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
     parser.add_argument("--samples", type=int, default=1, help="samples per plan")
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="of torch")
+    parser.add_argument(
+        "--device", choices=["cpu", "cuda"], default="cpu", help="where torch computes"
+    )
     parser.set_defaults(run=_speed)
 
 
@@ -455,13 +453,7 @@ def _realism(args: argparse.Namespace) -> int:
 def _add_reactivity(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("reactivity", help="an ego that leaves its log, and who copes")
     add_run_arguments(parser)
-    parser.add_argument(
-        "--traffic",
-        action=Listed,
-        names=TRAFFIC,
-        default="replay,idm,ccdiff",
-        help="comma-separated",
-    )
+    add_traffic(parser, "replay,idm,ccdiff")
     parser.set_defaults(run=_reactivity)
 
 
@@ -477,7 +469,13 @@ def _reactivity(args: argparse.Namespace) -> int:
 def _add_tracking(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("tracking", help="the log driven through each model of motion")
     add_run_arguments(parser)
-    parser.add_argument("--dynamics", default="unicycle,bicycle,delta_pose", help="comma-separated")
+    parser.add_argument(
+        "--dynamics",
+        action=Listed,
+        names="bench.tracking:MODELS",
+        default="unicycle,bicycle,delta_pose",
+        help="comma-separated",
+    )
     parser.set_defaults(run=_tracking)
 
 

@@ -54,8 +54,7 @@ def _load(description: tuple[tuple[str, str], ...]) -> SceneSet:
     if limit is not None:
         return SceneSet(_load(tuple(sorted(source.items())))[: int(limit)])
     if set(source) == {"embedded"}:
-        split = source["embedded"]
-        return embedded_scenes(None if split == "all" else split)
+        return embedded_scenes(source["embedded"])
     if set(source) != {"dataroot", "version", "split"}:
         raise ConfigError(f"source has {sorted(source)}, expected dataroot, version, split")
     return load_nuscenes(source["dataroot"], source["version"], source["split"].split("+"))

@@ -251,7 +251,7 @@ def episodes(
             "driver": "replay",
             "autoreset": "disabled",
             "dt_s": scenes[0].dt,
-            "ccdiff": ccdiff,
+            "ccdiff": ccdiff if method.driver in NETWORKS else {},
             **(options or {}),
         }
     )

@@ -38,7 +38,7 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     Parameters
     ----------
     split
-        ``"train"``, ``"val"``, or None for all.
+        ``"train"``, ``"val"``, or ``"all"`` (``None``).
 
     Returns
     -------
@@ -50,9 +50,11 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     UnknownNameError
         If there is no such split.
     """
+    if split == "all":
+        return embedded_scenes()
     splits = embedded_splits()
     if split is not None and split not in splits:
-        raise UnknownNameError(f"unknown split {split!r}, expected one of {', '.join(splits)}")
+        raise UnknownNameError(f"unknown split {split!r}, expected one of all, {', '.join(splits)}")
     names = splits[split] if split is not None else tuple(n for s in splits.values() for n in s)
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
         unpack(Path(folder))

@@ -65,15 +65,17 @@ class SB3VecEnv(VecEnv):
     Parameters
     ----------
     env : EgoVectorEnv
-        In ``SAME_STEP`` autoreset mode.
+        Put into ``SAME_STEP`` autoreset mode, if it is in another one and has not been reset.
 
     Raises
     ------
     ConfigError
-        If the environment is in another autoreset mode.
+        If the environment is in another autoreset mode and has been reset, or is wrapped.
     """
 
     def __init__(self, env: EgoVectorEnv | AgentVectorEnv | AdversarySelectionVectorEnv) -> None:
+        if isinstance(env, EgoVectorEnv) and not env.begun:
+            env.set_autoreset_mode(AutoresetMode.SAME_STEP)
         if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise ConfigError(
                 f"autoreset_mode is {env.metadata['autoreset_mode']}, expected SAME_STEP: "

@@ -164,12 +164,9 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         shape = self.single_action_space.shape
         self._action_shape = (num_envs, *(shape or ()))
-        self._mode = mode
         self._info = info
         self._copy = copy
-        # Partial resets leave rows of the others as they were: DISABLED keeps one set of arrays.
-        keep = not copy or mode is AutoresetMode.DISABLED
-        self._kept: StepArrays | None = self.worlds.arrays() if keep else None
+        self._kept = self._arrays_for(mode)
         self._begun = np.zeros(num_envs, np.bool_)
         self._seeded = False
 
@@ -177,6 +174,31 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     def config(self) -> WorldConfig:
         """Configuration of the worlds."""
         return self.worlds.config
+
+    @property
+    def begun(self) -> bool:
+        """Whether a world was ever reset."""
+        return bool(self._begun.any())
+
+    def _arrays_for(self, mode: AutoresetMode) -> StepArrays | None:
+        """Return arrays that all steps write; ``None`` where each has its own.
+
+        Partial resets leave rows of the others as they were: DISABLED keeps one set of arrays.
+        """
+        return self.worlds.arrays() if not self._copy or mode is AutoresetMode.DISABLED else None
+
+    def set_autoreset_mode(self, autoreset_mode: AutoresetMode | str) -> None:
+        """Choose when ended worlds begin anew, before the first reset.
+
+        Raises
+        ------
+        ConfigError
+            If a world has begun, or there is no such mode.
+        """
+        mode = _mode(autoreset_mode)
+        self.worlds.set_autoreset(_AUTORESET[mode])
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
+        self._kept = self._arrays_for(mode)
 
     def reset(
         self,

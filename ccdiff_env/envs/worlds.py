@@ -43,7 +43,7 @@ TRAIL_STEPS = 31
 def scene_set(scenes: Scenes) -> SceneSet:
     """Return scenes as a set; ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones."""
     if scenes is None or isinstance(scenes, str):
-        return embedded_scenes(None if scenes == "all" else scenes or "train")
+        return embedded_scenes(scenes or "train")
     if isinstance(scenes, SceneSet):
         found = scenes
     else:
@@ -173,6 +173,7 @@ class Worlds:
                 raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
         if num_threads is None:
             num_threads = _num_processors() if num_worlds >= PARALLEL_FROM else 1
+        config.check_networks()
         self.scenes = scenes
         self.config = config
         self.native = _native.VecWorld(
@@ -207,6 +208,12 @@ class Worlds:
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
         #: Arrays of the newest reset or step.
         self.last: StepArrays | None = None
+
+    def set_autoreset(self, mode: str) -> None:
+        """Choose when ended worlds begin anew, before the first reset."""
+        config = self.config.with_options(autoreset=mode)
+        self.native.set_autoreset(config.to_json())
+        self.config, self._arrays = config, self.native.step_arrays()
 
     def observation_space(self, form: Form) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations in a form; it says what they are made from.
@@ -383,6 +390,10 @@ class Worlds:
             If the world does not exist, or no such driver plans.
         """
         self.check_world(world_idx)
+        if not self.native.planners:
+            raise UnknownNameError(
+                f"explain: traffic is {self.config.traffic!r}, expected one that plans, as 'ccdiff'"
+            )
         plan = self.native.explain(world_idx, driver)
         return None if plan is None else TrafficPlan(**plan)
 

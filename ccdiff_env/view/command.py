@@ -13,7 +13,7 @@ from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.terminal import say_page, shown
+from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, say_page, shown
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
@@ -27,7 +27,7 @@ MAX_CRITICALITY = 2.0
 PLAYED: dict[str, Any] = {
     "driver": None,
     "seed": 0,
-    "samples": SAMPLES,
+    "samples": None,
     "criticality": (0.0,),
     "save": None,
 }
@@ -56,47 +56,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="RUN_OR_SCENE",
-        help='files or scenes to show beside it; "log" for the log of its scene',
+        help='files or scenes to show beside it; "log" for the log of its scene (default: nothing)',
     )
-    parser.add_argument("-o", "--out", type=Path, help="page to write, or folder of pages")
+    parser.add_argument(
+        "-o", "--out", type=Path, help="page to write, or folder of pages (default: by the scene)"
+    )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
+    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
     play = parser.add_argument_group("playing a scene first")
     play.add_argument(
         "--traffic",
         nargs="+",
-        help=f"who drives the others: {', '.join(driver_names())}; several are shown beside each "
-        "other",
+        help=f"plays the scene; the others, of: {', '.join(driver_names())}; several are "
+        "shown beside each other (default: the log is shown)",
     )
     play.add_argument(
         "--driver",
         nargs="+",
-        help="who drives the ego (idm; replay where --compare has the log, so that the traffic "
-        "alone differs); several are shown beside each other",
+        help=f"{EGO_HELP}; several are shown beside each other (default: idm; replay where "
+        "--compare has the log, so that the traffic alone differs)",
     )
-    play.add_argument("--seed", type=int, help="seed of the episode (0)")
-    play.add_argument("--samples", type=int, help=f"samples per plan of CCDiff ({SAMPLES})")
+    play.add_argument("--seed", type=int, help="seed of the episode (default: 0)")
+    play.add_argument("--samples", type=int, help=f"samples per plan (default: {SAMPLES})")
     play.add_argument(
         "--criticality",
         type=float,
         nargs="+",
-        help="0: realistic CCDiff traffic (the default); 1: guided; several are shown beside each "
-        "other",
+        help="0: realistic traffic of a network; 1: guided; several are shown beside each other "
+        "(default: 0)",
     )
     play.add_argument(
         "--save",
         type=Path,
-        help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove)",
+        help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove; default: not "
+        "kept)",
     )
     draw = parser.add_argument_group("an image or a video instead of a page")
-    draw.add_argument("--png", type=int, metavar="STEP", help="write an image of a step")
+    draw.add_argument(
+        "--png", type=int, metavar="STEP", help="write an image of a step (default: a page)"
+    )
     draw.add_argument("--gif", action="store_true", help="write a GIF")
     draw.add_argument("--mp4", action="store_true", help="write an MP4")
-    draw.add_argument("--follow", metavar="ID", help="agent in the middle (the ego)")
-    draw.add_argument("--span", type=float, help="metres across an image (90)")
-    draw.add_argument("--size", type=int, help="pixels of an image's sides (720)")
-    draw.add_argument("--speed", type=float, help="pace of a video (1)")
+    draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
+    draw.add_argument("--span", type=float, help="metres across an image (default: 90)")
+    draw.add_argument("--size", type=int, help="pixels of an image's sides (default: 720)")
+    draw.add_argument("--speed", type=float, help="pace of a video (default: 1)")
     draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
 
 
@@ -166,19 +171,23 @@ def _played(args: argparse.Namespace) -> list[Titled]:
     for traffic in args.traffic:
         if any(levels) and not {traffic, *drivers} & set(NETWORKS):
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
+    if args.samples is not None and not {*args.traffic, *drivers} & set(NETWORKS):
+        raise ConfigError(f"--samples is for networks, but --traffic is {' '.join(args.traffic)}")
     if args.save is not None and len(args.traffic) * len(drivers) * len(levels) > 1:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
     scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
     runs = []
+    samples = {} if args.samples is None else {"num_samples": args.samples}
     for traffic, driver, level in product(args.traffic, drivers, levels):
+        planned = {traffic, driver} & set(NETWORKS)
         rollout = play_scene(
             scene,
             traffic=traffic,
             driver=driver,
             seed=args.seed,
-            ccdiff={"num_samples": args.samples, "criticality": level},
+            ccdiff={**samples, "criticality": level} if planned else {},
         )
         title = DRIVER_TITLES.get(traffic, traffic)
         if any(levels):

@@ -16,6 +16,7 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
+from ccdiff_env.terminal import DATAROOT_HELP
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
 from ccdiff_env.view.sources import find_scene, play_scene
@@ -38,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument("folder", metavar="RUN", type=Path, help="folder that a training writes")
     parser.add_argument(
-        "--scene", default=SCENE, help=f"scene that saved networks and policies play ({SCENE})"
+        "--scene", default=SCENE, help="scene that saved networks and policies play"
     )
-    parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
+    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
-    parser.add_argument("--port", type=int, default=0, help="port of 127.0.0.1; a free one without")
+    parser.add_argument("--port", type=int, default=0, help="port of 127.0.0.1; 0: a free one")
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
 
 

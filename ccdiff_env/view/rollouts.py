@@ -4,31 +4,39 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from ccdiff_env import render
 from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
 from ccdiff_env.scenes import SceneSet, load_nuscenes
-from ccdiff_env.traffic import driver_names
+from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, split_help
+from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.view.video import Video, save_video
 
 #: Shares of an episode whose states are drawn.
 SHOWN = (0.0, 0.35, 0.7, 1.0)
+#: Options of networks, and what they are without being given.
+NETWORK: dict[str, Any] = {"criticality": 0.0, "samples": 5, "weights": "fast"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("--dataroot", type=Path, help="folder of nuScenes; else embedded scenes")
+    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
     parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
-    parser.add_argument("--split", help="split (mini_val; of the embedded scenes: val)")
-    parser.add_argument("--scenes", nargs="+", help="names; all of the split without")
-    parser.add_argument("--traffic", default="ccdiff", help=f"one of {', '.join(driver_names())}")
-    parser.add_argument("--driver", default="idm", help="who drives the ego")
-    parser.add_argument("--criticality", type=float, default=0.0, help="0: realistic; 1: guided")
-    parser.add_argument("--weights", default="fast", help='"fast", or a safetensors file')
-    parser.add_argument("--samples", type=int, default=5, help="samples per plan")
+    parser.add_argument("--split", help=split_help("mini_val", "val"))
+    parser.add_argument("--scenes", nargs="+", help="names of scenes (default: all of the split)")
+    parser.add_argument(
+        "--traffic", default="ccdiff", help=f"the others, of: {', '.join(driver_names())}"
+    )
+    parser.add_argument("--driver", default="idm", help=EGO_HELP)
+    parser.add_argument("--criticality", type=float, help="0: realistic; 1: guided")
+    parser.add_argument("--weights", help='"fast", the shipped ones, or a safetensors file')
+    parser.add_argument("--samples", type=int, help="samples per plan")
+    parser.set_defaults(**NETWORK)
     parser.add_argument("--episodes", type=int, default=1, help="episodes per scene")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode")
     parser.add_argument("--out", required=True, type=Path, help="folder to write")
@@ -37,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play the scenes; write rollouts, images and pages; print the index."""
+    settings = _settings(args)
     args.out.mkdir(parents=True, exist_ok=True)
     for scene in _scenes(args):
         for k in range(args.episodes):
@@ -45,11 +54,7 @@ def run(args: argparse.Namespace) -> int:
                 traffic=args.traffic,
                 driver=args.driver,
                 seed=args.seed + k,
-                ccdiff={
-                    "criticality": args.criticality,
-                    "num_samples": args.samples,
-                    "weights": args.weights,
-                },
+                ccdiff=settings,
                 on_collision="ignore",
                 on_off_road="ignore",
                 terminate_at_goal=False,
@@ -66,6 +71,20 @@ def run(args: argparse.Namespace) -> int:
             print(f"{name}: {rollout.num_steps - 1} steps, {hits} collisions")
     print(write_pages(args.out, args.out / "pages")[0])
     return 0
+
+
+def _settings(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of the networks that drive; refuse those that would mean nothing."""
+    if {args.traffic, args.driver} & set(NETWORKS):
+        return {
+            "criticality": args.criticality,
+            "num_samples": args.samples,
+            "weights": args.weights,
+        }
+    for name, default in NETWORK.items():
+        if getattr(args, name) != default:
+            raise ConfigError(f"--{name} is for networks, but --traffic is {args.traffic}")
+    return {}
 
 
 def _scenes(args: argparse.Namespace) -> SceneSet:

@@ -13,6 +13,7 @@ from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene, load_nuscenes
+from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
 
 SAMPLES = 8
@@ -72,8 +73,8 @@ def play_scene(
     seed
         Seed of the episode.
     ccdiff
-        Settings of CCDiff (:class:`~ccdiff_env.traffic.CcdiffConfig`); :data:`SAMPLES` per plan
-        unless they say otherwise.
+        Settings of CCDiff and of other networks (:class:`~ccdiff_env.traffic.CcdiffConfig`);
+        :data:`SAMPLES` per plan unless they say otherwise.
     options
         Further ones of :class:`~ccdiff_env.EgoEnv`.
 
@@ -92,7 +93,9 @@ def play_scene(
     name, seat = ego_driver(driver)
     if seat is not None:
         options["config"] = seat.config.with_options(decision_steps=1)
-    settings = {"num_samples": SAMPLES, **(ccdiff or {})}
+    settings = dict(ccdiff or {})
+    if {traffic, name} & set(NETWORKS):
+        settings = {"num_samples": SAMPLES, **settings}
     env = EgoEnv(scenes=scene, traffic=traffic, driver=name, ccdiff=settings, **options)
     env.reset(seed=seed)
     recorder = Recorder(env, planner=driver)

@@ -7,10 +7,9 @@ let moves = {}, waiting = 0;
 function play() {
   clearTimeout(waiting);
   waiting = setTimeout(() => {
-    const words = new URLSearchParams(new FormData(form));
+    form.criticality.disabled = ![form.traffic.value, form.driver.value].includes("ccdiff");
+    const words = new URLSearchParams(new FormData(form)); // without fields that are disabled
     if (Object.keys(moves).length) words.set("moves", JSON.stringify(moves));
-    const guided = form.traffic.value === "ccdiff" || form.driver.value === "ccdiff";
-    form.criticality.disabled = !guided;
     undo.hidden = !Object.keys(moves).length;
     state.textContent = "playing …";
     history.replaceState(null, "", `#${words}`);

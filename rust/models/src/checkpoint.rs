@@ -71,8 +71,10 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
 /// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
 pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)> {
     let bytes = std::fs::read(path).map_err(io(path, "cannot read"))?;
-    let (_, metadata) =
-        SafeTensors::read_metadata(&bytes).map_err(|e| broken(path, "file", e.to_string(), "safetensors"))?;
+    let foreign = |e: safetensors::SafeTensorError| {
+        broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
+    };
+    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(foreign)?;
     let text = metadata
         .metadata()
         .as_ref()
@@ -80,8 +82,7 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)
         .ok_or_else(|| broken(path, "header", "missing", format!("metadata key {HEADER:?}")))?;
     let header: serde_json::Value =
         serde_json::from_str(text).map_err(|e| broken(path, "header", e.to_string(), "a JSON object"))?;
-    let file =
-        SafeTensors::deserialize(&bytes).map_err(|e| broken(path, "file", e.to_string(), "safetensors"))?;
+    let file = SafeTensors::deserialize(&bytes).map_err(foreign)?;
     let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
     let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));
     match header.get(CHECKSUM) {

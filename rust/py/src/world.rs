@@ -166,6 +166,13 @@ impl PyVecWorld {
         self.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
     }
 
+    /// Takes the autoreset mode of a configuration (JSON), before the first reset.
+    fn set_autoreset(&mut self, config: &str) -> PyResult<()> {
+        self.home.check()?;
+        let config = WorldConfig::from_json(config).map_err(from_sim)?;
+        self.world.set_autoreset(config.autoreset).map_err(from_sim)
+    }
+
     /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
     fn reset<'py>(
         &mut self,

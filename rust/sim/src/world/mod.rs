@@ -187,6 +187,22 @@ impl VecWorld {
         self.scenes.weigh(weights)
     }
 
+    /// Says what happens to worlds whose episode has ended, before the first of them begins.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] where one has begun.
+    pub fn set_autoreset(&mut self, mode: Autoreset) -> Result<()> {
+        if self.worlds.iter().any(|w| w.episode.begun()) {
+            return Err(SimError::Config {
+                field: "autoreset".into(),
+                got: format!("{mode:?} in worlds that have begun"),
+                expected: "the mode that they were made with".into(),
+            });
+        }
+        self.config.autoreset = mode;
+        Ok(())
+    }
+
     /// Begins new episodes and writes their first observations.
     ///
     /// # Errors
