@@ -44,6 +44,24 @@ def test_citations_in_code_resolve():
     assert found > 60, "the pattern no longer finds the citations"
 
 
+def test_files_that_the_architecture_names_exist():
+    """Paths may leave out leading folders and ``src``; braces hold several names."""
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    found = []
+    for name in re.findall(r"`([\w/.{},-]+\.(?:rs|py|js))`", text):
+        before, _, rest = name.partition("{")
+        inner, _, after = rest.partition("}")
+        found += [f"{before}{one}{after}" for one in inner.split(",")]
+    folders = ("rust", "ccdiff_env", "tests", "tools", "examples", "benchmarks")
+    files = [
+        f"/{file.relative_to(ROOT)}" for folder in folders for file in (ROOT / folder).rglob("*.*")
+    ]
+    files = [file.replace("/src/", "/") for file in files]
+    named = {name: f"/{name.replace('/src/', '/')}" for name in found}
+    assert [name for name, end in named.items() if not any(f.endswith(end) for f in files)] == []
+    assert len(found) > 30
+
+
 def test_links_between_pages_resolve():
     dead = []
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:

@@ -15,14 +15,13 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, Literal
 
+from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.files import parsed_object, write_aside
 
 __all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
 
 Backend = Literal["local", "ray"]
-#: Times that a lost worker's job is tried again.
-RETRIES = 5
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def run_jobs(
         raise ConfigError("jobs: two of the same name")
     folder.mkdir(parents=True, exist_ok=True)
     open_jobs = [job for job in jobs if not (folder / f"{job.name}.json").exists()]
-    found = _ray(open_jobs) if backend == "ray" else _local(open_jobs, workers)
+    found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
     for name, result, seconds in _shown(found, len(jobs), len(jobs) - len(open_jobs), progress):
         entry = json.dumps({"result": result, "seconds": round(seconds, 3)}, allow_nan=False)
         write_aside(folder / f"{name}.json", entry)
@@ -124,18 +123,6 @@ def end_with_parent() -> None:
             os._exit(1)
 
     Thread(target=watch, daemon=True).start()
-
-
-def _ray(jobs: Sequence[Job]) -> Iterator[tuple[str, Any, float]]:
-    import ray  # an optional dependency
-
-    if not ray.is_initialized():
-        ray.init(log_to_driver=False)
-    task = ray.remote(max_retries=RETRIES, retry_exceptions=False)(_run)
-    waiting = [task.remote(job) for job in jobs]
-    while waiting:
-        ready, waiting = ray.wait(waiting, num_returns=1)
-        yield from ray.get(ready)
 
 
 #: Figures of rows whose mean is shown while jobs are done, the first that there is.
