@@ -433,7 +433,7 @@ class VecWorld:
         """Return the route [P, 2] of a slot's agent, and its goal."""
 
     def contacts(self, world_idx: int) -> list[tuple[int, int, str, float, bool]]:
-        """Return who touches whom: agent, partner, side hit, closing speed m/s, at fault."""
+        """Return contacts: agent, partner, side hit, closing speed m/s, at fault."""
 
     def off_road(self, world_idx: int) -> tuple[Bool, Bool]:
         """Return agents [A] with a corner, and with the centre, off the road."""

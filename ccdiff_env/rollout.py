@@ -62,7 +62,7 @@ class RolloutEvent:
     step
         Recorded step at which it is seen first: 0 is the start of the episode.
     agent_id
-        To whom.
+        The agent that it is about.
     partner_id
         The other agent of a collision.
     kind

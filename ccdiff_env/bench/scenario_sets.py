@@ -54,8 +54,8 @@ class Scenario:
     collision
         Whether the ego that the set was made against collides before it reaches its goal.
     kind, partner, time_s, at_fault
-        Side of the ego that is hit first, whom it meets, when, and whether any of its collisions
-        counts against it; ``None`` and false without a collision.
+        First collision of the ego: side of the ego, the other agent, time, and whether any of its
+        collisions counts against it; ``None`` and false without a collision.
     avoidable
         Whether the ego could have stayed free of collisions, the others doing as recorded: true
         where it did. False means that none of the plans tried does.

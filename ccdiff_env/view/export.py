@@ -21,7 +21,7 @@ HEIGHT_M = 1.6
 
 
 def export(rollout: Rollout, path: str | Path) -> None:
-    """Write the boxes of all agents over time; the suffix of the file says for whom.
+    """Write the boxes of all agents over time; the suffix of the file names the program.
 
     Parameters
     ----------

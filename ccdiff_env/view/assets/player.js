@@ -272,7 +272,7 @@ class Player {
     this.touch();
   }
 
-  /** Go to a moment before an event of a run, follow whom it is about, and play. */
+  /** Go to a moment before an event of a run, follow its agent, and play. */
   goTo(run, event) {
     this.seek(Math.max(run.timeOf(event) - LEAD_SECONDS, this.start));
     this.followAgent(run.agents[event.agent].id);
