@@ -291,3 +291,8 @@ def test_benchmarks_take_a_model_by_its_path():
     assert likelihood.evaluate(**{**job.arguments, "names": names})
     with pytest.raises(UnknownNameError, match="crazy"):
         planners.planner_jobs(source, ["idm"], ["crazy"])
+
+
+def test_guidance_of_a_model_of_ones_own_is_refused():
+    with pytest.raises(ConfigError, match="criticality: traffic is 'python'"):
+        ccdiff_env.EgoEnv(traffic=PythonTraffic(coast), criticality=1.0)

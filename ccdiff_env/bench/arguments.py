@@ -25,6 +25,7 @@ from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "Run",
+    "add_methods",
     "add_replays",
     "add_run_arguments",
     "add_scene_arguments",
@@ -118,6 +119,13 @@ def add_traffic(parser: argparse.ArgumentParser, default: str, what: str = "the 
         names=TRAFFIC,
         default=default,
         help=f"{what}, comma-separated",
+    )
+
+
+def add_methods(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add which methods of traffic are compared."""
+    parser.add_argument(
+        "--methods", action=Listed, names=METHODS, default=default, help="comma-separated"
     )
 
 

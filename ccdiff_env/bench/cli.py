@@ -12,6 +12,7 @@ from ccdiff_env.bench.arguments import (
     Former,
     Listed,
     Run,
+    add_methods,
     add_replays,
     add_run_arguments,
     add_scene_arguments,
@@ -185,11 +186,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "--generators", default=names, help="egos that sets are made against, as --planners"
     )
     parser.add_argument("--planners", default=names, help=f"planners to test, of: {PLANNERS}")
-    add_traffic(
-        parser,
-        "ccdiff-1",
-        "what makes the sets; of several, each has a folder of its own in --out",
-    )
+    add_traffic(parser, "ccdiff-1", "what makes the sets, each in a folder of its own in --out")
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
@@ -419,13 +416,7 @@ def _speed(args: argparse.Namespace) -> int:
 def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("realism", help="likelihood of the log under samples of traffic")
     add_run_arguments(parser)
-    parser.add_argument(
-        "--methods",
-        action=Listed,
-        names=METHODS,
-        default="replay,constant_velocity,idm,ccdiff_one_sample,ccdiff",
-        help="comma-separated",
-    )
+    add_methods(parser, "replay,constant_velocity,idm,ccdiff_one_sample,ccdiff")
     parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
     add_weights(parser)
     parser.set_defaults(run=_realism)

@@ -185,7 +185,7 @@ class Worlds:
             _policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
-        if criticality is not None and not self.native.planners:
+        if criticality is not None and not _native.networks_wanted(config.to_json()):
             raise ConfigError(
                 f"criticality: traffic is {config.traffic!r}, expected one that plans, as 'ccdiff'"
             )
