@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from ccdiff_env.traffic import NETWORKS
+
 ROOT = Path(__file__).resolve().parents[1]
 CRATES = ("sim", "nuscenes", "render", "models", "bridge", "py", "py-models", "wasm")
 #: Crates that may use others beside the simulator.
@@ -144,6 +146,17 @@ def test_rooms_of_the_simulator_use_those_before_them():
     assert {room for edge in edges for room in edge} == set(SIM_ROOMS)
     place = {room: i for i, room in enumerate(SIM_ROOMS)}
     assert {(a, b) for a, b in edges if place[b] > place[a]} <= KNOWN_EDGES
+
+
+def test_the_simulator_names_no_network():
+    """The crates are called after the package; "bits" is a word, too."""
+    names = "|".join(sorted(set(NETWORKS) - {"bits"}))
+    pattern = re.compile(rf"\b(?i:{names})\b(?![-_](?:sim|env))|\bBITS\b")
+    files = sorted((ROOT / "rust/sim/src").rglob("*.rs"))
+    texts = {file.name: file.read_text(encoding="utf-8") for file in files}
+    assert [name for name, text in texts.items() if pattern.search(text)] == []
+    assert pattern.search("CCDiff")
+    assert not pattern.search("use ccdiff_sim::x; ccdiff-sim")
 
 
 def test_no_crate_knows_its_siblings():
