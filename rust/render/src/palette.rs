@@ -1,4 +1,4 @@
-//! Every colour of the images, in one place.
+//! Every colour of the images, in one place; those of the map are the replay page's (`ground.js`, light).
 //!
 //! Agents are coloured by who drives them. The hues follow the colour-blind safe set of Okabe and Ito (2008),
 //! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
@@ -77,27 +77,27 @@ impl DrawStyle {
 }
 
 /// Ground that is no layer of the map.
-pub const GROUND: Rgb = Rgb(0xF6, 0xF4, 0xEF);
+pub const GROUND: Rgb = Rgb(0xEE, 0xF0, 0xEC);
 /// Drivable area.
-pub const DRIVABLE: Rgb = Rgb(0xD9, 0xDC, 0xE0);
+pub const DRIVABLE: Rgb = Rgb(0xD3, 0xD7, 0xDD);
 /// Edge of the drivable area.
-pub const KERB: Rgb = Rgb(0xAD, 0xB2, 0xB9);
+pub const KERB: Rgb = Rgb(0xA9, 0xB0, 0xBA);
 /// Walkways.
-pub const WALKWAY: Rgb = Rgb(0xEA, 0xE4, 0xD8);
+pub const WALKWAY: Rgb = Rgb(0xE3, 0xDD, 0xD0);
 /// Car parks.
-pub const CARPARK: Rgb = Rgb(0xCF, 0xD5, 0xDC);
+pub const CARPARK: Rgb = Rgb(0xC8, 0xCE, 0xD6);
 /// Ground of pedestrian crossings.
 pub const CROSSING: Rgb = Rgb(0xD2, 0xD6, 0xDB);
 /// Stripes of pedestrian crossings.
-pub const STRIPE: Rgb = Rgb(0xF4, 0xF5, 0xF7);
+pub const STRIPE: Rgb = Rgb(0xF7, 0xF8, 0xFA);
 /// Stop areas.
-pub const STOP: Rgb = Rgb(0xC9, 0x9A, 0x8E);
+pub const STOP: Rgb = Rgb(0xD5, 0x9C, 0x8F);
 /// Centre lines of lanes and connectors.
-pub const CENTRE_LINE: Rgb = Rgb(0xBD, 0xC3, 0xCA);
+pub const CENTRE_LINE: Rgb = Rgb(0x8F, 0x98, 0xA4);
 /// Lines between lanes of one direction.
-pub const LANE_DIVIDER: Rgb = Rgb(0xFF, 0xFF, 0xFF);
+pub const LANE_DIVIDER: Rgb = Rgb(0x6D, 0x76, 0x82);
 /// Lines between directions of traffic.
-pub const ROAD_DIVIDER: Rgb = Rgb(0xE0, 0xA9, 0x2E);
+pub const ROAD_DIVIDER: Rgb = Rgb(0x96, 0x65, 0x0A);
 /// Obstacles that never move.
 pub const STATIC: Rgb = Rgb(0x8A, 0x76, 0x63);
 /// Collisions: outline of agents and marks.
