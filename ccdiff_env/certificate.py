@@ -87,7 +87,7 @@ class Certificate:
         rows = np.frombuffer(actions, np.float32).reshape(-1, worlds.native.action_width)
         config = worlds.config
         if 0 in worlds.criticality:  # drawn by a curriculum
-            config = config.with_options(ccdiff={"criticality": worlds.criticality[0]})
+            config = config.with_criticality(worlds.criticality[0])
         if worlds.drivers.get(0):  # chosen at the reset
             config = config.with_options(drivers={**config.drivers, **worlds.drivers[0]})
         return cls(

@@ -151,13 +151,29 @@ class WorldConfig(WorldOptions):
         ConfigError
             In one line that says what the traffic is.
         """
-        shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
-        drivers = {*shares, self.driver, *self.drivers.values()}
-        if self.ccdiff != CcdiffConfig() and not drivers & (set(NETWORKS) - set(self.policies)):
+        if self.ccdiff != CcdiffConfig() and not self._takes_ccdiff():
             raise ConfigError(
                 f"ccdiff: traffic is {self.traffic!r}, expected one of the networks that these "
                 f"options are for: {', '.join(NETWORKS)}"
             )
+
+    def _takes_ccdiff(self) -> bool:
+        """Return whether somebody drives by a network without options of its own."""
+        shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
+        drivers = {*shares, self.driver, *self.drivers.values()}
+        return bool(drivers & (set(NETWORKS) - set(self.policies)))
+
+    def with_criticality(self, criticality: float) -> WorldConfig:
+        """Return the configuration with one criticality for all networks."""
+        own = {
+            name: Policy(policy.kind, dataclasses.replace(policy.options, criticality=criticality))
+            for name, policy in self.policies.items()
+            if isinstance(policy.options, CcdiffConfig)
+        }
+        config = dataclasses.replace(self, policies={**self.policies, **own})
+        if not config._takes_ccdiff():
+            return config
+        return config.with_options(ccdiff={"criticality": criticality})
 
     def to_json(self) -> str:
         """Return the configuration as JSON, as Rust reads it."""
