@@ -130,7 +130,7 @@ def test_scenes_load_without_losses_and_only_once():
 
 
 def test_an_unknown_split_is_refused():
-    with pytest.raises(UnknownNameError, match="expected one of train, val"):
+    with pytest.raises(UnknownNameError, match="expected one of all, train, val"):
         ccdiff_env.embedded_scenes("test")
 
 
@@ -445,7 +445,7 @@ def test_connections_meet_both_poses_and_have_no_kinks():
         curve = connection(start, end)
         assert math.dist(curve.end.xy, end.xy) < 1e-6
         assert abs(math.sin(curve.end.yaw - end.yaw)) < 1e-6
-        for a, b in pairwise(curve.pieces):
+        for a, b in pairwise(curve.segments):
             assert math.dist(a.end.xy, b.start.xy) < 1e-6
             assert abs(math.sin(a.end.yaw - b.start.yaw)) < 1e-6
 
