@@ -151,13 +151,13 @@ class WorldConfig(WorldOptions):
         ConfigError
             In one line that says what the traffic is.
         """
-        if self.ccdiff != CcdiffConfig() and not self._takes_ccdiff():
+        if self.ccdiff != CcdiffConfig() and not self.takes_ccdiff():
             raise ConfigError(
                 f"ccdiff: traffic is {self.traffic!r}, expected one of the networks that these "
                 f"options are for: {', '.join(NETWORKS)}"
             )
 
-    def _takes_ccdiff(self) -> bool:
+    def takes_ccdiff(self) -> bool:
         """Return whether somebody drives by a network without options of its own."""
         shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
         drivers = {*shares, self.driver, *self.drivers.values()}
@@ -171,7 +171,7 @@ class WorldConfig(WorldOptions):
             if isinstance(policy.options, CcdiffConfig)
         }
         config = dataclasses.replace(self, policies={**self.policies, **own})
-        if not config._takes_ccdiff():
+        if not config.takes_ccdiff():
             return config
         return config.with_options(ccdiff={"criticality": criticality})
 

@@ -76,9 +76,11 @@ class SelectionBatch:
         driver, self._act = ego_driver(ego)
         chosen = scene_set(scenes)
         options = {"traffic": "ccdiff", **options}
-        if config is None and isinstance(options.get("ccdiff", {}), dict):
-            options["ccdiff"] = {"criticality": 1.0, **options.get("ccdiff", {})}
         resolved = world_config(chosen, config, options)
+        given = options.get("ccdiff", {})
+        unsaid = isinstance(given, dict) and "criticality" not in given
+        if config is None and unsaid and resolved.takes_ccdiff():
+            resolved = resolved.with_options(ccdiff={"criticality": 1.0})
         resolved = resolved.with_options(driver=driver, autoreset="disabled", decision_steps=1)
         self.worlds = Worlds(
             chosen, resolved, num_worlds=num_worlds, num_threads=num_threads, trails=trails
