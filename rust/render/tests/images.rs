@@ -202,7 +202,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn whatever_comes_in_gives_a_image_or_an_error_and_the_same_one_twice(
+    fn whatever_comes_in_gives_an_image_or_an_error_and_the_same_one_twice(
         (a, b, c, d) in (line(9), line(9), line(9), line(9)),
         (x, y, turn, scale) in (coordinate(), coordinate(), -9f32..9., prop_oneof![4 => 1e-3f32..2., 1 => any::<f32>()]),
         (width, height) in (0u32..90, 0u32..90),
