@@ -38,7 +38,7 @@ def test_the_frame_shows_a_canvas(browser, tmp_path):
     page.close()
 
 
-def test_scenes_and_sets_are_a_image_and_a_table():
+def test_scenes_and_sets_are_an_image_and_a_table():
     scenes = embedded_scenes()
     text = scenes["left-turn-00"]._repr_html_()
     assert text.startswith('<img src="data:image/png;base64,')

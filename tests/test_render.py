@@ -104,7 +104,7 @@ def test_what_cannot_be_drawn_is_refused_and_named(change, error, says):
     st.floats(width=32),
     st.tuples(st.integers(-2, 60), st.integers(0, 60)),
 )
-def test_any_numbers_give_a_image_or_a_config_error(agents, span_m, size):
+def test_any_numbers_give_an_image_or_a_config_error(agents, span_m, size):
     rows = np.array(agents, np.float32).reshape(-1, 3)
     try:
         image = render.draw(

@@ -302,7 +302,7 @@ def test_a_name_is_a_file_a_scene_or_an_error(tmp_path):
         find_rollout("log")
 
 
-def test_the_verb_writes_a_page_a_comparison_a_image_and_a_gif(tmp_path, capsys):
+def test_the_verb_writes_a_page_a_comparison_an_image_and_a_gif(tmp_path, capsys):
     from PIL import Image
 
     planned_rollout().save(tmp_path / "run.npz")
