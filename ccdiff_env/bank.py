@@ -24,6 +24,7 @@ from ccdiff_env.bench.scenario_sets import OPTIONS, as_scene
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.envs.worlds import Scenes, scene_set
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 
@@ -83,6 +84,8 @@ def record_bank(
     ------
     ConfigError
         If the folder holds a bank of other settings, or one is out of range.
+    DatasetError
+        If what the folder holds is damaged.
     """
     if draws < 1 or workers < 1:
         raise ConfigError(f"draws, workers are {draws}, {workers}, expected at least 1")
@@ -131,7 +134,10 @@ def _ego_digest(ego: str) -> str:
 def _settle(root: Path, settings: dict[str, Any]) -> None:
     root.mkdir(parents=True, exist_ok=True)
     path = root / SETTINGS
-    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else settings
+    try:
+        known = parsed_object(path.read_bytes()) if path.exists() else settings
+    except ValueError as error:
+        raise DatasetError(f"bank: damaged ({error}), {path}") from None
     for name, value in settings.items():
         if known.get(name) != value:
             raise ConfigError(
@@ -187,6 +193,8 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
 
 
 def _scenes(path: Path) -> Iterator[Scene]:
+    if not path.is_file():
+        raise DatasetError(f"bank: damaged (no file of scenes), {path}")
     data, at = path.read_bytes(), 0
     while at < len(data):
         try:

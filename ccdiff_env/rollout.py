@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import tokenize
 import zipfile
@@ -148,16 +149,17 @@ class Rollout:
         for name in ("position", "heading", "velocity"):
             if not np.isfinite(getattr(self, name)[there]).all():
                 raise DatasetError(f"{name} is not finite where valid")
-        if not (self.dt_s > 0 and np.isfinite(self.dt_s) and self.start_step >= 0):
-            raise DatasetError(
-                f"dt_s is {self.dt_s} and start_step {self.start_step}, expected more than 0 and "
-                "at least 0"
-            )
+        if not (1e-3 <= self.dt_s <= 10.0 and math.isclose(self.dt_s, self.scene.dt, rel_tol=1e-5)):
+            raise DatasetError(f"dt_s is {self.dt_s}, expected {self.scene.dt} of the scene")
+        if self.start_step < 0:
+            raise DatasetError(f"start_step is {self.start_step}, expected at least 0")
         lost = {name for e in self.events for name in (e.agent_id, e.partner_id)}
         lost -= {*self.agent_ids, None}
         if lost:
             raise DatasetError(f"events name agents that are not there: {lost}")
         for plan in self.plans:
+            if not 0 <= plan.made_at < t:
+                raise DatasetError(f"a plan of step {plan.made_at}, expected 0 to {t - 1}")
             named = np.concatenate([plan.agents, plan.ranking])
             if named.size and not 0 <= named.min() <= named.max() < a:
                 raise DatasetError(f"a plan names agents {named}, expected less than {a}")

@@ -152,8 +152,11 @@ def test_texts_that_are_no_objects(tmp_path, name, attack):
 
 
 def test_a_manifest_names_files_by_text(tmp_path):
-    fields = dict.fromkeys((f.name for f in dataclasses.fields(scenario_sets.Scenario)), 3)
-    head = dict.fromkeys(("generator", "traffic", "seed", "weights", "source", "settings"), 0)
+    fields = dict.fromkeys((f.name for f in dataclasses.fields(scenario_sets.Scenario)), "x")
+    fields |= dict.fromkeys(("collision", "at_fault", "avoidable"), False)
+    fields |= dict.fromkeys(("time_s", "realism_cost", "fde_m", "shift_sigmas")) | {"file": 3}
+    head = dict.fromkeys(("generator", "traffic", "weights"), "x")
+    head |= {"seed": 0, "source": {"embedded": "val"}, "settings": {}}
     text = {"format": scenario_sets.FORMAT, "scenarios": [fields], **head}
     (tmp_path / "manifest.json").write_text(json.dumps(text))
     with pytest.raises(errors.DatasetError, match="file 3"):

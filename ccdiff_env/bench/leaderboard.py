@@ -75,6 +75,13 @@ def _settings(folder: Path) -> dict[str, Any]:
         raise DatasetError(f"damaged settings of a run ({error}): {folder / 'run.json'}") from None
     if settings.get("benchmark") != "planners":
         raise ConfigError(f"{folder} is a run of {settings.get('benchmark')!r}, expected planners")
+    try:
+        source_title(settings.get("source", {}))
+    except ConfigError as error:
+        raise DatasetError(f"damaged settings of a run ({error}): {folder / 'run.json'}") from None
+    if not isinstance(settings.get("seed"), int):
+        found = settings.get("seed")
+        raise DatasetError(f"damaged settings of a run (seed {found!r}): {folder / 'run.json'}")
     return settings
 
 
@@ -103,9 +110,14 @@ def _scores(path: Path) -> dict[tuple[str, str], list[dict[str, Any]]]:
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
+            for row in csv.DictReader(file, restval=""):
                 key = row["planner"], row["traffic"]
-                score = {"scene": row["scene"], "score": float(row["score"])}
+                value = float(row["score"])
+                if not 0.0 <= value <= 1.0:
+                    raise ValueError(f"score {value}, expected 0 to 1")
+                if "|" in key[0] or not key[0].isprintable():
+                    raise ValueError(f"planner {key[0]!r}")
+                score = {"scene": row["scene"], "score": value}
                 found.setdefault(key, []).append(score)
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise DatasetError(f"damaged scores of a run ({error!r}): {path}") from None

@@ -172,7 +172,10 @@ def _cell(text: str, column: int, heat: str | None) -> str:
     return f"<td{tint}>{inner}</td>"
 
 
+#: A link of Markdown to a web page or a file beside this one: names may hold others.
+LINK = re.compile(r"\[([^\]]*)\]\(((?:https?://|(?![^)/#?]*:))[^)\s]*)\)")
+
+
 def _inline(text: str) -> str:
-    escaped = html.escape(text)
-    linked = re.sub(r"\[([^\]]*)\]\(([^)\s]*)\)", r'<a href="\2">\1</a>', escaped)
+    linked = LINK.sub(r'<a href="\2">\1</a>', html.escape(text))
     return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", linked)

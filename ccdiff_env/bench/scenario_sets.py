@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from ccdiff_env.bench.episode import logged
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.files import file_name, parsed_object
@@ -140,7 +142,10 @@ class ScenarioSet:
         """
         scenario = self.find(scene)
         _check(self.folder, scenario)
-        return Rollout.load(self.folder / scenario.file)
+        found = Rollout.load(self.folder / scenario.file)
+        if found.scene.name != scene:
+            raise DatasetError(f"{scenario.file} is of scene {found.scene.name!r}, not {scene!r}")
+        return found
 
     def scene(self, scene: str) -> Scene:
         """Return a scene in which the others do as recorded, to be played with other egos.
@@ -339,11 +344,30 @@ def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
     try:
         scenarios = tuple(Scenario(**entry) for entry in fields.pop("scenarios"))
         found = ScenarioSet(folder=manifest.parent, scenarios=scenarios, **fields)
-    except (KeyError, TypeError) as error:
+        for scenario in scenarios:
+            _check_kinds(scenario)
+        _check_kinds(found)
+        source_title(found.source)
+        if len({scenario.scene for scenario in scenarios}) != len(scenarios):
+            raise ValueError("two scenarios of one scene")
+    except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
     for scenario in scenarios:
         _check(found.folder, scenario)
     return found
+
+
+def _check_kinds(entry: Scenario | ScenarioSet) -> None:
+    """Refuse values of another kind than their annotations say."""
+    for name, hint in get_type_hints(type(entry)).items():
+        value = getattr(entry, name)
+        kinds = get_args(hint) if get_origin(hint) is UnionType else (get_origin(hint) or hint,)
+        if type(value) is int and float in kinds:
+            continue
+        if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, kinds):
+            raise ValueError(f"{name} {value!r}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{name} {value}")
 
 
 def _check(folder: Path, scenario: Scenario) -> None:

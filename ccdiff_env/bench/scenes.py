@@ -40,23 +40,43 @@ def source_of(
 
 
 def source_title(source: Mapping[str, str]) -> str:
-    """Return a description of scenes in words."""
+    """Return a description of scenes in words.
+
+    Raises
+    ------
+    ConfigError
+        If it is not what :func:`source_of` returns.
+    """
+    _check(source)
     few = f", the first {source['limit']}" if "limit" in source else ""
     if "embedded" in source:
         return f"embedded scenes, {source['embedded']}{few}"
     return f"nuScenes {source['version']}, {source['split']}{few}"
 
 
+def _check(source: Mapping[str, str]) -> None:
+    """Refuse descriptions, of a file perhaps, that no scenes can be found by."""
+    kinds = ({"embedded"}, {"dataroot", "version", "split"})
+    named = isinstance(source, Mapping) and all(isinstance(value, str) for value in source.values())
+    if (
+        not named
+        or set(source) - {"limit"} not in kinds
+        or not source.get("limit", "1").isdecimal()
+    ):
+        raise ConfigError(
+            f"source is {source!r}, expected embedded, or dataroot, version and split"
+        )
+
+
 @lru_cache(maxsize=2)
 def _load(description: tuple[tuple[str, str], ...]) -> SceneSet:
     source = dict(description)
+    _check(source)
     limit = source.pop("limit", None)
     if limit is not None:
         return SceneSet(_load(tuple(sorted(source.items())))[: int(limit)])
     if set(source) == {"embedded"}:
         return embedded_scenes(source["embedded"])
-    if set(source) != {"dataroot", "version", "split"}:
-        raise ConfigError(f"source has {sorted(source)}, expected dataroot, version, split")
     return load_nuscenes(source["dataroot"], source["version"], source["split"].split("+"))
 
 

@@ -15,6 +15,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, ShapeError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 
 __all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
@@ -22,6 +23,8 @@ __all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
 F32 = npt.NDArray[np.float32]
 
 FORMAT = "ccdiff-env ego 1"
+#: Options that a file of a policy may hold: what it observes, what its actions mean, how long.
+FITTING = ("action", "bev", "decision_steps", "discrete", "dt_s", "dynamics", "grid", "observation")
 #: A lean observation: the ego on its route, 10 points of the route, the 12 nearest agents. What
 #: tells one scene from another is left out, so that egos do not learn scenes by heart.
 OBSERVATION: Mapping[str, Any] = {
@@ -131,13 +134,15 @@ class EgoPolicy:
             if name == "policy.0":
                 before += self._size - self._shape[0] * (self._shape[1] + 1)
             weight = self._tensors.get(f"{name}.weight", np.empty((0, 0)))
-            out = width if name == _LAYERS[-1] else int(weight.shape[0])
+            out = width if name == _LAYERS[-1] or not weight.ndim else int(weight.shape[0])
             expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
             before = out
         for name, shape in expected.items():
             found = None if name not in self._tensors else self._tensors[name].shape
             if found != shape:
                 raise DatasetError(f"policy: {name} has shape {found}, expected {shape}")
+        if not (self._tensors["std"] > 0.0).all():
+            raise DatasetError(f"policy: std is {self._tensors['std'].min()}, expected above 0")
 
     def check(self, worlds: Worlds) -> None:
         """Refuse worlds whose observations or actions are not those of the policy.
@@ -230,7 +235,7 @@ def save_ego(
     tensors
         State of the network as ``examples/train_ego_ppo.py`` has it, tensors or arrays.
     options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy.
+        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
     about
         How it was trained: what JSON can hold.
     """
@@ -262,7 +267,10 @@ def load_ego(path: str | os.PathLike[str]) -> EgoPolicy:
         found = metadata.get("format")
         raise DatasetError(f"policy: format {found!r}, expected {FORMAT!r}, {os.fspath(path)}")
     try:
-        options, about = json.loads(metadata["options"]), json.loads(metadata["about"])
+        options, about = (parsed_object(metadata[name]) for name in ("options", "about"))
+        # others do not belong to a policy, and some name files, or modules to import
+        if others := set(options) - set(FITTING):
+            raise ValueError(f"options {sorted(others)}, expected some of {', '.join(FITTING)}")
         return EgoPolicy(tensors, options, metadata["schema"], about)
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, CcdiffError):

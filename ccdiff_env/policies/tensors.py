@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import struct
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.files import parsed_object
 
 F32 = npt.NDArray[np.float32]
 
@@ -59,19 +61,29 @@ def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str
         (length,) = struct.unpack_from("<Q", data)
         if 8 + length > len(data):
             raise ValueError("the header reaches beyond the end")
-        header = json.loads(data[8 : 8 + length])
+        header = parsed_object(data[8 : 8 + length])
         metadata = {str(k): str(v) for k, v in header.pop("__metadata__", {}).items()}
-        tensors = {name: _array(entry, data[8 + length :]) for name, entry in header.items()}
+        tensors = _arrays(header, data[8 + length :])
     except (struct.error, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DatasetError(f"policy: damaged ({error}), {os.fspath(path)}") from None
     return tensors, metadata
 
 
-def _array(entry: Mapping[str, Any], body: bytes) -> F32:
-    if entry["dtype"] != "F32":
-        raise ValueError(f"dtype {entry['dtype']}, expected F32")
-    begin, end = entry["data_offsets"]
-    array: F32 = np.frombuffer(body[begin:end], "<f4").reshape(entry["shape"]).astype(np.float32)
-    if not np.isfinite(array).all():
-        raise ValueError("not all numbers are finite")
-    return array
+def _arrays(entries: Mapping[str, Any], body: bytes) -> dict[str, F32]:
+    """Arrays of the format's rule: one behind the other, without gaps, to the end of the file."""
+    found: dict[str, F32] = {}
+    at = 0
+    for name, entry in sorted(entries.items(), key=lambda item: item[1]["data_offsets"]):
+        if entry["dtype"] != "F32":
+            raise ValueError(f"{name}: dtype {entry['dtype']}, expected F32")
+        shape = [int(size) for size in entry["shape"]]
+        end = at + 4 * math.prod(shape)
+        if entry["data_offsets"] != [at, end] or min(shape, default=1) < 0:
+            raise ValueError(f"{name}: offsets {entry['data_offsets']}, expected {[at, end]}")
+        array: F32 = np.frombuffer(body[at:end], "<f4").reshape(shape).astype(np.float32)
+        if not np.isfinite(array).all():
+            raise ValueError("not all numbers are finite")
+        found[name], at = array, end
+    if at != len(body):
+        raise ValueError(f"{len(body)} bytes of arrays, expected {at}")
+    return found
