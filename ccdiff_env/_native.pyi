@@ -69,12 +69,16 @@ def render_arrays(
     route_m: F32,
     trails: list[tuple[F32, int]],
     samples: list[tuple[F32, int]],
+    plans: list[tuple[F32, int]],
     arrows: list[tuple[int, int, float]],
     collisions_m: F32,
+    names: list[str],
     caption: str,
     scale_bar: bool,
+    legend: list[tuple[tuple[int, int, int], str]],
+    theme: str,
 ) -> U8: ...
-def render_legend() -> list[tuple[str, tuple[int, int, int]]]: ...
+def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
 
 @final
 class Trajectories:
@@ -222,6 +226,7 @@ class Scene:
         trails: bool = True,
         route: bool = True,
         labels: bool = True,
+        theme: str = "light",
     ) -> U8:
         """Draw one step of the log, seen from above.
 
@@ -243,7 +248,10 @@ class Scene:
         route
             Draw the rest of the ego's log as a band.
         labels
-            Write name, time, the ego's speed and a scale bar.
+            Write the scene's name, time, the ego's speed, names of agents, a scale bar and what the
+            colours mean.
+        theme
+            ``"light"`` or ``"dark"``.
 
         Returns
         -------
@@ -279,9 +287,9 @@ def load_nuscenes(
     require_map: bool,
     cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
-def drivers() -> list[tuple[str, str, tuple[int, int, int], int]]:
-    """Return name, title, colour and number in images of everybody who may move an agent: those
-    that images tell apart, in the order of their numbers, then kinds that look like one of them.
+def drivers() -> list[tuple[str, str, int]]:
+    """Return name, title and number in images of everybody who may move an agent: those that
+    images tell apart, in the order of their numbers, then kinds that look like one of them.
     """
 
 @final
@@ -464,6 +472,7 @@ class VecWorld:
         trails: bool,
         route: bool,
         labels: bool,
+        theme: str,
     ) -> U8:
         """Return an image [H, W, 3]."""
 

@@ -16,20 +16,28 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["DRIVERS", "KINDS", "draw", "legend", "save"]
+__all__ = ["DRIVERS", "KINDS", "THEMES", "draw", "legend", "save"]
 
 Image: TypeAlias = npt.NDArray[np.uint8]
 
-_NUMBERS = {name: number for name, _, _, number in _native.drivers()}
+_NUMBERS = {name: number for name, _, number in _native.drivers()}
 #: Who moves an agent; sets its colour. Further drivers look like one of these.
 DRIVERS = tuple(name for i, (name, number) in enumerate(_NUMBERS.items()) if i == number)
 #: Kinds of agents; set their shape.
 KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+#: Grounds that images are drawn on; the replay page has the same.
+THEMES = ("light", "dark")
 
 
-def legend() -> dict[str, tuple[int, int, int]]:
-    """Return names and colours (red, green, blue) of everything in an image, drivers first."""
-    return dict(_native.render_legend())
+def legend(theme: str = "light") -> dict[str, tuple[int, int, int]]:
+    """Return names and colours (red, green, blue) of everything in an image, drivers first.
+
+    Raises
+    ------
+    ConfigError
+        If the theme is not one of :data:`THEMES`.
+    """
+    return dict(_native.render_legend(theme))
 
 
 def draw(
@@ -48,10 +56,14 @@ def draw(
     route_m: npt.ArrayLike = (),
     trails: Iterable[tuple[npt.ArrayLike, str]] = (),
     samples: Iterable[tuple[npt.ArrayLike, str]] = (),
+    plans: Iterable[tuple[npt.ArrayLike, str]] = (),
     arrows: Iterable[tuple[int, int, float]] = (),
     collisions_m: npt.ArrayLike = (),
+    names: Sequence[str] = (),
     caption: str = "",
     scale_bar: bool = False,
+    legend: Iterable[tuple[str, str]] = (),
+    theme: str = "light",
 ) -> Image:
     """Draw agents and lines on the map of a scene, or on bare ground.
 
@@ -80,17 +92,25 @@ def draw(
         Direction that points to the top; π/2 (the default) puts +y there.
     route_m
         Points [N, 2] of a broad band.
-    trails, samples
-        Lines ([N, 2] points, driver): where agents were (oldest first, fading) and where they
-        may go.
+    trails, samples, plans
+        Lines ([N, 2] points, driver): where agents were (oldest first), where they may go (thin),
+        and where they mean to go (thick). All fade.
     arrows
         Edges (i, j, weight in 0..1) between agents: i influences j.
     collisions_m
         Points [N, 2] to mark.
+    names
+        What stands above each agent [A], in letters, figures and ``. , : - + = / _ ( )``; none by
+        default. Images with less than 3.5 pixels a metre have none, people need 14.
     caption
-        Text in the upper left corner: letters, figures and ``. : - + = / _``.
+        Text in the upper left corner, likewise.
     scale_bar
         Whether to draw a bar of a round number of metres.
+    legend
+        Rows (driver or name in :func:`legend`, what it is called), in the lower right corner.
+        Images that are too small for it have none.
+    theme
+        One of :data:`THEMES`.
 
     Returns
     -------
@@ -124,10 +144,14 @@ def draw(
         route_m=_points("route_m", route_m),
         trails=[(_points("trail", p), _number("driver", d, DRIVERS)) for p, d in trails],
         samples=[(_points("sample", p), _number("driver", d, DRIVERS)) for p, d in samples],
+        plans=[(_points("plan", p), _number("driver", d, DRIVERS)) for p, d in plans],
         arrows=list(arrows),
         collisions_m=_points("collisions_m", collisions_m),
+        names=_names(names, num_agents),
         caption=caption,
         scale_bar=scale_bar,
+        legend=_legend_rows(legend, theme),
+        theme=theme,
     )
 
 
@@ -176,7 +200,8 @@ def _save_gif(stack: Image, path: Path, fps: float) -> None:
     # One palette for the whole video, taken from a few of its images: colours do not flicker.
     # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
     few = stack[:: max(1, len(stack) // 8)]
-    stripes = np.repeat(np.array([*legend().values()], np.uint8), 8, axis=0)[:, None, :]
+    colours = [rgb for theme in THEMES for rgb in legend(theme).values()]
+    stripes = np.repeat(np.array(colours, np.uint8), 8, axis=0)[:, None, :]
     images = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
     palette = library.fromarray(np.concatenate(images)).quantize(256, method=0, dither=0)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
@@ -236,6 +261,25 @@ def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
             "expected uint8 [T, H, W, 3] without a zero"
         )
     return np.ascontiguousarray(array)
+
+
+def _names(names: Sequence[str], num_agents: int) -> list[str]:
+    if len(names) not in (0, num_agents):
+        raise ShapeError(f"names has {len(names)} entries, expected {num_agents}, one per agent")
+    return [*names]
+
+
+def _legend_rows(
+    listed: Iterable[tuple[str, str]], theme: str
+) -> list[tuple[tuple[int, int, int], str]]:
+    colours = legend(theme)
+    colours |= {name: colours[DRIVERS[number]] for name, number in _NUMBERS.items()}
+    rows = []
+    for name, title in listed:
+        if name not in colours:
+            raise ConfigError(f"legend has {name!r}, expected one of {', '.join(colours)}")
+        rows.append((colours[name], title))
+    return rows
 
 
 def _points(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:

@@ -408,6 +408,10 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         (["left-turn-00", "--criticality", "1"], "--criticality plays a scene: give --traffic"),
         (["left-turn-00", "--driver", "idm"], "--driver plays a scene: give --traffic"),
         (["left-turn-00", "--span", "40"], "--span goes with --png"),
+        (["left-turn-00", "--theme", "dark"], "--theme goes with --png"),
+        (["left-turn-00", "--samples", "3"], "--samples plays a scene: give --traffic"),
+        (["left-turn-00", "--save", "run.npz"], "--save plays a scene: give --traffic"),
+        (["left-turn-00", "--traffic", "idm", "--samples", "3"], "--samples is for networks"),
         (["left-turn-00", "--traffic", "idm", "--criticality", "1"], "guides networks"),
         (["left-turn-00", "--traffic", "ccdiff", "--criticality", "5"], "expected 0 to 2"),
         (
@@ -435,25 +439,6 @@ def test_the_scenes_are_listed(capsys):
     assert first[-2:] == [str(scenes[0].num_agents), str(vehicles)]
 
 
-def test_images_have_the_ego_in_the_middle_in_its_colour():
-    video = Video(planned_rollout(), size=(200, 200), span_m=40.0)
-    assert tuple(video.frame(0)[100, 100]) == (0, 87, 184)
-    assert sum(1 for _ in video.frames(every=20)) == 5
-
-
-def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
-    run = planned_rollout()
-    valid = run.valid.copy()
-    valid[1, 40:] = False
-    gone = Rollout(**{f: getattr(run, f) for f in run.__dataclass_fields__} | {"valid": valid})
-    _, arrays = unpacked(elements(page_html(gone))[0])
-    assert arrays["valid"][1, 40:].max() == 0
-    assert np.ptp(arrays["x"][1, 39:]) == 0.0
-    video = Video(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
-    seen = [bool((video.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
-    assert seen == [True, False]
-
-
 def test_several_files_are_a_grid(tmp_path, capsys):
     names = [str(tmp_path / f"{letter}.npz") for letter in "abcd"]
     for name in names:
@@ -465,3 +450,20 @@ def test_several_files_are_a_grid(tmp_path, capsys):
     assert cli.main(["view", "left-turn-00", "left-turn-01", "--traffic", "idm"]) == 2
     assert "--traffic plays one scene" in capsys.readouterr().err
     assert cli.main(["view", str(tmp_path), names[0]]) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--traffic", "idm", "--criticality", "1"], "--criticality is for networks"),
+        (["--traffic", "idm", "--samples", "3"], "--samples is for networks"),
+        (["--traffic", "replay", "--weights", "w.safetensors"], "--weights is for networks"),
+        (["--traffic", "idm", "--scenes", "nothing"], "'nothing'"),
+        (["--traffic", "nobody"], "'nobody'"),
+        (["--criticality", "5"], "--criticality is 5, expected 0 to 2"),
+    ],
+)
+def test_rollouts_refuse_what_would_mean_nothing(options, message, tmp_path, capsys):
+    assert cli.main(["rollout", *options, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.glob("out/*.npz"))

@@ -20,7 +20,7 @@ Image = npt.NDArray[np.uint8]
 FPS = 10
 
 #: Options of a picture: width and height in pixels, metres across, agent id or (x, y) in the middle
-#: (the ego by default), whether its heading points up, and what is drawn.
+#: (the ego by default), whether its heading points up, what is drawn, and on which ground.
 PICTURE: dict[str, Any] = {
     "size": (640, 640),
     "span_m": 90.0,
@@ -29,6 +29,7 @@ PICTURE: dict[str, Any] = {
     "trails": True,
     "route": True,
     "labels": True,
+    "theme": "light",
 }
 
 

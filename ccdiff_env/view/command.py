@@ -19,10 +19,16 @@ from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
+from ccdiff_env.view.sources import (
+    LOG,
+    SAMPLES,
+    check_criticality,
+    find_rollout,
+    find_scene,
+    play_scene,
+)
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
-MAX_CRITICALITY = 2.0
 #: Options that play a scene, and what they are without being given.
 PLAYED: dict[str, Any] = {
     "driver": None,
@@ -32,7 +38,14 @@ PLAYED: dict[str, Any] = {
     "save": None,
 }
 #: Options of images and videos likewise.
-DRAWN: dict[str, Any] = {"follow": None, "span": 90.0, "size": 720, "speed": 1.0, "graph": False}
+DRAWN: dict[str, Any] = {
+    "follow": None,
+    "span": 90.0,
+    "size": 720,
+    "speed": 1.0,
+    "graph": False,
+    "theme": "light",
+}
 
 
 @dataclass(frozen=True)
@@ -103,6 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     draw.add_argument("--size", type=int, help="pixels of an image's sides (default: 720)")
     draw.add_argument("--speed", type=float, help="pace of a video (default: 1)")
     draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
+    draw.add_argument("--theme", choices=render.THEMES, help="ground of an image (default: light)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -166,8 +180,7 @@ def _played(args: argparse.Namespace) -> list[Titled]:
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
     levels = args.criticality
     for level in levels:
-        if not 0.0 <= level <= MAX_CRITICALITY:
-            raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
+        check_criticality(level)
     for traffic in args.traffic:
         if any(levels) and not {traffic, *drivers} & set(NETWORKS):
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
@@ -220,6 +233,7 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
         "span_m": args.span,
         "follow": args.follow,
         "graph": args.graph,
+        "theme": args.theme,
     }
     first, *others = (run.rollout for run in runs)
     if args.png is None:

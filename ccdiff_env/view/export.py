@@ -52,7 +52,7 @@ def export(rollout: Rollout, path: str | Path) -> None:
 def _boxes(rollout: Rollout) -> tuple[list[str], list[list[int]]]:
     """Driver and colour (red, green, blue, alpha) of each agent."""
     drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
-    known = colours()
+    known = colours()["light"]
     found = [known[driver].lstrip("#") for driver in drivers]
     return drivers, [[*bytes.fromhex(text), 255] for text in found]
 

@@ -164,10 +164,15 @@ def address(
     return f"{quote(path)}#{query}" if query else quote(path)
 
 
-def colours() -> dict[str, str]:
-    """Return the colour of each driver, as in images: ``"#rrggbb"``."""
-    drivers = {name: _hex(colour) for name, _, colour, _ in _native.drivers()}
-    return {**drivers, "static": _hex(render.legend()["static obstacle"])}
+def colours() -> dict[str, dict[str, str]]:
+    """Return the colour of each driver in each theme, as in images: ``"#rrggbb"``."""
+    found = {}
+    for theme in render.THEMES:
+        legend = render.legend(theme)
+        drivers = {n: legend[render.DRIVERS[number]] for n, _, number in _native.drivers()}
+        shown = {**drivers, "static": legend["static obstacle"]}
+        found[theme] = {name: _hex(rgb) for name, rgb in shown.items()}
+    return found
 
 
 def _hex(rgb: tuple[int, int, int]) -> str:

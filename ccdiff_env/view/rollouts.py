@@ -14,7 +14,7 @@ from ccdiff_env.scenes import SceneSet, load_nuscenes
 from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, split_help
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.index import write_pages
-from ccdiff_env.view.sources import play_scene
+from ccdiff_env.view.sources import check_criticality, play_scene
 from ccdiff_env.view.video import Video, save_video
 
 #: Shares of an episode whose states are drawn.
@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _settings(args: argparse.Namespace) -> dict[str, Any]:
     """Return the options of the networks that drive; refuse those that would mean nothing."""
+    check_criticality(args.criticality)
     if {args.traffic, args.driver} & set(NETWORKS):
         return {
             "criticality": args.criticality,

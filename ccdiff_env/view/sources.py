@@ -20,6 +20,13 @@ SAMPLES = 8
 """Samples per plan of CCDiff in episodes that are played for a page."""
 LOG = "log"
 """Stands for the log of the scene of the other run."""
+MAX_CRITICALITY = 2.0
+
+
+def check_criticality(level: float) -> None:
+    """Refuse a criticality that no verb takes."""
+    if not 0.0 <= level <= MAX_CRITICALITY:
+        raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
 
 
 def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
-from ccdiff_env.view.captions import driver_of, is_collision
+from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision
 
 TRAIL_S = 3.0
 MARK_S = 1.0
@@ -39,7 +39,9 @@ class Video:
     graph
         Draw the causal graph of the plan in force.
     captions
-        Write the scene's name and the time, and draw a scale bar.
+        Write the scene's name, the time, names of agents, a scale bar and what the colours mean.
+    theme
+        Ground and colours: ``"light"`` or ``"dark"``.
     """
 
     def __init__(
@@ -52,19 +54,22 @@ class Video:
         centre_m: tuple[float, float] | None = None,
         graph: bool = False,
         captions: bool = True,
+        theme: str = "light",
     ) -> None:
         follow = follow if follow is not None else rollout.agent_ids[0]
         if follow not in rollout.agent_ids:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout = rollout
         self._size, self._span_m = size, span_m
-        self._graph, self._captions = graph, captions
+        self._graph, self._captions, self._theme = graph, captions, theme
         self._centres = (
             _centres(rollout, rollout.agent_ids.index(follow))
             if centre_m is None
             else np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         )
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
+        self._names = [short for short, _ in agent_titles(rollout.scene)]
+        self._legend = _legend(rollout, self._drivers) if captions else []
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property
@@ -110,10 +115,15 @@ class Video:
             span_m=self._span_m,
             centre_m=(float(self._centres[step, 0]), float(self._centres[step, 1])),
             trails=list(self._trails(step, there)),
-            samples=list(self._samples(plan)) if plan else (),
+            samples=list(self._planned(plan, selected=False)) if plan else (),
+            plans=list(self._planned(plan, selected=True)) if plan else (),
             arrows=self._arrows(plan, there) if plan and self._graph else (),
-            caption=f"{run.scene.name.upper()}  {seconds:.1f} s" if self._captions else "",
+            collisions_m=self._marks(recent, step),
+            names=[self._names[i] for i in there] if self._captions else (),
+            caption=f"{run.scene.name}  {seconds:.1f} s" if self._captions else "",
             scale_bar=self._captions,
+            legend=self._legend,
+            theme=self._theme,
         )
 
     def _trails(
@@ -126,13 +136,25 @@ class Video:
             if len(line) > 1 and np.ptp(line, axis=0).max() > 0.5:
                 yield line, self._drivers[i]
 
-    def _samples(self, plan: TrafficPlan) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+    def _marks(self, events: Sequence[RolloutEvent], step: int) -> npt.NDArray[np.float32]:
+        """Points [N, 2] half way between those that met."""
+        run = self._rollout
+        pairs = [[self._number[i] for i in (e.agent_id, e.partner_id) if i] for e in events]
+        there = [pair for pair in pairs if run.valid[pair, step].all()]
+        points = [run.position[pair, step].mean(axis=0) for pair in there]
+        return np.array(points, np.float32).reshape(-1, 2)
+
+    def _planned(
+        self, plan: TrafficPlan, *, selected: bool
+    ) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+        """Yield the selected samples of those that follow the plan, or the others."""
         for row, agent in enumerate(plan.agents):
             if not plan.follows_plan[row]:
                 continue
             driver = "adversary" if plan.guided[row] else self._drivers[agent]
-            for sample in plan.samples[:, row, :, :2]:
-                if np.isfinite(sample).all():
+            for number, sample in enumerate(plan.samples[:, row, :, :2]):
+                chosen = number == plan.selected_sample[row]
+                if chosen == selected and np.isfinite(sample).all():
                     yield sample, driver
 
     def _arrows(
@@ -147,6 +169,14 @@ class Video:
             if i != j and into is not None and origin is not None:
                 edges.append((origin, into, 1.0))
         return edges
+
+
+def _legend(rollout: Rollout, drivers: Sequence[str]) -> list[tuple[str, str]]:
+    """Colours and titles of everybody in a rollout, in the order of the page's legend."""
+    kinds = rollout.scene.agent_types
+    seen = {"static" if k == "static" else d for k, d in zip(kinds, drivers, strict=True)}
+    listed = [(name, title) for name, title in DRIVER_TITLES.items() if name in seen]
+    return [("static obstacle" if n == "static" else n, title) for n, title in listed]
 
 
 def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:

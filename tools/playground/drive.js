@@ -99,7 +99,7 @@ class Drive {
     this.held = new Set();
     this.panes = this.runs = [];
     this.time = this.before = 0;
-    this.colours = { light: settings.colours, dark: lighter(settings.colours) };
+    this.colours = settings.colours;
     requestAnimationFrame((now) => this.frame(now));
   }
 

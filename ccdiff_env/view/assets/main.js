@@ -38,7 +38,7 @@ async function main() {
   const settings = JSON.parse($("settings").textContent);
   const runs = [];
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
-  const colours = { light: settings.colours, dark: lighter(settings.colours) };
+  const colours = settings.colours;
 
   let timeline = null, figures = null, recorded = null, contacts = null;
   const player = new Player(runs, $("stage"), colours, () => update());

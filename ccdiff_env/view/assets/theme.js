@@ -2,18 +2,6 @@
 
 const $ = (id) => document.getElementById(id);
 
-/** Colours for dark ground: the dark ones move towards white. */
-function lighter(colours) {
-  const out = {};
-  for (const [name, colour] of Object.entries(colours)) {
-    const rgb = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
-    const luminance = (0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]) / 255;
-    const mix = Math.max(0, 0.62 - luminance) * 0.85;
-    out[name] = `#${rgb.map((c) => Math.round(c + (255 - c) * mix).toString(16).padStart(2, "0")).join("")}`;
-  }
-  return out;
-}
-
 function setTheme(player, theme) {
   player.theme = theme;
   document.documentElement.dataset.theme = theme;

@@ -68,17 +68,22 @@ pub(crate) fn drawn(kind: &str) -> DrawStyle {
     drawn.or(like).unwrap_or(DrawStyle::Other)
 }
 
-/// Name, title, colour and number in images.
-type Row = (&'static str, &'static str, (u8, u8, u8), u8);
+/// What legends call a kind of driver.
+pub(crate) fn title(kind: &str) -> &'static str {
+    let own = KINDS.iter().find(|k| k.name == kind).map(|k| k.title);
+    own.unwrap_or_else(|| drawn(kind).title())
+}
 
-/// Name, title, colour and number in images of everybody who may move an agent: those that images tell apart, in
+/// Name, title and number in images.
+type Row = (&'static str, &'static str, u8);
+
+/// Name, title and number in images of everybody who may move an agent: those that images tell apart, in
 /// the order of their numbers, then the kinds that look like one of them.
 #[pyfunction]
 fn drivers() -> Vec<Row> {
-    let row = |name, title, d: DrawStyle| (name, title, (d.colour().0, d.colour().1, d.colour().2), d as u8);
-    let drawn = DrawStyle::ALL.iter().map(|d| row(d.name(), d.title(), *d));
+    let drawn = DrawStyle::ALL.iter().map(|d| (d.name(), d.title(), *d as u8));
     let others = KINDS.iter().filter(|k| k.drawn.name() != k.name);
-    drawn.chain(others.map(|k| row(k.name, k.title, k.drawn))).collect()
+    drawn.chain(others.map(|k| (k.name, k.title, k.drawn as u8))).collect()
 }
 
 fn idm(recipe: &Recipe<'_>) -> PyResult<Policy> {

@@ -4,8 +4,8 @@ use crate::enter::flags;
 use crate::scene::PyScene;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, LogView, MapLayers, RenderError,
-    palette, render, render_log,
+    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, LogView, MapLayers, RenderError, Rgb,
+    Theme, palette, render, render_log,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{AgentKind, Map, Scene};
@@ -85,7 +85,9 @@ pub(crate) fn scene_image<'py>(
     trails: bool,
     route: bool,
     labels: bool,
+    theme: &str,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let theme = theme_of(theme)?;
     let centre = match centre {
         CentreArg::Point((x, y)) => Centre::Point(Point2::new(x, y)),
         CentreArg::Id(id) => Centre::Agent(scene.agent_index(&id).ok_or_else(|| {
@@ -96,7 +98,8 @@ pub(crate) fn scene_image<'py>(
     let step_idx = usize::try_from(step).map_err(|_| {
         ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
     })?;
-    let log_view = LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels };
+    let log_view =
+        LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels, theme };
     let layers = layers_of(&scene.map)?;
     let image = py.detach(|| render_log(scene, &layers, &log_view)).map_err(from_render)?;
     to_array(py, image)
@@ -110,6 +113,16 @@ pub(crate) fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
             Err(ConfigError::new_err(format!("image size is {width} x {height} pixels, expected 1 or more")))
         }
     }
+}
+
+/// The theme of a name.
+pub(crate) fn theme_of(name: &str) -> PyResult<Theme> {
+    Theme::ALL.into_iter().find(|t| t.name() == name).ok_or_else(|| {
+        ConfigError::new_err(format!(
+            "theme is {name:?}, expected one of {}",
+            Theme::ALL.map(Theme::name).join(", ")
+        ))
+    })
 }
 
 type Points<'py> = PyReadonlyArray2<'py, f32>;
@@ -173,7 +186,7 @@ fn boxes(
 /// An image [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.render.draw`.
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, scene, size, span_m, centre_m, up_rad,
-    route_m, trails, samples, arrows, collisions_m, caption, scale_bar))]
+    route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme))]
 fn render_arrays<'py>(
     py: Python<'py>,
     position_m: Points<'py>,
@@ -190,16 +203,24 @@ fn render_arrays<'py>(
     route_m: Points<'py>,
     trails: Vec<(Points<'py>, u8)>,
     samples: Vec<(Points<'py>, u8)>,
+    plans: Vec<(Points<'py>, u8)>,
     arrows: Vec<(usize, usize, f32)>,
     collisions_m: Points<'py>,
+    names: Vec<String>,
     caption: &str,
     scale_bar: bool,
+    legend: Vec<((u8, u8, u8), String)>,
+    theme: &str,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let boxes = boxes(&position_m, &heading_rad, &size_m, &kind, &driver, &collided)?;
     let owned = |what, list: Vec<(Points<'py>, u8)>| -> PyResult<Vec<(Vec<Point2>, DrawStyle)>> {
         list.iter().map(|(p, d)| Ok((points(what, p)?, self::driver(*d)?))).collect()
     };
-    let (trails, samples) = (owned("trail", trails)?, owned("sample", samples)?);
+    let (trails, samples, plans) =
+        (owned("trail", trails)?, owned("sample", samples)?, owned("plan", plans)?);
+    let legend: Vec<(Rgb, String)> =
+        legend.into_iter().map(|((r, g, b), title)| (Rgb(r, g, b), title)).collect();
+    let theme = theme_of(theme)?;
     let at = |agent_idx: usize| {
         boxes.get(agent_idx).map(|b| b.pose.position).ok_or_else(|| {
             let message = format!("arrow of agent {agent_idx}, but there are {} agents", boxes.len());
@@ -216,26 +237,36 @@ fn render_arrays<'py>(
     let camera = Camera::over(centre, span_m, width, height).heading_up(up_rad);
     let layers = scene.map(|s| layers_of(&s.get().scene.map)).transpose()?;
     let image = py.detach(|| {
-        let trails: Vec<Line<'_>> = trails.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
-        let samples: Vec<Line<'_>> = samples.iter().map(|(p, d)| Line { points: p, driver: *d }).collect();
+        let (trails, samples, plans) = (lines(&trails), lines(&samples), lines(&plans));
         let drawing = Drawing {
             map: layers.as_deref(),
             route: &route,
             trails: &trails,
             samples: &samples,
+            plans: &plans,
             boxes: &boxes,
+            names: &names,
             arrows: &arrows,
             collisions: &collisions,
             caption,
             scale_bar,
+            legend: &legend,
+            theme,
         };
         render(&drawing, &camera)
     });
     to_array(py, image.map_err(from_render)?)
 }
 
+fn lines(list: &[(Vec<Point2>, DrawStyle)]) -> Vec<Line<'_>> {
+    list.iter().map(|(points, driver)| Line { points, driver: *driver }).collect()
+}
+
+/// Name and colour (red, green, blue).
+type LegendRow = (&'static str, (u8, u8, u8));
+
 /// Names and colours (red, green, blue) of everything in an image, drivers first.
 #[pyfunction]
-fn render_legend() -> Vec<(&'static str, (u8, u8, u8))> {
-    palette::legend().into_iter().map(|(name, c)| (name, (c.0, c.1, c.2))).collect()
+fn render_legend(theme: &str) -> PyResult<Vec<LegendRow>> {
+    Ok(palette::legend(theme_of(theme)?).into_iter().map(|(name, c)| (name, (c.0, c.1, c.2))).collect())
 }

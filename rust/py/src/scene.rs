@@ -264,7 +264,7 @@ impl PyScene {
 
     /// One step of the log as an image, uint8 [H, W, 3].
     #[pyo3(signature = (step=0, *, size=(640, 640), span_m=100.0, centre=CentreArg::Id(EGO_ID.to_owned()),
-        heading_up=false, trails=true, route=true, labels=true))]
+        heading_up=false, trails=true, route=true, labels=true, theme="light"))]
     fn render<'py>(
         &self,
         py: Python<'py>,
@@ -276,9 +276,10 @@ impl PyScene {
         trails: bool,
         route: bool,
         labels: bool,
+        theme: &str,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let scene = &self.scene;
-        scene_image(py, scene, step, size, span_m, centre, heading_up, trails, route, labels)
+        scene_image(py, scene, step, size, span_m, centre, heading_up, trails, route, labels, theme)
     }
 
     /// The scene itself: it never changes.

@@ -2,7 +2,7 @@
 
 use crate::drivers;
 use crate::enter::{ProcessGuard, enter};
-use crate::render::CentreArg;
+use crate::render::{CentreArg, theme_of};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
 use crate::world_image::{self, Trails, ViewOptions};
@@ -462,7 +462,7 @@ impl PyVecWorld {
     }
 
     /// Image [H, W, 3] of a world.
-    #[pyo3(signature = (world_idx, *, size, span_m, centre, heading_up, trails, route, labels))]
+    #[pyo3(signature = (world_idx, *, size, span_m, centre, heading_up, trails, route, labels, theme))]
     fn render<'py>(
         &self,
         py: Python<'py>,
@@ -474,9 +474,11 @@ impl PyVecWorld {
         trails: bool,
         route: bool,
         labels: bool,
+        theme: &str,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         self.home.check()?;
-        let view = ViewOptions { size, span_m, centre, heading_up, route, labels };
+        let theme = theme_of(theme)?;
+        let view = ViewOptions { size, span_m, centre, heading_up, route, labels, theme };
         let trails = self.trails.as_ref().filter(|_| trails).map(|t| t.of(world_idx));
         world_image::draw(py, &self.world, world_idx, trails, view)
     }

@@ -3,7 +3,7 @@
 use crate::drivers;
 use crate::render::{CentreArg, from_render, layers_of, pixels, to_array};
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_render::{AgentBox, Camera, DrawStyle, Drawing, Line, render};
+use ccdiff_render::{AgentBox, Camera, DrawStyle, Drawing, Line, Theme, legend_of, name_of, render};
 use ccdiff_sim::Result;
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::EGO_ID;
@@ -21,6 +21,7 @@ pub(crate) struct ViewOptions {
     pub(crate) heading_up: bool,
     pub(crate) route: bool,
     pub(crate) labels: bool,
+    pub(crate) theme: Theme,
 }
 
 /// Where the agents of each world were in the last steps.
@@ -113,7 +114,7 @@ fn middle(p: Point2, q: Point2) -> Point2 {
 fn caption(name: &str, dt_s: f32, status: &WorldStatus<'_>, focus: Option<usize>) -> String {
     let time_s = f64::from(dt_s) * status.elapsed_steps as f64;
     let speed = focus.map(|a| format!("  {:.1} m/s", status.states.speed_mps[a])).unwrap_or_default();
-    format!("{}  {time_s:.1} s{speed}", name.to_uppercase())
+    format!("{name}  {time_s:.1} s{speed}")
 }
 
 /// Draws a world: map, route of the agent in focus, trails, agents, collisions of agents with a slot.
@@ -149,6 +150,7 @@ pub(crate) fn draw<'py>(
             driver => driver,
         }
     };
+    let drawn: Vec<DrawStyle> = (0..states.len()).map(colour_of).collect();
     let in_contact: Vec<(usize, usize)> = world
         .contacts(world_idx)
         .map_err(from_sim)?
@@ -163,7 +165,7 @@ pub(crate) fn draw<'py>(
             length_m: scene.agents[a].length_m,
             width_m: scene.agents[a].width_m,
             kind: scene.agents[a].kind,
-            driver: colour_of(a),
+            driver: drawn[a],
             collided: in_contact.iter().any(|(i, j)| *i == a || *j == a),
         })
         .collect();
@@ -173,7 +175,7 @@ pub(crate) fn draw<'py>(
         Some(trail) => {
             let movers =
                 (0..states.len()).filter(|a| scene.agents[*a].kind != ccdiff_sim::scene::AgentKind::Static);
-            movers.map(|a| (trail_of(trail, a), colour_of(a))).collect()
+            movers.map(|a| (trail_of(trail, a), drawn[a])).collect()
         }
         None => Vec::new(),
     };
@@ -187,10 +189,19 @@ pub(crate) fn draw<'py>(
         (Some((points, goal)), Some(a)) => route_ahead(points, states.position(a), *goal),
         _ => &[],
     };
-    let caption = if view.labels {
-        caption(&scene.name.to_uppercase(), scene.dt_s, &status, focus)
+    let (caption, names, legend) = if view.labels {
+        let title_of = |a: usize| match drawn[a] {
+            style @ (DrawStyle::Ego | DrawStyle::Adversary) => (style, style.title()),
+            style => (style, drivers::title(world.driver_name(status.drivers[a]).1)),
+        };
+        let there = (0..states.len()).filter(|a| states.active[*a]);
+        (
+            caption(&scene.name, scene.dt_s, &status, focus),
+            there.map(|a| name_of(scene, a)).collect(),
+            legend_of(scene, (0..states.len()).map(title_of), view.theme),
+        )
     } else {
-        String::new()
+        (String::new(), Vec::new(), Vec::new())
     };
     let (width, height) = pixels(view.size)?;
     let camera = Camera::over(pose.position, view.span_m, width, height);
@@ -201,9 +212,12 @@ pub(crate) fn draw<'py>(
         route,
         trails: &trails,
         boxes: &boxes,
+        names: &names,
         collisions: &marks,
         caption: &caption,
         scale_bar: view.labels,
+        legend: &legend,
+        theme: view.theme,
         ..Drawing::default()
     };
     let image = py.detach(|| render(&drawing, &camera)).map_err(from_render)?;

@@ -1,13 +1,15 @@
-//! Agents: rounded boxes with a heading notch, discs for people, crossed boxes for obstacles.
+//! Agents as the replay page has them: rounded boxes with a windscreen, discs for people, plain boxes for obstacles.
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::palette::{self, DrawStyle, Rgb};
+use crate::palette::DrawStyle;
 use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 
-/// Smallest side or radius an agent is drawn with, pixels.
+/// Half of the smallest side that an agent is drawn with, pixels.
 const MIN_HALF_PX: f32 = 1.5;
+/// Length of a vehicle in the image, at least; a shorter one is drawn larger, pixels.
+const LEAST_LENGTH_PX: f32 = 9.0;
 
 /// One agent of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,40 +46,42 @@ pub(crate) fn draw(canvas: &mut Canvas, boxes: &[AgentBox]) {
 }
 
 fn draw_one(canvas: &mut Canvas, b: &AgentBox) {
-    let min_half_m = MIN_HALF_PX / canvas.view.px_per_m;
-    let (half_l, half_w) = ((0.5 * b.length_m).max(min_half_m), (0.5 * b.width_m).max(min_half_m));
-    let outline_px = canvas.px(0.16, 0.9).min(2.0);
+    let palette = canvas.palette();
+    let px_per_m = canvas.view.px_per_m;
+    let larger = match b.kind {
+        AgentKind::Vehicle => (LEAST_LENGTH_PX / (b.length_m * px_per_m)).max(1.0),
+        _ => 1.0,
+    };
+    let least_m = MIN_HALF_PX / px_per_m;
+    let (half_l, half_w) =
+        ((0.5 * larger * b.length_m).max(least_m), (0.5 * larger * b.width_m).max(least_m));
     let body = match b.kind {
         AgentKind::Pedestrian => {
             let mut disc = Outline::new();
-            disc.circle(canvas.local_px(&b.pose, 0.0, 0.0), canvas.px(half_l.max(half_w), 2.2));
+            disc.circle(canvas.local_px(&b.pose, 0.0, 0.0), canvas.px(0.38, 2.2));
             disc
         }
-        AgentKind::Static => rounded_box(canvas, b, half_l, half_w, 0.0),
-        AgentKind::Vehicle => rounded_box(canvas, b, half_l, half_w, (0.45 * half_w).min(0.7)),
-        AgentKind::Cyclist | AgentKind::Motorcycle => rounded_box(canvas, b, half_l, half_w, 0.9 * half_w),
+        AgentKind::Static => rounded_box(canvas, b, half_l, half_w, 0.05),
+        _ => rounded_box(canvas, b, half_l, half_w, (0.56 * half_w).min(0.6)),
     };
     let Some(body) = body.path() else { return };
-    let fill = if b.kind == AgentKind::Static { palette::STATIC } else { b.driver.colour() };
-    if b.collided {
-        canvas.stroke_path(&body, palette::COLLISION, 1.0, 2.0 * canvas.px(0.45, 2.2).min(5.0), true);
-    } else if b.driver == DrawStyle::Ego {
-        canvas.stroke_path(&body, palette::PAPER, 0.95, 2.0 * canvas.px(0.35, 2.0).min(4.0), true);
-    } else if b.kind == AgentKind::Pedestrian {
-        canvas.stroke_path(&body, palette::PAPER, 0.9, 2.0 * outline_px, true);
-    }
+    let fill = if b.kind == AgentKind::Static { palette.obstacle } else { b.driver.colour(canvas.theme) };
     canvas.fill_path(&body, fill, 1.0);
-    let edge = if b.kind == AgentKind::Pedestrian { 0.9 } else { 0.55 };
-    canvas.stroke_path(&body, darker(fill), edge, outline_px, true);
+    let (edge, width) = if b.collided {
+        (palette.collision, canvas.px(0.3, 2.2))
+    } else {
+        (palette.outline, canvas.px(0.08, 0.8))
+    };
+    canvas.stroke_path(&body, edge, 1.0, width, true);
     match b.kind {
-        AgentKind::Vehicle => notch(canvas, b, half_l, half_w),
-        AgentKind::Cyclist | AgentKind::Motorcycle => {
-            let mut head = Outline::new();
-            head.circle(canvas.local_px(&b.pose, 0.25 * half_l, 0.0), canvas.px(0.55 * half_w, 1.0));
-            canvas.fill(head, palette::PAPER, 0.9);
+        AgentKind::Vehicle if px_per_m > 2.5 => windows(canvas, b, half_l, half_w),
+        AgentKind::Vehicle | AgentKind::Static => {}
+        _ if px_per_m > 5.0 => {
+            let mut nose = Outline::new();
+            nose.circle(canvas.local_px(&b.pose, (0.3 * b.length_m).min(0.5), 0.0), canvas.px(0.13, 0.0));
+            canvas.fill(nose, palette.outline, 0.5);
         }
-        AgentKind::Static => cross(canvas, b, half_l, half_w),
-        AgentKind::Pedestrian => {}
+        _ => {}
     }
 }
 
@@ -103,33 +107,23 @@ fn rounded_box(canvas: &Canvas, b: &AgentBox, half_l: f32, half_w: f32, radius: 
     outline
 }
 
-/// A light chevron near the front: it tells the heading.
-fn notch(canvas: &mut Canvas, b: &AgentBox, half_l: f32, half_w: f32) {
-    let depth = half_w.min(half_l) * 0.75;
-    let tip = 0.8 * half_l;
-    let mut chevron = Outline::new();
-    chevron.move_to(canvas.local_px(&b.pose, tip, 0.0));
-    chevron.line_to(canvas.local_px(&b.pose, tip - depth, 0.6 * half_w));
-    chevron.line_to(canvas.local_px(&b.pose, tip - 0.6 * depth, 0.0));
-    chevron.line_to(canvas.local_px(&b.pose, tip - depth, -0.6 * half_w));
-    chevron.close();
-    canvas.fill(chevron, palette::PAPER, 0.9);
-}
-
-/// Both diagonals: an obstacle.
-fn cross(canvas: &mut Canvas, b: &AgentBox, half_l: f32, half_w: f32) {
-    if half_l.min(half_w) * canvas.view.px_per_m < 3.0 {
-        return;
+/// Windscreen and rear window: they tell the heading.
+fn windows(canvas: &mut Canvas, b: &AgentBox, half_l: f32, half_w: f32) {
+    let panes = [
+        ([(0.48, 0.68), (0.22, 0.8), (0.22, -0.8), (0.48, -0.68)], 0.42),
+        ([(-0.54, 0.72), (-0.72, 0.72), (-0.72, -0.72), (-0.54, -0.72)], 0.22),
+    ];
+    for (corners, alpha) in panes {
+        let mut pane = Outline::new();
+        for (i, (forward, left)) in corners.into_iter().enumerate() {
+            let at = canvas.local_px(&b.pose, forward * half_l, left * half_w);
+            if i == 0 {
+                pane.move_to(at);
+            } else {
+                pane.line_to(at);
+            }
+        }
+        pane.close();
+        canvas.fill(pane, canvas.palette().outline, alpha);
     }
-    let mut lines = Outline::new();
-    for side in [1.0, -1.0] {
-        lines.move_to(canvas.local_px(&b.pose, half_l, side * half_w));
-        lines.line_to(canvas.local_px(&b.pose, -half_l, -side * half_w));
-    }
-    canvas.stroke(lines, darker(palette::STATIC), 0.6, 1.0, false);
-}
-
-fn darker(Rgb(r, g, b): Rgb) -> Rgb {
-    let half = |v: u8| (u16::from(v) * 9 / 20) as u8;
-    Rgb(half(r), half(g), half(b))
 }

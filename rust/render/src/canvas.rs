@@ -2,7 +2,7 @@
 
 use crate::camera::View;
 use crate::image::Image;
-use crate::palette::Rgb;
+use crate::palette::{Palette, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use tiny_skia::{
     Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Shader, Stroke, Transform,
@@ -17,6 +17,7 @@ const FAR_PX: f32 = 1e6;
 pub(crate) struct Canvas {
     pixmap: Pixmap,
     pub(crate) view: View,
+    pub(crate) theme: Theme,
 }
 
 /// Collects lines and rings in pixels and becomes one path.
@@ -26,11 +27,16 @@ pub(crate) struct Outline {
 }
 
 impl Canvas {
-    /// Canvas of one colour; `None` where there is no room for it.
-    pub(crate) fn new(width: u32, height: u32, view: View, ground: Rgb) -> Option<Self> {
+    /// Canvas in the colour of the ground; `None` where there is no room for it.
+    pub(crate) fn new(width: u32, height: u32, view: View, theme: Theme) -> Option<Self> {
         let mut pixmap = Pixmap::new(width, height)?;
-        pixmap.fill(colour(ground, 1.0));
-        Some(Self { pixmap, view })
+        pixmap.fill(colour(theme.palette().ground, 1.0));
+        Some(Self { pixmap, view, theme })
+    }
+
+    /// Colours of the map and the marks.
+    pub(crate) fn palette(&self) -> &'static Palette {
+        self.theme.palette()
     }
 
     /// Fills a path by the non-zero rule.

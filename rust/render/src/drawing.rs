@@ -7,7 +7,7 @@ use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
 use crate::lines::{Arrow, Line};
-use crate::palette;
+use crate::palette::{Rgb, Theme};
 use crate::{agents, lines, text};
 use ccdiff_sim::geom::Point2;
 
@@ -20,18 +20,26 @@ pub struct Drawing<'a> {
     pub route: &'a [Point2],
     /// Where agents were, oldest point first: lines that fade with age.
     pub trails: &'a [Line<'a>],
-    /// Planned or sampled futures: thin lines.
+    /// Sampled futures: thin lines that fade with time.
     pub samples: &'a [Line<'a>],
+    /// Futures that are followed: thick lines that fade with time.
+    pub plans: &'a [Line<'a>],
     /// Agents.
     pub boxes: &'a [AgentBox],
+    /// Names of the agents, in their order; they are written where there is room.
+    pub names: &'a [String],
     /// Edges of the causal graph.
     pub arrows: &'a [Arrow],
     /// Points of collisions.
     pub collisions: &'a [Point2],
-    /// Line of text in the upper left corner: figures, letters, `. : - + = / _`. Empty: none.
+    /// Line of text in the upper left corner: figures, letters, `. , : - + = / _ ( )`. Empty: none.
     pub caption: &'a str,
     /// Whether a bar of a round number of metres stands in the lower left corner.
     pub scale_bar: bool,
+    /// What colours mean, in the lower right corner of images that have room for it.
+    pub legend: &'a [(Rgb, String)],
+    /// Ground and colours.
+    pub theme: Theme,
 }
 
 impl Drawing<'_> {
@@ -45,7 +53,7 @@ impl Drawing<'_> {
         };
         line("route", 0, self.route)?;
         line("collision mark", 0, self.collisions)?;
-        for (what, list) in [("trail", self.trails), ("sample", self.samples)] {
+        for (what, list) in [("trail", self.trails), ("sample", self.samples), ("plan", self.plans)] {
             list.iter().enumerate().try_for_each(|(i, l)| line(what, i, l.points))?;
         }
         for (index, a) in self.arrows.iter().enumerate() {
@@ -72,8 +80,8 @@ impl Drawing<'_> {
 
 /// Paints a drawing.
 ///
-/// Order from below: map, route, trails, samples, agents (obstacles lowest, the ego highest), arrows, collision
-/// marks, text.
+/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest), arrows,
+/// collision marks, text.
 ///
 /// # Errors
 /// [`RenderError::Size`] and [`RenderError::Camera`] for a camera that cannot be used, [`RenderError::Item`] for
@@ -82,7 +90,7 @@ pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
     let view = camera.view()?;
     drawing.check()?;
     let (width, height) = (camera.width, camera.height);
-    let canvas = Canvas::new(width, height, view, palette::GROUND);
+    let canvas = Canvas::new(width, height, view, drawing.theme);
     let mut canvas = canvas.ok_or(RenderError::Size { width, height, max: crate::MAX_SIDE_PX })?;
     if let Some(map) = drawing.map {
         map.draw(&mut canvas);
@@ -94,6 +102,9 @@ pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
     for sample in drawing.samples {
         lines::sample(&mut canvas, sample);
     }
+    for plan in drawing.plans {
+        lines::plan(&mut canvas, plan);
+    }
     agents::draw(&mut canvas, drawing.boxes);
     for arrow in drawing.arrows {
         lines::arrow(&mut canvas, arrow);
@@ -102,6 +113,8 @@ pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
         lines::collision(&mut canvas, *mark);
     }
     let size_px = (width as f32, height as f32);
+    text::names(&mut canvas, drawing.boxes, drawing.names, size_px);
+    text::legend(&mut canvas, drawing.legend, size_px);
     if drawing.scale_bar {
         text::scale_bar(&mut canvas, size_px);
     }

@@ -3,16 +3,19 @@
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
 use crate::error::{RenderError, Result};
-use crate::palette::{self, Rgb};
+use crate::palette::Rgb;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2, math};
 use ccdiff_sim::scene::Map;
 
 /// Length of a dash and of the gap after it on lane dividers, metres.
-const LANE_DASH_M: (Real, Real) = (3.0, 4.5);
-/// Length of a dash and of the gap after it on road dividers, metres.
-const ROAD_DASH_M: (Real, Real) = (4.0, 2.0);
+const LANE_DASH_M: (Real, Real) = (3.0, 3.0);
+/// Length of a dash and of the gap after it on centre lines, metres.
+const CENTRE_DASH_M: (Real, Real) = (0.5, 1.3);
+/// Way between chevrons of a lane, and how far they reach back and aside, metres.
+const CHEVRON_GAP_M: Real = 14.0;
+const CHEVRON_M: Real = 0.55;
 /// Width of a stripe of a crossing and of the gap after it, metres.
-const STRIPE_M: (Real, Real) = (0.6, 0.6);
+const STRIPE_M: (Real, Real) = (0.55, 0.55);
 /// Most dashes or stripes of one line or crossing; a longer line is drawn solid.
 const MAX_SEGMENTS: Real = 2000.0;
 /// Points of a line that are looked at together when the image is cut to the view.
@@ -40,10 +43,10 @@ pub struct MapLayers {
     kerbs: Vec<Segment>,
     walkways: Vec<Area>,
     carpark_areas: Vec<Area>,
-    ped_crossings: Vec<Area>,
     stripes: Vec<Area>,
     stop_lines: Vec<Area>,
     centre_lines: Vec<Segment>,
+    chevrons: Vec<Segment>,
     lane_dividers: Vec<Segment>,
     road_dividers: Vec<Segment>,
 }
@@ -58,38 +61,36 @@ impl MapLayers {
             return Err(RenderError::Map { layer });
         }
         let areas = |polygons: &[Polygon]| polygons.iter().map(Area::new).collect::<Vec<_>>();
-        let dashed = |lines: &[Vec<Point2>], dash| lines.iter().flat_map(|l| dashes(l, dash)).collect();
         Ok(Self {
             drivable_area: areas(&map.drivable_area),
             kerbs: map.drivable_area.iter().flat_map(kerbs).collect(),
             walkways: areas(&map.walkways),
             carpark_areas: areas(&map.carpark_areas),
-            ped_crossings: areas(&map.ped_crossings),
             stripes: map.ped_crossings.iter().flat_map(stripes).collect(),
             stop_lines: areas(&map.stop_lines),
-            centre_lines: map.lanes.iter().flat_map(|l| chunks(&l.centreline)).collect(),
-            lane_dividers: dashed(&map.lane_dividers, LANE_DASH_M),
-            road_dividers: dashed(&map.road_dividers, ROAD_DASH_M),
+            centre_lines: map.lanes.iter().flat_map(|l| dashes(&l.centreline, CENTRE_DASH_M)).collect(),
+            chevrons: map.lanes.iter().flat_map(|l| chevrons(&l.centreline)).collect(),
+            lane_dividers: map.lane_dividers.iter().flat_map(|l| dashes(l, LANE_DASH_M)).collect(),
+            road_dividers: map.road_dividers.iter().flat_map(|l| chunks(l)).collect(),
         })
     }
 
     /// Draws what the camera sees.
     pub(crate) fn draw(&self, canvas: &mut Canvas) {
-        areas(canvas, &self.walkways, palette::WALKWAY, 1.0);
+        let palette = canvas.palette();
+        areas(canvas, &self.walkways, palette.walkway);
         // All edges first, the surface on top: only the edge of the union stays.
-        let width = canvas.px(0.5, 1.6);
-        segments(canvas, &self.kerbs, palette::KERB, width, true);
-        areas(canvas, &self.drivable_area, palette::DRIVABLE, 1.0);
-        areas(canvas, &self.carpark_areas, palette::CARPARK, 1.0);
-        areas(canvas, &self.ped_crossings, palette::CROSSING, 1.0);
-        areas(canvas, &self.stripes, palette::STRIPE, 1.0);
-        areas(canvas, &self.stop_lines, palette::STOP, 0.22);
-        let width = canvas.px(0.08, 0.6).min(1.2);
-        segments(canvas, &self.centre_lines, palette::CENTRE_LINE, width, false);
-        let width = canvas.px(0.16, 0.9);
-        segments(canvas, &self.lane_dividers, palette::LANE_DIVIDER, width, false);
-        let width = canvas.px(0.2, 1.1);
-        segments(canvas, &self.road_dividers, palette::ROAD_DIVIDER, width, false);
+        segments(canvas, &self.kerbs, palette.kerb, (0.3, 1.6));
+        areas(canvas, &self.drivable_area, palette.drivable);
+        areas(canvas, &self.carpark_areas, palette.carpark);
+        areas(canvas, &self.stop_lines, palette.stop);
+        areas(canvas, &self.stripes, palette.stripe);
+        segments(canvas, &self.lane_dividers, palette.lane_divider, (0.14, 1.0));
+        segments(canvas, &self.road_dividers, palette.road_divider, (0.18, 1.0));
+        segments(canvas, &self.centre_lines, palette.centre_line, (0.1, 0.9));
+        if canvas.view.px_per_m > 3.3 {
+            segments(canvas, &self.chevrons, palette.centre_line, (0.14, 1.0));
+        }
     }
 }
 
@@ -105,12 +106,12 @@ impl Area {
 }
 
 /// Fills the union of the areas in sight.
-fn areas(canvas: &mut Canvas, list: &[Area], rgb: Rgb, alpha: f32) {
+fn areas(canvas: &mut Canvas, list: &[Area], rgb: Rgb) {
     let mut outline = Outline::new();
     for area in list.iter().filter(|a| canvas.view.sees(&a.bounds, 1.0)) {
         area.rings.iter().for_each(|ring| outline.ring(canvas.view, ring));
     }
-    canvas.fill(outline, rgb, alpha);
+    canvas.fill(outline, rgb, 1.0);
 }
 
 /// The ring, counter-clockwise or clockwise.
@@ -131,13 +132,13 @@ impl Segment {
     }
 }
 
-/// Strokes the segments in sight as one path.
-fn segments(canvas: &mut Canvas, list: &[Segment], rgb: Rgb, width_px: f32, round: bool) {
+/// Strokes the segments in sight as one path, so many metres wide and at least so many pixels.
+fn segments(canvas: &mut Canvas, list: &[Segment], rgb: Rgb, (width_m, min_px): (f32, f32)) {
     let mut outline = Outline::new();
     for segment in list.iter().filter(|p| canvas.view.sees(&p.bounds, 1.0)) {
         outline.polyline(canvas.view, &segment.points);
     }
-    canvas.stroke(outline, rgb, 1.0, width_px, round);
+    canvas.stroke(outline, rgb, 1.0, canvas.px(width_m, min_px), false);
 }
 
 /// Cuts a line into segments of a few points that share their ends.
@@ -184,6 +185,28 @@ fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Segment> {
     }
     if dash.len() >= 2 {
         out.push(Segment::new(dash));
+    }
+    out
+}
+
+/// Lays small arrows along a lane: the direction of traffic.
+fn chevrons(line: &[Point2]) -> Vec<Segment> {
+    let length_m: Real = line.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let mut out = Vec::new();
+    if length_m / CHEVRON_GAP_M > MAX_SEGMENTS {
+        return out;
+    }
+    let mut left_m = 0.5 * CHEVRON_GAP_M;
+    for w in line.windows(2) {
+        let segment_m = (w[1] - w[0]).norm();
+        while left_m <= segment_m && segment_m > 0.0 {
+            let ahead = (w[1] - w[0]) / segment_m;
+            let (tip, side) = (w[0] + ahead * left_m, Vector2::new(-ahead.y, ahead.x));
+            let arm = |side: Vector2| tip - (ahead + side) * CHEVRON_M;
+            out.push(Segment::new(vec![arm(side), tip, arm(-side)]));
+            left_m += CHEVRON_GAP_M;
+        }
+        left_m -= segment_m;
     }
     out
 }
@@ -263,6 +286,15 @@ mod tests {
     }
 
     #[test]
+    fn chevrons_point_along_the_lane_at_even_ways() {
+        let laid = chevrons(&points(&[(0.0, 0.0), (10.0, 0.0), (10.0, 30.0)]));
+        let tips: Vec<Point2> = laid.iter().map(|c| c.points[1]).collect();
+        assert_eq!(tips, points(&[(7.0, 0.0), (10.0, 11.0), (10.0, 25.0)]));
+        assert!(laid[0].points[0].x < 7.0 && laid[0].points[2].x < 7.0);
+        assert!(laid[1].points[0].y < 11.0 && laid[1].points[2].y < 11.0);
+    }
+
+    #[test]
     fn stripes_stand_across_the_way_people_walk() {
         let crossing =
             Polygon { exterior: points(&[(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (0.0, 3.0)]), holes: vec![] };
@@ -273,7 +305,7 @@ mod tests {
             let width = |v: &[Real]| {
                 v.iter().copied().fold(Real::MIN, Real::max) - v.iter().copied().fold(Real::MAX, Real::min)
             };
-            assert!((width(&xs) - 0.6).abs() < 1e-3 && (width(&ys) - 3.0).abs() < 1e-3);
+            assert!((width(&xs) - 0.55).abs() < 1e-3 && (width(&ys) - 3.0).abs() < 1e-3);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Top-down images of a scene or a running world, drawn on the processor.
 //!
-//! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, planned samples, causal arrows — and
+//! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, plans, causal arrows — and
 //! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes. The same input gives the same bytes.
 //!
 //! ```text
@@ -31,6 +31,7 @@ pub use image::Image;
 pub use layers::MapLayers;
 pub use lines::{Arrow, Line};
 pub use log::{
-    Centre, LogView, driver_of, logged_boxes, logged_future, logged_trail, nearest_logged_pose, render_log,
+    Centre, LogView, driver_of, legend_of, logged_boxes, logged_future, logged_trail, name_of,
+    nearest_logged_pose, render_log,
 };
-pub use palette::{DrawStyle, Rgb};
+pub use palette::{DrawStyle, Rgb, Theme};

@@ -2,11 +2,8 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::palette::{self, DrawStyle};
+use crate::palette::DrawStyle;
 use ccdiff_sim::geom::{Point2, Real};
-
-/// Steps of fading along a trail.
-const FADES: usize = 10;
 
 /// A line that belongs to an agent: where it was, or where it may go.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,35 +29,39 @@ pub struct Arrow {
 pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
     let mut outline = Outline::new();
     outline.polyline(canvas.view, points);
-    let width = canvas.px(1.3, 2.5);
-    canvas.stroke(outline, DrawStyle::Ego.colour(), 0.2, width, true);
+    let width = canvas.px(1.6, 3.0);
+    canvas.stroke(outline, DrawStyle::Ego.colour(canvas.theme), 0.16, width, true);
 }
 
 /// A line that fades towards its old end.
 pub(crate) fn trail(canvas: &mut Canvas, line: &Line<'_>) {
+    fading(canvas, line, 6, canvas.px(0.35, 1.6), |share| 0.08 + 0.42 * share);
+}
+
+/// A thin line in its driver's colour that fades towards its end.
+pub(crate) fn sample(canvas: &mut Canvas, line: &Line<'_>) {
+    fading(canvas, line, 4, canvas.px(0.1, 1.0), |share| 0.35 * (1.2 - 0.8 * share));
+}
+
+/// A thick line in its driver's colour that fades towards its end.
+pub(crate) fn plan(canvas: &mut Canvas, line: &Line<'_>) {
+    fading(canvas, line, 4, canvas.px(0.3, 2.0), |share| 0.95 * (1.2 - 0.8 * share));
+}
+
+/// Strokes a line in parts; `alpha` of a part is that of the share of the line that ends with it.
+fn fading(canvas: &mut Canvas, line: &Line<'_>, parts: usize, width_px: f32, alpha: impl Fn(f32) -> f32) {
     if !canvas.view.sees(&Bounds::of(line.points), 1.0) {
         return;
     }
     let segments = line.points.len().saturating_sub(1);
-    let parts = FADES.min(segments);
-    let width = canvas.px(0.35, 1.6).min(3.5);
+    let parts = parts.min(segments);
     for part in 0..parts {
         let (from, to) = (part * segments / parts, (part + 1) * segments / parts);
         let mut outline = Outline::new();
         outline.polyline(canvas.view, &line.points[from..=to]);
-        let alpha = 0.75 * (part + 1) as f32 / parts as f32;
-        canvas.stroke(outline, line.driver.colour(), alpha, width, false);
+        let alpha = alpha((part + 1) as f32 / parts as f32);
+        canvas.stroke(outline, line.driver.colour(canvas.theme), alpha, width_px, false);
     }
-}
-
-/// A thin line in its driver's colour.
-pub(crate) fn sample(canvas: &mut Canvas, line: &Line<'_>) {
-    if !canvas.view.sees(&Bounds::of(line.points), 1.0) {
-        return;
-    }
-    let mut outline = Outline::new();
-    outline.polyline(canvas.view, line.points);
-    canvas.stroke(outline, line.driver.colour(), 0.55, 1.2, true);
 }
 
 /// A bent arrow; weight sets width and strength, so that i → j and j → i lie side by side.
@@ -92,10 +93,11 @@ pub(crate) fn arrow(canvas: &mut Canvas, arrow: &Arrow) {
     point.line_to((neck.0 + 0.45 * head * ay, neck.1 - 0.45 * head * ax));
     point.close();
     let (Some(shaft), Some(point)) = (shaft.path(), point.path()) else { return };
-    canvas.stroke_path(&shaft, palette::PAPER, 0.7, width + 2.0, true);
-    canvas.stroke_path(&point, palette::PAPER, 0.7, 2.0, true);
-    canvas.stroke_path(&shaft, palette::ARROW, alpha, width, false);
-    canvas.fill_path(&point, palette::ARROW, alpha);
+    let palette = canvas.palette();
+    canvas.stroke_path(&shaft, palette.paper, 0.7, width + 2.0, true);
+    canvas.stroke_path(&point, palette.paper, 0.7, 2.0, true);
+    canvas.stroke_path(&shaft, palette.arrow, alpha, width, false);
+    canvas.fill_path(&point, palette.arrow, alpha);
 }
 
 /// The pixel some way from an end towards another one, and the unit vector of that way.
@@ -106,20 +108,9 @@ fn moved_in(end: (f32, f32), towards: (f32, f32), by_px: f32) -> ((f32, f32), (f
     ((end.0 + unit.0 * by_px, end.1 + unit.1 * by_px), unit)
 }
 
-/// A ringed cross where agents met.
+/// A ring where agents met.
 pub(crate) fn collision(canvas: &mut Canvas, at: Point2) {
-    let (x, y) = canvas.view.to_px(at);
-    let radius = canvas.px(1.1, 5.0).min(14.0);
     let mut ring = Outline::new();
-    ring.circle((x, y), radius);
-    let Some(ring) = ring.path() else { return };
-    canvas.fill_path(&ring, palette::PAPER, 0.75);
-    canvas.stroke_path(&ring, palette::COLLISION, 1.0, 0.28 * radius, true);
-    let arm = 0.42 * radius;
-    let mut cross = Outline::new();
-    for side in [1.0, -1.0] {
-        cross.move_to((x - arm, y - side * arm));
-        cross.line_to((x + arm, y + side * arm));
-    }
-    canvas.stroke(cross, palette::COLLISION, 1.0, 0.28 * radius, true);
+    ring.circle(canvas.view.to_px(at), canvas.px(3.0, 0.0) + 6.0);
+    canvas.stroke(ring, canvas.palette().collision, 1.0, 2.5, true);
 }

@@ -7,9 +7,10 @@ use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
 use crate::lines::Line;
-use crate::palette::DrawStyle;
+use crate::palette::{DrawStyle, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
-use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene};
+use std::collections::BTreeSet;
 
 /// How far back trails of a log reach, seconds.
 const TRAIL_S: Real = 3.0;
@@ -42,8 +43,10 @@ pub struct LogView {
     pub trails: bool,
     /// Whether the rest of the ego's log is drawn as its route.
     pub route: bool,
-    /// Whether name, time, the ego's speed and a scale bar are written.
+    /// Whether the scene's name, time, the ego's speed, names of agents, a scale bar and a legend are written.
     pub labels: bool,
+    /// Ground and colours.
+    pub theme: Theme,
 }
 
 /// Draws one step of a log.
@@ -67,14 +70,24 @@ pub fn render_log(scene: &Scene, map: &MapLayers, log_view: &LogView) -> Result<
         trails.iter().map(|(points, driver)| Line { points, driver: *driver }).collect();
     let ego = scene.agent_index(EGO_ID);
     let route = ego.filter(|_| log_view.route).map(|a| logged_future(scene, a, step_idx)).unwrap_or_default();
-    let caption = if log_view.labels { caption(scene, step_idx, ego) } else { String::new() };
+    let (caption, names, legend) = if log_view.labels {
+        let there = (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx));
+        let titled = (0..scene.num_agents()).map(|a| (driver_of(scene, a), driver_of(scene, a).title()));
+        let names = there.map(|a| name_of(scene, a)).collect();
+        (caption(scene, step_idx, ego), names, legend_of(scene, titled, log_view.theme))
+    } else {
+        (String::new(), Vec::new(), Vec::new())
+    };
     let drawing = Drawing {
         map: Some(map),
         route: &route,
         trails: &trails,
         boxes: &boxes,
+        names: &names,
         caption: &caption,
         scale_bar: log_view.labels,
+        legend: &legend,
+        theme: log_view.theme,
         ..Drawing::default()
     };
     render(&drawing, &camera(scene, log_view)?)
@@ -99,9 +112,9 @@ fn camera(scene: &Scene, log_view: &LogView) -> Result<Camera> {
     }
 }
 
-/// Name in capitals (the font's small letters are those of units), time and the ego's speed.
+/// Name, time and the ego's speed.
 fn caption(scene: &Scene, step_idx: usize, ego: Option<usize>) -> String {
-    let name = scene.name.to_uppercase();
+    let name = &scene.name;
     let time_s = f64::from(scene.dt_s) * step_idx as f64;
     match ego.filter(|a| scene.is_valid(*a, step_idx)) {
         Some(a) => {
@@ -110,6 +123,26 @@ fn caption(scene: &Scene, step_idx: usize, ego: Option<usize>) -> String {
         }
         None => format!("{name}  {time_s:.1} s"),
     }
+}
+
+/// What an agent is called in images, as on the replay page: `ego`, or its number in the scene.
+pub fn name_of(scene: &Scene, agent_idx: usize) -> String {
+    if scene.agents[agent_idx].id == EGO_ID { EGO_ID.to_owned() } else { agent_idx.to_string() }
+}
+
+/// Colours and titles of a legend: everybody in a scene once, in the order of [`DrawStyle`], obstacles last.
+/// `titled` gives each agent's driver and what it is called.
+pub fn legend_of<'a>(
+    scene: &Scene,
+    titled: impl Iterator<Item = (DrawStyle, &'a str)>,
+    theme: Theme,
+) -> Vec<(Rgb, String)> {
+    let is_obstacle = |a: &Agent| a.kind == AgentKind::Static;
+    let movers = scene.agents.iter().zip(titled).filter(|(a, _)| !is_obstacle(a));
+    let drivers: BTreeSet<_> = movers.map(|(_, driver)| driver).collect();
+    let rows = drivers.into_iter().map(|(driver, title)| (driver.colour(theme), title.to_owned()));
+    let obstacle = (theme.palette().obstacle, "obstacle".to_owned());
+    rows.chain(scene.agents.iter().any(is_obstacle).then_some(obstacle)).collect()
 }
 
 /// Boxes of the agents logged at a step: the ego as [`DrawStyle::Ego`], all others as [`DrawStyle::Replay`]. None past

@@ -1,8 +1,8 @@
-//! Every colour of the images, in one place; those of the map are the replay page's (`ground.js`, light).
+//! Every colour of the images, in one place; they are the replay page's, on light and on dark ground.
 //!
 //! Agents are coloured by who drives them. The hues follow the colour-blind safe set of Okabe and Ito (2008),
 //! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
-//! shape (box, slim box, disc, crossed box), so that no meaning hangs on hue alone.
+//! shape (box with a windscreen, slim box, disc, plain box), so that no meaning hangs on hue alone.
 
 /// Red, green, blue, 0 to 255.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,8 +62,8 @@ impl DrawStyle {
     }
 
     /// Fill colour of the agents it drives.
-    pub fn colour(self) -> Rgb {
-        match self {
+    pub fn colour(self, theme: Theme) -> Rgb {
+        let light = match self {
             Self::Ego => Rgb(0x00, 0x57, 0xB8),
             Self::External => Rgb(0x4F, 0xB3, 0xE8),
             Self::Ccdiff => Rgb(0x00, 0x9E, 0x73),
@@ -72,59 +72,149 @@ impl DrawStyle {
             Self::Replay => Rgb(0x8C, 0x96, 0xA3),
             Self::ConstantVelocity => Rgb(0xC2, 0x6F, 0xA4),
             Self::Other => Rgb(0x7D, 0x6F, 0xD0),
-        }
+        };
+        theme.of(light)
     }
 }
 
-/// Ground that is no layer of the map.
-pub const GROUND: Rgb = Rgb(0xEE, 0xF0, 0xEC);
-/// Drivable area.
-pub const DRIVABLE: Rgb = Rgb(0xD3, 0xD7, 0xDD);
-/// Edge of the drivable area.
-pub const KERB: Rgb = Rgb(0xA9, 0xB0, 0xBA);
-/// Walkways.
-pub const WALKWAY: Rgb = Rgb(0xE3, 0xDD, 0xD0);
-/// Car parks.
-pub const CARPARK: Rgb = Rgb(0xC8, 0xCE, 0xD6);
-/// Ground of pedestrian crossings.
-pub const CROSSING: Rgb = Rgb(0xD2, 0xD6, 0xDB);
-/// Stripes of pedestrian crossings.
-pub const STRIPE: Rgb = Rgb(0xF7, 0xF8, 0xFA);
-/// Stop areas.
-pub const STOP: Rgb = Rgb(0xD5, 0x9C, 0x8F);
-/// Centre lines of lanes and connectors.
-pub const CENTRE_LINE: Rgb = Rgb(0x8F, 0x98, 0xA4);
-/// Lines between lanes of one direction.
-pub const LANE_DIVIDER: Rgb = Rgb(0x6D, 0x76, 0x82);
-/// Lines between directions of traffic.
-pub const ROAD_DIVIDER: Rgb = Rgb(0x96, 0x65, 0x0A);
-/// Obstacles that never move.
-pub const STATIC: Rgb = Rgb(0x8A, 0x76, 0x63);
-/// Collisions: outline of agents and marks.
-pub const COLLISION: Rgb = Rgb(0xD6, 0x1F, 0x2C);
-/// Arrows of the causal graph.
-pub const ARROW: Rgb = Rgb(0x5A, 0x2D, 0x82);
-/// Outlines and text.
-pub const INK: Rgb = Rgb(0x25, 0x2B, 0x33);
-/// Halo round the ego, heading notches, panels behind text.
-pub const PAPER: Rgb = Rgb(0xFF, 0xFF, 0xFF);
+/// Ground that images are drawn on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Theme {
+    /// Light ground.
+    #[default]
+    Light,
+    /// Dark ground.
+    Dark,
+}
+
+impl Theme {
+    /// All themes.
+    pub const ALL: [Self; 2] = [Self::Light, Self::Dark];
+
+    /// The name used in Python and by the replay page.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Light => "light",
+            Self::Dark => "dark",
+        }
+    }
+
+    /// The colours of the map and the marks.
+    pub fn palette(self) -> &'static Palette {
+        match self {
+            Self::Light => &LIGHT,
+            Self::Dark => &DARK,
+        }
+    }
+
+    /// A colour for this ground: on dark ground, dark ones move towards white.
+    fn of(self, light: Rgb) -> Rgb {
+        if self == Self::Light {
+            return light;
+        }
+        let channels = [light.0, light.1, light.2].map(f64::from);
+        let luminance = (0.299 * channels[0] + 0.587 * channels[1] + 0.114 * channels[2]) / 255.0;
+        let mix = (0.62 - luminance).max(0.0) * 0.85;
+        let [r, g, b] = channels.map(|c| (c + (255.0 - c) * mix).round() as u8);
+        Rgb(r, g, b)
+    }
+}
+
+/// Colours of the map and the marks on one ground.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Palette {
+    /// Ground that is no layer of the map.
+    pub ground: Rgb,
+    /// Drivable area.
+    pub drivable: Rgb,
+    /// Edge of the drivable area.
+    pub kerb: Rgb,
+    /// Walkways.
+    pub walkway: Rgb,
+    /// Car parks.
+    pub carpark: Rgb,
+    /// Stripes of pedestrian crossings.
+    pub stripe: Rgb,
+    /// Stop areas.
+    pub stop: Rgb,
+    /// Centre lines of lanes and connectors.
+    pub centre_line: Rgb,
+    /// Lines between lanes of one direction.
+    pub lane_divider: Rgb,
+    /// Lines between directions of traffic.
+    pub road_divider: Rgb,
+    /// Obstacles that never move.
+    pub obstacle: Rgb,
+    /// Collisions: outline of agents and marks.
+    pub collision: Rgb,
+    /// Arrows of the causal graph.
+    pub arrow: Rgb,
+    /// Outlines and windscreens of agents.
+    pub outline: Rgb,
+    /// Text.
+    pub ink: Rgb,
+    /// Panels behind text, and what keeps arrows and names apart from what is below.
+    pub paper: Rgb,
+}
+
+/// On light ground.
+pub const LIGHT: Palette = Palette {
+    ground: Rgb(0xEE, 0xF0, 0xEC),
+    drivable: Rgb(0xD3, 0xD7, 0xDD),
+    kerb: Rgb(0xA9, 0xB0, 0xBA),
+    walkway: Rgb(0xE3, 0xDD, 0xD0),
+    carpark: Rgb(0xC8, 0xCE, 0xD6),
+    stripe: Rgb(0xF7, 0xF8, 0xFA),
+    stop: Rgb(0xD5, 0x9C, 0x8F),
+    centre_line: Rgb(0x8F, 0x98, 0xA4),
+    lane_divider: Rgb(0x6D, 0x76, 0x82),
+    road_divider: Rgb(0x96, 0x65, 0x0A),
+    obstacle: Rgb(0x8A, 0x76, 0x63),
+    collision: Rgb(0xD6, 0x1F, 0x2C),
+    arrow: Rgb(0x6A, 0x32, 0x9F),
+    outline: Rgb(0x1D, 0x24, 0x2C),
+    ink: Rgb(0x1D, 0x24, 0x2C),
+    paper: Rgb(0xFF, 0xFF, 0xFF),
+};
+
+/// On dark ground.
+pub const DARK: Palette = Palette {
+    ground: Rgb(0x11, 0x15, 0x1A),
+    drivable: Rgb(0x2F, 0x37, 0x43),
+    kerb: Rgb(0x56, 0x62, 0x71),
+    walkway: Rgb(0x21, 0x27, 0x2E),
+    carpark: Rgb(0x28, 0x30, 0x3A),
+    stripe: Rgb(0x5D, 0x69, 0x79),
+    stop: Rgb(0x7D, 0x4A, 0x42),
+    centre_line: Rgb(0x4B, 0x57, 0x66),
+    lane_divider: Rgb(0x8B, 0x97, 0xA6),
+    road_divider: Rgb(0xB9, 0x8A, 0x26),
+    obstacle: Rgb(0x98, 0x87, 0x76),
+    collision: Rgb(0xFF, 0x5A, 0x5F),
+    arrow: Rgb(0xC7, 0x9B, 0xF2),
+    outline: Rgb(0x0D, 0x11, 0x16),
+    ink: Rgb(0xE8, 0xED, 0xF3),
+    paper: Rgb(0x0D, 0x11, 0x16),
+};
 
 /// Names and colours of everything in an image, for documentation: drivers first, then the map and the marks.
-pub fn legend() -> Vec<(&'static str, Rgb)> {
-    let drivers = DrawStyle::ALL.iter().map(|d| (d.name(), d.colour()));
+pub fn legend(theme: Theme) -> Vec<(&'static str, Rgb)> {
+    let drivers = DrawStyle::ALL.iter().map(|d| (d.name(), d.colour(theme)));
+    let palette = theme.palette();
     let rest = [
-        ("static obstacle", STATIC),
-        ("collision", COLLISION),
-        ("causal arrow", ARROW),
-        ("ground", GROUND),
-        ("drivable area", DRIVABLE),
-        ("walkway", WALKWAY),
-        ("car park", CARPARK),
-        ("crossing", STRIPE),
-        ("stop area", STOP),
-        ("centre line", CENTRE_LINE),
-        ("lane divider", LANE_DIVIDER),
-        ("road divider", ROAD_DIVIDER),
+        ("static obstacle", palette.obstacle),
+        ("collision", palette.collision),
+        ("causal arrow", palette.arrow),
+        ("ground", palette.ground),
+        ("drivable area", palette.drivable),
+        ("kerb", palette.kerb),
+        ("walkway", palette.walkway),
+        ("car park", palette.carpark),
+        ("crossing", palette.stripe),
+        ("stop area", palette.stop),
+        ("centre line", palette.centre_line),
+        ("lane divider", palette.lane_divider),
+        ("road divider", palette.road_divider),
     ];
     drivers.chain(rest).collect()
 }

@@ -3,7 +3,8 @@
 mod common;
 
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, palette, render,
+    AgentBox, Arrow, Camera, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme, palette,
+    render,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
 use ccdiff_sim::scene::{AgentKind, Map};
@@ -34,10 +35,10 @@ fn the_ego_is_in_the_middle_and_the_road_and_the_ground_are_where_the_map_says()
     for camera in [north_up(80.0), north_up(80.0).heading_up(0.7), north_up(40.0).heading_up(-2.5)] {
         let image = render(&drawing, &camera).unwrap();
         assert_eq!(image.rgb.len(), 400 * 300 * 3);
-        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour());
-        assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::DRIVABLE);
-        assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::GROUND);
-        assert_eq!(colour_at(&image, &camera, -10.0, 9.0), palette::WALKWAY);
+        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour(Theme::Light));
+        assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::LIGHT.drivable);
+        assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::LIGHT.ground);
+        assert_eq!(colour_at(&image, &camera, -10.0, 9.0), palette::LIGHT.walkway);
     }
 }
 
@@ -47,14 +48,15 @@ fn a_hole_in_the_drivable_area_shows_the_ground_unless_another_polygon_covers_it
     let holed = Polygon { exterior: ring(20.0), holes: vec![ring(10.0)] };
     let cover = rectangle((-10.0, 0.0), (-10.0, 10.0));
     let camera = north_up(60.0);
-    for (areas, left) in
-        [(vec![holed.clone()], palette::GROUND), (vec![holed.clone(), cover.clone()], palette::DRIVABLE)]
-    {
+    for (areas, left) in [
+        (vec![holed.clone()], palette::LIGHT.ground),
+        (vec![holed.clone(), cover.clone()], palette::LIGHT.drivable),
+    ] {
         let map = MapLayers::new(&Map { drivable_area: areas, ..Map::default() }).unwrap();
         let image = render(&Drawing { map: Some(&map), ..Drawing::default() }, &camera).unwrap();
         assert_eq!(colour_at(&image, &camera, -5.0, 0.0), left);
-        assert_eq!(colour_at(&image, &camera, 5.0, 0.0), palette::GROUND);
-        assert_eq!(colour_at(&image, &camera, 15.0, 0.0), palette::DRIVABLE);
+        assert_eq!(colour_at(&image, &camera, 5.0, 0.0), palette::LIGHT.ground);
+        assert_eq!(colour_at(&image, &camera, 15.0, 0.0), palette::LIGHT.drivable);
     }
 }
 
@@ -69,7 +71,7 @@ fn no_seam_shows_between_areas_that_abut_at_any_angle() {
         let map = Map { drivable_area: vec![half(-30.0, 0.0), half(0.0, 30.0)], ..Map::default() };
         let map = MapLayers::new(&map).unwrap();
         let image = render(&Drawing { map: Some(&map), ..Drawing::default() }, &north_up(40.0)).unwrap();
-        let Rgb(r, g, b) = palette::DRIVABLE;
+        let Rgb(r, g, b) = palette::LIGHT.drivable;
         let off = image.rgb.chunks(3).filter(|c| **c != [r, g, b]).count();
         assert_eq!(off, 0, "{off} pixels at turn {turn}");
     }
@@ -85,11 +87,11 @@ fn heading_up_turns_the_scene_so_that_what_lies_ahead_is_above() {
     let drawing = Drawing { boxes: &boxes, ..Drawing::default() };
     // The ego heads east: the car ahead of it (east) is above, the one to its left (north) is left.
     let image = render(&drawing, &north_up(80.0).heading_up(0.0)).unwrap();
-    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Idm.colour()));
-    assert_eq!(image.pixel(200 - 75, 150), Some(DrawStyle::Ccdiff.colour()));
+    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Idm.colour(Theme::Light)));
+    assert_eq!(image.pixel(200 - 75, 150), Some(DrawStyle::Ccdiff.colour(Theme::Light)));
     let image = render(&drawing, &north_up(80.0)).unwrap();
-    assert_eq!(image.pixel(200 + 75, 150), Some(DrawStyle::Idm.colour()));
-    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Ccdiff.colour()));
+    assert_eq!(image.pixel(200 + 75, 150), Some(DrawStyle::Idm.colour(Theme::Light)));
+    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Ccdiff.colour(Theme::Light)));
 }
 
 #[test]
@@ -100,10 +102,10 @@ fn a_box_is_as_long_and_wide_as_the_agent_and_lies_along_its_heading() {
     let (s, c) = 0.6f64.sin_cos();
     let along = |f: f64, l: f64| colour_at(&image, &camera, f * c - l * s, f * s + l * c);
     for (f, l) in [(-4.6, 0.0), (0.0, 1.6), (0.0, -1.6), (-4.0, 1.4)] {
-        assert_eq!(along(f, l), DrawStyle::Ccdiff.colour(), "inside at {f}, {l}");
+        assert_eq!(along(f, l), DrawStyle::Ccdiff.colour(Theme::Light), "inside at {f}, {l}");
     }
     for (f, l) in [(5.4, 0.0), (-5.4, 0.0), (0.0, 2.4), (0.0, -2.4)] {
-        assert_eq!(along(f, l), palette::GROUND, "outside at {f}, {l}");
+        assert_eq!(along(f, l), palette::LIGHT.ground, "outside at {f}, {l}");
     }
 }
 
@@ -112,8 +114,8 @@ fn a_collided_agent_has_a_red_outline_and_keeps_its_colour() {
     let boxes = [AgentBox { collided: true, ..car(0.0, 0.0, 0.0, DrawStyle::Idm) }];
     let camera = north_up(20.0);
     let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &camera).unwrap();
-    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Idm.colour());
-    assert_eq!(colour_at(&image, &camera, 0.0, 1.1), palette::COLLISION);
+    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Idm.colour(Theme::Light));
+    assert_eq!(colour_at(&image, &camera, 0.0, 1.1), palette::LIGHT.collision);
 }
 
 #[test]
@@ -121,7 +123,7 @@ fn the_ego_is_drawn_over_what_stands_in_the_same_place_whatever_the_order() {
     let (ego, other) = (car(0.0, 0.0, 0.0, DrawStyle::Ego), car(0.0, 0.0, 0.0, DrawStyle::Ccdiff));
     for boxes in [[ego, other], [other, ego]] {
         let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &north_up(40.0)).unwrap();
-        assert_eq!(image.pixel(200, 150), Some(DrawStyle::Ego.colour()));
+        assert_eq!(image.pixel(200, 150), Some(DrawStyle::Ego.colour(Theme::Light)));
     }
 }
 
@@ -133,15 +135,17 @@ fn a_trail_grows_stronger_towards_the_present() {
     let image = render(&Drawing { trails: &trails, ..Drawing::default() }, &camera).unwrap();
     let red = |x: f64| colour_at(&image, &camera, x, 0.0).0;
     assert!(red(-19.0) > red(-10.5) && red(-10.5) > red(-0.5));
-    assert_ne!(colour_at(&image, &camera, -19.0, 0.0), palette::GROUND);
+    assert_ne!(colour_at(&image, &camera, -19.0, 0.0), palette::LIGHT.ground);
 }
 
 #[test]
 fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
-    let legend = palette::legend();
-    for (i, (name, a)) in legend.iter().enumerate() {
-        for (other, b) in &legend[..i] {
-            assert_ne!(a, b, "{name} and {other}");
+    for theme in Theme::ALL {
+        let legend = palette::legend(theme);
+        for (i, (name, a)) in legend.iter().enumerate() {
+            for (other, b) in &legend[..i] {
+                assert_ne!(a, b, "{name} and {other}");
+            }
         }
     }
     assert!(DrawStyle::ALL.iter().enumerate().all(|(i, d)| DrawStyle::from_number(i as u8) == Some(*d)));
@@ -184,6 +188,55 @@ fn things_that_are_not_finite_or_have_no_size_are_refused_by_kind_and_index() {
     assert!(matches!(error, RenderError::Item { what: "route", .. }));
     let map = Map { walkways: vec![rectangle((0.0, nan), (0.0, 1.0))], ..Map::default() };
     assert_eq!(MapLayers::new(&map).unwrap_err(), RenderError::Map { layer: "walkways" });
+}
+
+#[test]
+fn on_dark_ground_the_same_things_are_drawn_in_the_colours_of_the_dark() {
+    let map = MapLayers::new(&crossroads()).unwrap();
+    let boxes = [car(0.0, 0.0, 0.0, DrawStyle::Ego)];
+    let drawing = Drawing { map: Some(&map), boxes: &boxes, theme: Theme::Dark, ..Drawing::default() };
+    let camera = north_up(80.0);
+    let image = render(&drawing, &camera).unwrap();
+    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour(Theme::Dark));
+    assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::DARK.drivable);
+    assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::DARK.ground);
+}
+
+#[test]
+fn a_windscreen_shows_where_the_front_is() {
+    let camera = north_up(20.0);
+    for heading in [0.0, 1.3, -2.8] {
+        let boxes = [car(0.0, 0.0, heading, DrawStyle::Idm)];
+        let image = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &camera).unwrap();
+        let (s, c) = f64::from(heading).sin_cos();
+        let Rgb(front, ..) = colour_at(&image, &camera, 0.8 * c, 0.8 * s);
+        let Rgb(rear, ..) = colour_at(&image, &camera, -1.45 * c, -1.45 * s);
+        let Rgb(body, ..) = DrawStyle::Idm.colour(Theme::Light);
+        assert!(front < rear && rear < body, "{front} {rear} {body} at {heading}");
+    }
+}
+
+#[test]
+fn names_stand_above_their_agents_where_there_is_room_and_a_legend_in_its_corner() {
+    let boxes = [car(0.0, 0.0, 0.0, DrawStyle::Ego)];
+    let (names, legend) = ([String::from("ego")], [(Rgb(9, 8, 7), String::from("ego"))]);
+    let changed = |drawing: &Drawing<'_>, camera: &Camera| {
+        let bare = Drawing { boxes: &boxes, ..Drawing::default() };
+        let (with, without) = (render(drawing, camera).unwrap(), render(&bare, camera).unwrap());
+        let pixels = with.rgb.chunks(3).zip(without.rgb.chunks(3)).enumerate();
+        let differ = pixels.filter(|(_, (a, b))| a != b).map(|(i, _)| (i % 400, i / 400));
+        (with.clone(), differ.collect::<Vec<_>>())
+    };
+    let named = Drawing { boxes: &boxes, names: &names, ..Drawing::default() };
+    let (_, at) = changed(&named, &north_up(80.0));
+    assert!(!at.is_empty() && at.iter().all(|(x, y)| (180..220).contains(x) && (120..150).contains(y)));
+    assert!(changed(&named, &north_up(200.0)).1.is_empty(), "two pixels a metre are no room");
+    let explained = Drawing { boxes: &boxes, legend: &legend, ..Drawing::default() };
+    let (image, at) = changed(&explained, &north_up(80.0));
+    assert!(!at.is_empty() && at.iter().all(|(x, y)| *x > 300 && *y > 250));
+    assert!(image.rgb.chunks(3).any(|c| c == [9, 8, 7]));
+    let small = Camera { width: 40, height: 30, ..north_up(80.0) };
+    assert_eq!(render(&explained, &small), render(&Drawing { legend: &[], ..explained }, &small));
 }
 
 /// Coordinates near and far, and now and then one that is no number.
@@ -230,6 +283,8 @@ proptest! {
             })
             .collect();
         let lines = [Line { points: &a, driver: DrawStyle::Ccdiff }, Line { points: &d, driver: DrawStyle::Ego }];
+        let names = vec![text.clone(); boxes.len()];
+        let legend = vec![(Rgb(1, 2, 3), text.clone()); boxes.len()];
         let ends = a.iter().zip(&b);
         let arrows: Vec<Arrow> = ends.map(|(p, q)| Arrow { from: *p, to: *q, weight: scale }).collect();
         let drawing = Drawing {
@@ -237,11 +292,15 @@ proptest! {
             route: &c,
             trails: &lines,
             samples: &lines,
+            plans: &lines,
             boxes: &boxes,
+            names: &names,
             arrows: &arrows,
             collisions: &b,
             caption: &text,
             scale_bar: true,
+            legend: &legend,
+            theme: Theme::ALL[usize::from(width % 2 == 0)],
         };
         let camera =
             Camera { centre: Point2::new(x, y), up_rad: turn, metres_per_pixel: scale, width, height };

@@ -3,7 +3,7 @@
 mod common;
 
 use ccdiff_render::{
-    Camera, Centre, DrawStyle, LogView, MapLayers, RenderError, logged_trail, palette, render_log,
+    Camera, Centre, DrawStyle, LogView, MapLayers, RenderError, Theme, logged_trail, palette, render_log,
 };
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
@@ -54,6 +54,7 @@ fn log_view(step_idx: usize, centre: Centre) -> LogView {
         trails: true,
         route: true,
         labels: false,
+        theme: Theme::Light,
     }
 }
 
@@ -63,11 +64,11 @@ fn the_agent_in_the_middle_is_followed_and_those_ahead_of_it_are_above_when_its_
     let map = MapLayers::new(&scene.map).unwrap();
     for step in [5, 10, 20] {
         let image = render_log(&scene, &map, &log_view(step, Centre::Agent(0))).unwrap();
-        assert_eq!(image.pixel(150, 150), Some(DrawStyle::Ego.colour()));
-        assert_eq!(image.pixel(200, 150), Some(DrawStyle::Replay.colour()));
+        assert_eq!(image.pixel(150, 150), Some(DrawStyle::Ego.colour(Theme::Light)));
+        assert_eq!(image.pixel(200, 150), Some(DrawStyle::Replay.colour(Theme::Light)));
         let turned = LogView { heading_up: true, ..log_view(step, Centre::Agent(0)) };
         let image = render_log(&scene, &map, &turned).unwrap();
-        assert_eq!(image.pixel(150, 100), Some(DrawStyle::Replay.colour()));
+        assert_eq!(image.pixel(150, 100), Some(DrawStyle::Replay.colour(Theme::Light)));
     }
 }
 
@@ -78,10 +79,10 @@ fn an_agent_that_is_not_there_yet_is_not_drawn_but_can_be_waited_for() {
     let bare = LogView { trails: false, route: false, ..log_view(4, Centre::Agent(1)) };
     // Middle: where the car will be at step 5, 11 m ahead of the ego at step 4.
     let image = render_log(&scene, &map, &bare).unwrap();
-    assert_eq!(image.pixel(150, 157), Some(palette::DRIVABLE));
-    assert_eq!(image.pixel(150 - 55, 150), Some(DrawStyle::Ego.colour()));
+    assert_eq!(image.pixel(150, 157), Some(palette::LIGHT.drivable));
+    assert_eq!(image.pixel(150 - 55, 150), Some(DrawStyle::Ego.colour(Theme::Light)));
     let image = render_log(&scene, &map, &LogView { step_idx: 5, ..bare }).unwrap();
-    assert_eq!(image.pixel(150, 150), Some(DrawStyle::Replay.colour()));
+    assert_eq!(image.pixel(150, 150), Some(DrawStyle::Replay.colour(Theme::Light)));
 }
 
 #[test]
