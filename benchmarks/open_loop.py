@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 import ccdiff_env
-from ccdiff_env.models import Planner, ScenePlan, shipped_weights
+from ccdiff_env.models import ScenePlan, TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import Scene
 
 SAMPLES = 5
@@ -40,13 +40,16 @@ def errors(scene: Scene, step: int, plan: ScenePlan) -> tuple[np.ndarray, np.nda
 
 
 def quality(
-    planner: Planner, cases: list[tuple[Scene, int]], solver_steps: int, follow_route: bool = False
+    model: TrajectoryModel,
+    cases: list[tuple[Scene, int]],
+    solver_steps: int,
+    follow_route: bool = False,
 ) -> dict[str, float]:
     """Means over vehicles of the errors in metres."""
     ours, constant = [], []
     for at in range(0, len(cases), 32):
         part = cases[at : at + 32]
-        plans = planner.plan(
+        plans = model.plan(
             [scene for scene, _ in part],
             [step for _, step in part],
             solver_steps=solver_steps,
@@ -69,14 +72,16 @@ def quality(
     }
 
 
-def speed(planner: Planner, cases: list[tuple[Scene, int]], solver_steps: int) -> dict[str, float]:
+def speed(
+    model: TrajectoryModel, cases: list[tuple[Scene, int]], solver_steps: int
+) -> dict[str, float]:
     """Milliseconds per plan of the first 32 cases, drawing their maps included."""
     part = cases[:32]
     scenes, steps = [scene for scene, _ in part], [step for _, step in part]
     found = []
     for _ in range(5):
         begin = time.perf_counter()
-        plans = planner.plan(scenes, steps, solver_steps=solver_steps)
+        plans = model.plan(scenes, steps, solver_steps=solver_steps)
         found.append(1e3 * (time.perf_counter() - begin))
     vehicles = sum(len(plan.agents) for plan in plans)
     best = min(found)
@@ -98,10 +103,10 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=None, help="number of scenes")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    planner = Planner(args.weights or shipped_weights())
+    model = TrajectoryModel(args.weights or shipped_weights())
     # a network that was taught to plan in one step takes no other number
-    steps = (1,) if planner.header["training"].get("teacher_steps") else (5, 10)
-    knows_routes = bool(planner.header["model"].get("route_points_m"))
+    steps = (1,) if model.header["training"].get("teacher_steps") else (5, 10)
+    knows_routes = bool(model.header["model"].get("route_points_m"))
     scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
     chosen = list(scenes)[: args.limit]
     cases = [(s, t) for s in chosen for t in range(30, s.num_steps - HORIZON, 20)]
@@ -109,9 +114,9 @@ def main() -> None:
         "scenes": len(chosen),
         "plans": len(cases),
         "samples": SAMPLES,
-        **{f"ddim_{n}": quality(planner, cases, n) for n in steps},
-        **{f"routes_ddim_{n}": quality(planner, cases, n, True) for n in steps if knows_routes},
-        **{f"speed_ddim_{n}": speed(planner, cases, n) for n in steps},
+        **{f"ddim_{n}": quality(model, cases, n) for n in steps},
+        **{f"routes_ddim_{n}": quality(model, cases, n, True) for n in steps if knows_routes},
+        **{f"speed_ddim_{n}": speed(model, cases, n) for n in steps},
     }
     print(json.dumps(result, indent=2))
 

@@ -19,7 +19,7 @@ import torch
 from open_loop import HORIZON, quality
 
 import ccdiff_env
-from ccdiff_env.models import Planner, require_networks, train
+from ccdiff_env.models import TrajectoryModel, require_networks, train
 
 require_networks()
 from ccdiff_env import _models  # noqa: E402
@@ -77,10 +77,10 @@ def main() -> None:
         steps, seconds = ([row[key] for row in rows] for key in ("step", "seconds"))
         rates = np.diff(seconds) / np.diff(steps)
         late = [row["loss"] for row in rows if row["step"] > 0.9 * args.steps]
-        planner = Planner(weights)
-        found = quality(planner, cases, 5)
+        model = TrajectoryModel(weights)
+        found = quality(model, cases, 5)
         figures = [found[key] for key in ("min_ade_m", "min_fde_m", "ade_m", "fde_m")]
-        cells = [f"{planner.num_parameters:,}", f"{np.median(rates):.2f}", f"{np.mean(late):.3f}"]
+        cells = [f"{model.num_parameters:,}", f"{np.median(rates):.2f}", f"{np.mean(late):.3f}"]
         print(f"| {name} | " + " | ".join(cells + [f"{v:.2f}" for v in figures]) + " |", flush=True)
 
 

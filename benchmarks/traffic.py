@@ -27,7 +27,7 @@ import torch
 import ccdiff_env
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.traffic import episodes
-from ccdiff_env.models import Planner, require_networks, shipped_weights
+from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import NETWORKS
 
@@ -80,15 +80,15 @@ def plans(
     name: str, weights: Path, scenes: SceneSet, rounds: int, solver_steps: int | None = None
 ) -> None:
     """Print the speed of plans; ``solver_steps`` for networks that denoise."""
-    planner = Planner(weights)
+    model = TrajectoryModel(weights)
     options = {} if solver_steps is None else {"solver_steps": solver_steps}
     for envs in ENVS:
         part = [scenes[i % len(scenes)] for i in range(envs)]
         steps = [STEP] * envs
-        vehicles = sum(len(p.agents) for p in planner.plan(part, steps, **options))
+        vehicles = sum(len(p.agents) for p in model.plan(part, steps, **options))
         start, busy = time.perf_counter(), time.process_time()
         for _ in range(rounds):
-            planner.plan(part, steps, **options)
+            model.plan(part, steps, **options)
         clock = (time.perf_counter() - start) / rounds
         busy = (time.process_time() - busy) / rounds
         print(

@@ -33,7 +33,7 @@ MOST_EPISODES = 100_000
 
 
 def schema_digest(worlds: Worlds) -> str:
-    """Digest of what observations and figures mean."""
+    """Digest of what observations and info columns mean."""
     text = worlds.native.layout_json + _native.columns_json()
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -56,7 +56,7 @@ class Certificate:
     Parameters
     ----------
     package, schema
-        Version of the package, and digest of what observations and figures mean.
+        Version of the package, and digest of what observations and info columns mean.
     scene, scene_hash
         Name and content hash of the scene.
     config

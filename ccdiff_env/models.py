@@ -8,22 +8,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.curves import Curves
-from ccdiff_env.errors import ConfigError, MissingFeatureError, takes_former_names
+from ccdiff_env.errors import ConfigError, MissingFeatureError, renamed, takes_former_names
 from ccdiff_env.scenes import Scene
 from ccdiff_env.training_loop import run_training
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = [
-    "Planner",
     "ScenePlan",
+    "TrajectoryModel",
     "guidance_preset",
     "require_networks",
     "shipped_weights",
@@ -32,6 +29,8 @@ __all__ = [
 
 #: The release of torch whose libtorch the networks are built with.
 TORCH = "2.11.0"
+#: Former names of classes, for one release.
+_FORMER = {"Planner": "TrajectoryModel"}
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
@@ -173,7 +172,7 @@ class ScenePlan:
         return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
 
 
-class Planner:
+class TrajectoryModel:
     """A planning network loaded from a weight file.
 
     Parameters
@@ -199,7 +198,7 @@ class Planner:
         from ccdiff_env import _models
 
         with _own_generator(0):
-            self._native = _models.Planner(os.fspath(path), device)
+            self._native = _models.TrajectoryModel(os.fspath(path), device)
 
     @property
     def header(self) -> dict[str, Any]:
@@ -395,10 +394,10 @@ def train(
         raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
     if not resumed:
         if teacher is not None:
-            config = json.dumps(Planner(teacher).header["model"])
+            config = json.dumps(TrajectoryModel(teacher).header["model"])
             settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
         elif start is not None:
-            config = json.dumps({**json.loads(config), **Planner(start).header["model"]})
+            config = json.dumps({**json.loads(config), **TrajectoryModel(start).header["model"]})
         training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
         config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
     with _own_generator(int(json.loads(training)["seed"])):
@@ -441,3 +440,9 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
     if unknown:
         raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
     return {**preset, **changes}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _FORMER:
+        raise AttributeError(f"module 'ccdiff_env.models' has no attribute {name!r}")
+    return globals()[renamed("class", name, _FORMER)]

@@ -225,7 +225,7 @@ class Recorder:
             drivers=np.array([drivers.index(name) for name in self._drivers], np.int64),
             driver_table=table,
             events=tuple(self._events),
-            figures={name: columns[:, i].copy() for i, name in enumerate(names)},
+            info={name: columns[:, i].copy() for i, name in enumerate(names)},
             plans=tuple(self._plans),
             meta={
                 "seed": self._seed,

@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError, ShapeError, expect_shape
+from ccdiff_env.errors import (
+    DatasetError,
+    DatasetNotFoundError,
+    ShapeError,
+    expect_shape,
+    takes_former_names,
+)
 from ccdiff_env.files import parsed_object
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.traffic import NETWORKS, TrafficPlan
@@ -80,6 +86,7 @@ class RolloutEvent:
     at_fault: bool = False
 
 
+@takes_former_names(figures="info")
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps.
@@ -105,8 +112,8 @@ class Rollout:
         Name and kind of each driver: those under names of their own are of another kind's.
     events
         What happened, by step.
-    figures
-        Figures of the ego (else of the first controlled agent) of each step [T - 1], by name.
+    info
+        Info columns of the ego (else of the first controlled agent) of each step [T - 1], by name.
     plans
         Plans of the background, by the recorded step ``made_at`` from whose states each was made:
         sample pose h is at ``made_at + h + 1``. Empty where it makes none.
@@ -125,7 +132,7 @@ class Rollout:
     drivers: npt.NDArray[np.int64]
     driver_table: tuple[tuple[str, str], ...] = tuple((name, name) for name in DRIVER_NAMES)
     events: tuple[RolloutEvent, ...] = ()
-    figures: Mapping[str, F32] = field(default_factory=dict)
+    info: Mapping[str, F32] = field(default_factory=dict)
     plans: tuple[TrafficPlan, ...] = ()
     meta: Mapping[str, Any] = field(default_factory=dict)
 
@@ -143,8 +150,8 @@ class Rollout:
             ("drivers", (a,)),
         ):
             expect_shape(name, getattr(self, name), shape)
-        for name, values in self.figures.items():
-            expect_shape(f"figures[{name!r}]", values, (t - 1,))
+        for name, values in self.info.items():
+            expect_shape(f"info[{name!r}]", values, (t - 1,))
         there = self.valid
         for name in ("position", "heading", "velocity"):
             if not np.isfinite(getattr(self, name)[there]).all():
@@ -163,7 +170,7 @@ class Rollout:
             named = np.concatenate([plan.agents, plan.ranking])
             if named.size and not 0 <= named.min() <= named.max() < a:
                 raise DatasetError(f"a plan names agents {named}, expected less than {a}")
-        object.__setattr__(self, "figures", dict(self.figures))
+        object.__setattr__(self, "info", dict(self.info))
         object.__setattr__(self, "meta", dict(self.meta))
 
     def __repr__(self) -> str:
@@ -247,8 +254,8 @@ class Rollout:
             for name in ("position", "heading", "velocity", "valid", "drivers")
         }
         arrays["scene"] = np.frombuffer(self.scene.to_bytes(), np.uint8)
-        for name, values in self.figures.items():
-            arrays[f"figures/{name}"] = values
+        for name, values in self.info.items():
+            arrays[f"info/{name}"] = values
         for i, plan in enumerate(self.plans):
             for name in PLAN_ARRAYS:
                 if (array := getattr(plan, name)) is not None:
@@ -316,10 +323,12 @@ class Rollout:
             drivers=drivers,
             driver_table=table,
             events=tuple(_event(*fields) for fields in head["events"]),
-            figures={
-                name.removeprefix("figures/"): _typed(arrays, name, np.float32)
+            # "figures" is the former name of "info"
+            info={
+                column: _typed(arrays, name, np.float32)
                 for name in arrays
-                if name.startswith("figures/")
+                for group, _, column in [name.partition("/")]
+                if group in ("info", "figures")
             },
             plans=plans,
             meta=head["meta"],

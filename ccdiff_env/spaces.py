@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-__all__ = ["FORMS", "Column", "Entry", "Form", "Layout", "action_space", "read_columns"]
+__all__ = ["FORMS", "Entry", "Form", "InfoColumn", "Layout", "action_space", "read_columns"]
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -21,17 +21,17 @@ FORMS: tuple[Form, ...] = ("flat", "dict", "bev")
 
 
 @dataclass(frozen=True)
-class Column:
-    """One figure of a step: key of ``info``, unit, and what it is."""
+class InfoColumn:
+    """A column of ``info``: key of ``info``, unit, and what it is."""
 
     name: str
     unit: str
     doc: str
 
 
-def read_columns(text: str) -> tuple[Column, ...]:
-    """Read the schema of the figures of a step."""
-    return tuple(Column(**column) for column in json.loads(text))
+def read_columns(text: str) -> tuple[InfoColumn, ...]:
+    """Read the schema of the info columns of a step."""
+    return tuple(InfoColumn(**column) for column in json.loads(text))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ def scenes():
 
 
 def driven(env, action, steps=60):
-    """Figures of the steps of an episode [T], by name."""
+    """Info columns of the steps of an episode [T], by name."""
     rows = []
     for _ in range(steps):
         _, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))

@@ -28,7 +28,7 @@ from ccdiff_env.config import BevConfig, ObservationConfig
 from ccdiff_env.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.files import file_name, write_aside
-from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout
@@ -345,7 +345,7 @@ def test_weight_headers_of_absurd_networks(tmp_path, size):
     path = tmp_path / "huge.safetensors"
     path.write_bytes(struct.pack("<Q", len(head)) + head + data[8 + length :])
     with pytest.raises(errors.CcdiffError, match=next(iter(size))):
-        Planner(path)
+        TrajectoryModel(path)
 
 
 def test_long_names_are_cut_in_images():

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from ccdiff_env import _native
+from ccdiff_env import AdversarySelectionEnv, EgoEnv, _native
 from ccdiff_env.config import (
     ActionConfig,
     ActionGrid,
@@ -201,3 +201,12 @@ def test_scaled_rewards_are_all_weights_times_the_factor():
     for field in (f for f in dataclasses.fields(RewardConfig) if f.name != "form"):
         expected = 0.2 * getattr(weights, field.name)
         assert getattr(scaled, field.name) == pytest.approx(expected)
+
+
+def test_a_former_argument_of_environments_warns_and_means_the_same():
+    options = {"size": (64, 48), "labels": False}
+    for kind in (EgoEnv, AdversarySelectionEnv):
+        with pytest.warns(DeprecationWarning, match="'picture' is called 'render_options'"):
+            env = kind(render_mode="rgb_array", picture=options)
+        env.reset(seed=0)
+        assert env.render().shape == (48, 64, 3)

@@ -22,7 +22,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 import ccdiff_env
 from ccdiff_env import make_vec
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.models import Planner, require_networks, shipped_weights
+from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
 from ccdiff_env.traffic import CcdiffConfig
 
 aten = torch.ops.aten
@@ -114,7 +114,7 @@ def guards_for_cuda() -> None:
 @needs_no_gpu
 def test_a_device_that_is_not_there_is_named() -> None:
     with pytest.raises(ConfigError, match="cuda"):
-        Planner(shipped_weights(), device="cuda")
+        TrajectoryModel(shipped_weights(), device="cuda")
 
 
 @needs_no_gpu
@@ -122,7 +122,7 @@ def test_plans_on_cuda_are_those_of_the_processor() -> None:
     scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
 
     def plans(device: str) -> Any:
-        return Planner(shipped_weights(), device=device).plan(
+        return TrajectoryModel(shipped_weights(), device=device).plan(
             scenes,
             [30, 30],
             solver_steps=3,

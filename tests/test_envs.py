@@ -350,7 +350,7 @@ def test_stepping_before_reset_and_after_the_end_is_an_error(scenes):
         ({"observation": "image"}, ConfigError),
         ({"info": "all"}, ConfigError),
         ({"render_mode": "ansi"}, ConfigError),
-        ({"picture": {"zoom": 2}}, ConfigError),
+        ({"render_options": {"zoom": 2}}, ConfigError),
         ({"horizon_steps": 0}, ConfigError),
         ({"history_steps": 10**6}, SceneError),
         ({"dt_s": 0.2}, SceneError),
@@ -395,7 +395,7 @@ def test_random_calls_never_crash(data, scenes):
 
 
 def test_images_have_the_size_asked_for(scenes):
-    env = EgoEnv(scenes=scenes, render_mode="rgb_array", picture={"size": (200, 100)})
+    env = EgoEnv(scenes=scenes, render_mode="rgb_array", render_options={"size": (200, 100)})
     env.reset(seed=0)
     first = env.render()
     env.step(np.zeros(2, np.float32))
@@ -408,7 +408,7 @@ def test_images_have_the_size_asked_for(scenes):
 def test_human_mode_opens_a_window(scenes, monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = EgoEnv(scenes=scenes, render_mode="human", picture={"size": (64, 64)})
+    env = EgoEnv(scenes=scenes, render_mode="human", render_options={"size": (64, 64)})
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))
     assert env.render() is None

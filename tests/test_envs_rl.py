@@ -118,7 +118,12 @@ def test_episodes_are_recorded_as_video(vector, scenes, tmp_path):
     import imageio.v2 as imageio
 
     videos = tmp_path / "videos"
-    options = {"scenes": scenes, "render_mode": "rgb_array", "picture": {"size": (64, 64)}, **RULES}
+    options = {
+        "scenes": scenes,
+        "render_mode": "rgb_array",
+        "render_options": {"size": (64, 64)},
+        **RULES,
+    }
     if vector:
         env = vector_wrappers.RecordVideo(EgoVectorEnv(2, **options), str(videos), video_length=9)
         env.reset(seed=0)
@@ -137,7 +142,9 @@ def test_episodes_are_recorded_as_video(vector, scenes, tmp_path):
 
 
 def test_frames_are_collected(scenes):
-    env = gymnasium.make(ID, scenes=scenes, render_mode="rgb_array", picture={"size": (8, 8)})
+    env = gymnasium.make(
+        ID, scenes=scenes, render_mode="rgb_array", render_options={"size": (8, 8)}
+    )
     env = wrappers.RenderCollection(env)
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))

@@ -381,7 +381,7 @@ def test_snapshots_move_between_worlds(scenes):
 
 
 def test_images_of_all_worlds(scenes):
-    env = EgoVectorEnv(2, scenes=scenes, render_mode="rgb_array", picture={"size": (64, 48)})
+    env = EgoVectorEnv(2, scenes=scenes, render_mode="rgb_array", render_options={"size": (64, 48)})
     env.reset(seed=0)
     env.step(np.zeros((2, 2)))
     frames = env.render()

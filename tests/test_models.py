@@ -12,7 +12,7 @@ import torch
 
 from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
-from ccdiff_env.models import Planner, guidance_preset, shipped_weights, train
+from ccdiff_env.models import TrajectoryModel, guidance_preset, shipped_weights, train
 from ccdiff_env.scenes import Scene, load_nuscenes
 from ccdiff_env.traffic import NETWORKS
 
@@ -65,8 +65,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_writes_weights_curves_and_a_header_that_rebuilds_the_network(weights: Path) -> None:
-    planner = Planner(weights)
-    header = planner.header
+    model = TrajectoryModel(weights)
+    header = model.header
     assert header["step"] == 12
     assert header["notes"]["licence"] == "CC-BY-NC-SA-4.0"
     assert header["notes"]["data"] == "synthetic"
@@ -82,7 +82,7 @@ def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(
     weights: Path,
 ) -> None:
     scene = road()
-    (plan,) = Planner(weights).plan([scene], [40], num_samples=3)
+    (plan,) = TrajectoryModel(weights).plan([scene], [40], num_samples=3)
     assert plan.actions.shape == (3, 2, 52, 2)
     assert plan.states.shape == (3, 2, 52, 6)
     assert plan.graph.tolist() == [[True, True], [True, True]]
@@ -93,9 +93,9 @@ def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(
 
 
 def test_plans_are_repeatable_and_follow_their_seed() -> None:
-    planner, scene = Planner(shipped_weights()), road()
+    model, scene = TrajectoryModel(shipped_weights()), road()
     before = torch.get_rng_state()
-    first, second, other = planner.plan([scene] * 3, [40] * 3, seeds=[5, 5, 6])
+    first, second, other = model.plan([scene] * 3, [40] * 3, seeds=[5, 5, 6])
     assert torch.equal(before, torch.get_rng_state())
     # libtorch may round rows of one batch differently
     np.testing.assert_allclose(first.actions, second.actions, atol=2e-3)
@@ -132,9 +132,9 @@ def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path: Path, mode
     options = {"model": model, "settings": QUICK, "progress": False}
     train([road()], out=tmp_path, steps=2, **options)
     path = train([road()], out=tmp_path, steps=3, **options)
-    planner = Planner(path)
-    assert (planner.header["kind"], planner.header["step"]) == (model, 3)
-    (plan,) = planner.plan([road()], [40], num_samples=2, attention=True)
+    loaded = TrajectoryModel(path)
+    assert (loaded.header["kind"], loaded.header["step"]) == (model, 3)
+    (plan,) = loaded.plan([road()], [40], num_samples=2, attention=True)
     assert plan.actions.shape == (2, 2, 52, 2)
     assert (plan.attention is not None) == (model == "ctgpp")
     with pytest.raises(ConfigError, match="another"):
@@ -148,8 +148,8 @@ EQUAL = (*(name for name in NETWORKS if name != "ccdiff"), "ccdiff_equal")
 def test_weights_that_are_compared_have_had_the_same_training(name: str) -> None:
     path = shipped_weights(name)
     assert path.stat().st_size < 2_000_000
-    header = Planner(path).header
-    first = Planner(shipped_weights("simnet")).header
+    header = TrajectoryModel(path).header
+    first = TrajectoryModel(shipped_weights("simnet")).header
     assert header["kind"] == name.removesuffix("_equal")
     assert header["step"] == first["step"]
     same = ("batch_scenes", "learning_rate", "warmup_steps", "ema_decay", "clip_norm", "seed")
@@ -161,7 +161,7 @@ def test_parts_of_the_network_can_differ_from_the_preset(tmp_path: Path) -> None
     wide = train(
         [road()], out=tmp_path, steps=1, settings=QUICK, network={"width": 32}, progress=False
     )
-    assert Planner(wide).header["model"]["width"] == 32
+    assert TrajectoryModel(wide).header["model"]["width"] == 32
     with pytest.raises(ConfigError, match="widht"):
         train([road()], out=tmp_path / "a", steps=1, network={"widht": 32})
     with pytest.raises(ConfigError, match="width"):
@@ -186,12 +186,12 @@ def test_damaged_weight_files_are_refused(weights: Path, tmp_path: Path) -> None
     data = weights.read_bytes()
     bad.write_bytes(data[:-100])
     with pytest.raises(CheckpointError):
-        Planner(bad)
+        TrajectoryModel(bad)
     flipped = bytearray(data)
     flipped[-1] ^= 1
     bad.write_bytes(flipped)
     with pytest.raises(CheckpointError, match="checksum"):
-        Planner(bad)
+        TrajectoryModel(bad)
     length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
     own = json.loads(header["__metadata__"]["ccdiff_env"])
@@ -202,26 +202,26 @@ def test_damaged_weight_files_are_refused(weights: Path, tmp_path: Path) -> None
     text = json.dumps(header).encode()
     bad.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + length :])
     with pytest.raises(CheckpointError, match="missing"):
-        Planner(bad)
+        TrajectoryModel(bad)
     with pytest.raises(OSError, match="absent"):
-        Planner(tmp_path / "absent.safetensors")
+        TrajectoryModel(tmp_path / "absent.safetensors")
 
 
 def test_bad_requests_are_refused(weights: Path) -> None:
-    planner = Planner(weights)
+    model = TrajectoryModel(weights)
     with pytest.raises(ShapeError, match="2 steps"):
-        planner.plan([road()], [40, 41])
+        model.plan([road()], [40, 41])
     with pytest.raises(ConfigError, match="guidance_weight"):
-        planner.plan([road()], [40], guidance_weight=0.5)
+        model.plan([road()], [40], guidance_weight=0.5)
     with pytest.raises(ConfigError, match="num_samples"):
-        planner.plan([road()], [40], num_samples=0)
+        model.plan([road()], [40], num_samples=0)
 
 
 def test_the_shipped_network_follows_a_straight_road() -> None:
-    planner = Planner(shipped_weights())
-    assert planner.header["notes"]["licence"] == "CC-BY-NC-SA-4.0"
+    model = TrajectoryModel(shipped_weights())
+    assert model.header["notes"]["licence"] == "CC-BY-NC-SA-4.0"
     assert shipped_weights().stat().st_size < 15_000_000
-    (plan,) = planner.plan([road()], [30], num_samples=8)
+    (plan,) = model.plan([road()], [30], num_samples=8)
     end = plan.states[:, :, -1]
     assert (np.abs(end[..., 1]) < 3.0).all()
     assert (end[..., 0] > 5.0).all()
@@ -232,7 +232,7 @@ def test_the_shipped_network_follows_a_straight_road() -> None:
 def test_the_shipped_network_beats_constant_velocity_on_validation_scenes(data_root: Path) -> None:
     scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
     cases = [(s, t) for s in scenes for t in range(30, s.num_steps - 52, 10)]
-    plans = Planner(shipped_weights()).plan(
+    plans = TrajectoryModel(shipped_weights()).plan(
         [s for s, _ in cases], [t for _, t in cases], num_samples=5
     )
     ours, constant = [], []
@@ -252,13 +252,16 @@ def test_the_shipped_network_beats_constant_velocity_on_validation_scenes(data_r
 
 
 def test_one_step_of_the_taught_network_is_near_to_five_of_its_teacher() -> None:
-    taught, teacher = Planner(shipped_weights(one_step=True)), Planner(shipped_weights())
+    taught, teacher = (
+        TrajectoryModel(shipped_weights(one_step=True)),
+        TrajectoryModel(shipped_weights()),
+    )
     scenes = list(embedded_scenes("val"))
     steps = [30] * len(scenes)
 
-    def ends(planner: Planner, solver_steps: int, seed: int) -> np.ndarray:
+    def ends(model: TrajectoryModel, solver_steps: int, seed: int) -> np.ndarray:
         seeds = [100 * seed + i for i in range(len(scenes))]
-        plans = planner.plan(scenes, steps, seeds=seeds, solver_steps=solver_steps, num_samples=4)
+        plans = model.plan(scenes, steps, seeds=seeds, solver_steps=solver_steps, num_samples=4)
         return np.concatenate([plan.states[:, :, -1, :2] for plan in plans], axis=1)
 
     five = ends(teacher, 5, 0)
@@ -292,7 +295,7 @@ def test_one_denoising_step_takes_the_taught_network() -> None:
 
 @pytest.mark.parametrize("model", NETWORKS)
 def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: str) -> None:
-    planner = Planner(shipped_weights(model))
+    loaded = TrajectoryModel(shipped_weights(model))
     denoises, attends = model in ("ccdiff", "ctg", "ctgpp"), model in ("ccdiff", "ctgpp")
     settings = guidance_preset("rl")
     names = [objective["kind"] for objective in settings["objectives"]]
@@ -302,7 +305,7 @@ def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: st
         for objective in changed["objectives"]:
             if objective["kind"] != "map_collision":
                 objective["weight"] = abs(objective["weight"]) * (sign or -1.0)
-        plan = planner.plan(
+        plan = loaded.plan(
             [road()],
             [40],
             num_samples=4,
@@ -329,7 +332,7 @@ def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: st
 
 
 def test_guidance_settings_that_are_unknown_or_out_of_range_are_named() -> None:
-    planner = Planner(shipped_weights())
+    model = TrajectoryModel(shipped_weights())
     for wrong, named in [
         ({"gradient_step": 1}, "gradient_step"),
         ({"discount": 2.0}, "guidance.discount"),
@@ -337,11 +340,11 @@ def test_guidance_settings_that_are_unknown_or_out_of_range_are_named() -> None:
         ("hard", "guidance.preset"),
     ]:
         with pytest.raises(ConfigError, match=named):
-            planner.plan([road()], [40], guidance=wrong, guided=[[0]])
+            model.plan([road()], [40], guidance=wrong, guided=[[0]])
     with pytest.raises(ConfigError, match="guided"):
-        planner.plan([road()], [40], guidance="rl")
+        model.plan([road()], [40], guidance="rl")
     with pytest.raises(ShapeError, match="lists of agents"):
-        planner.plan([road()], [40], guidance="rl", guided=[[0], [1]])
+        model.plan([road()], [40], guidance="rl", guided=[[0], [1]])
 
 
 def test_weights_that_are_not_there_are_named():

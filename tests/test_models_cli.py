@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ccdiff_env.cli import main
-from ccdiff_env.models import Planner
+from ccdiff_env.models import TrajectoryModel
 
 
 @pytest.mark.nuscenes
@@ -20,7 +20,7 @@ def test_training_on_the_mini_scenes_writes_weights_and_resumes(
     assert main([*command, "--steps", "2"]) == 0
     assert main([*command, "--steps", "3"]) == 0
     path = Path(capsys.readouterr().out.splitlines()[-1])
-    header = Planner(path).header
+    header = TrajectoryModel(path).header
     assert header["step"] == 3
     # two of the eight are validation scenes of the full set, one is held out
     assert header["notes"]["num_scenes"] == 5
@@ -30,7 +30,7 @@ def test_training_on_the_mini_scenes_writes_weights_and_resumes(
     start = ["--start", str(path), "--routes", "--steps", "1"]
     at = command.index("--out") + 1
     assert main([*command[:at], str(more), *command[at + 1 :], *start]) == 0
-    told = Planner(more / "weights.safetensors").header
+    told = TrajectoryModel(more / "weights.safetensors").header
     assert told["model"]["route_points_m"][0] == 5.0
     assert told["model"]["normalisation"] == header["model"]["normalisation"]
     assert told["training"]["drop_route"] == 0.5

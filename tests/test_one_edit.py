@@ -51,7 +51,14 @@ def test_columns_on_request_are_not_in_the_default_row(scenes):
     env = EgoEnv(scenes=scenes)
     agents = next(e for e in env.unwrapped.worlds.layout.entries if e.name == "agents")
     assert "acceleration" not in agents.columns
-    assert env.observation_space.shape == (1335,)
+    asked = EgoEnv(
+        scenes=scenes,
+        config=WorldConfig(
+            observation=ObservationConfig(agent_columns=(*agents.columns, "acceleration"))
+        ),
+    )
+    more = asked.observation_space.shape[0] - env.observation_space.shape[0]
+    assert more == ObservationConfig().num_neighbors
 
 
 def test_a_reward_component_has_a_weight_a_column_and_a_metric(scenes):

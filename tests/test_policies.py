@@ -163,7 +163,7 @@ def test_planners_hold_actions_as_in_training(path, scenes):
 def test_episodes_for_replay_pages_are_those_of_the_benchmark(path, scenes):
     rows, _ = drive(scenes[:1], str(path), TRAFFIC["idm"], seed=0)
     played = play_scene(scenes[0], driver=str(path), traffic="idm", seed=0)
-    ttc = min(played.figures["ttc"])
+    ttc = min(played.info["ttc"])
     assert rows[0]["min_ttc_s"] == pytest.approx(ttc) or rows[0]["collision"]
     assert played.meta["planner"] == str(path)
     with pytest.raises(ConfigError, match="ego"):

@@ -73,9 +73,9 @@ def test_figures_are_those_of_info():
     for _ in range(5):
         seen.append(env.step(np.array([0.3, 0.0], np.float32))[-1])
         recorder.step()
-    figures = recorder.rollout().figures
+    info = recorder.rollout().info
     for name in ("speed", "ttc", "reward_progress"):
-        assert figures[name].tolist() == [info[name] for info in seen]
+        assert info[name].tolist() == [step[name] for step in seen]
 
 
 def test_a_collision_is_listed_from_both_sides_where_the_boxes_begin_to_overlap():
@@ -119,8 +119,8 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
         assert (getattr(loaded, name) == getattr(rollout, name)).all()
     assert loaded.events == rollout.events
     assert dict(loaded.meta) == dict(rollout.meta)
-    assert loaded.figures.keys() == rollout.figures.keys()
-    assert all((loaded.figures[k] == rollout.figures[k]).all() for k in loaded.figures)
+    assert loaded.info.keys() == rollout.info.keys()
+    assert all((loaded.info[k] == rollout.info[k]).all() for k in loaded.info)
     (again,) = loaded.plans
     for field in dataclasses.fields(plan):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(plan, field.name))

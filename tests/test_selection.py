@@ -114,8 +114,10 @@ def test_chosen_agents_are_the_ones_that_the_policy_is_told_to_guide(scenes):
 
 
 def test_images_show_adversaries_in_their_colour(scenes):
-    picture = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
-    env = AdversarySelectionEnv(scenes=scenes, render_mode="rgb_array", picture=picture, **QUICK)
+    drawing = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
+    env = AdversarySelectionEnv(
+        scenes=scenes, render_mode="rgb_array", render_options=drawing, **QUICK
+    )
     colour = render.legend()["adversary"]
     for name, shown in (("none", False), ("nearest", True)):
         env.reset(seed=1)

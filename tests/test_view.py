@@ -79,7 +79,7 @@ def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
 
 def test_figures_that_never_change_are_left_out():
     header, _ = unpacked(elements(page_html(planned_rollout()))[0])
-    assert header["figures"] == [{"name": "route_distance", "unit": "m"}]
+    assert header["info"] == [{"name": "route_distance", "unit": "m"}]
 
 
 def test_pairs_are_those_that_the_core_says_will_meet():

@@ -35,7 +35,7 @@ def test_figures_at_the_cursor_are_those_of_the_rollout(visit):
     page.frames()
     rows = page.locator(".figure").all_inner_texts()
     shown = {row.split("\n")[0].split(" m")[0]: row.split("\n")[-1] for row in rows}
-    expected = rollout.figures["route_distance"][19]
+    expected = rollout.info["route_distance"][19]
     assert float(shown["route distance"]) == pytest.approx(expected, abs=0.01)
 
 

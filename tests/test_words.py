@@ -86,6 +86,17 @@ FORMER = {
     r"\.joined\b": ("is_edge, adjacency", "rust/models rust/sim ccdiff_env docs"),
     r"cross matrix": ("cross-evaluation", "ccdiff_env docs"),
     r"\btold (its )?routes\b": ("with routes", "ccdiff_env docs"),
+    r"models\.Planner\b|\bstruct Planner\b": ("TrajectoryModel", "rust ccdiff_env docs benchmarks"),
+    r"[rR]ollout\.figures\b|\boutcome\.figures\b|\b[fF]igures of (a|the|its) steps?\b": (
+        "info, info columns",
+        "rust/sim rust/py ccdiff_env docs",
+    ),
+    r"(?<![`\"])\b[pP]ictures?\b(?![`\"])": ("image, render_options", "ccdiff_env/envs"),
+    r"\bColumn\b(?! and row)": (
+        "InfoColumn, ObservationColumn",
+        "rust/sim/src/world rust/sim/src/observe",
+    ),
+    r"\bstates\.place\(|fn place\(": ("set_pose", "rust/sim"),
     r"\blets through\b": ("keeps", "rust ccdiff_env docs"),
 }
 

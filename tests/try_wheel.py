@@ -62,7 +62,7 @@ from stable_baselines3.common.env_checker import check_env
 
 check_env(env)
 parallel_api_test(ccdiff_env.parallel_env(agents=3), num_cycles=50)
-[plan] = ccdiff_env.models.Planner(ccdiff_env.models.shipped_weights()).plan([scene], [30])
+[plan] = ccdiff_env.models.TrajectoryModel(ccdiff_env.models.shipped_weights()).plan([scene], [30])
 print("a plan:", plan.states.shape)
 critical = ccdiff_env.make_vec(4, traffic="ccdiff", criticality=1.0)
 critical.reset(seed=1)

@@ -38,7 +38,7 @@ def planned_rollout(name: str = "left-turn-00") -> Rollout:
             RolloutEvent(30, "ego", ids[1], "collision_front", True),
             RolloutEvent(30, ids[1], "ego", "collision_side"),
         ),
-        figures={
+        info={
             "route_distance": np.linspace(-1.0, 3.0, NUM_STEPS - 1, dtype=np.float32),
             "collision": np.zeros(NUM_STEPS - 1, np.float32),
         },

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
-from ccdiff_env.envs.selection.episode import FIGURES
+from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.selection.view import FEATURES, observation_space
-from ccdiff_env.spaces import Column, read_columns
+from ccdiff_env.spaces import InfoColumn, read_columns
 
 __all__ = ["TABLES", "filled"]
 
@@ -29,16 +29,16 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def _figures(columns: Iterable[Column]) -> str:
+def _columns(columns: Iterable[InfoColumn]) -> str:
     return _table(("key", "unit", "what"), ((f"`{c.name}`", c.unit, c.doc) for c in columns))
 
 
 def _info() -> str:
     columns = read_columns(_native.columns_json())
-    return _figures(c for c in columns if not c.name.startswith("reward_"))
+    return _columns(c for c in columns if not c.name.startswith("reward_"))
 
 
-def _rewards(columns: Iterable[Column], weights: object) -> str:
+def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
     default = {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)}  # type: ignore[arg-type]
     parts = [(c.name.removeprefix("reward_"), c) for c in columns if c.name.startswith("reward_")]
     rows = ((f"`{name}`", f"{default[name]:g}", f"`{c.name}`", c.doc) for name, c in parts)
@@ -56,9 +56,9 @@ def _observation() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "info": _info,
     "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
-    "metrics": lambda: _figures(read_columns(_native.metrics_json())),
-    "selection_info": lambda: _figures(c for c in FIGURES if not c.name.startswith("reward_")),
-    "selection_rewards": lambda: _rewards(FIGURES, SelectionReward()),
+    "metrics": lambda: _columns(read_columns(_native.metrics_json())),
+    "selection_info": lambda: _columns(c for c in INFO_COLUMNS if not c.name.startswith("reward_")),
+    "selection_rewards": lambda: _rewards(INFO_COLUMNS, SelectionReward()),
     "selection_observation": _observation,
 }
 

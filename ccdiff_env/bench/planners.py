@@ -168,7 +168,7 @@ def evaluate(
     seed: int,
     options: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Drive scenes with a planner: one dictionary of figures and the score per scene."""
+    """Drive scenes with a planner: one dictionary of metrics and the score per scene."""
     return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, options=options)
 
 
@@ -198,7 +198,7 @@ def play(
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Drive every scene once, all in one batch: figures and score of each, see :func:`drive`."""
+    """Drive every scene once, all in one batch: metrics and score of each, see :func:`drive`."""
     return drive(scenes, planner, traffic, seed=seed, options=options)[0]
 
 
@@ -268,7 +268,7 @@ def drive(
     }
     for recorder in recorders.values():
         recorder.start()
-    figures: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
+    columns: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
     running = np.ones(len(scenes), np.bool_)
     while running.any():
@@ -279,7 +279,7 @@ def drive(
         if adversary_policy is not None:
             adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
-            figures[i].append(out.columns[i, 0].copy())
+            columns[i].append(out.columns[i, 0].copy())
             if i in recorders:
                 recorders[i].step()
             if out.done[i]:
@@ -294,14 +294,14 @@ def drive(
                 config.speed_limit_mps,
             ),
         }
-        for scene, m, f in zip(scenes, metrics, figures, strict=True)
+        for scene, m, f in zip(scenes, metrics, columns, strict=True)
         if m is not None
     ]
     return rows, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
 
 
 def planner_score(
-    metrics: Mapping[str, float], figures: Mapping[str, npt.NDArray[np.float32]], limit_mps: float
+    metrics: Mapping[str, float], columns: Mapping[str, npt.NDArray[np.float32]], limit_mps: float
 ) -> dict[str, Any]:
     """Return the parts of the score of one episode, each in [0, 1], and the score.
 
@@ -309,21 +309,21 @@ def planner_score(
     ----------
     metrics
         Metrics of the episode by name.
-    figures
-        Figures of each step by name, [T].
+    columns
+        Info columns of each step by name, [T].
     limit_mps
         Speed limit.
     """
-    calm = np.ones(len(figures["speed"]), bool)
+    calm = np.ones(len(columns["speed"]), bool)
     for name, (low, high) in COMFORT.items():
-        calm &= (figures[name] >= low) & (figures[name] <= high)
-    over = np.maximum(figures["speed"] - limit_mps, 0.0)
+        calm &= (columns[name] >= low) & (columns[name] <= high)
+    over = np.maximum(columns["speed"] - limit_mps, 0.0)
     parts = {
         "no_at_fault_collision": 1.0 - metrics["at_fault"],
         "on_road": 1.0 - metrics["off_road"],
         "makes_progress": float(metrics["route_completion"] >= LEAST_PROGRESS),
         "right_way": 1.0 - metrics["wrong_way"],
-        "ttc": float(np.min(figures["ttc"]) >= TTC_BOUND_S),
+        "ttc": float(np.min(columns["ttc"]) >= TTC_BOUND_S),
         "progress": metrics["route_completion"],
         "speed_limit": float(max(0.0, 1.0 - over.mean() / 2.23)),
         "comfort": float(calm.mean()),

@@ -130,8 +130,8 @@ def write_replay(rollout: Rollout, path: Path) -> str:
     hits = rollout.collisions("ego") or rollout.collisions()
     if hits:
         follow = hits[0].agent_id
-    elif len(rollout.figures.get("ttc", ())):
-        step = int(np.argmin(rollout.figures["ttc"])) + 1
+    elif len(rollout.info.get("ttc", ())):
+        step = int(np.argmin(rollout.info["ttc"])) + 1
         time_s = max(0.0, step * rollout.dt_s - LEAD_S)
     page = f"{path.parent.name}/{path.name}"
     return address(page, time_s=time_s, follow=follow, play=True)

@@ -166,7 +166,7 @@ def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
         changed[field] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
         changed[field][:, : rollout.num_steps] = recorded
         changed[field][ego] = tracks[field][ego, rollout.start_step :]
-    whole = replace(rollout, **changed, events=(), figures={}, plans=())
+    whole = replace(rollout, **changed, events=(), info={}, plans=())
     return whole.to_scene(name or rollout.scene.name)
 
 

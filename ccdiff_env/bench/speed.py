@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.models import Planner, shipped_weights
+from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
 
 __all__ = ["Timing", "choose_moments", "fit", "measure_speed", "write_speed"]
 
 #: Steps of the log at which scenes are looked at.
 STEPS = (31, 56, 81, 106)
-#: Kinds of plans: title, options of the planner.
+#: Kinds of plans: title, options of the model.
 KINDS: Mapping[str, Mapping[str, Any]] = {
     "not guided": {},
     "guided": {"guidance": "rl"},
@@ -82,18 +82,18 @@ def measure_speed(
     device
         Where the network runs.
     """
-    planner = Planner(shipped_weights(), device=device)
+    model = TrajectoryModel(shipped_weights(), device=device)
     found = []
     for scene, step in choose_moments(scenes):
         for kind, options in KINDS.items():
             settings = {"solver_steps": solver_steps, "num_samples": num_samples, **options}
             if "guidance" in options:
                 settings["guided"] = [list(range(scene.num_agents))]
-            agents = planner.plan([scene], [step], **settings)[0].agents
+            agents = model.plan([scene], [step], **settings)[0].agents
             clock, busy = [], []
             for _ in range(rounds):
                 start, work = time.perf_counter(), time.process_time()
-                planner.plan([scene], [step], **settings)
+                model.plan([scene], [step], **settings)
                 clock.append(time.perf_counter() - start)
                 busy.append(time.process_time() - work)
             found.append(Timing(kind, len(agents), float(np.median(clock)), float(np.median(busy))))

@@ -16,7 +16,7 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
     FollowsTraining,
@@ -54,7 +54,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         Number of worlds E.
     scenes, config, agents, ranking, adversaries, adversary_shaping
         As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
-    observation, info, num_threads, render_mode, picture
+    observation, info, num_threads, render_mode, render_options
         As for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
@@ -84,12 +84,13 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         info: InfoLevel = "end",
         num_threads: int | None = None,
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("rgb_array",))
+        self._render_options = checked_render_options(render_options, options)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
@@ -115,7 +116,6 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
         self.num_envs = num_worlds * self.num_slots
         self.render_mode = render_mode
-        self._picture = picture_options(picture)
         self._form: Form = observation
         self.single_observation_space: gymnasium.Space[Any] = self.worlds.observation_space(
             observation
@@ -213,8 +213,8 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         -------
         obs, rewards, terminations, truncations, infos
             Arrays [E x C, ...]. ``infos`` holds ``active``; ``final_obs`` and ``final_info`` of
-            rows that ended (with ``played``, figures and ``metrics``); with ``info="full"`` the
-            figures of every row that played.
+            rows that ended (with ``played``, info columns and ``metrics``); with ``info="full"``
+            the info columns of every row that played.
 
         Raises
         ------
@@ -324,11 +324,11 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         return self.worlds.layout.observation(self._form, rows, bev)
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
+        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
             return None
         native = self.worlds.native
-        return tuple(native.render(i, **self._picture) for i in range(self.num_worlds))
+        return tuple(native.render(i, **self._render_options) for i in range(self.num_worlds))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing: the worlds go with the environment."""

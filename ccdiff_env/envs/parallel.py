@@ -15,7 +15,7 @@ from pettingzoo import ParallelEnv
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection, Names
-from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.envs.worlds import (
@@ -67,11 +67,11 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
         a raster besides) or ``"bev"`` (the raster alone).
     info
-        ``"full"``: all figures of every step; ``"end"``: only at an agent's end; ``"none"``.
+        ``"full"``: all columns of every step; ``"end"``: only at an agent's end; ``"none"``.
     render_mode
         ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
-    picture
-        Options of pictures.
+    render_options
+        Options of images.
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
         function of the progress of training, which :meth:`set_progress` sets (see
@@ -106,12 +106,13 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         observation: Form = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("human", "rgb_array"))
+        self._render_options = checked_render_options(render_options, options)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
@@ -148,7 +149,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             "observation": observation,
             "info": info,
             "render_mode": render_mode,
-            "picture": picture,
+            "render_options": self._render_options,
             "criticality": criticality,
         }
         self._selection = selection
@@ -169,7 +170,6 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.state_space = spaces.Box(
             np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
         )
-        self._picture = picture_options(picture)
         self._info: InfoLevel = info
         self._seeded = False
         self._slots: dict[str, int] = {}

@@ -28,7 +28,7 @@ class Replay:
     rewards
         Rewards [T].
     frames
-        Pictures [T + 1] of the steps, if asked for.
+        Images [T + 1] of the steps, if asked for.
     """
 
     env: EgoEnv
@@ -41,7 +41,7 @@ def replay(
     scenes: Scenes = None,
     *,
     render_mode: str | None = None,
-    **picture: Any,
+    **render_options: Any,
 ) -> Replay:
     """Simulate a certified episode again and check that it comes out the same, bit for bit.
 
@@ -52,14 +52,14 @@ def replay(
     scenes
         Scenes among which the certified one is; by default the embedded ones.
     render_mode
-        ``"rgb_array"`` keeps a picture of every step.
-    **picture
-        Options of pictures, as for :class:`EgoEnv`.
+        ``"rgb_array"`` keeps an image of every step.
+    **render_options
+        Options of images, as for :class:`EgoEnv`.
 
     Returns
     -------
     Replay
-        The environment at the end of the episode, the rewards, the pictures.
+        The environment at the end of the episode, the rewards, the images.
 
     Raises
     ------
@@ -80,12 +80,15 @@ def replay(
             f"expected {certificate.scene_hash}"
         )
     env = EgoEnv(
-        scenes=[scene], config=certificate.config, render_mode=render_mode, picture=picture
+        scenes=[scene],
+        config=certificate.config,
+        render_mode=render_mode,
+        render_options=render_options,
     )
     if schema_digest(env.worlds) != certificate.schema:
         raise SnapshotError(
-            f"certificate: made by version {certificate.package}, whose observations or figures "
-            "differ from this one's"
+            f"certificate: made by version {certificate.package}, whose observations or info "
+            "columns differ from this one's"
         )
     env.reset(seed=certificate.seed)
     for _ in range(certificate.episode_idx):

@@ -59,8 +59,8 @@ class SB3VecEnv(VecEnv):
 
     Done worlds are reset within the step. Their info holds ``terminal_observation``,
     ``TimeLimit.truncated`` (truncated and not terminated), ``episode`` (``r``, ``l``, ``t`` as
-    ``VecMonitor`` writes them), ``is_success`` and the figures of the last step; the infos of the
-    others hold ``TimeLimit.truncated`` alone.
+    ``VecMonitor`` writes them), ``is_success`` and the info columns of the last step;
+    the infos of the others hold ``TimeLimit.truncated`` alone.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_images(self) -> Sequence[np.ndarray[Any, Any] | None]:
-        """Picture of every world, uint8 [H, W, 3]."""
+        """Image of every world, uint8 [H, W, 3]."""
         frames = self.env.render()
         return [None] * self.num_envs if frames is None else list(frames)
 

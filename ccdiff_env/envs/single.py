@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
-from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.envs.worlds import (
@@ -46,12 +46,12 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
         a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
-        ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
+        ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
         ``"none"``: only numbers at resets: index of the scene, seed, episode.
     render_mode
         ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
-    picture
-        Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
+    render_options
+        Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
         ``route``, ``labels``.
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
@@ -78,14 +78,14 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         observation: Form = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
         check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("human", "rgb_array"))
-        self._picture = picture_options(picture)
+        self._render_options = checked_render_options(render_options, options)
         chosen = scene_set(scenes)
         resolved = world_config(chosen, config, options, observation).with_options(
             autoreset="disabled"
@@ -160,7 +160,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         Returns
         -------
         obs, reward, terminated, truncated, info
-            ``info`` holds the figures of the step and, at the end of an episode, ``metrics``.
+            ``info`` holds the info columns of the step and, at the end of an episode, ``metrics``.
 
         Raises
         ------
@@ -277,7 +277,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             "observation": self._form,
             "info": self._info,
             "render_mode": self.render_mode,
-            "picture": self._picture,
+            "render_options": self._render_options,
             "criticality": self._criticality,
             "progress": self.worlds.curriculum and self.worlds.curriculum.progress,
             "snapshot": self.snapshot(),
@@ -290,7 +290,15 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Rebuild the environment."""
-        keys = ("scenes", "config", "observation", "info", "render_mode", "picture", "criticality")
+        keys = (
+            "scenes",
+            "config",
+            "observation",
+            "info",
+            "render_mode",
+            "render_options",
+            "criticality",
+        )
         EgoEnv.__init__(self, **{key: state[key] for key in keys})
         if state["progress"] is not None:
             self.set_progress(state["progress"])

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
 from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.worlds import (
     FollowsTraining,
@@ -87,18 +87,18 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
         a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
     info
-        ``"full"``: all figures of every step; ``"end"``: only of the last step of an episode;
+        ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
         ``"none"``: only numbers at resets: index of the scene, seed, episode.
     copy
         Whether every call returns arrays of its own. Without, observations, rewards, flags and
-        figures of the step before are overwritten.
+        columns of the step before are overwritten.
     num_threads
         Worker threads; by default all processors from 64 worlds on, else the calling thread.
         Results do not depend on it.
     render_mode
         ``None`` or ``"rgb_array"``.
-    picture
-        Options of pictures: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
+    render_options
+        Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
         ``route``, ``labels``.
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
@@ -131,7 +131,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         copy: bool = True,
         num_threads: int | None = None,
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
@@ -139,7 +139,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("rgb_array",))
-        self._picture = picture_options(picture)
+        self._render_options = checked_render_options(render_options, options)
         chosen = scene_set(scenes)
         resolved = world_config(chosen, config, options, observation).with_options(
             autoreset=_AUTORESET[mode]
@@ -266,7 +266,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         Returns
         -------
         obs, rewards, terminations, truncations, infos
-            Arrays [E, ...], and a dictionary of arrays with ``_key`` masks: the figures of the
+            Arrays [E, ...], and a dictionary of arrays with ``_key`` masks: the info columns of the
             step; ``metrics`` of episodes that end; scene and seed of those that begin; in SAME_STEP
             mode ``final_obs`` and ``final_info``.
 
@@ -416,11 +416,11 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         return mask
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
+        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
             return None
         native = self.worlds.native
-        return tuple(native.render(i, **self._picture) for i in range(self.num_envs))
+        return tuple(native.render(i, **self._render_options) for i in range(self.num_envs))
 
     def explain(self, world_idx: int) -> TrafficPlan | None:
         """Return the plan that CCDiff follows in a world; ``None`` before the first one.

@@ -36,7 +36,7 @@ SceneChoice: TypeAlias = str | int | None
 
 #: Batches from here on use all processors by default.
 PARALLEL_FROM = 64
-#: Past steps in pictures.
+#: Past steps in images.
 TRAIL_STEPS = 31
 
 
@@ -101,7 +101,7 @@ def _num_processors() -> int:
 class StepArrays(NamedTuple):
     """Arrays that a reset or step writes.
 
-    E worlds, C slots, D floats of a row, M figures, rasters of P channels.
+    E worlds, C slots, D floats of a row, M info columns, rasters of P channels.
     """
 
     #: Observations [E, C, D] float32.
@@ -114,7 +114,7 @@ class StepArrays(NamedTuple):
     truncated: Bool
     #: Whether the agent goes on [E, C].
     alive: Bool
-    #: Figures of the step [E, C, M] float32.
+    #: Info columns of the step [E, C, M] float32.
     columns: F32
     #: Whether the world's episode ended [E].
     done: Bool
@@ -152,7 +152,7 @@ class Worlds:
         Worker threads; ``None``: all processors for many worlds, else the calling thread. Results
         do not depend on it.
     trails
-        Whether past positions are kept for pictures.
+        Whether past positions are kept for images.
     criticality
         Criticality of planned traffic by episode, see :class:`~ccdiff_env.curriculum.Curriculum`;
         ``None``: as configured.

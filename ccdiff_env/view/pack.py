@@ -72,7 +72,7 @@ def pack(rollout: Rollout, title: str) -> str:
     header = {
         "run": _run(rollout, title) | {"layers": layers},
         "plans": [_add_plan(arrays, rollout, i, plan) for i, plan in enumerate(rollout.plans)],
-        "figures": list(_add_figures(arrays, rollout.figures)),
+        "info": list(_add_info(arrays, rollout.info)),
         "arrays": arrays.entries,
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
@@ -219,18 +219,18 @@ def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: TrafficPlan) 
     }
 
 
-def _add_figures(
-    arrays: _Arrays, figures: Mapping[str, npt.NDArray[np.float32]]
+def _add_info(
+    arrays: _Arrays, info: Mapping[str, npt.NDArray[np.float32]]
 ) -> Iterator[dict[str, str]]:
-    """Add the figures that change in the run; the header has their names and units."""
+    """Add the info columns that change in the run; the header has their names and units."""
     columns = json.loads(_native.columns_json())
     units = {column["name"]: column["unit"] for column in columns}
     index = 0
-    for name, values in figures.items():
+    for name, values in info.items():
         known = np.nan_to_num(np.asarray(values, dtype=np.float64))
         if name in _SHOWN_ELSEWHERE or known.size == 0 or np.ptp(known) < 1e-6:
             continue
-        arrays.real(f"figure{index}", known, 1e-4)
+        arrays.real(f"info{index}", known, 1e-4)
         index += 1
         yield {"name": name, "unit": units.get(name, "")}
 

@@ -14,33 +14,35 @@ from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.key_agents import KeyRanking, rank_agents
 from ccdiff_env.recorder import Recorder
-from ccdiff_env.spaces import Column
+from ccdiff_env.spaces import InfoColumn
 from ccdiff_env.traffic import TrafficPlan
 
-__all__ = ["FIGURES", "Outcome", "SelectionEpisode"]
+__all__ = ["INFO_COLUMNS", "Outcome", "SelectionEpisode"]
 
 F32 = npt.NDArray[np.float32]
 
 #: Figures of a decision, keys of ``info``.
-FIGURES: tuple[Column, ...] = (
-    Column("reward_collision", "", "weighted reward of collisions that count"),
-    Column("reward_realism", "", "weighted reward of the realism cost of the adversaries' plans"),
-    Column("reward_off_road", "", "weighted reward of adversaries off the road"),
-    Column("reward_comfort", "", "weighted reward of the adversaries' discomfort"),
-    Column("collisions", "", "collisions that count, begun in the decision"),
-    Column("ego_collision", "", "1 if the ego begins to touch anybody in the decision"),
-    Column("ego_at_fault", "", "1 if such a collision counts against the ego"),
-    Column(
+INFO_COLUMNS: tuple[InfoColumn, ...] = (
+    InfoColumn("reward_collision", "", "weighted reward of collisions that count"),
+    InfoColumn(
+        "reward_realism", "", "weighted reward of the realism cost of the adversaries' plans"
+    ),
+    InfoColumn("reward_off_road", "", "weighted reward of adversaries off the road"),
+    InfoColumn("reward_comfort", "", "weighted reward of the adversaries' discomfort"),
+    InfoColumn("collisions", "", "collisions that count, begun in the decision"),
+    InfoColumn("ego_collision", "", "1 if the ego begins to touch anybody in the decision"),
+    InfoColumn("ego_at_fault", "", "1 if such a collision counts against the ego"),
+    InfoColumn(
         "realism_cost", "", "total variation of guided from unguided actions, mean of guided agents"
     ),
-    Column("shift_sigmas", "", "the same in standard deviations, which does not saturate"),
-    Column("off_road", "", "share of the adversaries' steps off the road"),
-    Column("discomfort", "", "discomfort of the adversaries, mean over steps"),
-    Column("num_adversaries", "", "adversaries of the decision"),
-    Column(
+    InfoColumn("shift_sigmas", "", "the same in standard deviations, which does not saturate"),
+    InfoColumn("off_road", "", "share of the adversaries' steps off the road"),
+    InfoColumn("discomfort", "", "discomfort of the adversaries, mean over steps"),
+    InfoColumn("num_adversaries", "", "adversaries of the decision"),
+    InfoColumn(
         "graph_sparsity", "", "share of pairs of planned agents that the causal graph leaves out"
     ),
-    Column("steps", "", "steps of the world in the decision"),
+    InfoColumn("steps", "", "steps of the world in the decision"),
 )
 
 
@@ -48,8 +50,8 @@ FIGURES: tuple[Column, ...] = (
 class Outcome:
     """What one decision led to."""
 
-    #: Figures by name, as in :data:`FIGURES`.
-    figures: dict[str, float] = field(default_factory=dict)
+    #: Info columns by name, as in :data:`INFO_COLUMNS`.
+    info: dict[str, float] = field(default_factory=dict)
     #: Whether the ego's episode ended by what happened, and whether it was cut off.
     terminated: bool = False
     truncated: bool = False
@@ -61,7 +63,7 @@ class Outcome:
     def reward(self) -> float:
         """Sum of the components."""
         names = ("collision", "realism", "off_road", "comfort")
-        return sum(self.figures[f"reward_{name}"] for name in names)
+        return sum(self.info[f"reward_{name}"] for name in names)
 
 
 class SelectionEpisode:
@@ -247,7 +249,7 @@ class SelectionEpisode:
         weights = self._weights
         outcome = self._outcome
         outcome.terminated, outcome.truncated = terminated, truncated
-        outcome.figures = {
+        outcome.info = {
             "reward_collision": weights.collision * self._counts["collisions"],
             "reward_realism": weights.realism * cost,
             "reward_off_road": weights.off_road * off_road,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.picture import FPS, DrawnWorld, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.worlds import Scenes, normalize_seed
@@ -63,8 +63,8 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         Weights, see :class:`SelectionReward`; also as a dictionary.
     render_mode
         ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
-    picture
-        Options of pictures.
+    render_options
+        Options of images.
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as
         ``ccdiff={"replan_steps": 5}``, whose plans set the pace of decisions.
@@ -85,11 +85,11 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         criticality: tuple[float, float] | None = None,
         reward: SelectionReward | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
         check_render_mode(render_mode, ("human", "rgb_array"))
-        self._picture = picture_options(picture)
+        self._render_options = checked_render_options(render_options, options)
         self._batch = SelectionBatch(
             1,
             scenes=scenes,
@@ -159,9 +159,9 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         Returns
         -------
         obs, reward, terminated, truncated, info
-            ``info`` holds the figures of the decision, ``adversaries`` (ids), ``collision_pairs``
-            (ids), ``agent_ids`` of the next rows and, at the end of an episode, ``metrics`` and
-            ``is_success``.
+            ``info`` holds the info columns of the decision, ``adversaries`` (ids),
+            ``collision_pairs`` (ids), ``agent_ids`` of the next rows and, at the end of an episode,
+            ``metrics`` and ``is_success``.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         """
         (outcome,) = self._batch.decide([action])
         info: dict[str, Any] = {
-            **outcome.figures,
+            **outcome.info,
             "adversaries": outcome.adversaries,
             "collision_pairs": outcome.pairs,
             "agent_ids": self.agent_ids(),

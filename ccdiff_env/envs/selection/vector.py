@@ -14,9 +14,9 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.picture import FPS, Image, check_render_mode, picture_options
+from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
-from ccdiff_env.envs.selection.episode import FIGURES
+from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
 from ccdiff_env.envs.worlds import Scenes, Worlds, normalize_seed
@@ -41,7 +41,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         Number of worlds E.
     num_threads
         Worker threads, as for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
-    scenes, config, ego, action_mode, max_agents, budget, criticality, reward, picture, **options
+    scenes, config, ego, action_mode, max_agents, budget, criticality, reward, render_options
         As for :class:`~ccdiff_env.envs.selection.single.AdversarySelectionEnv`.
     render_mode
         ``None`` or ``"rgb_array"``.
@@ -67,11 +67,11 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         reward: SelectionReward | Mapping[str, Any] | None = None,
         num_threads: int | None = None,
         render_mode: str | None = None,
-        picture: Mapping[str, Any] | None = None,
+        render_options: Mapping[str, Any] | None = None,
         **options: Any,
     ) -> None:
         check_render_mode(render_mode, ("rgb_array",))
-        self._picture = picture_options(picture)
+        self._render_options = checked_render_options(render_options, options)
         self._batch = SelectionBatch(
             num_envs,
             scenes=scenes,
@@ -158,7 +158,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         Returns
         -------
         obs, rewards, terminations, truncations, infos
-            Arrays [E, ...]; ``infos`` holds the figures of the decision, and ``final_obs`` and
+            Arrays [E, ...]; ``infos`` holds the info columns of the decision, and ``final_obs`` and
             ``final_info`` (with ``metrics`` and ``is_success``) of episodes that ended.
         """
         if len(actions) != self.num_envs:
@@ -168,7 +168,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         terminated = np.array([outcome.terminated for outcome in outcomes])
         truncated = np.array([outcome.truncated for outcome in outcomes])
         done = terminated | truncated
-        table = {c.name: np.array([o.figures[c.name] for o in outcomes]) for c in FIGURES}
+        table = {c.name: np.array([o.info[c.name] for o in outcomes]) for c in INFO_COLUMNS}
         infos: Info = {}
         for name, values in table.items():
             infos[name], infos["_" + name] = values, ~done
@@ -242,11 +242,11 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         return self._batch.fork_gaps(steps)
 
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture [H, W, 3] of every world; ``None`` without a render mode."""
+        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
             return None
         native = self.worlds.native
-        return tuple(native.render(i, **self._picture) for i in range(self.num_envs))
+        return tuple(native.render(i, **self._render_options) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing: the worlds go with the environment."""

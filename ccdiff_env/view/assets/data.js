@@ -48,7 +48,7 @@ function toFloats(values, step, base) {
   return out;
 }
 
-/** One recorded episode: agents, their states, events, plans, figures and the map. */
+/** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
   constructor(header, arrays) {
     Object.assign(this, header.run);
@@ -56,8 +56,8 @@ class Run {
     this.a = arrays;
     this.plans = header.plans.map((plan, index) => this.plan(plan, index));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
-    this.figures = header.figures.map((figure, index) => ({
-      ...figure, values: arrays[`figure${index}`],
+    this.info = header.info.map((column, index) => ({
+      ...column, values: arrays[`info${index}`],
     }));
   }
 

@@ -1,4 +1,4 @@
-// Everything beside the map: what happened, captions of an agent, figures at the cursor, contacts.
+// Everything beside the map: what happened, captions of an agent, info columns at the cursor, contacts.
 
 const KMH = 3.6;
 const TTC_ROWS = 5; // pairs in the list at most
@@ -75,7 +75,7 @@ class FiguresPanel {
     this.rows = [];
   }
 
-  /** Show the figures of an agent (by id). */
+  /** Show the info columns of an agent (by id). */
   showAgent(agentId) {
     if (agentId === this.agentId) return;
     this.agentId = agentId;
@@ -96,16 +96,16 @@ class FiguresPanel {
 
   /** Show what the runs recorded; returns whether they did. */
   showRecorded() {
-    const figures = new Map();
+    const columns = new Map();
     for (const run of this.runs)
-      for (const { name, unit } of run.figures) figures.set(name, unit);
-    for (const [name, unit] of figures) {
+      for (const { name, unit } of run.info) columns.set(name, unit);
+    for (const [name, unit] of columns) {
       this.row(name.replaceAll("_", " "), unit, this.runs.map((run) => {
-        const figure = run.figures.find((other) => other.name === name);
-        return figure ? figure.values : null;
+        const column = run.info.find((other) => other.name === name);
+        return column ? column.values : null;
       }));
     }
-    return figures.size > 0;
+    return columns.size > 0;
   }
 
   row(name, unit, series) {
@@ -156,7 +156,7 @@ class FiguresPanel {
 
   curve(context, index, series, x, y, colours) {
     const run = this.runs[index], which = index % RUN_DASHES.length;
-    const lag = run.numSteps - series.length; // figures of steps start one state later
+    const lag = run.numSteps - series.length; // info columns start one state later
     context.strokeStyle = colours[which];
     context.setLineDash(RUN_DASHES[which]);
     context.lineWidth = 1.5;
@@ -175,7 +175,7 @@ class FiguresPanel {
   }
 }
 
-/** Entry of a series at a time; figures of steps have one entry less than there are states. */
+/** Entry of a series at a time; info columns have one entry less than there are states. */
 function indexAt(run, series, time) {
   const lag = run.numSteps - series.length;
   return Math.max(Math.round(run.stepAt(time)) - lag, 0);

@@ -3,7 +3,7 @@
 //! ```text
 //! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► PlanModel
 //!                                                    dataset, train ◄── losses       │ (ccdiff, baselines)
-//!                                                    sampler, planner ◄──────────────┘ clean action knots
+//!                                                    sampler, trajectory_model ◄──────────────┘ clean action knots
 //! ```
 //! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour
 //! slots. Tensor code runs inside [`grad::guarded`], so libtorch's exceptions come back as [`ModelError`].
@@ -28,13 +28,13 @@ pub mod noise;
 mod optimiser;
 pub mod plan_model;
 pub mod plan_space;
-pub mod planner;
 pub mod raster;
 pub mod sampler;
 pub mod schedule;
 mod smooth;
 pub mod traffic;
 pub mod train;
+pub mod trajectory_model;
 mod trunk;
 pub mod unicycle;
 

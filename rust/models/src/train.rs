@@ -10,8 +10,8 @@ use crate::error::{ModelError, Result};
 use crate::grad::guarded;
 use crate::optimiser::{Adam, MovingAverage, variables};
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
-use crate::planner::Planner;
 use crate::sampler::SampleOptions;
+use crate::trajectory_model::TrajectoryModel;
 use ccdiff_sim::options;
 use ccdiff_sim::options::{above, at_least, within};
 use serde::{Deserialize, Serialize};
@@ -129,7 +129,7 @@ pub struct Trainer {
     network: Box<dyn PlanModel>,
     average: MovingAverage,
     adam: Adam,
-    teacher: Option<Planner>,
+    teacher: Option<TrajectoryModel>,
     step: u64,
     cooldown: Option<Cooldown>,
 }
@@ -163,9 +163,9 @@ impl Trainer {
     /// The run with a teacher, from whose weights it begins.
     ///
     /// # Errors
-    /// What [`Planner::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
+    /// What [`TrajectoryModel::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
     pub fn taught_by(mut self, path: &Path) -> Result<Self> {
-        let teacher = Planner::load(path, self.store.device())?;
+        let teacher = TrajectoryModel::load(path, self.store.device())?;
         let fail = |got: &str, expected: &'static str| {
             Err(ModelError::Config { field: "teacher", got: got.into(), expected })
         };

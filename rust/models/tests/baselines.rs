@@ -12,9 +12,9 @@ use ccdiff_models::guidance::{
     AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuidance,
 };
 use ccdiff_models::plan_model::build;
-use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::scene::Scene;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -41,27 +41,25 @@ fn trainer(kind: ModelKind) -> Trainer {
     common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap())
 }
 
-/// A planner of weights trained for some steps.
-fn planner(kind: ModelKind, steps: usize) -> Planner {
+/// A model trained for some steps.
+fn trained(kind: ModelKind, steps: usize) -> TrajectoryModel {
     let mut run = trainer(kind);
     run.run(steps).unwrap();
     let path = temporary(&format!("{}-{steps}.safetensors", kind.name()));
     run.export(&path, &serde_json::json!({})).unwrap();
-    Planner::load(&path, Device::Cpu).unwrap()
+    TrajectoryModel::load(&path, Device::Cpu).unwrap()
 }
 
 /// Plans of worlds at steps of a scene, by seed; `guided` vehicles of each are guided.
 fn plans(
-    planner: &mut Planner,
+    model: &mut TrajectoryModel,
     worlds: &[(&Arc<Scene>, usize, u64)],
     options: &PlanOptions,
     guided: Option<&[bool]>,
 ) -> Result<Vec<Plan>, ModelError> {
     let inputs: Vec<_> = worlds
         .iter()
-        .map(|(scene, step, _)| {
-            (Window::from_scene(scene, *step, &vehicles(scene), 31), planner.bitmap(scene))
-        })
+        .map(|(scene, step, _)| (Window::from_scene(scene, *step, &vehicles(scene), 31), model.bitmap(scene)))
         .collect();
     let views: Vec<PlanInput<'_>> = inputs
         .iter()
@@ -73,7 +71,7 @@ fn plans(
             guide: guided.map(WorldGuidance::new),
         })
         .collect();
-    planner.plan(&views, options)
+    model.plan(&views, options)
 }
 
 fn samples(num_samples: usize) -> PlanOptions {
@@ -129,10 +127,10 @@ fn a_resumed_run_continues_bit_for_bit_and_its_weights_plan() {
         whole.export(&files[0], &serde_json::json!({})).unwrap();
         again.export(&files[1], &serde_json::json!({})).unwrap();
         assert_eq!(std::fs::read(&files[0]).unwrap(), std::fs::read(&files[1]).unwrap(), "{kind:?}");
-        let mut planner = Planner::load(&files[0], Device::Cpu).unwrap();
-        assert_eq!(planner.header()["kind"], kind.name());
+        let mut model = TrajectoryModel::load(&files[0], Device::Cpu).unwrap();
+        assert_eq!(model.header()["kind"], kind.name());
         let plan =
-            plans(&mut planner, &[(&common::closing_pair(), 40, 1)], &samples(2), None).unwrap().remove(0);
+            plans(&mut model, &[(&common::closing_pair(), 40, 1)], &samples(2), None).unwrap().remove(0);
         assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * STEPS * 2, 2 * 3 * STEPS * 6));
     }
 }
@@ -141,11 +139,11 @@ fn a_resumed_run_continues_bit_for_bit_and_its_weights_plan() {
 fn a_worlds_plans_depend_on_its_own_seed_and_samples_differ_where_they_are_drawn() {
     let scene = common::closing_pair();
     for kind in rivals() {
-        let mut planner = planner(kind, 4);
+        let mut model = trained(kind, 4);
         let (a, b) = ((&scene, 40, 7), (&scene, 60, 3));
-        let both = plans(&mut planner, &[a, b], &samples(5), None).unwrap();
-        let turned = plans(&mut planner, &[b, a], &samples(5), None).unwrap();
-        let alone = plans(&mut planner, &[a], &samples(5), None).unwrap();
+        let both = plans(&mut model, &[a, b], &samples(5), None).unwrap();
+        let turned = plans(&mut model, &[b, a], &samples(5), None).unwrap();
+        let alone = plans(&mut model, &[a], &samples(5), None).unwrap();
         for other in [&turned[1], &alone[0]] {
             assert!(close(&both[0].actions, &other.actions, 2e-3), "{kind:?}");
         }
@@ -153,7 +151,7 @@ fn a_worlds_plans_depend_on_its_own_seed_and_samples_differ_where_they_are_drawn
         let one = 3 * STEPS * 2;
         let differ = !close(&both[0].actions[..one], &both[0].actions[one..2 * one], 1e-4);
         assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
-        let other_seed = plans(&mut planner, &[(&scene, 40, 8)], &samples(5), None).unwrap();
+        let other_seed = plans(&mut model, &[(&scene, 40, 8)], &samples(5), None).unwrap();
         let differ = !close(&both[0].actions, &other_seed[0].actions, 1e-4);
         assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
     }
@@ -179,11 +177,11 @@ fn guidance_closes_in_or_keeps_away_as_the_sign_says_and_moves_nobody_else() {
     let guided = [true, false, false];
     // a denoiser trained on one future alone finds back to it whatever guidance did
     for kind in rivals().filter(|kind| !kind.denoises()) {
-        let mut planner = planner(kind, 40);
+        let mut model = trained(kind, 40);
         let mut closeness = |weight: f32, steps: usize| -> (f32, Vec<Plan>) {
             let guidance = Some(GuidanceConfig { gradient_steps: steps, ..sought(weight) });
             let options = PlanOptions { guidance, ..samples(1) };
-            let found = plans(&mut planner, &worlds, &options, Some(&guided)).unwrap();
+            let found = plans(&mut model, &worlds, &options, Some(&guided)).unwrap();
             (found.iter().map(|p| p.guidance.as_ref().unwrap().losses[3]).sum(), found)
         };
         let ((near, plan), (free, unmoved), (far, _)) =
@@ -203,12 +201,12 @@ fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
     let scene = common::scene(&[[0.0, 0.0, 0.0, 0.0, 0.0]], 110);
     for kind in rivals() {
         let options = PlanOptions { guidance: Some(sought(-50.0)), ..samples(2) };
-        let mut planner = planner(kind, 1);
+        let mut model = trained(kind, 1);
         // step 0: hardly any history; the window's bitmap is left out: no road anywhere
         let window = Window::from_scene(&scene, 0, &[0], 31);
         let guide = Some(WorldGuidance::new(&[true]));
         let view = PlanInput { window: &window, bitmap: None, seed: 0, guide };
-        let plan = planner.plan(&[view], &options).unwrap().remove(0);
+        let plan = model.plan(&[view], &options).unwrap().remove(0);
         assert!(plan.states.iter().all(|v| v.is_finite()), "{kind:?}");
     }
 }
@@ -236,8 +234,8 @@ fn a_future_without_a_log_trains_to_finite_losses() {
 fn what_means_nothing_to_a_network_is_refused_by_name() {
     let scene = common::closing_pair();
     let refused = |kind: ModelKind, sampling: SampleOptions| {
-        let mut planner = planner(kind, 1);
-        plans(&mut planner, &[(&scene, 40, 0)], &sampling.into(), None).unwrap_err().to_string()
+        let mut model = trained(kind, 1);
+        plans(&mut model, &[(&scene, 40, 0)], &sampling.into(), None).unwrap_err().to_string()
     };
     let default = SampleOptions::default();
     let weighted = SampleOptions { guidance_weight: 1.5, ..default };

@@ -12,8 +12,8 @@ use ccdiff_models::guidance::{
     MapCollision, Objective, Optimiser, Rollout, Target, TargetSpeed, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
-use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
 
@@ -235,29 +235,29 @@ fn gradient_statistics_say_who_pulls_which_way() {
     assert_eq!(found.objective_cosine[1], found.objective_cosine[2]);
 }
 
-fn shipped(name: &str) -> Planner {
+fn shipped(name: &str) -> TrajectoryModel {
     let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ccdiff_env/data");
-    Planner::load(&data.join(format!("ccdiff_{name}.safetensors")), tch::Device::Cpu).unwrap()
+    TrajectoryModel::load(&data.join(format!("ccdiff_{name}.safetensors")), tch::Device::Cpu).unwrap()
 }
 
 /// Plans of a shipped network for a follower, its leader and a third vehicle far off.
 fn planned(
-    planner: &mut Planner,
+    model: &mut TrajectoryModel,
     guided: &[bool],
     guidance: Option<GuidanceConfig>,
     seeds: &[u64],
 ) -> Vec<Plan> {
     let scene = common::following_pair();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let (bitmap, region) = (planner.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
+    let (bitmap, region) = (model.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
     let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
     let view =
         |seed: &u64| PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
     let views: Vec<_> = seeds.iter().map(view).collect();
-    let solver_steps = Some(if planner.plans_in_one_step() { 1 } else { 5 });
+    let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 5 });
     let sampling = SampleOptions { solver_steps, num_samples: 2, ..SampleOptions::default() };
     let options = PlanOptions { sampling, guidance, attention: true, gradient_statistics: false };
-    planner.plan(&views, &options).unwrap()
+    model.plan(&views, &options).unwrap()
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn so_does_one_that_plans_in_one_step() {
     follows_the_sign(shipped("one_step"));
 }
 
-fn follows_the_sign(mut planner: Planner) {
+fn follows_the_sign(mut model: TrajectoryModel) {
     let seeds: Vec<u64> = (0..6).collect();
     let guided = [true, false, false];
     let with = |weight: f32, steps: usize| GuidanceConfig {
@@ -281,10 +281,10 @@ fn follows_the_sign(mut planner: Planner) {
             Objective::MapCollision(MapCollision::default()),
         ])
     };
-    let free = planned(&mut planner, &guided, None, &seeds);
+    let free = planned(&mut model, &guided, None, &seeds);
     assert!(free.iter().all(|p| p.guidance.is_none() && p.selected_sample() == [0, 0, 0]));
     let mut closeness = |config: GuidanceConfig| -> f32 {
-        let plans = planned(&mut planner, &guided, Some(config.clone()), &seeds);
+        let plans = planned(&mut model, &guided, Some(config.clone()), &seeds);
         for (plan, free) in plans.iter().zip(&free) {
             let report = plan.guidance.as_ref().unwrap();
             assert_eq!((report.losses.len(), report.selected_sample.len()), (3 * 2 * 3, 3));

@@ -10,10 +10,10 @@ use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
-use ccdiff_models::planner::{PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::{self, SampleOptions};
 use ccdiff_models::schedule::Schedule;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
+use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_models::{ModelError, raster::MapBitmap};
 use ccdiff_sim::scene::Scene;
 use std::path::PathBuf;
@@ -157,13 +157,13 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     assert!(losses[7] < 0.7 * losses[0], "{losses:?}");
     let path = temporary("paper.safetensors");
     run.export(&path, &serde_json::json!({})).unwrap();
-    let mut planner = Planner::load(&path, Device::Cpu).unwrap();
+    let mut model = TrajectoryModel::load(&path, Device::Cpu).unwrap();
     let scene = common::closing_pair();
-    let bitmap = planner.bitmap(&scene);
+    let bitmap = model.bitmap(&scene);
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
     let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
     let options = SampleOptions { solver_steps: Some(2), num_samples: 2, guidance_weight: 1.1 };
-    let plan = planner.plan(&[view], &options.into()).unwrap().remove(0);
+    let plan = model.plan(&[view], &options.into()).unwrap().remove(0);
     assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * 52 * 2, 2 * 3 * 52 * 6));
     assert!(plan.states.iter().all(|v| v.is_finite()));
 }
@@ -223,11 +223,11 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let run = trainer(&config, quick(1));
     let path = temporary("weights.safetensors");
     run.export(&path, &serde_json::json!({"licence": "test"})).unwrap();
-    let mut planner = Planner::load(&path, Device::Cpu).unwrap();
-    assert_eq!(planner.header()["notes"]["licence"], "test");
+    let mut model = TrajectoryModel::load(&path, Device::Cpu).unwrap();
+    assert_eq!(model.header()["notes"]["licence"], "test");
     let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
     let view = PlanInput { window: &window, bitmap: None, seed: 0, guide: None };
-    let short = planner.plan(&[view], &PlanOptions::default()).unwrap_err();
+    let short = model.plan(&[view], &PlanOptions::default()).unwrap_err();
     assert!(short.to_string().contains("expected 31"), "{short}");
     let bad = SampleOptions { guidance_weight: 0.4, ..SampleOptions::default() };
     assert!(
@@ -238,18 +238,18 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     );
     let empty = Window { num_steps: 31, ..Window::default() };
     let nobody = PlanInput { window: &empty, bitmap: None, seed: 0, guide: None };
-    assert!(planner.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
+    assert!(model.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
 
     let mut bytes = std::fs::read(&path).unwrap();
     bytes.truncate(bytes.len() - 40);
     std::fs::write(&path, bytes).unwrap();
-    assert!(matches!(Planner::load(&path, Device::Cpu), Err(ModelError::Checkpoint { .. })));
+    assert!(matches!(TrajectoryModel::load(&path, Device::Cpu), Err(ModelError::Checkpoint { .. })));
     let state = temporary("state.safetensors");
     run.save(&state).unwrap();
-    let text = Planner::load(&state, Device::Cpu).unwrap_err().to_string();
+    let text = TrajectoryModel::load(&state, Device::Cpu).unwrap_err().to_string();
     assert!(text.contains("ccdiff-training"), "{text}");
     let missing = temporary("missing.safetensors");
-    assert!(matches!(Planner::load(&missing, Device::Cpu), Err(ModelError::Io { .. })));
+    assert!(matches!(TrajectoryModel::load(&missing, Device::Cpu), Err(ModelError::Io { .. })));
 }
 
 #[test]

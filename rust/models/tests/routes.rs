@@ -7,8 +7,8 @@ mod common;
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig};
 use ccdiff_models::features::{self, Window, route_ahead};
-use ccdiff_models::planner::{PlanInput, PlanOptions, Planner};
 use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::Route;
@@ -69,10 +69,10 @@ fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
 
 /// Planned states of 16 seeds.
 fn planned(weights: &Path, window: &Window) -> Vec<f32> {
-    let mut planner = Planner::load(weights, Device::Cpu).unwrap();
+    let mut model = TrajectoryModel::load(weights, Device::Cpu).unwrap();
     let plan = |seed| {
         let view = PlanInput { window, bitmap: None, seed, guide: None };
-        planner.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
+        model.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
     };
     (0..16).flat_map(plan).collect()
 }

@@ -1,4 +1,4 @@
-//! Bindings of `ccdiff_models`: training runs and planners.
+//! Bindings of `ccdiff_models`: training runs and models.
 
 use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::{from_sim, policy_failed, py};
@@ -6,9 +6,9 @@ use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuidance};
-use ccdiff_models::planner::{Plan, PlanInput, PlanOptions, Planner};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
+use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_models::{ModelError, device_named};
 use ccdiff_sim::geom::Region;
 use ccdiff_sim::options::read;
@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyTrainer>()?;
-    module.add_class::<PyPlanner>()?;
+    module.add_class::<PyTrajectoryModel>()?;
     module.add_function(wrap_pyfunction!(model_preset, module)?)?;
     module.add_function(wrap_pyfunction!(guidance_preset, module)?)?;
     module.add_function(wrap_pyfunction!(training_settings, module)?)
@@ -209,16 +209,16 @@ impl PyTrainer {
 }
 
 /// A loaded network that plans for scenes.
-#[pyclass(frozen, name = "Planner", module = "ccdiff_env._models")]
-struct PyPlanner(Mutex<Planner>);
+#[pyclass(frozen, name = "TrajectoryModel", module = "ccdiff_env._models")]
+struct PyTrajectoryModel(Mutex<TrajectoryModel>);
 
 #[pymethods]
-impl PyPlanner {
+impl PyTrajectoryModel {
     #[new]
     fn new(py: Python<'_>, path: PathBuf, device: &str) -> PyResult<Self> {
         let device = device_named(device).map_err(from_model)?;
-        let planner = py.detach(|| Planner::load(&path, device)).map_err(from_model)?;
-        Ok(Self(Mutex::new(planner)))
+        let model = py.detach(|| TrajectoryModel::load(&path, device)).map_err(from_model)?;
+        Ok(Self(Mutex::new(model)))
     }
 
     /// The file's header as JSON.
@@ -293,16 +293,16 @@ impl Logged<'_> {
 }
 
 fn plan_logged(
-    planner: &mut Planner,
+    model: &mut TrajectoryModel,
     logged: &Logged<'_>,
     options: &PlanOptions,
 ) -> ccdiff_models::Result<Vec<Plan>> {
-    let (history, points_m) = (planner.config().history_steps, planner.config().route_points_m.clone());
+    let (history, points_m) = (model.config().history_steps, model.config().route_points_m.clone());
     if logged.follow_route && points_m.is_empty() {
         let expected = "False: these weights were trained without routes";
         return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
     }
-    let bitmaps: Vec<_> = logged.scenes.iter().map(|s| planner.bitmap(s)).collect();
+    let bitmaps: Vec<_> = logged.scenes.iter().map(|s| model.bitmap(s)).collect();
     let windows: Vec<Window> = logged
         .scenes
         .iter()
@@ -338,7 +338,7 @@ fn plan_logged(
             }),
         })
         .collect();
-    planner.plan(&worlds, options)
+    model.plan(&worlds, options)
 }
 
 /// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`

@@ -47,7 +47,7 @@ fn default_world_config() -> PyResult<String> {
     to_json(&WorldConfig::default())
 }
 
-/// The schema of the figures of a step as JSON: name, unit and meaning of each column.
+/// the schema of the info columns of a step as JSON: name, unit and meaning of each column.
 #[pyfunction]
 fn columns_json() -> PyResult<String> {
     to_json(&COLUMNS)

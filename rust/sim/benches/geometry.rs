@@ -109,7 +109,7 @@ fn traffic(map: &Map, num_agents: usize, apart: bool) -> (AgentStates, Vec<Footp
             at.position.y + aside * at.cos,
             at.heading_rad + askew,
         );
-        states.place(agent, pose, pose.rotate(Vector2::new(10.0 * numbers.next(), 0.0)));
+        states.set_pose(agent, pose, pose.rotate(Vector2::new(10.0 * numbers.next(), 0.0)));
         states.active[agent] = true;
         let own = states.oriented_box(agent, &footprint);
         let hits = |other: usize| own.overlaps(&states.oriented_box(other, &footprint));

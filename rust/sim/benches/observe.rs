@@ -73,7 +73,7 @@ fn states_at(scene: &Scene, step_idx: usize) -> AgentStates {
     for a in 0..scene.num_agents() {
         let at = scene.at(a, step_idx);
         let p = scene.tracks.position[at];
-        states.place(a, Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]), scene.tracks.velocity[at]);
+        states.set_pose(a, Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]), scene.tracks.velocity[at]);
         states.active[a] = true;
     }
     states

@@ -149,7 +149,7 @@ impl AgentStates {
     }
 
     /// Puts an agent at a pose with a velocity of the scene frame; acceleration and yaw rate become zero.
-    pub fn place(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2) {
+    pub fn set_pose(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2) {
         self.x[agent_idx] = pose.position.x;
         self.y[agent_idx] = pose.position.y;
         self.heading_rad[agent_idx] = pose.heading_rad;

@@ -202,7 +202,7 @@ proptest! {
         for model in models() {
             let mut states = AgentStates::new(2);
             let pose = Pose2::new(start.x, start.y, start.heading_rad);
-            states.place(1, pose, pose.rotate(Vector2::new(start.speed_mps, 0.0)));
+            states.set_pose(1, pose, pose.rotate(Vector2::new(start.speed_mps, 0.0)));
             states.speed_mps[1] = start.speed_mps;
             let mut state = start;
             model.step(&mut state, u, DT_S, &car());

@@ -16,7 +16,7 @@ fn cars(cars: &[(f32, f32, f32, f32)]) -> (AgentStates, Vec<Footprint>, Vec<Agen
     let mut states = AgentStates::new(cars.len());
     for (i, (x, y, heading, speed)) in cars.iter().enumerate() {
         let pose = Pose2::new(*x, *y, *heading);
-        states.place(i, pose, pose.rotate(Vector2::new(*speed, 0.0)));
+        states.set_pose(i, pose, pose.rotate(Vector2::new(*speed, 0.0)));
         states.active[i] = true;
     }
     (states, vec![Footprint::new(4.0, 2.0); cars.len()], vec![AgentKind::Vehicle; cars.len()])

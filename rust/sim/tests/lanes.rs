@@ -36,7 +36,7 @@ fn road() -> Map {
 
 fn wrong_way(index: &LaneIndex, x: f32, y: f32, heading: f32) -> bool {
     let mut states = AgentStates::new(1);
-    states.place(0, Pose2::new(x, y, heading), Vector2::zeros());
+    states.set_pose(0, Pose2::new(x, y, heading), Vector2::zeros());
     lane_facts(&states, 0, index, 10.0).wrong_way
 }
 

@@ -3,8 +3,8 @@
 use crate::config::ModelKind;
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
-use crate::planner::PlanOptions;
 use crate::sampler::SampleOptions;
+use crate::trajectory_model::PlanOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{Form, Setting, at_least, within};

@@ -20,8 +20,8 @@ pub use config::{
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::planner::{PlanOptions, Planner};
 use crate::raster::MapBitmap;
+use crate::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
@@ -36,7 +36,7 @@ use sync_wrapper::SyncWrapper;
 /// Traffic of a batch of worlds that follows the plans of a network.
 pub struct PlannedTraffic {
     /// A network for each thread of the pool; used by `plan` alone, which nobody else can enter meanwhile.
-    planners: SyncWrapper<Vec<Planner>>,
+    copies: SyncWrapper<Vec<TrajectoryModel>>,
     /// Threads that plan, in each of which torch uses one thread: operations of torch never wait for one another.
     /// `None` on another device than the processor: the caller's thread plans.
     pool: Option<ThreadPool>,
@@ -60,25 +60,25 @@ impl PlannedTraffic {
         let device = crate::device_named(config.device.name())?;
         let num_threads = (device == tch::Device::Cpu).then_some(num_threads.max(1));
         let load = |_| {
-            let mut planner = Planner::load(weights, device)?;
+            let mut model = TrajectoryModel::load(weights, device)?;
             if config.graph == GraphMode::Full {
-                planner.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
+                model.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
             }
-            Ok(planner)
+            Ok(model)
         };
-        let planners = (0..num_threads.unwrap_or(1)).map(load).collect::<Result<Vec<_>>>()?;
-        let model = planners[0].config().clone();
+        let copies = (0..num_threads.unwrap_or(1)).map(load).collect::<Result<Vec<_>>>()?;
+        let model = copies[0].config().clone();
         config.validate(model.horizon_steps)?;
         config.check_kind(model.kind)?;
         if config.follow_route && model.route_points_m.is_empty() {
             let expected = "false: these weights were trained without routes";
             return Err(ModelError::Config { field: "ccdiff.follow_route", got: "true".into(), expected });
         }
-        planners[0].check_solver_steps(config.sampling().solver_steps)?;
+        copies[0].check_solver_steps(config.sampling().solver_steps)?;
         let (guided, unguided) = (config.guided()?, config.unguided());
-        let planners = SyncWrapper::new(planners);
+        let copies = SyncWrapper::new(copies);
         let pool = num_threads.map(planning_pool).transpose()?;
-        Ok(Self { planners, pool, model, config, guided, unguided, bitmaps: Vec::new() })
+        Ok(Self { copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }
 
     /// Kind of the network.

@@ -7,9 +7,9 @@ use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
 use crate::noise::Noise;
-use crate::planner::{Plan, PlanInput, PlanOptions, Planner};
 use crate::raster::MapBitmap;
 use crate::sampler::SampleOptions;
+use crate::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::{Real, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::scene::Scene;
@@ -236,18 +236,18 @@ impl PlannedTraffic {
             }
         }
         let next = AtomicUsize::new(0);
-        let work = |planner: &mut Planner| {
+        let work = |model: &mut TrajectoryModel| {
             let mut own = Vec::new();
             loop {
                 let at = next.fetch_add(1, Ordering::Relaxed);
                 let Some((views, options)) = shards.get(at) else { return own };
-                own.push((at, planner.plan(views, options)));
+                own.push((at, model.plan(views, options)));
             }
         };
-        let planners = self.planners.get_mut();
+        let copies = self.copies.get_mut();
         let made: Vec<Vec<_>> = match &self.pool {
-            Some(pool) => pool.install(|| planners.par_iter_mut().map(work).collect()),
-            None => planners.iter_mut().map(work).collect(),
+            Some(pool) => pool.install(|| copies.par_iter_mut().map(work).collect()),
+            None => copies.iter_mut().map(work).collect(),
         };
         let mut made: Vec<_> = made.into_iter().flatten().collect();
         made.sort_unstable_by_key(|(at, _)| *at);
@@ -316,7 +316,7 @@ impl PlannedTraffic {
     }
 }
 
-/// What the planner sees of a world, whose rows `moved` says guidance moves, and at which scale.
+/// What the model sees of a world, whose rows `moved` says guidance moves, and at which scale.
 fn view_of<'a>(
     due: &'a PreparedRequest<'_>,
     (moved, guidance_scale): &'a (Vec<bool>, Real),

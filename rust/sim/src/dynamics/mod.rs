@@ -136,7 +136,7 @@ impl Dynamics {
         let motion =
             self.advance(&mut after, states.cos[agent_idx], states.sin[agent_idx], action, dt_s, footprint);
         let pose = Pose2::new(after.x, after.y, after.heading_rad);
-        states.place(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, motion.lateral_mps)));
+        states.set_pose(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, motion.lateral_mps)));
         // `place` rounds the speed through the rotation
         states.speed_mps[agent_idx] = after.speed_mps;
         states.acceleration_mps2[agent_idx] = (after.speed_mps - before.speed_mps) / dt_s;

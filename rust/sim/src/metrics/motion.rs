@@ -124,7 +124,7 @@ impl<'a> Trajectories<'a> {
         for agent in 0..self.num_agents() {
             out.active[agent] = self.is_valid(agent, step_idx);
             if out.active[agent] {
-                out.place(agent, self.pose(agent, step_idx), self.velocity(agent, step_idx));
+                out.set_pose(agent, self.pose(agent, step_idx), self.velocity(agent, step_idx));
             }
         }
     }

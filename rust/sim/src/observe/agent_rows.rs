@@ -1,6 +1,6 @@
 //! Rows of other agents.
 
-use super::column::{Column, clip};
+use super::column::{ObservationColumn, clip};
 use super::columns::{AGENTS, Entry};
 use super::frame::{F32x8, Frame, Group, LANES, fill_agents};
 use super::nearest_agents::NearestAgents;
@@ -30,7 +30,7 @@ struct Columns {
 #[derive(Debug, Clone)]
 struct PairColumn {
     at: usize,
-    column: &'static Column,
+    column: &'static ObservationColumn,
     factor: Real,
     fill: fn(&Pairs<'_>, Target<'_>),
 }
@@ -180,7 +180,8 @@ impl Columns {
         self.fixed.clear();
         self.fixed.resize(footprints.len(), F32x8::default());
         for (lane, entry) in self.entries.iter().enumerate() {
-            let (Column { scale, low, high, .. }, OfAgent::Fixed(number)) = (&entry.column, entry.source)
+            let (ObservationColumn { scale, low, high, .. }, OfAgent::Fixed(number)) =
+                (&entry.column, entry.source)
             else {
                 continue;
             };

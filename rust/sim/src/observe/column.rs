@@ -5,7 +5,7 @@ use serde::Serialize;
 
 /// One number of a row: what it is, and value = clip(quantity / scale, low, high).
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Column {
+pub struct ObservationColumn {
     /// Name.
     pub name: &'static str,
     /// Unit of the quantity.

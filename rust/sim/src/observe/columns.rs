@@ -1,6 +1,6 @@
 //! The table of columns: what each number of a row means and how it is computed. A new column is one entry here.
 
-use super::column::{Axis, Column};
+use super::column::{Axis, ObservationColumn};
 use super::map_segments::SegmentKind;
 use super::source::{OfAgent, OfEgo, OfSegment};
 use crate::events::time_to_contact;
@@ -11,7 +11,7 @@ use OfAgent::{Direction, Fixed, OnRoute, Pair, Place, Speed, Velocity};
 /// A column and where its quantity comes from.
 #[derive(Debug, Clone)]
 pub(super) struct Entry<S> {
-    pub(super) column: Column,
+    pub(super) column: ObservationColumn,
     pub(super) source: S,
 }
 
@@ -23,12 +23,12 @@ const fn entry<S: Copy>(
     doc: &'static str,
     source: S,
 ) -> Entry<S> {
-    Entry { column: Column { name, unit, scale, low, high, doc, in_default: true }, source }
+    Entry { column: ObservationColumn { name, unit, scale, low, high, doc, in_default: true }, source }
 }
 
 /// A column that rows have only where it is asked for by name.
 const fn on_request<S: Copy>(entry: Entry<S>) -> Entry<S> {
-    Entry { column: Column { in_default: false, ..entry.column }, source: entry.source }
+    Entry { column: ObservationColumn { in_default: false, ..entry.column }, source: entry.source }
 }
 
 /// Bounds of numbers of either sign, and of numbers that are not negative.

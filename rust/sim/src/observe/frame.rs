@@ -1,6 +1,6 @@
 //! The frame of the observing agent, and rows of any columns in it, eight numbers at a time.
 
-use super::column::{Axis, Column, clip};
+use super::column::{Axis, ObservationColumn, clip};
 use crate::geom::{Pose2, Real};
 use crate::simd_dispatch::simd_dispatch;
 
@@ -77,7 +77,7 @@ impl Group {
     }
 
     /// Makes a column a component of the vector whose components are the numbers `first` and `first + 1`.
-    pub(super) fn set_vector(&mut self, lane: usize, first: usize, axis: Axis, column: &Column) {
+    pub(super) fn set_vector(&mut self, lane: usize, first: usize, axis: Axis, column: &ObservationColumn) {
         (self.own[lane], self.other[lane]) = axis.own_and_other([first as i32, first as i32 + 1]);
         self.rotated[lane] = u32::MAX;
         self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
@@ -85,7 +85,7 @@ impl Group {
     }
 
     /// Makes a column one of the numbers.
-    pub(super) fn set_number(&mut self, lane: usize, at: usize, column: &Column) {
+    pub(super) fn set_number(&mut self, lane: usize, at: usize, column: &ObservationColumn) {
         self.own[lane] = at as i32;
         // −0 added to a number leaves its bits
         self.sign[lane] = SIGN;
@@ -97,7 +97,7 @@ impl Group {
         self.factor != [0.0; LANES]
     }
 
-    fn scale(&mut self, lane: usize, column: &Column) {
+    fn scale(&mut self, lane: usize, column: &ObservationColumn) {
         self.factor[lane] = 1.0 / column.scale;
         (self.low.0[lane], self.high.0[lane]) = (column.low, column.high);
     }
@@ -259,7 +259,7 @@ mod tests {
             let frame = Frame::new(&Pose2::new(pose[0], pose[1], pose[2]));
             let mut group = Group::new();
             for lane in 0..LANES {
-                let column = Column {
+                let column = ObservationColumn {
                     name: "", unit: "", scale: scale[lane], low: -1.0, high: 1.0, doc: "", in_default: true,
                 };
                 match lane % 3 {

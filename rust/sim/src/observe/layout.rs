@@ -1,7 +1,7 @@
 //! The schema of an observation row.
 
 use super::bev::{BEV_CHANNELS, BevChannel, BevConfig};
-use super::column::Column;
+use super::column::ObservationColumn;
 use super::columns::{self, AGENTS, EGO, MAP, ROUTE};
 use super::map_segments::MAX_SEGMENTS;
 use crate::error::{Result, SimError};
@@ -61,7 +61,7 @@ pub struct Entry {
     /// Values or mask.
     pub kind: EntryKind,
     /// Columns, the last axis of values; empty for masks.
-    pub columns: Vec<Column>,
+    pub columns: Vec<ObservationColumn>,
 }
 
 /// The bird's-eye raster beside the row.
@@ -89,11 +89,11 @@ pub struct Layout {
     pub(crate) chosen: [Vec<usize>; 3],
 }
 
-fn columns_of<W>(table: &[columns::Entry<W>]) -> Vec<Column> {
+fn columns_of<W>(table: &[columns::Entry<W>]) -> Vec<ObservationColumn> {
     table.iter().map(|entry| entry.column.clone()).collect()
 }
 
-fn choose(field: &'static str, all: &[Column], names: Option<&Vec<String>>) -> Result<Vec<usize>> {
+fn choose(field: &'static str, all: &[ObservationColumn], names: Option<&Vec<String>>) -> Result<Vec<usize>> {
     let Some(names) = names else {
         return Ok((0..all.len()).filter(|i| all[*i].in_default).collect());
     };
@@ -125,7 +125,8 @@ impl Layout {
             choose("observation.agent_columns", &agent, c.agent_columns.as_ref())?,
             choose("observation.map_columns", &map, c.map_columns.as_ref())?,
         ];
-        let pick = |all: &[Column], which: &[usize]| which.iter().map(|i| all[*i].clone()).collect();
+        let pick =
+            |all: &[ObservationColumn], which: &[usize]| which.iter().map(|i| all[*i].clone()).collect();
         let mut layout = Self {
             entries: Vec::new(),
             size: 0,
@@ -144,7 +145,12 @@ impl Layout {
         Ok(layout)
     }
 
-    fn push(&mut self, name: &'static str, rows: Option<(&'static str, usize)>, columns: Vec<Column>) {
+    fn push(
+        &mut self,
+        name: &'static str,
+        rows: Option<(&'static str, usize)>,
+        columns: Vec<ObservationColumn>,
+    ) {
         let width = columns.len();
         let shape = rows.map_or_else(|| vec![width], |(_, n)| vec![n, width]);
         let size: usize = shape.iter().product();

@@ -21,7 +21,7 @@ mod source;
 mod view;
 
 pub use bev::{BEV_CHANNELS, BevChannel, BevConfig};
-pub use column::Column;
+pub use column::ObservationColumn;
 pub use layout::{Entry, EntryKind, Layout, ObservationConfig};
 pub use map_segments::{MapSegments, Segment, SegmentKind};
 pub use observer::Observer;

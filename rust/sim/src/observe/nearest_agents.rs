@@ -232,7 +232,7 @@ mod tests {
     fn states(places: &[(i16, i16, bool)]) -> AgentStates {
         let mut states = AgentStates::new(places.len());
         for (a, (x, y, active)) in places.iter().enumerate() {
-            states.place(a, Pose2::new(Real::from(*x), Real::from(*y), 0.0), Vector2::zeros());
+            states.set_pose(a, Pose2::new(Real::from(*x), Real::from(*y), 0.0), Vector2::zeros());
             states.active[a] = *active;
         }
         states

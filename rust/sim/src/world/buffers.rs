@@ -172,7 +172,7 @@ step_arrays! { $
     truncated: bool, [Slots];
     /// Whether the slot's agent goes on after this step [E, C].
     alive: bool, [Slots];
-    /// Figures of the step [E, C, M], see [`super::COLUMNS`].
+    /// Info columns of the step [E, C, M], see [`super::COLUMNS`].
     columns: f32, [Slots, Columns];
     /// Whether the world's episode ended in this step [E].
     done: bool, [];
@@ -187,7 +187,7 @@ step_arrays! { $
 }
 
 impl StepBuffers<'_> {
-    /// Rewards, endings and figures of a step in which nothing happened.
+    /// Rewards, endings and info columns of a step in which nothing happened.
     pub(crate) fn clear_step(&mut self) {
         self.reward.fill(0.0);
         self.terminated.fill(false);

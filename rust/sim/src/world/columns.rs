@@ -1,4 +1,4 @@
-//! The table of rewards and figures of a step: a new reward component, or a new figure of `info`, is one entry here.
+//! The table of rewards and info columns of a step: a new reward component, or a new column of `info`, is one entry here.
 //!
 //! The weights of the configuration, the columns of the buffers, the metrics of episodes and the tables of the pages are
 //! made from it.
@@ -10,9 +10,9 @@ use crate::options;
 use crate::options::{Range, within};
 use serde::Serialize;
 
-/// One figure.
+/// A column of `info`, or a metric of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Column {
+pub struct InfoColumn {
     /// Name, also the key in `info`.
     pub name: &'static str,
     /// Unit; empty for flags, counts and weighted rewards.
@@ -33,7 +33,7 @@ choices! {
     }
 }
 
-/// What the rewards and figures of a slot's step are made from.
+/// What the rewards and info columns of a slot's step are made from.
 pub(crate) struct Step {
     /// A contact that begins in this step.
     pub(crate) contact: Option<Contact>,
@@ -110,7 +110,7 @@ macro_rules! columns {
             $(#[doc = $about:literal])+
             $component:ident, $weight:ident = $default:expr, $what:literal, $reward:expr;
         )*}
-        figures {$($variant:ident, $name:literal, $unit:literal, $doc:literal, $value:expr;)*}
+        info {$($variant:ident, $name:literal, $unit:literal, $doc:literal, $value:expr;)*}
     ) => {
         options! {
             /// Weights of the reward components; the reward is their sum, or a product of factors.
@@ -125,15 +125,15 @@ macro_rules! columns {
             }
         }
 
-        /// Position of each figure in a slot's row.
+        /// Position of each column in a slot's row.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         #[repr(usize)]
         pub enum Col { $(#[doc = $what] $component,)* $(#[doc = $doc] $variant,)* }
 
-        /// All figures in the order of [`Col`]: those of the reward components come first.
-        pub const COLUMNS: &[Column] = &[
-            $(Column { name: concat!("reward_", stringify!($weight)), unit: "", doc: $what },)*
-            $(Column { name: $name, unit: $unit, doc: $doc },)*
+        /// All columns in the order of [`Col`]: those of the reward components come first.
+        pub const COLUMNS: &[InfoColumn] = &[
+            $(InfoColumn { name: concat!("reward_", stringify!($weight)), unit: "", doc: $what },)*
+            $(InfoColumn { name: $name, unit: $unit, doc: $doc },)*
         ];
 
         /// Number of reward components, whose columns come first.
@@ -186,7 +186,7 @@ columns! {
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
     }
     // name, unit, what it is, and the value from the step; success and time limit are known when the rest is
-    figures {
+    info {
         Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
             |s| flag(s.contact.is_some());
         CollisionKind, "collision_kind", "", "side of this agent that is hit: 0 none, 1 front, 2 rear, 3 side",
@@ -234,13 +234,13 @@ columns! {
     }
 }
 
-/// Number of figures M.
+/// Number of columns M.
 pub const NUM_COLUMNS: usize = COLUMNS.len();
 
-/// What stays in the figures of a decision once it has happened: the collision, with its facts.
+/// What stays in the columns of a decision once it has happened: the collision, with its details.
 const CONTACT: [Col; 4] = [Col::Collision, Col::CollisionKind, Col::CollisionPartner, Col::AtFault];
 
-/// Reward and figures of a slot over the steps of a decision so far.
+/// Reward and info columns of a slot over the steps of a decision so far.
 pub(crate) struct Earlier {
     reward: f32,
     columns: [f32; NUM_COLUMNS],
@@ -254,8 +254,8 @@ impl Earlier {
         Self { reward, columns }
     }
 
-    /// Joins them to the figures of the next step and returns the sum of the rewards: components add up, a collision
-    /// and the reached goal stay, the other figures are those of the step.
+    /// Joins them to the columns of the next step and returns the sum of the rewards: components add up, a collision
+    /// and the reached goal stay, the other columns are those of the step.
     pub(crate) fn join(&self, reward: f32, row: &mut [f32]) -> f32 {
         for (value, earlier) in row.iter_mut().zip(&self.columns).take(NUM_COMPONENTS) {
             *value += earlier;

@@ -180,7 +180,7 @@ impl Episode {
     /// Puts an agent at its logged state of the present step.
     pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize) {
         let Some((pose, _)) = scene.log.at(agent_idx, self.step_idx) else { return };
-        self.states.place(agent_idx, pose, self.velocity_at_entry(&scene.scene, agent_idx));
+        self.states.set_pose(agent_idx, pose, self.velocity_at_entry(&scene.scene, agent_idx));
         self.states.active[agent_idx] = true;
         self.entered[agent_idx] = true;
         self.route_s_m[agent_idx] = if self.elapsed_steps == 0 {
@@ -262,9 +262,9 @@ impl Episode {
     }
 
     /// Moves an agent: accelerations and yaw rates follow from where it was.
-    pub(crate) fn place(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2, dt_s: Real) {
+    pub(crate) fn set_pose(&mut self, agent_idx: usize, pose: Pose2, velocity: Vector2, dt_s: Real) {
         let (speed, heading) = (self.states.speed_mps[agent_idx], self.states.heading_rad[agent_idx]);
-        self.states.place(agent_idx, pose, velocity);
+        self.states.set_pose(agent_idx, pose, velocity);
         self.states.acceleration_mps2[agent_idx] = (self.states.speed_mps[agent_idx] - speed) / dt_s;
         self.states.yaw_rate_radps[agent_idx] =
             crate::geom::math::wrap_angle(pose.heading_rad - heading) / dt_s;

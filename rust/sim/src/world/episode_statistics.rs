@@ -1,15 +1,15 @@
-//! What is summed up over an episode, from the figures of its steps.
+//! What is summed up over an episode, from the info columns of its steps.
 
 use crate::geom::Real;
-use crate::world::columns::{COLUMNS, Col, Column, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
+use crate::world::columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
 use serde::{Deserialize, Serialize};
 
-const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> Column {
-    Column { name, unit, doc }
+const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> InfoColumn {
+    InfoColumn { name, unit, doc }
 }
 
 /// Metrics of an episode, in the order of [`Metrics`]: those below, then the sums of the reward components.
-pub const METRICS: &[Column] = &{
+pub const METRICS: &[InfoColumn] = &{
     let mut all = [OWN[0]; OWN.len() + NUM_COMPONENTS];
     let mut i = 0;
     while i < all.len() {
@@ -23,7 +23,7 @@ pub const METRICS: &[Column] = &{
     all
 };
 
-const OWN: &[Column] = &[
+const OWN: &[InfoColumn] = &[
     metric("return", "", "sum of the rewards"),
     metric("length", "", "steps"),
     metric("collision", "", "1 if the agent ever collided"),

@@ -44,7 +44,7 @@ pub(super) fn halt(e: &mut Episode, scene: &PreparedScene, collisions: &mut Coll
                 e.halted[a] = true;
                 let velocity = e.states.velocity(a);
                 let pose = at_contact(e, scene, a, other, &before[a]);
-                e.states.place(a, pose, velocity);
+                e.states.set_pose(a, pose, velocity);
             }
         }
     }

@@ -299,7 +299,7 @@ impl VecWorld {
             let a = agent?;
             let (pose, velocity) = scene.log.at(a, e.step_idx + 1)?;
             let mut next = AgentStates::new(1);
-            next.place(0, pose, velocity);
+            next.set_pose(0, pose, velocity);
             let (from, to) = (e.states.kin_state(a), next.kin_state(0));
             let physical =
                 self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.footprints[a]);

@@ -34,7 +34,7 @@ impl Log {
                 let at = scene.at(a, step_idx);
                 let p = scene.tracks.position[at];
                 let pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
-                states.place(first + a, pose, scene.tracks.velocity[at]);
+                states.set_pose(first + a, pose, scene.tracks.velocity[at]);
                 states.active[first + a] = true;
             }
         }

@@ -42,7 +42,7 @@ mod traffic;
 pub use actions::ActionDecoder;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
-pub use columns::{COLUMNS, Col, Column, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
+pub use columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
     WorldConfig,
@@ -259,7 +259,7 @@ impl VecWorld {
     /// One decision of all worlds: every action is held for `decision_steps` steps, or up to the end of its world's
     /// episode. `actions` [E, C, width] are normalised numbers or grid indices; those of agents that are not driven
     /// from outside are ignored. Rewards and their components are sums over the steps held; observations and the
-    /// other figures are those of the last one, and accidents stay in the figures from the step on that they
+    /// other columns are those of the last one, and accidents stay in the columns from the step on that they
     /// happened in.
     ///
     /// Without `active` [E] all worlds go on. A world that rests stays bit for bit as it is, may be one that has ended or

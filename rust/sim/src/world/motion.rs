@@ -23,7 +23,7 @@ impl World {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
             if slot.stopped {
                 let pose = e.states.pose(a);
-                e.states.place(a, pose, Vector2::zeros());
+                e.states.set_pose(a, pose, Vector2::zeros());
             } else if e.drivers[a] == Driver::External {
                 let footprint = &self.scene.footprints[a];
                 shared.decoder.dynamics().step_agent(
@@ -42,18 +42,18 @@ impl World {
             let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
             match (motion, slot) {
                 (_, Some(slot)) if slot.stopped => {}
-                (AgentMotion::Place(pose, velocity), Some(_)) => e.place(a, pose, velocity, config.dt_s),
+                (AgentMotion::Place(pose, velocity), Some(_)) => e.set_pose(a, pose, velocity, config.dt_s),
                 // an agent with a slot waits where its policy has no more way for it
                 (AgentMotion::Leave, Some(_)) => {
                     let pose = e.states.pose(a);
-                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                    e.set_pose(a, pose, Vector2::zeros(), config.dt_s);
                 }
                 (_, None) if e.halted[a] && !log_ended => {
                     let pose = e.states.pose(a);
-                    e.place(a, pose, Vector2::zeros(), config.dt_s);
+                    e.set_pose(a, pose, Vector2::zeros(), config.dt_s);
                 }
                 (AgentMotion::Place(pose, velocity), None) if !log_ended => {
-                    e.place(a, pose, velocity, config.dt_s);
+                    e.set_pose(a, pose, velocity, config.dt_s);
                 }
                 _ => e.states.active[a] = false,
             }

@@ -1,4 +1,4 @@
-//! Phase "reward" of a tick: scores, figures, and whose episode ends by what.
+//! Phase "reward" of a tick: scores, info columns, and whose episode ends by what.
 
 use crate::world::buffers::StepBuffers;
 use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
@@ -46,7 +46,7 @@ impl Outcome {
 }
 
 impl World {
-    /// Rewards and figures of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
+    /// Rewards and info columns of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
     pub(super) fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut StepBuffers<'_>) -> bool {
         let e = &mut self.episode;
         let at_end = e.elapsed_steps >= config.horizon_steps

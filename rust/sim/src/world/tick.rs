@@ -27,7 +27,7 @@ pub enum TickPhase {
     Move = 1,
     /// Collisions, road, lanes.
     Events = 2,
-    /// Rewards, figures, endings.
+    /// Rewards, info columns, endings.
     Reward = 3,
     /// Observations written.
     Observe = 4,

@@ -16,12 +16,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
 
-/// What a planner sees of one world.
+/// What a model sees of one world.
 #[derive(Debug, Clone, Copy)]
 pub struct PlanInput<'a> {
     /// States of the world's vehicles over the last steps.
     pub window: &'a Window,
-    /// The scene's map, drawn once by [`Planner::bitmap`].
+    /// The scene's map, drawn once by [`TrajectoryModel::bitmap`].
     pub bitmap: Option<&'a MapBitmap>,
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
@@ -134,7 +134,7 @@ impl Plan {
 
 /// A loaded network.
 #[derive(Debug)]
-pub struct Planner {
+pub struct TrajectoryModel {
     network: Box<dyn PlanModel>,
     header: serde_json::Value,
     store: nn::VarStore,
@@ -143,7 +143,7 @@ pub struct Planner {
     inputs: ModelConfig,
 }
 
-impl Planner {
+impl TrajectoryModel {
     /// Loads a weight file, checking every name and shape.
     ///
     /// # Errors

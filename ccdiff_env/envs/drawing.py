@@ -1,4 +1,4 @@
-"""How environments draw: options of pictures, and the window of ``render_mode="human"``."""
+"""How environments draw: options of images, and the window of ``render_mode="human"``."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.errors import ConfigError, MissingFeatureError, renamed
 from ccdiff_env.scenes import Scene
 
 Image = npt.NDArray[np.uint8]
 
-#: Pictures per second of simulated time.
+#: Images per second of simulated time.
 FPS = 10
 
-#: Options of a picture: width and height in pixels, metres across, agent id or (x, y) in the middle
+#: Options of an image: width and height in pixels, metres across, agent id or (x, y) in the middle
 #: (the ego by default), whether its heading points up, what is drawn, and on which ground.
-PICTURE: dict[str, Any] = {
+RENDER_OPTIONS: dict[str, Any] = {
     "size": (640, 640),
     "span_m": 90.0,
     "centre": None,
@@ -33,18 +33,25 @@ PICTURE: dict[str, Any] = {
 }
 
 
-def picture_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the options of pictures with defaults filled in.
+def checked_render_options(
+    given: Mapping[str, Any] | None, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the options of images with defaults filled in.
+
+    ``options`` are other arguments of the environment: ``picture`` among them is the former name.
 
     Raises
     ------
     ConfigError
         If a name is unknown.
     """
-    for name in options or {}:
-        if name not in PICTURE:
-            raise unknown("picture option", str(name), PICTURE)
-    return {**PICTURE, **(options or {})}
+    names = {"picture": "render_options"}
+    for name in [name for name in options if renamed("argument", name, names) != name]:
+        given = options.pop(name)
+    for name in given or {}:
+        if name not in RENDER_OPTIONS:
+            raise unknown("render option", str(name), RENDER_OPTIONS)
+    return {**RENDER_OPTIONS, **(given or {})}
 
 
 def check_render_mode(mode: str | None, known: tuple[str, ...]) -> None:
@@ -54,7 +61,7 @@ def check_render_mode(mode: str | None, known: tuple[str, ...]) -> None:
 
 
 class Window:
-    """A window that shows pictures at their pace; needs pygame."""
+    """A window that shows images at their pace; needs pygame."""
 
     def __init__(self, title: str) -> None:
         try:
@@ -69,7 +76,7 @@ class Window:
         self._clock: Any = None
 
     def show(self, image: Image) -> None:
-        """Show a picture [H, W, 3] and wait until its time is over."""
+        """Show an image [H, W, 3] and wait until its time is over."""
         pygame = self._pygame
         size = (image.shape[1], image.shape[0])
         if self._screen is None:
@@ -91,11 +98,11 @@ class Window:
 
 
 class DrawnWorld:
-    """What every environment of one world has: its scene, and pictures of it."""
+    """What every environment of one world has: its scene, and images of it."""
 
     worlds: Worlds
     render_mode: str | None
-    _picture: dict[str, Any]
+    _render_options: dict[str, Any]
     _window: Window | None = None
     #: Title of the window.
     _title = "ccdiff_env"
@@ -111,14 +118,14 @@ class DrawnWorld:
         return self.worlds.scenes[self.worlds.native.status(0).scene_idx]
 
     def render(self) -> Image | None:
-        """Return a picture [H, W, 3], show it, or do nothing, as the render mode says."""
+        """Return an image [H, W, 3], show it, or do nothing, as the render mode says."""
         if self.render_mode is None:
             gymnasium.logger.warn(
                 "render() was called without a render mode: make the environment with "
                 'render_mode="rgb_array" or "human".'
             )
             return None
-        image: Image = self.worlds.native.render(0, **self._picture)
+        image: Image = self.worlds.native.render(0, **self._render_options)
         if self.render_mode == "rgb_array":
             return image
         if self._window is None:
