@@ -322,6 +322,11 @@ def test_a_grid_fits_a_phone(visit):
     assert len({x for x, *_ in tiles}) == 2
     assert min(width for *_, width, _ in tiles) > 150
     assert min(height for *_, height in tiles) > 200
+    maps, captions = page.locator(".map").all(), page.locator(".pane-caption").all()
+    for place, caption in zip(maps, captions, strict=True):
+        map_box, box = place.bounding_box(), caption.bounding_box()
+        assert box["y"] + box["height"] <= map_box["y"] + 0.5  # above the map, not on it
+        assert map_box["height"] > 150
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     button = page.locator(".enlarge").first.bounding_box()
     assert min(button["width"], button["height"]) >= 44

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.files import file_name
-from ccdiff_env.render import Image
+from ccdiff_env.render import THEMES, Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
@@ -30,8 +30,8 @@ class Entry:
     title: str
     line: str
     outcome: Outcome
-    image: str
-    """Address of the thumbnail: a data address."""
+    images: tuple[str, ...]
+    """Data addresses of the thumbnail on light and on dark ground, or none."""
 
 
 def write_pages(
@@ -91,13 +91,15 @@ def entry(rollout: Rollout, title: str, page: str, *, image: bool = True) -> Ent
         title=title,
         line=subtitle(rollout),
         outcome=fate,
-        image=_data_address(thumbnail(rollout, moment)) if image else "",
+        images=tuple(_data_address(thumbnail(rollout, moment, theme)) for theme in THEMES)
+        if image
+        else (),
     )
 
 
-def thumbnail(rollout: Rollout, opening_s: float | None) -> Image:
+def thumbnail(rollout: Rollout, opening_s: float | None, theme: str = "light") -> Image:
     """The moment that matters, else the middle."""
-    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
+    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme)
     last = rollout.num_steps - 1
     if opening_s is None:
         return video.frame(last // 2)
@@ -108,7 +110,8 @@ def _data_address(image: Image) -> str:
     from ccdiff_env.render import pillow
 
     buffer = io.BytesIO()
-    pillow().fromarray(image).quantize(64).save(buffer, format="PNG", optimize=True)
+    # With fewer colours those of small things, as the ego's, are lost.
+    pillow().fromarray(image).quantize(256).save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
@@ -136,7 +139,13 @@ _TOOLS = """<div class="tools">
 def _card(entry: Entry) -> str:
     fate = entry.outcome
     alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
-    image = f'<img src="{entry.image}" alt="{alt}" loading="lazy">' if entry.image else ""
+    image = ""
+    if entry.images:
+        light, dark = entry.images
+        image = (
+            f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
+            f'<img src="{light}" alt="{alt}" loading="lazy"></picture>'
+        )
     name = html.escape(entry.title, quote=True)
     bad = int(fate.tone == "bad")
     return (
