@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from browser_page import Page
 from view_rollouts import planned_rollout
+
+from ccdiff_env import Scene
+from ccdiff_env.view import log_rollout, write_page
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -330,3 +334,24 @@ def test_a_grid_fits_a_phone(visit):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     button = page.locator(".enlarge").first.bounding_box()
     assert min(button["width"], button["height"]) >= 44
+
+
+def test_a_map_without_lanes_says_so(browser, visit, tmp_path):
+    scene = planned_rollout().scene
+    tracks = scene.tracks()
+    bare = Scene.from_arrays(
+        "bare",
+        agent_ids=scene.agent_ids,
+        agent_types=scene.agent_types,
+        sizes=scene.sizes,
+        position=tracks["position"],
+        heading=tracks["heading"],
+        velocity=tracks["velocity"],
+        valid=tracks["valid"],
+        map_layers={"drivable_area": scene.map_layers()["drivable_area"]},
+    )
+    write_page(log_rollout(bare), tmp_path / "bare.html")
+    page = Page(browser, tmp_path / "bare.html")
+    assert page.inner_text(".pane-note") == "This map has no lanes."
+    page.context.close()
+    assert visit("one.html").locator(".pane-note").count() == 0

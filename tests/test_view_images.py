@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 from test_view import elements, unpacked
-from view_rollouts import planned_rollout
+from view_rollouts import plan_of, planned_rollout
 
 from ccdiff_env import render
 from ccdiff_env.rollout import Rollout
@@ -69,6 +70,27 @@ def test_a_collision_is_marked_half_way_between_those_that_met():
     share = [np.abs(video.frame(step).astype(int) - red).max(-1)[ring] < 40 for step in (29, 30)]
     assert share[0].mean() < 0.05
     assert share[1].mean() > 0.7
+
+
+def test_arrows_lead_to_the_agent_in_the_middle_within_two_hops(monkeypatch):
+    run = planned_rollout()
+    graph = np.zeros((4, 4), bool)  # row i, column j: j influences i
+    graph[0, 1] = graph[1, 2] = graph[2, 3] = graph[1, 0] = (
+        True  # 3 to 2 to 1, 0 and 1 to each other
+    )
+    samples = np.zeros((1, 4, 5, 3), np.float32)
+    plan = plan_of(0, [0, 1, 2, 3], samples[..., :2], graph=graph)
+    seen = {}
+    monkeypatch.setattr(render, "draw", lambda *_, **options: seen.update(options))
+    for follow, expected in (
+        (0, {(1, 0): 1.0, (2, 1): 0.4}),
+        (1, {(0, 1): 1.0, (2, 1): 1.0, (3, 2): 0.4}),
+        (3, {}),
+    ):
+        valid = np.ones_like(run.valid)
+        planned = replace(run, plans=(plan,), valid=valid)
+        Video(planned, follow=run.agent_ids[follow], graph=True).frame(0)
+        assert {(j, i): weight for j, i, weight in seen["arrows"]} == expected
 
 
 def test_agents_that_are_absent_now_are_not_drawn(tmp_path):

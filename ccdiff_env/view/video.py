@@ -37,7 +37,8 @@ class Video:
     centre_m
         A point (x, y) of the scene in the middle instead, metres: the image stands still.
     graph
-        Draw the causal graph of the plan in force.
+        Draw the edges of the causal graph of the plan in force that reach the followed agent
+        within two hops.
     captions
         Write the scene's name, the time, names of agents, a scale bar and what the colours mean.
     theme
@@ -61,9 +62,10 @@ class Video:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout = rollout
         self._size, self._span_m = size, span_m
+        self._middle = rollout.agent_ids.index(follow)
         self._graph, self._captions, self._theme = graph, captions, theme
         self._centres = (
-            _centres(rollout, rollout.agent_ids.index(follow))
+            _centres(rollout, self._middle)
             if centre_m is None
             else np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         )
@@ -160,15 +162,17 @@ class Video:
     def _arrows(
         self, plan: TrafficPlan, there: npt.NDArray[np.int64]
     ) -> list[tuple[int, int, float]]:
-        """Edges between the agents that are there, as places in the list that is drawn."""
+        """Edges that lead to the agent in the middle within two hops, as places in the list that
+        is drawn; those of the second hop are weaker.
+        """
+        into, origin = plan.agents[np.argwhere(plan.graph).T]
+        edges = [(int(j), int(i)) for i, j in zip(into, origin, strict=True) if i != j]
+        direct = {j for j, i in edges if i == self._middle}
+        leading = [(j, i, 1.0) for j, i in edges if i == self._middle]
+        leading += [(j, i, 0.4) for j, i in edges if i in direct and j != self._middle]
         place = {int(agent): row for row, agent in enumerate(there)}
-        rows = [place.get(int(agent)) for agent in plan.agents]
-        edges = []
-        for i, j in zip(*np.nonzero(plan.graph), strict=True):
-            into, origin = rows[i], rows[j]
-            if i != j and into is not None and origin is not None:
-                edges.append((origin, into, 1.0))
-        return edges
+        drawn = [edge for edge in leading if edge[0] in place and edge[1] in place]
+        return [(place[j], place[i], weight) for j, i, weight in drawn]
 
 
 def _legend(rollout: Rollout, drivers: Sequence[str]) -> list[tuple[str, str]]:
