@@ -126,6 +126,14 @@ def test_both_sides_of_a_collision_are_one_event_told_by_the_ego():
     assert re.fullmatch(r"ego drove into 1 \(\w+\), at fault", shown[0]["text"])
 
 
+def test_who_stands_does_not_drive_into_anybody():
+    run = planned_rollout()
+    velocity = run.velocity.copy()
+    velocity[0, 29] = 0.0
+    shown = shown_events(replace(run, velocity=velocity))
+    assert re.fullmatch(r"ego hit in front by 1 \(\w+\), at fault", shown[0]["text"])
+
+
 def test_an_event_of_a_guided_vehicle_is_not_one_of_the_others():
     run = planned_rollout()
     ids = run.agent_ids

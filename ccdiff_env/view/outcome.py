@@ -18,6 +18,8 @@ Tone = Literal["bad", "good", "plain"]
 
 PARKED_MPS = 0.5
 """A vehicle whose log never exceeds this speed is parked."""
+STANDING_MPS = 0.1
+"""Who is slower when boxes meet did not drive into anybody."""
 LEAD_S = 2.0
 """Replays open so long before what they open for."""
 NEAR_S = 1.0
@@ -26,6 +28,7 @@ ENDS = ("goal", "time_limit")
 #: What is said of collisions.
 COLLISIONS = {
     "collision_front": "{one} drove into {other}",
+    "standing": "{one} hit in front by {other}",
     "collision_rear": "{one} hit from behind by {other}",
     "collision_side": "{one} hit in the side by {other}",
     "static": "{one} hit {other}",
@@ -150,7 +153,8 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
         first = min(events, key=_importance)
         agent, partner = number[first.agent_id], number[str(first.partner_id)]
         crash = is_collision(rollout, first)
-        text = _collision(first, names[agent], names[partner]) if crash else (
+        stood = bool(np.hypot(*rollout.velocity[agent, max(step - 1, 0)]) < STANDING_MPS)
+        text = _collision(first, stood, names[agent], names[partner]) if crash else (
             f"boxes of {names[agent]} and {names[partner]} overlap in the log"
         )  # fmt: skip
         lane = _lane(guided, first.agent_id, str(first.partner_id)) if crash else "others"
@@ -169,8 +173,9 @@ def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
     return event.agent_id != "ego", event.kind != "collision_front", event.agent_id
 
 
-def _collision(event: RolloutEvent, one: str, other: str) -> str:
-    text = COLLISIONS.get(event.kind, "{one} and {other} touch").format(one=one, other=other)
+def _collision(event: RolloutEvent, stood: bool, one: str, other: str) -> str:
+    kind = "standing" if stood and event.kind == "collision_front" else event.kind
+    text = COLLISIONS.get(kind, "{one} and {other} touch").format(one=one, other=other)
     if event.agent_id != "ego":
         return text
     return f"{text}, {'at fault' if event.at_fault else 'not at fault'}"
