@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -97,3 +100,56 @@ def test_scene_order_in_the_set_does_not_change_an_episode():
         env.reset(seed=1, options={"scene": name})
         rewards.append([env.step(action[0])[1] for action in actions_of(1)[:10]])
     assert rewards[0] == rewards[1] == rewards[2]
+
+
+#: Prints a digest of four worlds in CCDiff traffic, unguided and guided, and replays a certificate.
+NETWORK = """
+import hashlib, sys
+import numpy as np
+import ccdiff_env
+
+for criticality in (0.0, 1.0):
+    options = {"scenes": "val", "traffic": "ccdiff", "criticality": criticality}
+    env = ccdiff_env.make_vec(4, num_threads=2, **options)
+    env.reset(seed=5)
+    digest = hashlib.blake2b(digest_size=8)
+    for _ in range(8):
+        digest.update(env.step(np.zeros((4, 2), np.float32))[0].tobytes())
+        for i in range(4):
+            digest.update(env.worlds.native.states(i)["position"].tobytes())
+    print(digest.hexdigest())
+ccdiff_env.replay(sys.argv[1])
+"""
+
+
+@pytest.mark.slow
+def test_networks_repeat_their_bits_whatever_the_threads_of_torch(tmp_path):
+    """Guided or not, in a batch of one size; a certificate is simulated again under any."""
+    env = ccdiff_env.EgoEnv(traffic="ccdiff", criticality=1.0)
+    env.reset(seed=3)
+    for _ in range(12):
+        env.step(np.zeros(2, np.float32))
+    env.certificate().save(tmp_path / "c.json")
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", NETWORK, str(tmp_path / "c.json")],
+            env={**os.environ, "OMP_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2", "4")
+    ]
+    assert len(set(said[0].split())) == 2
+    assert said[0] == said[1] == said[2]
+
+
+@pytest.mark.parametrize("traffic", ["idm", "ccdiff"])
+def test_a_world_of_a_batch_is_the_single_environment(traffic):
+    """Bit for bit with rules; with networks but for what torch rounds by the size of the batch."""
+    worlds = ccdiff_env.make_vec(6, scenes="val", traffic=traffic)
+    single = ccdiff_env.EgoEnv(scenes="val", traffic=traffic)
+    rows, (row, _) = worlds.reset(seed=5)[0], single.reset(seed=5)
+    for action in actions_of(6)[:10]:
+        np.testing.assert_allclose(rows[0], row, atol=1e-4 if traffic == "ccdiff" else 0.0)
+        rows, row = worlds.step(action)[0], single.step(action[0])[0]

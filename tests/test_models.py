@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdiff_env import EgoEnv, embedded_scenes
+from ccdiff_env import EgoEnv, embedded_scenes, training_loop
+from ccdiff_env.curves import Curves
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
 from ccdiff_env.models import TrajectoryModel, guidance_preset, shipped_weights, train
 from ccdiff_env.scenes import Scene, load_nuscenes
@@ -117,6 +118,32 @@ def test_checkpoints_do_not_change_a_run_and_a_later_call_goes_on_from_the_last(
     train([road()], out=whole, steps=12, progress=False)
     assert rows(whole / "loss.csv")[-1][0] == "12"
     assert len({row[0] for row in rows(whole / "loss.csv")}) == len(rows(whole / "loss.csv"))
+
+
+def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Header and numbers: constants of the data come back from the state to the last bit."""
+    settings = {**QUICK, "seed": 3}
+    options = {"settings": settings, "progress": False, "steps": 10}
+    monkeypatch.setattr(training_loop, "_CHUNK", 3)
+    train([road()], out=tmp_path / "whole", **options)
+    write, left = Curves.write, [2]
+
+    def dies(self: Curves, name: str, step: int, values: dict[str, float]) -> None:
+        write(self, name, step, values)
+        left[0] -= name == "loss"
+        if not left[0]:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Curves, "write", dies)
+        with pytest.raises(KeyboardInterrupt):
+            train([road()], out=tmp_path / "parts", **options)
+    assert rows(tmp_path / "parts" / "loss.csv")[-1][0] == "6"
+    train([road()], out=tmp_path / "parts", progress=False, steps=10)
+    whole, parts = (tmp_path / name / "weights.safetensors" for name in ("whole", "parts"))
+    assert whole.read_bytes() == parts.read_bytes()
 
 
 def test_training_leaves_torchs_generator_and_gradient_mode_alone(tmp_path: Path) -> None:
