@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import Rollout, errors, policies
+from ccdiff_env import EgoEnv, Rollout, Scene, errors, policies
 from ccdiff_env.bank import load_bank, record_bank
 from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.page import markdown_html
+from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import log_rollout, play_scene
 
@@ -212,3 +213,74 @@ def test_episodes_have_the_step_of_their_scene(dt_s):
     log = log_rollout(ccdiff_env.embedded_scenes()[0])
     with pytest.raises(errors.DatasetError, match="dt_s"):
         dataclasses.replace(log, dt_s=dt_s)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        (("map", "bitmap_px_per_m"), 1e30),
+        (("map", "bitmap_px_per_m"), 1e5),
+        (("map", "metres_per_px"), 1e6),
+        (("map", "size_px"), 4096),
+        (("edge_width",), 0),
+        (("feed_forward",), 0),
+        (("agents_within_m",), -1.0),
+        (("ttc_threshold_s",), -1.0),
+    ],
+    ids=str,
+)
+def test_weights_of_absurd_maps_and_widths(tmp_path, entry, value):
+    def change(settings):
+        *path, name = entry
+        place = settings["model"]
+        for step in path:
+            place = place[step]
+        place[name] = value
+
+    with pytest.raises(errors.ConfigError, match=entry[-1]):
+        TrajectoryModel(weights(tmp_path / "a.safetensors", change))
+
+
+def test_weights_of_another_format(tmp_path):
+    with pytest.raises(errors.CheckpointError, match="format is 2"):
+        TrajectoryModel(
+            weights(tmp_path / "a.safetensors", lambda settings: settings.update(format=2))
+        )
+
+
+def weights(path: Path, change) -> Path:
+    """Write the shipped weights with a changed header."""
+    data = Path(shipped_weights()).read_bytes()
+    (length,) = struct.unpack_from("<Q", data)
+    header = json.loads(data[8 : 8 + length])
+    settings = json.loads(header["__metadata__"]["ccdiff_env"])
+    change(settings)
+    header["__metadata__"]["ccdiff_env"] = json.dumps(settings)
+    text = json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(text)) + text + data[8 + length :])
+    return path
+
+
+def test_agents_too_far_apart_for_the_map_of_a_network():
+    """A bitmap round both would take terabytes; rules drive among them."""
+    steps = 60
+    position = np.zeros((2, steps, 2), np.float32)
+    position[0, :, 0] = np.arange(steps)
+    position[1] = 9e5
+    square = np.array([[-9, -9], [99, -9], [99, 9], [-9, 9]], np.float32)
+    scene = Scene.from_arrays(
+        "far",
+        agent_ids=["ego", "other"],
+        agent_types=["vehicle"] * 2,
+        sizes=np.array([[4.5, 1.9, 1.6]] * 2, np.float32),
+        position=position,
+        heading=np.zeros((2, steps), np.float32),
+        velocity=np.full((2, steps, 2), [10.0, 0.0], np.float32),
+        valid=np.ones((2, steps), bool),
+        map_layers={"drivable_area": [{"exterior": square, "holes": []}]},
+    )
+    EgoEnv(scenes=scene, traffic="idm").reset(seed=0)
+    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
+        EgoEnv(scenes=scene, traffic="ccdiff")
+    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
+        TrajectoryModel(shipped_weights()).plan([scene], [40])

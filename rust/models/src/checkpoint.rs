@@ -25,6 +25,9 @@ fn broken(path: &Path, entry: &str, got: impl Into<String>, expected: impl Into<
     }
 }
 
+/// Version of the header's fields.
+const FORMAT: u64 = 1;
+
 /// A hash of names and values, against damage, not against forgers.
 fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
     let mut hash = Xxh3::new();
@@ -56,6 +59,7 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
         .collect::<std::result::Result<Vec<_>, safetensors::SafeTensorError>>()
         .map_err(|e| broken(path, "tensors", e.to_string(), "consistent sizes"))?;
     let mut header = header.clone();
+    header["format"] = FORMAT.into();
     header[CHECKSUM] = checksum(data.iter().map(|(name, (_, bytes))| (*name, bytes.as_slice()))).into();
     let metadata = Some([(HEADER.to_string(), header.to_string())].into_iter().collect());
     let bytes = serialize(views, &metadata)
@@ -82,6 +86,9 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)
         .ok_or_else(|| broken(path, "header", "missing", format!("metadata key {HEADER:?}")))?;
     let header: serde_json::Value =
         serde_json::from_str(text).map_err(|e| broken(path, "header", e.to_string(), "a JSON object"))?;
+    if header["format"] != FORMAT {
+        return Err(broken(path, "format", header["format"].to_string(), FORMAT.to_string()));
+    }
     let file = SafeTensors::deserialize(&bytes).map_err(foreign)?;
     let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
     let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));

@@ -112,9 +112,9 @@ options! {
         /// Network that reads the raster.
         encoder: MapEncoder = MapEncoder::ResNet18;
         /// Width and height; a multiple of 8.
-        size_px: usize = 224, unit "px", range within(8.0, 4096.0);
+        size_px: usize = 224, unit "px", range within(8.0, 512.0);
         /// Side of a pixel.
-        metres_per_px: f32 = 0.5, unit "m", range above(0.0);
+        metres_per_px: f32 = 0.5, unit "m", range within(0.01, 100.0);
         /// Column of the agent, inside the raster (x runs along columns); its row is the middle one.
         agent_column_px: usize = 56, unit "px";
         /// Whether two layers with the direction of the lanes (cosine, sine) follow the three of the paper.
@@ -124,7 +124,7 @@ options! {
         /// Width of the encoder's tokens.
         feature_width: i64 = 256, range within(1.0, 8192.0);
         /// Resolution of the scene's bitmap that rasters are cut from.
-        bitmap_px_per_m: f32 = 2.0, unit "px/m", range above(0.0);
+        bitmap_px_per_m: f32 = 2.0, unit "px/m", range within(0.01, 100.0);
         /// Decoder rounds that attend to the map, at most 64.
         rounds: Vec<usize> = vec![1];
     }
@@ -183,11 +183,11 @@ options! {
         /// Attention heads.
         heads: i64 = 16, range at_least(1.0);
         /// Hidden width of the temporal and plain social layers.
-        feed_forward: i64 = 384, range within(0.0, 65_536.0);
+        feed_forward: i64 = 384, range within(1.0, 65_536.0);
         /// Hidden width of the edge-aware social layers.
-        social_feed_forward: i64 = 512, range within(0.0, 65_536.0);
+        social_feed_forward: i64 = 512, range within(1.0, 65_536.0);
         /// Width of the edge features.
-        edge_width: i64 = 64, range within(0.0, 4096.0);
+        edge_width: i64 = 64, range within(1.0, 4096.0);
         /// Temporal layers per decoder round.
         temporal_layers: usize = 2, range within(1.0, 64.0);
         /// Edge-aware social layers of the first round.
@@ -195,14 +195,14 @@ options! {
         /// Map raster and encoder; `None`: the network is blind to the map.
         map: Option<MapConfig> = Some(MapConfig::default());
         /// Neighbours join the decision causal graph up to this time to contact.
-        ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s";
+        ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s", range at_least(0.0);
         /// An agent ahead in one's corridor also joins the graph up to this headway; 0: by time to contact alone.
         ///
         /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
         #[serde(default)]
         headway_threshold_s: f32 = 0.0, unit "s", range at_least(0.0);
         /// Neighbours join the graph up to this distance.
-        distance_threshold_m: f32 = GraphThresholds::PAPER.distance_m, unit "m";
+        distance_threshold_m: f32 = GraphThresholds::PAPER.distance_m, unit "m", range at_least(0.0);
         /// Which neighbours are joined, and their order.
         #[serde(default)]
         neighbour_order: NeighbourOrder = NeighbourOrder::Urgency;
@@ -215,13 +215,13 @@ options! {
         /// Most neighbours of an agent, the first in their order.
         max_neighbours: usize = 20, range within(0.0, 4096.0);
         /// Training samples hold the agents within this distance of the centre agent.
-        agents_within_m: f32 = 50.0, unit "m";
+        agents_within_m: f32 = 50.0, unit "m", range above(0.0);
         /// And at most so many, the nearest.
         max_agents: usize = 21, range within(1.0, 4096.0);
         /// Diffusion steps K.
         diffusion_steps: usize = 100, range within(2.0, 10_000.0);
         /// Weights of x, y, v, yaw, acceleration, yaw rate in the loss.
-        loss_weights: [f64; 6] = [1.0; 6];
+        loss_weights: [f64; 6] = [1.0; 6], range at_least(0.0);
         /// Constants of the data.
         normalisation: Normalisation = Normalisation::default();
     }
@@ -396,6 +396,14 @@ mod tests {
             (
                 ModelConfig { width: -2, ..ModelConfig::fast() },
                 "model.width is -2, expected a whole number in [2, 4096]",
+            ),
+            (
+                ModelConfig { edge_width: 0, ..ModelConfig::fast() },
+                "model.edge_width is 0, expected a whole number in [1, 4096]",
+            ),
+            (
+                ModelConfig { agents_within_m: -1.0, ..ModelConfig::fast() },
+                "model.agents_within_m is -1.0, expected a number > 0",
             ),
             (
                 ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },

@@ -114,16 +114,18 @@ impl Dataset {
         }
         let scenes: Vec<Prepared> = scenes
             .into_par_iter()
-            .map(|scene| Prepared {
-                vehicles: vehicles(&scene),
-                bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)),
-                routes: match config.route_points_m.is_empty() {
-                    true => Vec::new(),
-                    false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
-                },
-                scene: if sampling.smooth { Arc::new(smoothed(&scene)) } else { scene },
+            .map(|scene| {
+                Ok(Prepared {
+                    vehicles: vehicles(&scene),
+                    bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)).transpose()?,
+                    routes: match config.route_points_m.is_empty() {
+                        true => Vec::new(),
+                        false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
+                    },
+                    scene: if sampling.smooth { Arc::new(smoothed(&scene)) } else { scene },
+                })
             })
-            .collect();
+            .collect::<Result<_>>()?;
         let horizon = config.horizon_steps;
         let mut samples = Vec::new();
         for (index, prepared) in scenes.iter().enumerate() {

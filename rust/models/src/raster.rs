@@ -8,6 +8,7 @@
 //! hides the others from this input too; dropping G is then a clamp of these channels at 0.
 
 use crate::config::MapConfig;
+use crate::error::Result;
 use crate::features::{SceneFeatures, Window};
 use ccdiff_sim::geom::{Point2, Polygon, Pose2};
 use ccdiff_sim::scene::{Map, Scene};
@@ -20,6 +21,8 @@ const MINUS_ONE: u8 = 1;
 const DRIVABLE: u8 = 1;
 const DIVIDER: u8 = 2;
 const PEDESTRIAN: u8 = 4;
+/// Most pixels of a bitmap, 2^27: 11 km square at 1 px/m. They take two bytes each.
+const MOST_PX: f64 = 134_217_728.0;
 /// Half the width of the painted lane direction, metres.
 const LANE_HALF_WIDTH_M: f32 = 1.5;
 
@@ -55,7 +58,29 @@ pub struct MapBitmap {
 impl MapBitmap {
     /// Draws the map over the box of all logged positions, grown by the raster's reach and 50 m. The part that has a map
     /// ends where its areas and lines end, a loader's crop included, but no nearer than [`LOG_MARGIN_M`] to that box.
-    pub fn from_scene(scene: &Scene, config: &MapConfig) -> Self {
+    ///
+    /// # Errors
+    /// [`SimError::Scene`] where that box has more than [`MOST_PX`] pixels.
+    pub fn from_scene(scene: &Scene, config: &MapConfig) -> Result<Self> {
+        let (log, margin, [width, height]) = Self::frame(scene, config)?;
+        let [min, max] = log;
+        let near = |low: f32, high: f32, from: f32, to: f32| {
+            [low.min(from - LOG_MARGIN_M), high.max(to + LOG_MARGIN_M)]
+        };
+        let known = extent(&scene.map).map(|[low, high]| {
+            let (x, y) = (near(low.x, high.x, min.x, max.x), near(low.y, high.y, min.y, max.y));
+            [Point2::new(x[0], y[0]), Point2::new(x[1], y[1])]
+        });
+        let first = Point2::new(min.x - margin, min.y - margin);
+        let bitmap = Self::draw(&scene.map, first, config.bitmap_px_per_m, width, height);
+        Ok(Self { known: known.unwrap_or(bitmap.known), ..bitmap })
+    }
+
+    /// Corners of the box of all logged positions, how far the bitmap reaches beyond it, and its width and height.
+    ///
+    /// # Errors
+    /// As [`Self::from_scene`].
+    pub(crate) fn frame(scene: &Scene, config: &MapConfig) -> Result<([Point2; 2], f32, [usize; 2])> {
         let margin = config.reach_m() + 50.0;
         let valid = scene.tracks.position.iter().zip(&scene.tracks.valid).filter(|(_, ok)| **ok);
         let (mut min, mut max) = (Point2::new(f32::MAX, f32::MAX), Point2::new(f32::MIN, f32::MIN));
@@ -66,22 +91,19 @@ impl MapBitmap {
         if min.x > max.x {
             (min, max) = (Point2::origin(), Point2::origin());
         }
-        let near = |low: f32, high: f32, from: f32, to: f32| {
-            [low.min(from - LOG_MARGIN_M), high.max(to + LOG_MARGIN_M)]
-        };
-        let known = extent(&scene.map).map(|[low, high]| {
-            let (x, y) = (near(low.x, high.x, min.x, max.x), near(low.y, high.y, min.y, max.y));
-            [Point2::new(x[0], y[0]), Point2::new(x[1], y[1])]
-        });
-        let size = |a: f32, b: f32| ((b - a + 2.0 * margin) * config.bitmap_px_per_m).ceil() as usize + 1;
-        let bitmap = Self::draw(
-            &scene.map,
-            Point2::new(min.x - margin, min.y - margin),
-            config.bitmap_px_per_m,
-            size(min.x, max.x),
-            size(min.y, max.y),
-        );
-        Self { known: known.unwrap_or(bitmap.known), ..bitmap }
+        let px = |a: f32, b: f32| ((b - a + 2.0 * margin) * config.bitmap_px_per_m).ceil();
+        let [width, height] = [px(min.x, max.x), px(min.y, max.y)];
+        let fits = f64::from(width) * f64::from(height) <= MOST_PX;
+        if !fits {
+            return Err(ccdiff_sim::SimError::Scene {
+                scene: scene.name.clone(),
+                field: "tracks".into(),
+                got: format!("{width:.0} x {height:.0} pixels of the network's map"),
+                expected: "at most 2^27 pixels: agents far from each other cannot be planned for",
+            }
+            .into());
+        }
+        Ok(([min, max], margin, [width as usize + 1, height as usize + 1]))
     }
 
     /// Draws a map into `width` x `height` pixels whose first corner is `min`.

@@ -316,7 +316,6 @@ impl Trainer {
     pub fn export(&self, path: &Path, notes: &serde_json::Value) -> Result<()> {
         guarded(false, "writing weights", || {
             let header = serde_json::json!({
-                "format": 1,
                 "kind": self.model.kind,
                 "model": self.model,
                 "training": self.config,
@@ -334,7 +333,6 @@ impl Trainer {
     pub fn save(&self, path: &Path) -> Result<()> {
         guarded(false, "writing a training state", || {
             let header = serde_json::json!({
-                "format": 1,
                 "kind": "ccdiff-training",
                 "model": self.model,
                 "training": self.config,

@@ -218,8 +218,11 @@ impl TrajectoryModel {
     }
 
     /// Draws a scene's map as this network wants it; `None` for a map-blind network.
-    pub fn bitmap(&self, scene: &ccdiff_sim::scene::Scene) -> Option<MapBitmap> {
-        self.config().map.as_ref().map(|m| MapBitmap::from_scene(scene, m))
+    ///
+    /// # Errors
+    /// As [`MapBitmap::from_scene`].
+    pub fn bitmap(&self, scene: &ccdiff_sim::scene::Scene) -> Result<Option<MapBitmap>> {
+        self.config().map.as_ref().map(|m| MapBitmap::from_scene(scene, m)).transpose()
     }
 
     /// Plans for all agents of all worlds: one network pass per denoising step for all of them.

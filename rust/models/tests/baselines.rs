@@ -59,7 +59,9 @@ fn plans(
 ) -> Result<Vec<Plan>, ModelError> {
     let inputs: Vec<_> = worlds
         .iter()
-        .map(|(scene, step, _)| (Window::from_scene(scene, *step, &vehicles(scene), 31), model.bitmap(scene)))
+        .map(|(scene, step, _)| {
+            (Window::from_scene(scene, *step, &vehicles(scene), 31), model.bitmap(scene).unwrap())
+        })
         .collect();
     let views: Vec<PlanInput<'_>> = inputs
         .iter()

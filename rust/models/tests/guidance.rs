@@ -249,7 +249,7 @@ fn planned(
 ) -> Vec<Plan> {
     let scene = common::following_pair();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let (bitmap, region) = (model.bitmap(&scene), Region::new(&scene.map.drivable_area).unwrap());
+    let (bitmap, region) = (model.bitmap(&scene).unwrap(), Region::new(&scene.map.drivable_area).unwrap());
     let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
     let view =
         |seed: &u64| PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };

@@ -24,7 +24,7 @@ fn blind(config: ModelConfig) -> ModelConfig {
 }
 
 fn features_of(scene: &Scene, step: usize, config: &ModelConfig) -> SceneFeatures {
-    let bitmap = config.map.as_ref().map(|m| MapBitmap::from_scene(scene, m));
+    let bitmap = config.map.as_ref().map(|m| MapBitmap::from_scene(scene, m).unwrap());
     let window = Window::from_scene(scene, step, &vehicles(scene), config.history_steps);
     features::build(&window, bitmap.as_ref(), config).unwrap()
 }
@@ -159,7 +159,7 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     run.export(&path, &serde_json::json!({})).unwrap();
     let mut model = TrajectoryModel::load(&path, Device::Cpu).unwrap();
     let scene = common::closing_pair();
-    let bitmap = model.bitmap(&scene);
+    let bitmap = model.bitmap(&scene).unwrap();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
     let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
     let options = SampleOptions { solver_steps: Some(2), num_samples: 2, guidance_weight: 1.1 };

@@ -302,7 +302,8 @@ fn plan_logged(
         let expected = "False: these weights were trained without routes";
         return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
     }
-    let bitmaps: Vec<_> = logged.scenes.iter().map(|s| model.bitmap(s)).collect();
+    let bitmaps: Vec<_> =
+        logged.scenes.iter().map(|s| model.bitmap(s)).collect::<ccdiff_models::Result<_>>()?;
     let windows: Vec<Window> = logged
         .scenes
         .iter()

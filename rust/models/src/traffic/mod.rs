@@ -90,7 +90,7 @@ impl PlannedTraffic {
     ///
     /// # Errors
     /// [`ModelError::Config`] for another step or history than the weights were trained with, [`SimError::Scene`] for a
-    /// scene without a map where the network reads one.
+    /// scene without a map, or with one that is too large, where the network reads it.
     pub fn check(&self, dt_s: Real, history_steps: usize, scenes: &[Arc<Scene>]) -> Result<()> {
         let model = &self.model;
         if (f64::from(dt_s) - model.dt_s).abs() > 1e-6 {
@@ -108,33 +108,36 @@ impl PlannedTraffic {
             });
         }
         let blank = |s: &&Arc<Scene>| s.map.drivable_area.is_empty() && s.map.lanes.is_empty();
-        match scenes.iter().find(blank) {
-            Some(scene) if self.model.map.is_some() => Err(SimError::Scene {
+        let Some(map) = &self.model.map else { return Ok(()) };
+        if let Some(scene) = scenes.iter().find(blank) {
+            return Err(SimError::Scene {
                 scene: scene.name.clone(),
                 field: "map".into(),
                 got: "neither drivable area nor lanes".into(),
                 expected: "a map: the network of the traffic reads it",
             }
-            .into()),
-            _ => Ok(()),
+            .into());
         }
+        scenes.iter().try_for_each(|scene| MapBitmap::frame(scene, map).map(|_| ()))
     }
 
     /// Draws the maps of scenes that are played for the first time, side by side.
-    fn draw_maps(&mut self, scenes: &[&Arc<Scene>]) {
-        let Some(map) = &self.model.map else { return };
+    fn draw_maps(&mut self, scenes: &[&Arc<Scene>]) -> Result<()> {
+        let Some(map) = &self.model.map else { return Ok(()) };
         let mut new: Vec<&Arc<Scene>> = Vec::new();
         for scene in scenes {
             if self.bitmap(scene).is_none() && !new.iter().any(|s| Arc::ptr_eq(s, scene)) {
                 new.push(scene);
             }
         }
-        let draw = |scene: &&Arc<Scene>| (Arc::clone(scene), Arc::new(MapBitmap::from_scene(scene, map)));
+        let draw =
+            |scene: &&Arc<Scene>| Ok((Arc::clone(scene), Arc::new(MapBitmap::from_scene(scene, map)?)));
         let drawn: Vec<_> = match &self.pool {
-            Some(pool) => pool.install(|| new.par_iter().map(draw).collect()),
-            None => new.iter().map(draw).collect(),
+            Some(pool) => pool.install(|| new.par_iter().map(draw).collect::<Result<_>>())?,
+            None => new.iter().map(draw).collect::<Result<_>>()?,
         };
         self.bitmaps.extend(drawn);
+        Ok(())
     }
 
     /// The map of a scene, once it was drawn.

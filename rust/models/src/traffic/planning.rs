@@ -68,7 +68,7 @@ impl PlannedTraffic {
         requests: &[&'a PlanRequest<'a>],
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
         let scenes: Vec<&Arc<Scene>> = requests.iter().map(|r| &r.world.scene.scene).collect();
-        self.draw_maps(&scenes);
+        self.draw_maps(&scenes)?;
         let prepare = |r: &&'a PlanRequest<'a>| self.prepare(r);
         let mut due: Vec<_> = match &self.pool {
             Some(pool) => pool.install(|| requests.par_iter().map(prepare).collect::<Result<_>>())?,
