@@ -16,6 +16,7 @@ from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, play_scene, write_page
+from ccdiff_env.view.captions import about
 from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.outcome import happenings, outcome
 from ccdiff_env.view.video import Video
@@ -221,6 +222,13 @@ def remade(scene: Scene, tracks: dict[str, np.ndarray]) -> Scene:
         map_layers=scene.map_layers(),
         **tracks,
     )
+
+
+def test_of_policies_those_that_drive_are_told():
+    config = {"policies": {"ccdiff": {"ccdiff": {"seed": 1}}, "ctg": {"ctg": {"seed": 1}}}}
+    run = replace(planned_rollout(), meta={"config": config})
+    told = [name for name, _ in about(run) if name.startswith("policies")]
+    assert told == ["policies.ccdiff"]
 
 
 def test_names_cannot_break_out_of_the_page():

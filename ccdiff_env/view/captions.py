@@ -110,7 +110,7 @@ def subtitle(rollout: Rollout) -> str:
 
 def about(rollout: Rollout) -> list[tuple[str, str]]:
     """Return names and values of what is known of a run; of its configuration, what differs from
-    the default.
+    the default, and options of the policies that drive.
     """
     scene = rollout.scene
     captions = [
@@ -128,6 +128,10 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
             captions.append((name, str(value)))
     config = rollout.meta.get("config")
     if isinstance(config, dict):
+        drivers = {*rollout.driver_names, *rollout.driver_kinds}
+        policies = config.get("policies", {})
+        used = {name: options for name, options in policies.items() if name in drivers}
+        config = {**config, "policies": used}
         captions.extend(_changes(config, json.loads(_native.default_world_config())))
     return [(name, value) for name, value in captions if value]
 
