@@ -19,8 +19,10 @@ BARRIER = Kind("movable_object.barrier", 0.5, 2.1, 1.0)
 CONE = Kind("movable_object.trafficcone", 0.35, 0.35, 0.75)
 
 
-def add_background_actors(builder: ScenarioBuilder, num_most: int) -> None:
-    """Add background actors near the ego's way, up to about ``num_most`` actors in all."""
+def add_background_actors(builder: ScenarioBuilder, num_most: int, gap_m: float) -> None:
+    """Add background actors near the ego's way, up to about ``num_most`` actors in all, drivers
+    ``gap_m`` apart.
+    """
     draw = builder.draw
     spare = num_most - len(builder.actors)
     num_parked = draw.whole(1, 4)
@@ -36,7 +38,7 @@ def add_background_actors(builder: ScenarioBuilder, num_most: int) -> None:
         _bus(builder)
     for _ in range(max(spare, 0)):
         if len(builder.actors) < num_most:
-            _traffic(builder)
+            _traffic(builder, gap_m)
 
 
 def _focus(builder: ScenarioBuilder) -> list[Pose]:
@@ -50,7 +52,7 @@ def _is_near(builder: ScenarioBuilder, place: Pose) -> bool:
     return any(math.dist(place.xy, p.xy) < NEAR_M for p in _focus(builder))
 
 
-def _traffic(builder: ScenarioBuilder) -> None:
+def _traffic(builder: ScenarioBuilder, gap_m: float) -> None:
     """Add a driver on some lane near the ego's way."""
     draw = builder.draw
     lanes = [lane for lane in builder.city.lanes.values() if not lane.is_connector]
@@ -58,7 +60,7 @@ def _traffic(builder: ScenarioBuilder) -> None:
         lane = draw.pick(lanes)
         along = draw.between(4.0, max(lane.curve.length - 12.0, 5.0))
         place = lane.curve.at(along)
-        if _is_near(builder, place) and builder.is_free(place, 13.0):
+        if _is_near(builder, place) and builder.is_free(place, gap_m):
             way = builder.wander(lane.name, 200.0)
             builder.drive(
                 draw.car(), way, lanes_path(builder.city, way), along, draw.between(7.0, 10.5)

@@ -5,7 +5,7 @@ passes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -30,7 +30,6 @@ SEEN_M = 80.0
 """Actors are annotated from when they first come this near to the ego until they last were."""
 ROOM_M = 0.3
 """Boxes keep at least about this distance."""
-NUM_MOST = 20
 NUM_TRIES = 400
 FIRST_DRAWS: dict[str, int] = {
     "left-turn-00": 2,
@@ -59,6 +58,21 @@ FIRST_DRAWS: dict[str, int] = {
 
 
 @dataclass(frozen=True)
+class Density:
+    """How full the city is."""
+
+    num_most: int
+    """Actors of a scene, at most."""
+    gap_m: float
+    """Room that a driver of the background finds at its start."""
+    first_draws: Mapping[str, int]
+
+
+SHIPPED = Density(20, 13.0, FIRST_DRAWS)
+DENSE = Density(60, 8.5, {})
+
+
+@dataclass(frozen=True)
 class LoggedScene:
     """A finished scene; the first track is the ego."""
 
@@ -75,29 +89,30 @@ class LoggedScene:
         return len(self.tracks[0].poses)
 
 
-def build_scenes(city: City) -> Iterator[LoggedScene]:
+def build_scenes(city: City, density: Density = SHIPPED) -> Iterator[LoggedScene]:
     """Yield all scenes of the set."""
     area = DrivableArea(city)
     for kind in KINDS:
         for number in range(kind.train + kind.val):
             name = f"{kind.name}-{number:02d}"
             split = "train" if number < kind.train else "val"
-            yield LoggedScene(name, split, kind, *_tracks(city, area, kind, name))
+            yield LoggedScene(name, split, kind, *_tracks(city, area, kind, name, density))
 
 
 def _tracks(
-    city: City, area: DrivableArea, kind: ScenarioKind, name: str
+    city: City, area: DrivableArea, kind: ScenarioKind, name: str, density: Density
 ) -> tuple[list[Track], int]:
     """Return the tracks of the first draw that passes all checks, and its number."""
-    for number in range(FIRST_DRAWS.get(name, 0), NUM_TRIES):
+    for number in range(density.first_draws.get(name, 0), NUM_TRIES):
         draw = Draw(f"{SEED}/{name}/{number}")
         builder = ScenarioBuilder(city, draw)
         kind.build(builder)
         if any(not _is_apart(builder, i) for i in range(len(builder.actors))):
             continue
-        add_background_actors(builder, draw.whole(13, NUM_MOST))
+        most = density.num_most
+        add_background_actors(builder, draw.whole(most - 7, most), density.gap_m)
         Simulation(builder.actors).run(DURATION_S)
-        if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2):
+        if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2, most):
             return tracks, number
     raise RuntimeError(f"no draw of {name} passed the checks")
 
@@ -147,12 +162,12 @@ def rounded(pose: Pose) -> Pose:
     return Pose(round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 5))
 
 
-def fault(tracks: list[Track], area: DrivableArea, hardest_mps2: float) -> str:
+def fault(tracks: list[Track], area: DrivableArea, hardest_mps2: float, num_most: int) -> str:
     """Return what is wrong with a scene, empty if it may go into the set."""
     ego = tracks[0]
     if len(ego.poses) != round(DURATION_S / KEY_FRAME_S) + 1:
         return "the ego leaves the city"
-    if not 6 <= len(tracks) <= NUM_MOST:
+    if not 6 <= len(tracks) <= num_most:
         return "too few or too many actors"
     if math.dist(ego.poses[0].xy, ego.poses[-1].xy) < 36.0:
         return "the ego goes nowhere"
