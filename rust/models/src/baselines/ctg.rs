@@ -149,3 +149,47 @@ impl Denoiser for HalfUnet {
         (self.last.forward(&x).apply(&self.out).transpose(1, 2).contiguous(), None)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ModelKind;
+    use tch::nn::Module;
+    use tch::{Device, Kind};
+
+    fn numbers(tensor: &Tensor) -> Vec<f64> {
+        Vec::try_from(&tensor.flatten(0, -1).to_kind(Kind::Double)).unwrap()
+    }
+
+    fn assert_near(got: &Tensor, want: &[f64]) {
+        let got = numbers(got);
+        assert_eq!(got.len(), want.len());
+        assert!(got.iter().zip(want).all(|(g, w)| (g - w).abs() < 1e-4), "{got:?}, expected {want:?}");
+    }
+
+    /// The figures were computed in numpy from the definitions, apart from this code.
+    #[test]
+    fn its_parts_have_the_tabulated_values() {
+        assert_near(&Tensor::from_slice(&[1.0f32, -1.0, 0.5]).mish(), &[0.8651, -0.3034, 0.3752]);
+        let store = nn::VarStore::new(Device::Cpu);
+        let norm = nn::group_norm(store.root(), GROUPS, 16, Default::default());
+        let x = Tensor::arange(32, (Kind::Float, Device::Cpu)).view([1, 16, 2]) * 0.1;
+        assert_near(&norm.forward(&x), &[-1.3411, -0.4470, 0.4470, 1.3411].repeat(8));
+    }
+
+    #[test]
+    fn the_steps_are_halved_twice_until_they_are_those_of_the_knots() {
+        let store = nn::VarStore::new(Device::Cpu);
+        let network = HalfUnet::new(&store.root(), &ModelConfig::of(ModelKind::Ctg, "fast").unwrap());
+        let condition =
+            Tensor::zeros([3, STEP_WIDTH + network.space.config().width], (Kind::Float, Device::Cpu));
+        let mut x = Tensor::zeros([3, 6, 52], (Kind::Float, Device::Cpu));
+        let mut steps = Vec::new();
+        for (block, halve) in &network.down {
+            x = block.forward(&x, &condition).apply(halve);
+            steps.push(x.size()[2]);
+        }
+        assert_eq!(steps, [26, 13]);
+        assert_eq!(network.space.config().horizon_steps, 52);
+    }
+}

@@ -138,3 +138,24 @@ pub(super) fn step_weights(discount: f32, num_steps: usize) -> Vec<f32> {
     let sum: f64 = powers.iter().sum();
     powers.iter().map(|p| (p / sum) as f32).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::step_weights;
+
+    /// The figures were computed in float64 from the formula, apart from this code.
+    #[test]
+    fn discounted_steps_have_the_tabulated_weights() {
+        for (discount, want) in [
+            (0.9, [0.100_419, 0.059_297, 4.6578e-4]),
+            (0.98, [0.030_757, 0.027_802, 0.010_977]),
+            (0.99, [0.024_568, 0.024_568 * 0.99f32.powi(5), 0.014_715]),
+        ] {
+            let weights = step_weights(discount, 52);
+            for (step, want) in [0, 5, 51].into_iter().zip(want) {
+                assert!((weights[step] - want).abs() < 2e-6, "{discount} at {step}: {}", weights[step]);
+            }
+            assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        }
+    }
+}

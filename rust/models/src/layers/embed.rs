@@ -136,3 +136,19 @@ pub(crate) fn standardise(x: &Tensor, mean: &[f64], std: &[f64]) -> Tensor {
     let row = |v: &[f64]| Tensor::from_slice(v).to_kind(Kind::Float).to_device(x.device());
     (x - row(mean)) / row(std)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The figures were computed in numpy from the definition, apart from this code.
+    #[test]
+    fn a_diffusion_step_is_embedded_as_tabulated() {
+        let row: Vec<f32> = Vec::try_from(diffusion_steps(11, 32, Device::Cpu).get(10)).unwrap();
+        for (at, want) in
+            [(0, -0.5440), (1, -0.7653), (2, 0.2113), (15, 0.0010), (16, -0.8391), (17, 0.6437), (31, 1.0)]
+        {
+            assert!((row[at] - want).abs() < 1e-4, "{at}: {}", row[at]);
+        }
+    }
+}
