@@ -80,7 +80,7 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
-    """Return the settings of a guidance preset: ``"paper"``, ``"released"`` or ``"rl"``.
+    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``, ``"strive_target"``.
 
     docs/method.md says what they mean; every one of them may be changed.
     """

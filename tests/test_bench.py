@@ -174,6 +174,17 @@ def test_the_floor_replays_the_log():
     json.dumps(rows, allow_nan=False)
 
 
+@pytest.mark.parametrize(
+    "method", ["ccdiff", "simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp"]
+)
+def test_no_network_moves_a_scene_in_which_it_drives_nobody(method):
+    (row,) = evaluate(
+        source=VAL, names=scene_names(VAL)[:1], method=method, num_controlled=0, replan_steps=5,
+        seed=0,
+    )  # fmt: skip
+    assert row["fde_m"] == row["ade_m"] == 0.0
+
+
 def test_only_the_control_set_leaves_the_log():
     one, everyone = (
         evaluate(

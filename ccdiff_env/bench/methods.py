@@ -190,6 +190,12 @@ for _name, _label in _NETWORKS.items():
         METHODS[f"{_name}_one_sample"] = Method(
             f"{_label}, no guidance, N=1", _driver, ccdiff={**_own, "num_samples": 1}
         )
+# the objective of the original: one vehicle is drawn to the ego, no other contact is sought
+METHODS["strive_target"] = dataclasses.replace(
+    METHODS["strive"],
+    label="STRIVE, one target",
+    ccdiff={**METHODS["strive"].ccdiff, "guidance": "strive_target", "collision_targets": "ego"},
+)
 # BITS chooses among its plans; moving them as well is its other composition
 METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
 METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})

@@ -1,6 +1,8 @@
 //! What guidance seeks and how hard it pulls.
 
-use super::objective::{AgentCollision, Approach, Comfort, Goal, MapCollision, OverSpeed, TargetSpeed};
+use super::objective::{
+    AgentCollision, Approach, Comfort, Goal, MapCollision, OverSpeed, TargetDistance, TargetSpeed,
+};
 use crate::error::{ModelError, Result};
 use ccdiff_sim::options::{Table, above, at_least, within};
 use ccdiff_sim::{choices, options};
@@ -25,6 +27,8 @@ choices! {
         Approach(Approach) = "approach",
         /// Lateral acceleration and jerk above their limits (ours).
         Comfort(Comfort) = "comfort",
+        /// Distance of the likeliest attacker to the target, as STRIVE seeks it.
+        TargetDistance(TargetDistance) = "target_distance",
     }
 }
 
@@ -39,12 +43,13 @@ impl Objective {
             Self::Goal(o) => o.weight,
             Self::Approach(o) => o.weight,
             Self::Comfort(o) => o.weight,
+            Self::TargetDistance(o) => o.weight,
         }
     }
 
     /// Whether the loss of an agent depends on where the others go.
     pub fn is_joint(&self) -> bool {
-        matches!(self, Self::AgentCollision(_) | Self::Approach(_))
+        matches!(self, Self::AgentCollision(_) | Self::Approach(_) | Self::TargetDistance(_))
     }
 }
 
@@ -103,6 +108,7 @@ pub const TABLES: &[&Table] = &[
     &Goal::TABLE,
     &Approach::TABLE,
     &Comfort::TABLE,
+    &TargetDistance::TABLE,
 ];
 
 options! {
@@ -175,19 +181,33 @@ impl GuidanceConfig {
         }
     }
 
+    /// STRIVE's: one attacker is drawn to the target, all stay on the road.
+    ///
+    /// Differs from STRIVE: its latents' own terms are the prior's alone, and the steps are those of [`Self::rl`].
+    pub fn strive_target() -> Self {
+        Self {
+            objectives: vec![
+                Objective::TargetDistance(TargetDistance::default()),
+                Objective::MapCollision(MapCollision::default()),
+            ],
+            ..Self::rl()
+        }
+    }
+
     /// A preset by name.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for another name than `paper`, `released` and `rl`.
+    /// [`ModelError::Config`] for another name than `paper`, `released`, `rl` and `strive_target`.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
             "released" => Ok(Self::released()),
             "rl" => Ok(Self::rl()),
+            "strive_target" => Ok(Self::strive_target()),
             _ => Err(ModelError::Config {
                 field: "guidance.preset",
                 got: format!("{name:?}"),
-                expected: "\"paper\", \"released\" or \"rl\"",
+                expected: "\"paper\", \"released\", \"rl\" or \"strive_target\"",
             }),
         }
     }
@@ -208,7 +228,7 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_survive_json() {
-        for name in ["paper", "released", "rl"] {
+        for name in ["paper", "released", "rl", "strive_target"] {
             let config = GuidanceConfig::preset(name).unwrap().validated().unwrap();
             let text = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<GuidanceConfig>(&text).unwrap(), config);

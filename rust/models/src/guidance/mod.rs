@@ -27,7 +27,7 @@ pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{
-    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, OverSpeed, TargetSpeed,
+    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, OverSpeed, TargetDistance, TargetSpeed,
 };
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

@@ -8,6 +8,7 @@ mod disks;
 mod goal;
 mod map_collision;
 mod over_speed;
+mod target_distance;
 mod target_speed;
 
 pub use agent_collision::AgentCollision;
@@ -16,6 +17,7 @@ pub use comfort::Comfort;
 pub use goal::Goal;
 pub use map_collision::MapCollision;
 pub use over_speed::OverSpeed;
+pub use target_distance::TargetDistance;
 pub use target_speed::TargetSpeed;
 
 use super::config::Objective;
@@ -45,6 +47,7 @@ impl Objective {
             Self::TargetSpeed(o) => o.evaluate(context, plan, out),
             Self::Goal(o) => o.evaluate(context, plan, out),
             Self::Approach(o) => o.evaluate(context, plan, out),
+            Self::TargetDistance(o) => o.evaluate(context, plan, out),
             Self::Comfort(o) => o.evaluate(context, plan, out),
         }
     }
