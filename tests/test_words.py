@@ -64,7 +64,10 @@ FORMER = {
         "Video, save_video, side_by_side",
         "ccdiff_env tools docs",
     ),
-    r"(?<!<)(?<!</)\b[Pp]ictures?\b": ("image, animation, Drawing", "rust/render ccdiff_env/view tools"),
+    r"(?<!<)(?<!</)\b[Pp]ictures?\b": (
+        "image, animation, Drawing",
+        "rust/render ccdiff_env/view tools",
+    ),
     r"\b(Driver|LogShot)\b": ("DrawStyle, LogView", "rust/render"),
     r"\b[Gg]ames?\b|\bGAME\b": (
         "multi-agent environment, playground",

@@ -18,7 +18,7 @@ Tone = Literal["bad", "good", "plain"]
 
 PARKED_MPS = 0.5
 """A vehicle whose log never exceeds this speed is parked."""
-STANDING_MPS = 0.1
+STATIONARY_MPS = 0.1
 """Who is slower when boxes meet did not drive into anybody."""
 LEAD_S = 2.0
 """Replays open so long before what they open for."""
@@ -153,7 +153,7 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
         first = min(events, key=_importance)
         agent, partner = number[first.agent_id], number[str(first.partner_id)]
         crash = is_collision(rollout, first)
-        stood = bool(np.hypot(*rollout.velocity[agent, max(step - 1, 0)]) < STANDING_MPS)
+        stood = bool(np.hypot(*rollout.velocity[agent, max(step - 1, 0)]) < STATIONARY_MPS)
         text = _collision(first, stood, names[agent], names[partner]) if crash else (
             f"boxes of {names[agent]} and {names[partner]} overlap in the log"
         )  # fmt: skip
