@@ -10,7 +10,7 @@ version = release = re.search(
     r'^version = "(.+)"$', Path(__file__).parents[1].joinpath("Cargo.toml").read_text(), re.M
 )[1]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-exclude_patterns = ["site"]
+exclude_patterns = ["site", "jupyter_execute"]
 # the notebooks of the examples, run while the site is built
 shutil.copytree(
     Path(__file__).parents[1] / "examples" / "notebooks",
