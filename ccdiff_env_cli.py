@@ -7,6 +7,7 @@ what a verb needs when that verb is called: help comes at once.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -82,6 +83,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         status: int = args.run(args)
+        sys.stdout.flush()
+    except BrokenPipeError:  # who read the output, as head does, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (CcdiffError, OSError) as error:
         print(f"ccdiff-env {args.verb}: {error}", file=sys.stderr)
         return 2
