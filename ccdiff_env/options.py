@@ -403,7 +403,7 @@ GraphMode: TypeAlias = Literal["causal", "full"]
 
 #: How the vehicles to be guided are found.
 Ranking: TypeAlias = (
-    Literal["cliques", "greedy", "distance_cliques", "first", "random", "gradient"]
+    Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
     | Mapping[str, tuple[str, ...]]
 )
 
@@ -459,9 +459,10 @@ class CcdiffConfig:
     #: Vehicles that are guided K; ``None``: all.
     num_guided: int | None = 5
     #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
-    #: attention, cliques of the distance graph, the scene's order, a shuffle, agreement of the
-    #: gradients of realism and guidance, or agent ids by scene name, most important first (a
-    #: mapping, or the path of a JSON file, see ``ccdiff_env.traffic.read_ranking``).
+    #: attention, cliques of the distance graph, time to contact with those who count in
+    #: ``collision_targets``, the scene's order, a shuffle, agreement of the gradients of realism
+    #: and guidance, or agent ids by scene name, most important first (a mapping, or the path of a
+    #: JSON file, see ``ccdiff_env.traffic.read_ranking``).
     ranking: Ranking = "cliques"
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True

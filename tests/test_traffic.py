@@ -22,6 +22,7 @@ from ccdiff_env.errors import (
     SceneError,
     UnknownNameError,
 )
+from ccdiff_env.key_agents import logged_vehicles
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
@@ -174,7 +175,7 @@ def test_kept_noise_is_an_agents_own_and_part_of_snapshots(scenes):
 
 @pytest.mark.parametrize(
     "ranking",
-    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "list", "file"],
+    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "ttc", "list", "file"],
 )
 def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, tmp_path):
     scene = scenes[0]
@@ -190,6 +191,17 @@ def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, t
     assert plan["guided"].sum() == 1
     if ranking in ("list", "file") and 2 in ours:
         assert plan["ranking"][0] == 2
+
+
+def test_by_time_to_contact_those_who_meet_the_ego_soonest_come_first():
+    guided = {"ranking": "ttc", "num_guided": 1, "criticality": 1.0}
+    for scene in ccdiff_env.embedded_scenes("val")[:6]:
+        play = Play([scene], ccdiff=guided)
+        play.step()
+        plan = play.native.explain(0)
+        order = logged_vehicles(scene, play.native.status(0).step_idx - 1, "ttc")
+        expected = [agent for agent in order if agent in plan["ranking"]]
+        assert plan["ranking"].tolist() == expected
 
 
 def test_vehicles_left_to_the_log_stay_on_it(scenes):

@@ -102,6 +102,18 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
             f"ccdiff-{level:g}-avoidable": _critical(level, avoidable_only=True)
             for level in (1.0, 2.0)
         },
+        # one vehicle at a time, found by the causal ranking or by time to contact
+        **{
+            f"ccdiff-1-k1{suffix}": Traffic(
+                f"CCDiff, criticality 1, K = 1, {found}",
+                "ccdiff",
+                {"criticality": 1.0, "num_samples": 1, "num_guided": 1, "ranking": ranking},
+            )
+            for suffix, found, ranking in (
+                ("", "causal ranking", "cliques"),
+                ("-ttc", "by time to contact", "ttc"),
+            )
+        },
         "ccdiff-redrawn": Traffic(
             "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
         ),

@@ -36,6 +36,8 @@ choices! {
         Greedy = "greedy",
         /// Occurrence in heavy cliques of the distance graph.
         DistanceCliques = "distance_cliques",
+        /// Time to contact with the nearest in it of `collision_targets`, then distance from it.
+        Ttc = "ttc",
         /// The order of the scene, the ego first: what the release calls random.
         First = "first",
         /// A shuffle from the world's own seed.
@@ -156,7 +158,7 @@ options! {
         /// Vehicles that are guided K; `None`: all.
         num_guided: Option<usize> = Some(5);
         /// How they are found: cliques of the time-to-contact graph, greedy cliques on G times attention, cliques of the
-        /// distance graph, the scene's order, a shuffle, agreement of the gradients of realism and guidance, or agent ids by
+        /// distance graph, time to contact with those who count in `collision_targets`, the scene's order, a shuffle, agreement of the gradients of realism and guidance, or agent ids by
         /// scene name, most important first (a mapping, or the path of a JSON file, see `ccdiff_env.traffic.read_ranking`).
         ranking: Ranking = Ranking::Cliques;
         /// Whether they are found anew at every plan, not only at the first one.
@@ -304,7 +306,7 @@ impl CcdiffConfig {
             Ranking::Greedy => Ranker::Greedy(GreedyOrder::default()),
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },
-            Ranking::Gradient => Ranker::Scores,
+            Ranking::Ttc | Ranking::Gradient => Ranker::Scores,
             Ranking::List(lists) => {
                 let listed = lists.get(scene).into_iter().flatten();
                 Ranker::Listed(listed.filter_map(|id| ids.iter().position(|i| i == id)).collect())

@@ -4,7 +4,7 @@ use super::config::{CcdiffConfig, Conflict, ParkedRule};
 use crate::error::Result;
 use crate::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
-use ccdiff_sim::causal::measures::{normalised_distance, normalised_ttc};
+use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::policy::{Driver, PlanOverride, PlanRequest, WorldView};
@@ -33,7 +33,7 @@ pub(super) struct PlannedAgents {
 pub(super) struct RankingInputs {
     /// Attention [M, M].
     pub(super) attention: Option<Vec<Real>>,
-    /// Alignment of the gradients of realism and guidance, [M].
+    /// Alignment of the gradients of realism and guidance, or how soon there is contact, [M].
     pub(super) scores: Option<Vec<Real>>,
     /// The decision causal graph G.
     pub(super) graph: Option<CausalGraph>,
@@ -140,6 +140,25 @@ impl PlannedAgents {
             _ if beside_m > SAME_LANE_M => Conflict::CutIn,
             _ => Conflict::RearEnd,
         })
+    }
+
+    /// How soon each agent meets one of `collision_targets`, [M]; the greater the sooner, below those who meet none.
+    ///
+    /// # Errors
+    /// What the distances refuse.
+    pub(super) fn contact_scores(&self, collision_targets: &[bool]) -> Result<Vec<Real>> {
+        let m = self.agents.len();
+        let now = (self.window.num_steps - 1) * m * m;
+        let distance_m = self.window.distance_m()?;
+        let least = |of: &[Real], row: usize| {
+            let targets = (0..m).filter(|t| *t != row && collision_targets[*t]);
+            targets.map(|t| of[now + row * m + t]).fold(Real::INFINITY, Real::min)
+        };
+        let score = |row| match least(&self.window.ttc_s, row) {
+            ttc_s if ttc_s < TTC_CAP_S => 1.0 / (1.0 + ttc_s),
+            _ => -least(&distance_m, row),
+        };
+        Ok((0..m).map(score).collect())
     }
 
     /// Tells the network the routes of the vehicles that this policy drives.

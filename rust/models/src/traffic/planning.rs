@@ -165,7 +165,10 @@ impl PlannedTraffic {
         let mut ranking_inputs = self.ranking_inputs(due)?;
         ranking_inputs.resize_with(due.len(), RankingInputs::default);
         let (traffic, config) = (&*self, &self.config);
-        let rank = |(d, inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
+        let rank = |(d, mut inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
+            if config.ranking == Ranking::Ttc {
+                inputs.scores = Some(d.planned.contact_scores(&d.collision_targets)?);
+            }
             d.ranking = if traffic.ranks(d.request) {
                 d.planned.ranking(&d.request.world, config, &inputs)?
             } else {
