@@ -104,8 +104,11 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     model = TrajectoryModel(args.weights or shipped_weights())
-    # a network that was taught to plan in one step takes no other number
-    steps = (1,) if model.header["training"].get("teacher_steps") else (5, 10)
+    # a network that was taught to plan in one step takes no other number, and who does not denoise
+    # has none
+    steps = (5, 10) if model.header["kind"] in ("ccdiff", "ctg", "ctgpp") else (5,)
+    if model.header["training"].get("teacher_steps"):
+        steps = (1,)
     knows_routes = bool(model.header["model"].get("route_points_m"))
     scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
     chosen = list(scenes)[: args.limit]
