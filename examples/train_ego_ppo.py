@@ -31,6 +31,8 @@ GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
 #: standard deviations fall no faster than the learning rate does.
 CORRELATION = 0.7
 WIDTH_ROWS, WIDTH = 64, 128
+#: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
+HALF = torch.cpu._is_avx512_bf16_supported()
 REWARD = {
     "progress": 0.02,
     "collision": -2.5,
@@ -262,7 +264,7 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     moved = 0.0
     for _ in range(EPOCHS):
         for index in torch.randperm(len(advantage)).split(MINIBATCH):
-            with torch.autocast("cpu", torch.bfloat16):  # half the time of an update
+            with torch.autocast("cpu", torch.bfloat16, enabled=HALF):
                 mean, values = (out.float() for out in agent(data["x"][index]))
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
             ratio, gain = change.exp(), data["advantage"][index]
