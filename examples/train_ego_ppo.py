@@ -209,8 +209,11 @@ class Agent(nn.Module):
 
     def features(self, x: torch.Tensor) -> torch.Tensor:
         """What both heads see of normalised observations [B, D]."""
-        rows = self.encoder(x[:, self.rows].reshape(-1, *self.shape))
-        found = (rows * x[:, self.mask].unsqueeze(-1)).amax(dim=1)
+        mask = x[:, self.mask].unsqueeze(-1)
+        rows, present = mask.new_zeros(*mask.shape[:2], WIDTH_ROWS), mask[..., 0] > 0
+        encoded = self.encoder(x[:, self.rows].reshape(-1, *self.shape)[present])
+        rows[present] = encoded.to(rows.dtype)  # seven rows of ten hold nobody
+        found = (rows * mask).amax(dim=1)
         return torch.cat([x[:, : self.rows.start], x[:, self.mask.stop :], found], dim=1)
 
     def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
