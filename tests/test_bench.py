@@ -1,14 +1,8 @@
-"""Benchmarks: jobs that go on where they stopped, figures of episodes, tables, planners, scores."""
+"""Benchmarks: figures of episodes, tables, planners, scores."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,148 +11,19 @@ import scipy.stats
 import ccdiff_env
 from ccdiff_env import _native, cli
 from ccdiff_env.bench import selection
-from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
+from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
-from ccdiff_env.bench.scenes import chunks, scene_names
+from ccdiff_env.bench.scenes import scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
-from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
 
 VAL = {"embedded": "val"}
-
-
-def square(x, log=None):
-    """A job's function; notes that it was run."""
-    if log is not None:
-        with open(log, "a", encoding="utf-8") as file:
-            file.write(f"{x}\n")
-    return {"square": x * x}
-
-
-def fragile(x, marker):
-    """A job's function that takes its worker down the first time."""
-    if x == 1 and not os.path.exists(marker):
-        with open(marker, "w", encoding="utf-8"):
-            pass
-        os.kill(os.getpid(), signal.SIGKILL)
-    return x * x
-
-
-def sleepy(folder):
-    """A job's function that leaves the number of its process, and goes on for long."""
-    Path(folder, str(os.getpid())).touch()
-    time.sleep(300)
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    # a zombie is not alive, only not yet collected
-    return (
-        Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
-    )
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_workers_end_with_the_run_that_was_killed(tmp_path):
-    pids = tmp_path / "pids"
-    pids.mkdir()
-    code = f"""
-from pathlib import Path
-from ccdiff_env.bench.jobs import Job, _line, run_jobs
-if __name__ == "__main__":
-    jobs = [Job(str(x), "test_bench:sleepy", {{"folder": {str(pids)!r}}}) for x in (0, 1)]
-    run_jobs(jobs, Path({str(tmp_path / "raw")!r}), workers=2, progress=False)
-"""
-    (tmp_path / "main.py").write_text(code, encoding="utf-8")
-    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
-    run = subprocess.Popen(
-        [sys.executable, str(tmp_path / "main.py")], env={**os.environ, "PYTHONPATH": path}
-    )
-    end = time.monotonic() + 60.0
-    while len(list(pids.iterdir())) < 2 and time.monotonic() < end:
-        time.sleep(0.1)
-    workers = [int(file.name) for file in pids.iterdir()]
-    run.kill()
-    run.wait()
-    assert len(workers) == 2
-    while any(alive(pid) for pid in workers) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not any(alive(pid) for pid in workers)
-
-
-def test_a_killed_run_goes_on_where_it_stopped(tmp_path):
-    log = tmp_path / "log"
-    jobs = [Job(f"job-{x}", f"{__name__}:square", {"x": x, "log": str(log)}) for x in range(4)]
-    run_jobs(jobs[:2], tmp_path / "raw", progress=False)
-    run_jobs(jobs, tmp_path / "raw", progress=False)
-    assert log.read_text().split() == ["0", "1", "2", "3"]
-    assert results(jobs, tmp_path / "raw")["job-3"] == {"square": 9}
-    assert not [p for p in (tmp_path / "raw").iterdir() if p.name.startswith(".")]
-
-
-def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
-    arguments = {
-        "source": VAL, "method": "constant_velocity", "num_controlled": 2, "replan_steps": 5,
-        "seed": 0,
-    }  # fmt: skip
-    names = chunks(scene_names(VAL), 3)[:2]
-    jobs = [
-        Job(f"cv-K2-T5-{i:03d}", "ccdiff_env.bench.traffic:evaluate", {**arguments, "names": n})
-        for i, n in enumerate(names)
-    ]
-    run_jobs(jobs, tmp_path / "one", progress=False)
-    run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
-    assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
-
-
-def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
-    ray = pytest.importorskip("ray", reason="ray is not installed")
-    found_here = {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
-    ray.init(
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        runtime_env={"env_vars": found_here},
-    )
-    try:
-        marker = str(tmp_path / "marker")
-        jobs = [
-            Job(f"job-{x}", f"{__name__}:fragile", {"x": x, "marker": marker}) for x in range(4)
-        ]
-        jobs += traffic_jobs({"embedded": "val"}, ["ccdiff_one_sample"], num_controlled=(1,))
-        run_jobs(jobs, tmp_path / "ray", backend="ray", progress=False)
-        assert os.path.exists(marker)
-        run_jobs(jobs, tmp_path / "local", progress=False)
-        assert results(jobs, tmp_path / "ray") == results(jobs, tmp_path / "local")
-    finally:
-        ray.shutdown()
-
-
-def test_bars_say_what_was_done_and_the_mean_so_far():
-    figures = {}
-    assert _line(("00-ccdiff-1-0-000", [{"score": 1.0}], 1.0), figures).endswith("score 1.00")
-    second = _line(("00-ccdiff-1-0-001", [{"score": 0.0}, {"score": 0.5}], 1.0), figures)
-    assert second == "00 ccdiff 1 0, score 0.50"
-    assert _line(("train-0", {"path": "x"}, 1.0), {}) == "train"
-
-
-def test_damaged_results_and_doubled_names_are_refused(tmp_path):
-    job = Job("job", f"{__name__}:square", {"x": 1})
-    with pytest.raises(ConfigError, match="same name"):
-        run_jobs([job, job], tmp_path, progress=False)
-    with pytest.raises(ConfigError, match="workers"):
-        run_jobs([job], tmp_path, workers=0, progress=False)
-    (tmp_path / "job.json").write_text("{", encoding="utf-8")
-    with pytest.raises(DatasetError, match=r"job\.json"):
-        results([job], tmp_path)
 
 
 def test_the_floor_replays_the_log():
