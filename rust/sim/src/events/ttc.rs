@@ -39,10 +39,12 @@ impl LeastTimes {
         agents.clone().for_each(|a| self.least_s[a] = horizon_s);
         // who is not there would meet the others, but they do not meet it
         for a in agents.clone().filter(|a| !states.active[*a]) {
-            self.measure(states, footprints, a, horizon_s);
+            self.measure(states, footprints, a, 0, horizon_s);
         }
+        let mut first = 0;
         for a in agents.filter(|a| states.active[*a]) {
-            self.measure(states, footprints, a, horizon_s);
+            first += self.radius_m[first..].iter().take_while(|r| **r < 0.0).count();
+            self.measure(states, footprints, a, first, horizon_s);
             self.radius_m[a] = Real::NEG_INFINITY;
         }
     }
@@ -52,10 +54,16 @@ impl LeastTimes {
         self.least_s[agent_idx]
     }
 
-    /// Looks at an agent with all that are left.
-    fn measure(&mut self, states: &AgentStates, footprints: &[Footprint], agent_idx: usize, horizon_s: Real) {
+    /// Looks at an agent with all that are left, from the first of them on.
+    fn measure(
+        &mut self,
+        states: &AgentStates,
+        footprints: &[Footprint],
+        agent_idx: usize,
+        first: usize,
+        horizon_s: Real,
+    ) {
         let num_agents = states.len();
-        let Some(first) = self.radius_m.iter().position(|r| *r >= 0.0) else { return };
         let first = first / LANES * LANES;
         self.may_meet[num_agents..].fill(0);
         let own_radius_m = footprints[agent_idx].radius_m;

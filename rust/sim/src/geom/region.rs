@@ -70,13 +70,19 @@ impl Grid {
     /// Cell of a point; `None` off the grid and for NaN.
     #[inline]
     pub(crate) fn cell(&self, point: Point2) -> Option<usize> {
+        self.column_and_row(point).map(|(column, row)| row * self.num_columns + column)
+    }
+
+    /// Column and row of that cell.
+    #[inline]
+    fn column_and_row(&self, point: Point2) -> Option<(usize, usize)> {
         let x = (point.x - self.min.x) * self.cells_per_m;
         let y = (point.y - self.min.y) * self.cells_per_m;
         if !(x >= 0.0 && y >= 0.0) {
             return None;
         }
         let (column, row) = (x as usize, y as usize);
-        (column < self.num_columns && row < self.num_rows).then(|| row * self.num_columns + column)
+        (column < self.num_columns && row < self.num_rows).then_some((column, row))
     }
 
     /// Lower left corner of a cell in f64.
@@ -157,18 +163,11 @@ impl Region {
     #[inline]
     pub fn holds_square(&self, centre: Point2, half_side_m: Real) -> bool {
         let half_side_m = half_side_m.abs();
-        let low = self.grid.cell(Point2::new(centre.x - half_side_m, centre.y - half_side_m));
-        let high = self.grid.cell(Point2::new(centre.x + half_side_m, centre.y + half_side_m));
-        let (Some(low), Some(high)) = (low, high) else { return false };
-        let width = high % self.grid.num_columns - low % self.grid.num_columns + 1;
-        let mut start = low;
-        while start <= high {
-            if self.cells[start..start + width].iter().any(|code| *code != INSIDE) {
-                return false;
-            }
-            start += self.grid.num_columns;
-        }
-        true
+        let low = self.grid.column_and_row(Point2::new(centre.x - half_side_m, centre.y - half_side_m));
+        let high = self.grid.column_and_row(Point2::new(centre.x + half_side_m, centre.y + half_side_m));
+        let (Some((left, bottom)), Some((right, top))) = (low, high) else { return false };
+        let row = |row: usize| &self.cells[row * self.grid.num_columns..][left..=right];
+        (bottom..=top).all(|r| row(r).iter().all(|code| *code == INSIDE))
     }
 
     /// Bytes held on the heap.

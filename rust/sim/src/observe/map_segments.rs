@@ -83,6 +83,8 @@ pub struct MapSegments {
     places: Vec<F32x8>,
     low: [Real; 2],
     cell_m: Real,
+    /// One over the side of a cell, which is a power of two.
+    cells_per_m: Real,
     num_cells: [usize; 2],
     cells: Vec<OnceLock<Box<[u32]>>>,
 }
@@ -164,7 +166,7 @@ impl MapSegments {
             return &[];
         }
         let cell = |v: Real, axis: usize| {
-            (((v - self.low[axis]) / self.cell_m).max(0.0) as usize).min(self.num_cells[axis] - 1)
+            (((v - self.low[axis]) * self.cells_per_m).max(0.0) as usize).min(self.num_cells[axis] - 1)
         };
         let (i, j) = (cell(at.x, 0), cell(at.y, 1));
         self.cells[j * self.num_cells[0] + i].get_or_init(|| {
@@ -270,6 +272,7 @@ impl MapSegments {
         while (width / self.cell_m + 1.0) * (height / self.cell_m + 1.0) > MAX_CELLS {
             self.cell_m *= 2.0;
         }
+        self.cells_per_m = 1.0 / self.cell_m;
         self.num_cells = [width, height].map(|extent| (extent / self.cell_m) as usize + 1);
         self.cells = (0..self.num_cells[0] * self.num_cells[1]).map(|_| OnceLock::new()).collect();
     }

@@ -4,9 +4,9 @@ use crate::geom::Real;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::AgentStates;
 
-/// Most candidates that are put in order by counting for each those that are nearer.
+/// Most agents that are put in order by counting for each those that are nearer.
 const MOST_COUNTED: usize = 128;
-/// Candidates that are counted at once.
+/// Agents that are counted at once.
 const LANES: usize = 32;
 /// Agents gathered at once.
 const BLOCK: usize = 8;
@@ -26,11 +26,9 @@ pub(super) struct NearestAgents {
     most: usize,
     radius_m: Real,
     distance_sq: Vec<Real>,
-    /// (squared distance, agent) of the candidates, sortable as numbers.
-    keys: Vec<u64>,
-    /// The same in order, and whatever else.
+    /// [`key`]s of the agents within a distance, in order, and whatever else.
     sorted: Vec<u64>,
-    /// Distances of the candidates in steps, and the number of those that are nearer.
+    /// Distances in steps, and the number of agents that are nearer.
     steps: Box<[i16; MOST_COUNTED]>,
     ranks: Box<[i16; MOST_COUNTED]>,
     last: Vec<Vec<u32>>,
@@ -43,7 +41,6 @@ impl NearestAgents {
             most,
             radius_m,
             distance_sq: Vec::new(),
-            keys: Vec::new(),
             sorted: Vec::new(),
             steps: Box::new([0; MOST_COUNTED]),
             ranks: Box::new([0; MOST_COUNTED]),
@@ -59,17 +56,13 @@ impl NearestAgents {
         self.distance_sq.resize(num_agents, 0.0);
         measure(states, agent_idx, reach_sq, &mut self.distance_sq);
         let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
-        self.keys.resize(num_agents, 0);
-        let mut num_keys = 0;
-        gather(&self.distance_sq, limit_sq.min(reach_sq), &mut self.keys, &mut num_keys);
-        if num_keys <= MOST_COUNTED {
-            self.sort_by_counting(num_keys);
+        let limit_sq = limit_sq.min(reach_sq);
+        let num_near = if num_agents <= MOST_COUNTED {
+            self.sort_by_counting(limit_sq)
         } else {
-            self.sorted.clear();
-            self.sorted.extend(&self.keys[..num_keys]);
-            self.sorted.sort_unstable();
-        }
-        let sorted = &self.sorted[..num_keys.min(self.most)];
+            self.sort_those_within(limit_sq)
+        };
+        let sorted = &self.sorted[..num_near.min(self.most)];
         if num_agents > self.most + 1 {
             let last = &mut self.last[agent_idx];
             last.clear();
@@ -92,42 +85,61 @@ impl NearestAgents {
         last.iter().map(far).fold(0.0, Real::max)
     }
 
-    /// Puts the first keys in order: by the distance in steps first, what is left by insertion.
-    fn sort_by_counting(&mut self, num_keys: usize) {
-        let (keys, steps) = (&self.keys[..num_keys], &mut self.steps);
-        let num_padded = num_keys.next_multiple_of(LANES);
-        to_steps(keys, STEPS / self.radius_m, &mut steps[..]);
-        steps[num_keys..num_padded].fill(BEYOND);
-        count_nearer(&steps[..num_padded], num_keys, &mut self.ranks[..]);
+    /// Puts the agents within a distance in order, by the distance in steps first; their number.
+    fn sort_by_counting(&mut self, limit_sq: Real) -> usize {
+        let (num_agents, steps) = (self.distance_sq.len(), &mut self.steps);
+        to_steps(&self.distance_sq, limit_sq, STEPS / self.radius_m, &mut steps[..]);
+        let num_near = steps[..num_agents].iter().filter(|step| **step != BEYOND).count();
+        steps[num_agents..num_agents.next_multiple_of(LANES)].fill(BEYOND);
+        count_nearer(&steps[..num_agents.next_multiple_of(LANES)], num_agents, &mut self.ranks[..]);
         if self.sorted.len() < MOST_COUNTED {
             self.sorted.resize(MOST_COUNTED, 0);
         }
-        let (ranks, Some(sorted)) = (&self.ranks[..num_keys], self.sorted.first_chunk_mut::<MOST_COUNTED>())
+        let (ranks, Some(sorted)) =
+            (&self.ranks[..num_agents], self.sorted.first_chunk_mut::<MOST_COUNTED>())
         else {
-            return;
+            return 0;
         };
-        for (key, rank) in keys.iter().zip(ranks) {
-            sorted[*rank as usize % MOST_COUNTED] = *key;
+        // those beyond come after all others
+        for (agent_idx, (distance_sq, rank)) in self.distance_sq.iter().zip(ranks).enumerate() {
+            sorted[*rank as usize % MOST_COUNTED] = key(*distance_sq, agent_idx);
         }
         // ranks of which two are the same add up to less than 0 + 1 + 2 + …
         let sum: i32 = ranks.iter().map(|rank| i32::from(*rank)).sum();
-        if 2 * sum as usize != num_keys * num_keys.saturating_sub(1) {
-            place_with_ties(keys, ranks, &mut sorted[..]);
+        let of_near = sum as usize - (num_agents - num_near) * num_near;
+        if 2 * of_near != num_near * num_near.saturating_sub(1) {
+            let near = |(_, rank): &(u64, i16)| (*rank as usize) < num_near;
+            let keys = self.distance_sq.iter().enumerate().map(|(agent_idx, d)| key(*d, agent_idx));
+            place_with_ties(keys.zip(ranks.iter().copied()).filter(near), &mut sorted[..num_near]);
         }
+        num_near
+    }
+
+    /// The same, by the library's sort.
+    fn sort_those_within(&mut self, limit_sq: Real) -> usize {
+        self.sorted.resize(self.distance_sq.len(), 0);
+        let mut num_near = 0;
+        gather(&self.distance_sq, limit_sq, &mut self.sorted, &mut num_near);
+        self.sorted[..num_near].sort_unstable();
+        num_near
     }
 }
 
+/// A number that sorts by the distance, then by the agent.
+#[inline(always)]
+fn key(distance_sq: Real, agent_idx: usize) -> u64 {
+    // distances are not negative, so their bits sort as they do
+    u64::from(distance_sq.to_bits()) << 32 | agent_idx as u64
+}
+
 /// Puts keys in order of which the ranks say how many have a lesser number of steps.
-fn place_with_ties(keys: &[u64], ranks: &[i16], sorted: &mut [u64]) {
+fn place_with_ties(keys: impl Iterator<Item = (u64, i16)>, sorted: &mut [u64]) {
     let mut num_placed = [0u8; MOST_COUNTED];
-    for (key, rank) in keys.iter().zip(ranks) {
-        let rank = *rank as usize % MOST_COUNTED;
-        sorted[rank + usize::from(num_placed[rank])] = *key;
+    for (key, rank) in keys {
+        let rank = rank as usize % MOST_COUNTED;
+        let mut at = rank + usize::from(num_placed[rank]);
         num_placed[rank] += 1;
-    }
-    for i in 1..keys.len() {
-        let (key, mut at) = (sorted[i], i);
-        while at > 0 && sorted[at - 1] > key {
+        while at > rank && sorted[at - 1] > key {
             sorted[at] = sorted[at - 1];
             at -= 1;
         }
@@ -150,7 +162,6 @@ simd_dispatch! {
 
     /// Writes the keys of the agents within a distance, and their number.
     fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64], num_keys: &mut usize) {
-        let key = |d: Real, j: usize| u64::from(d.to_bits()) << 32 | j as u64;
         let mut n = 0;
         for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
             let first = block_idx * BLOCK;
@@ -171,12 +182,13 @@ simd_dispatch! {
         *num_keys = n;
     }
 
-    /// Distances of keys in whole steps; never fewer steps for a greater distance.
-    fn to_steps(keys: &[u64], steps_per_metre: Real, steps: &mut [i16]) {
-        for (step, key) in steps.iter_mut().zip(keys) {
+    /// Distances in whole steps, [`BEYOND`] outside of a limit; never fewer steps for a greater distance.
+    fn to_steps(distance_sq: &[Real], limit_sq: Real, steps_per_metre: Real, steps: &mut [i16]) {
+        for (step, distance_sq) in steps.iter_mut().zip(distance_sq) {
             // added to this number, a float has its whole part in its lowest bits
-            let whole = Real::from_bits((key >> 32) as u32).sqrt() * steps_per_metre + 8_388_608.0;
-            *step = (whole.to_bits() & 0x7fff) as i16;
+            let whole = distance_sq.sqrt() * steps_per_metre + 8_388_608.0;
+            let near = (whole.to_bits() & 0x7fff) as i16;
+            *step = if *distance_sq <= limit_sq { near } else { BEYOND };
         }
     }
 
