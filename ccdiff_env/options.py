@@ -471,8 +471,7 @@ class CcdiffConfig:
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
     #: configured (>= 0). Worlds may be told another one at any time.
     criticality: float = 0.0
-    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings,
-    #: see ``ccdiff_env.models.guidance_preset``.
+    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
     #: Whether plans of worlds that are not guided are moved too: off contacts and back onto the
     #: road, at the cost of the gradients.
