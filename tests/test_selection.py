@@ -310,7 +310,7 @@ def test_any_planner_drives_the_ego(scenes, tmp_path):
 
     model = PPO("MlpPolicy", SB3VecEnv(train), n_steps=8, batch_size=8, seed=0)
     model.save(tmp_path / "ego.zip")
-    for ego in ("replay", "idm", model, tmp_path / "ego.zip", str(tmp_path / "ego.zip")):
+    for ego in ("replay", "idm", "ego", model, tmp_path / "ego.zip", str(tmp_path / "ego.zip")):
         env = AdversarySelectionEnv(scenes=scenes, ego=ego, **PLAIN)
         env.reset(seed=0)
         assert np.isfinite(env.step(env.baseline("nearest"))[1])
@@ -324,6 +324,20 @@ def test_any_planner_drives_the_ego(scenes, tmp_path):
     (tmp_path / "bad.zip").write_bytes(b"no")
     with pytest.raises(ccdiff_env.errors.DatasetError):
         ego_driver(tmp_path / "bad.zip")
+
+
+def test_a_policy_of_the_package_drives_as_in_worlds_made_for_it(scenes):
+    policy = ccdiff_env.policies.load("ego")
+    selection = AdversarySelectionEnv(scenes=scenes, ego="ego", traffic="replay")
+    alone = ccdiff_env.make_vec(1, scenes=scenes, traffic="replay", **policy.env_options)
+    selection.reset(seed=3, options={"scene": scenes[0].name})
+    obs, _ = alone.reset(seed=3, options={"scene": scenes[0].name})
+    for _ in range(5):  # 3 steps each
+        obs, *_ = alone.step(policy.act(obs))
+    for _ in range(3):  # 5 steps each
+        selection.step(selection.baseline("none"))
+    found = [env.worlds.native.states(0)["position"] for env in (selection, alone)]
+    assert np.array_equal(*found)
 
 
 def test_mistakes_are_named(scenes):

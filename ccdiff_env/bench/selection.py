@@ -20,6 +20,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.planners import ego_driver
 
 __all__ = [
     "ADVERSARY_POLICIES",
@@ -144,6 +145,8 @@ def trial_jobs(
 ) -> list[Job]:
     """Return the jobs that try every adversary policy: policies x strengths x chunks of the scenes.
 
+    ``fork`` is left out where the ego is a policy, whose memory a fork does not hold.
+
     Raises
     ------
     ConfigError
@@ -152,7 +155,9 @@ def trial_jobs(
     if policies and budget != 1:
         raise ConfigError(f"budget is {budget}, expected 1 for adversary policies that are trained")
     conditions = [("none", 0.0)]
-    conditions += [(name, s) for name in ADVERSARY_POLICIES if name != "none" for s in STRENGTHS]
+    left_out = {"none"} if ego_driver(ego)[1] is None else {"none", "fork"}
+    simple = [name for name in ADVERSARY_POLICIES if name not in left_out]
+    conditions += [(name, strength) for name in simple for strength in STRENGTHS]
     conditions += [(path, 1.0) for path in policies]
     return [
         Job(

@@ -76,7 +76,11 @@ class SelectionBatch:
         driver, self._act = ego_driver(ego)
         chosen = scene_set(scenes)
         options = {"traffic": "ccdiff", **options}
-        resolved = world_config(chosen, config, options)
+        base = config
+        if config is None and self._act is not None:
+            # a policy says what it observes and what its actions mean
+            base, options = self._act.config, {"dt_s": chosen[0].dt, **options}
+        resolved = world_config(chosen, base, options)
         given = options.get("ccdiff", {})
         unsaid = isinstance(given, dict) and "criticality" not in given
         if config is None and unsaid and resolved.takes_ccdiff():
