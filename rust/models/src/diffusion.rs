@@ -87,14 +87,7 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
         let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < step.config.drop_graph));
         let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
-        let mut batch = batch.with_graph_dropped(&dropped, space.config());
-        if batch.route.is_some() {
-            // after the numbers of the scenes, one for each row
-            let rows =
-                (0..batch.num_rows() as u64).map(|row| of_drop.uniform(batch.scene_sizes.len() as u64 + row));
-            let untold: Vec<bool> = rows.map(|u| u < step.config.drop_route).collect();
-            batch = batch.with_routes_dropped(&Tensor::from_slice(&untold).to_device(device));
-        }
+        let batch = batch.with_graph_dropped(&dropped, space.config());
 
         let clean = space.knots_of(&logged_actions(targets));
         let numbers = step.draw(2).normals(clean.numel());

@@ -81,6 +81,20 @@ pub(crate) fn taught_seeds(config: &TrainConfig, step: u64, scenes: usize) -> Ve
     (0..scenes as u64).map(seed).map(|w| u64::from(w[0]) << 32 | u64::from(w[1])).collect()
 }
 
+/// The batch of a step with some routes untold, for a network that may know them.
+pub(crate) fn with_routes_dropped(batch: Batch, config: &TrainConfig, step: u64) -> Batch {
+    if batch.route.is_none() {
+        return batch;
+    }
+    let draw = stream_of(config, step, 1);
+    // after the numbers of the scenes, which drop their graph, one for each row
+    let first = batch.scene_sizes.len() as u64;
+    let rows = first..first + batch.num_rows() as u64;
+    let untold: Vec<bool> = rows.map(|at| draw.uniform(at) < config.drop_route).collect();
+    let untold = Tensor::from_slice(&untold).to_device(batch.speed_mps.device());
+    batch.with_routes_dropped(&untold)
+}
+
 /// The numbers that move a step's agents off their log.
 pub(crate) fn pushes(config: &TrainConfig, step: u64) -> Noise {
     stream_of(config, step, STREAMS - 1)

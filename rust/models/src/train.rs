@@ -260,6 +260,7 @@ impl Trainer {
                     self.dataset.indices_of_step(self.config.seed, self.step, self.config.batch_scenes);
                 let push = self.config.perturb.then(|| plan_model::pushes(&self.config, self.step));
                 let (batch, targets) = self.dataset.batch(&indices, push, self.store.device())?;
+                let batch = plan_model::with_routes_dropped(batch, &self.config, self.step);
                 let taught = self.taught(&batch)?;
                 let step = TrainingStep {
                     batch: &batch,

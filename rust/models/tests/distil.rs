@@ -5,6 +5,7 @@
 mod common;
 
 use ccdiff_models::ModelError;
+use ccdiff_models::checkpoint;
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
 use ccdiff_models::features::Window;
@@ -12,7 +13,7 @@ use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
 use std::path::{Path, PathBuf};
-use tch::Device;
+use tch::{Device, Kind};
 
 fn temporary(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("ccdiff-distil-{}", std::process::id()));
@@ -114,4 +115,25 @@ fn teachers_that_do_not_fit_are_refused() {
     refused(run(simnet, training(5)).taught_by(&regressor), "denoises");
     let alone = run(network(), training(5)).run(1).unwrap_err().to_string();
     assert!(alone.contains("without a teacher"), "{alone}");
+}
+
+#[test]
+fn a_student_is_told_as_many_routes_as_its_settings_say() {
+    let model = ModelConfig { route_points_m: vec![5.0, 10.0], ..network() };
+    let routes = |path: &Path| -> Vec<f64> {
+        let (_, tensors) = checkpoint::read(path).unwrap();
+        let own = tensors.iter().filter(|(name, _)| name.starts_with("route."));
+        own.map(|(_, numbers)| numbers.abs().sum(Kind::Double).double_value(&[])).collect()
+    };
+    let (teacher, student) = (temporary("told-teacher.safetensors"), temporary("told.safetensors"));
+    let mut first = run(model.clone(), training(0));
+    first.run(3).unwrap();
+    first.export(&teacher, &serde_json::json!({})).unwrap();
+    for (drop_route, learned) in [(1.0, false), (0.5, true)] {
+        let settings = TrainConfig { drop_route, ..training(5) };
+        let mut second = run(model.clone(), settings).taught_by(&teacher).unwrap();
+        second.run(2).unwrap();
+        second.export(&student, &serde_json::json!({})).unwrap();
+        assert_eq!(routes(&student) != routes(&teacher), learned, "{drop_route}");
+    }
 }
