@@ -71,11 +71,13 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
     """Return the weight file of the shipped ``fast`` network of a kind.
 
     With ``one_step`` that of the network which was taught to plan in one denoising step, with
-    ``routes`` that of the network which may know where its vehicles go.
+    ``routes`` that of the network which may know where its vehicles go, with both that of the
+    network which was taught both.
 
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
-    name = f"{model}_{'one_step' if one_step else 'routes' if routes else 'fast'}"
+    parts = [part for part, has in (("routes", routes), ("one_step", one_step)) if has]
+    name = "_".join([model, *(parts or ["fast"])])
     return Path(__file__).parent / "data" / f"{name}.safetensors"
 
 
@@ -99,12 +101,10 @@ def weights_path(
 ) -> Path:
     """Return the file of weights of a kind given by name (``"fast"``) or path.
 
-    CCDiff has ``fast`` networks of its own for one denoising step, and for routes.
+    CCDiff has ``fast`` networks of its own for one denoising step, for routes, and for both.
 
     Raises
     ------
-    ConfigError
-        Routes in one denoising step: no shipped network was taught both.
     FileNotFoundError
         There is no such file.
     """
@@ -114,11 +114,6 @@ def weights_path(
         return Path(weights)
     if model != "ccdiff":
         return shipped_weights(model)
-    if follow_route and denoising_steps == 1:
-        raise ConfigError(
-            "ccdiff.follow_route is True with denoising_steps 1, expected 2 steps or more: "
-            "no shipped network was taught both"
-        )
     return shipped_weights(one_step=denoising_steps == 1, routes=follow_route)
 
 

@@ -278,17 +278,25 @@ def test_the_shipped_network_beats_constant_velocity_on_validation_scenes(data_r
     assert np.concatenate(ours).mean() < 0.8 * np.concatenate(constant).mean()
 
 
-def test_one_step_of_the_taught_network_is_near_to_five_of_its_teacher() -> None:
+@pytest.mark.parametrize("routes", [False, True])
+def test_one_step_of_the_taught_network_is_near_to_five_of_its_teacher(routes: bool) -> None:
     taught, teacher = (
-        TrajectoryModel(shipped_weights(one_step=True)),
-        TrajectoryModel(shipped_weights()),
+        TrajectoryModel(shipped_weights(one_step=True, routes=routes)),
+        TrajectoryModel(shipped_weights(routes=routes)),
     )
     scenes = list(embedded_scenes("val"))
     steps = [30] * len(scenes)
 
     def ends(model: TrajectoryModel, solver_steps: int, seed: int) -> np.ndarray:
         seeds = [100 * seed + i for i in range(len(scenes))]
-        plans = model.plan(scenes, steps, seeds=seeds, solver_steps=solver_steps, num_samples=4)
+        plans = model.plan(
+            scenes,
+            steps,
+            seeds=seeds,
+            solver_steps=solver_steps,
+            num_samples=4,
+            follow_route=routes,
+        )
         return np.concatenate([plan.states[:, :, -1, :2] for plan in plans], axis=1)
 
     five = ends(teacher, 5, 0)

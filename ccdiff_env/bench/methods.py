@@ -139,6 +139,11 @@ METHODS: dict[str, Method] = NamedDrivers(
         "ccdiff_one_step_one_sample": Method(
             "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
         ),
+        "ccdiff_routes_one_step_one_sample": Method(
+            "CCDiff with routes, one denoising step, no guidance, N=1",
+            "ccdiff",
+            ccdiff={"denoising_steps": 1, "follow_route": True},
+        ),
         "ccdiff_distance": Method(
             "CCDiff, ranking by distance", "ccdiff", "distance_cliques", _GUIDED
         ),
