@@ -339,8 +339,8 @@ def train(
     settings
         Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
     network
-        Parts of the network that differ from the preset's, such as ``{"width": 128}``; the names
-        are those of the weight file's header.
+        Parts of the network that differ from the preset's, such as ``{"width": 128}`` or
+        ``{"map": {"encoder": "polylines"}}``; the names are those of the weight file's header.
     teacher
         Weights of a denoising network. The run begins with them and learns to make its plans in one
         denoising step instead of ``settings["teacher_steps"]`` (5): for ``denoising_steps=1``.
@@ -434,7 +434,11 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
     unknown = sorted(set(changes) - set(preset))
     if unknown:
         raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
-    return {**preset, **changes}
+    parts = {
+        key: {**preset[key], **value} if isinstance(value, dict) else value
+        for key, value in changes.items()
+    }
+    return {**preset, **parts}
 
 
 def __getattr__(name: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import splits
@@ -42,6 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--routes",
         action="store_true",
         help="CCDiff may know where vehicles go; in training it knows it of half of them",
+    )
+    parser.add_argument(
+        "--polylines",
+        action="store_true",
+        help="the network reads the map as lines, not as a raster (ccdiff, ctgpp; preset fast)",
     )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
@@ -83,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
         "learning_rate": args.learning_rate,
         "seed": args.seed,
     }
-    network = {}
+    network: dict[str, Any] = {}
+    if args.polylines:
+        network["map"] = {"encoder": "polylines"}
     if args.routes:
         network["route_points_m"] = ROUTE_POINTS_M
         settings["drop_route"] = 0.5

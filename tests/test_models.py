@@ -168,6 +168,24 @@ def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path: Path, mode
         train([road()], out=tmp_path, steps=4, progress=False)
 
 
+def test_a_network_of_lines_trains_and_drives_and_is_refused_where_it_needs_pixels(
+    tmp_path: Path,
+) -> None:
+    lines = {"map": {"encoder": "polylines"}}
+    options = {"settings": QUICK, "progress": False, "network": lines}
+    weights = train([road()], out=tmp_path / "lines", steps=2, **options)
+    header = TrajectoryModel(weights).header["model"]["map"]
+    assert (header["encoder"], header["feature_width"]) == ("polylines", 64)
+    env = EgoEnv(traffic="ccdiff", ccdiff={"weights": str(weights)})
+    env.reset(seed=0)
+    for _ in range(12):
+        observation, *_ = env.step(np.zeros(2, np.float32))
+    assert np.isfinite(observation).all()
+    for model, preset in (("bits", "fast"), ("ccdiff", "paper")):
+        with pytest.raises(ConfigError, match=r"model.map.encoder is polylines, expected"):
+            train([road()], out=tmp_path / model, steps=1, model=model, preset=preset, **options)
+
+
 EQUAL = (*(name for name in NETWORKS if name != "ccdiff"), "ccdiff_equal")
 
 

@@ -1,8 +1,9 @@
 //! Scenes' features joined into tensors: rows of all agents of all worlds, without padding between scenes.
 
-use crate::config::ModelConfig;
+use crate::config::{MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures};
+use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use tch::{Device, Kind, Tensor};
 
 /// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.
@@ -22,7 +23,7 @@ pub struct Batch {
     pub is_edge: Tensor,
     /// Edges [R, K, tokens, 9].
     pub edges: Tensor,
-    /// Rasters [R, channels, size, size], bytes; `None` for a map-blind network.
+    /// Rasters [R, channels, size, size], bytes, or lines [R, segments, numbers]; `None` for a map-blind network.
     pub image: Option<Tensor>,
     /// Routes ahead [R, 1 + 2 P], see [`SceneFeatures::route`]; `None` for a network that knows none.
     pub route: Option<Tensor>,
@@ -77,12 +78,13 @@ impl Batch {
         let mut neighbours = vec![0i64; rows * slots];
         let mut is_edge = vec![0u8; rows * slots];
         let mut edges = vec![0f32; rows * slots * edge];
-        let (mut image, mut route) = (Vec::new(), Vec::new());
+        let (mut image, mut segments, mut route) = (Vec::new(), Vec::new(), Vec::new());
         for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
             history.extend_from_slice(&scene.history);
             poses.extend(scene.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]));
             speed.extend_from_slice(&scene.speed_mps);
             image.extend_from_slice(&scene.image);
+            segments.extend_from_slice(&scene.segments);
             route.extend_from_slice(&scene.route);
             let own = scene.num_slots;
             for row in 0..scene.agents.len() {
@@ -101,6 +103,10 @@ impl Batch {
         let (r, k) = (rows as i64, slots as i64);
         let put = |t: Tensor, size: &[i64]| t.view(size).to_device(device);
         let image = config.map.as_ref().map(|map| {
+            if map.encoder == MapEncoder::Polylines {
+                let size = [r, NUM_SEGMENTS as i64, SEGMENT_FEATURES as i64];
+                return put(Tensor::from_slice(&segments), &size);
+            }
             let side = map.size_px as i64;
             let size = [r, map.num_channels(config.history_steps) as i64, side, side];
             put(Tensor::from_slice(&image), &size)

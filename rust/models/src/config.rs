@@ -102,6 +102,8 @@ choices! {
         ResNet18 = "res_net18",
         /// Three strided convolutions: one token per 8 x 8 pixels.
         Light = "light",
+        /// A perceptron shared by the lines of the map near the agent: one token per line of at most 5 m, no raster.
+        Polylines = "polylines",
     }
 }
 
@@ -326,6 +328,14 @@ impl ModelConfig {
                 (map.size_px.to_string(), "a multiple of 8 with the agent inside the raster");
             return fail("model.map.size_px", got, expected);
         }
+        if map.encoder == MapEncoder::Polylines && (map.history_channels || !self.kind.attends()) {
+            let got = map.encoder.name().to_owned();
+            return fail(
+                "model.map.encoder",
+                got,
+                "an encoder of rasters for history channels and this model",
+            );
+        }
         if map.rounds.len() > 64 {
             return fail("model.map.rounds", format!("{} rounds", map.rounds.len()), "at most 64");
         }
@@ -408,6 +418,10 @@ mod tests {
             (
                 ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },
                 "model.dt_s is null, expected a number > 0",
+            ),
+            (
+                wrong(MapConfig { encoder: MapEncoder::Polylines, ..map() }),
+                "model.map.encoder is polylines, expected an encoder of rasters",
             ),
             (wrong(MapConfig { size_px: 4, ..map() }), "model.map.size_px is 4"),
             (wrong(MapConfig { size_px: 60, ..map() }), "model.map.size_px is 60, expected a multiple of 8"),

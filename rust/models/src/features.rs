@@ -8,9 +8,10 @@ mod window;
 pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
-use crate::config::{ModelConfig, NeighbourOrder};
+use crate::config::{MapEncoder, ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::raster::{self, MapBitmap};
+use crate::segments;
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
@@ -50,6 +51,8 @@ pub struct SceneFeatures {
     pub edges: Vec<f32>,
     /// Map raster [M, channels, size, size] coded as bytes, see [`raster`]; empty for a map-blind network.
     pub image: Vec<u8>,
+    /// Lines of the map near each agent [M, 64, 20]; empty without an encoder of polylines.
+    pub segments: Vec<f32>,
     /// Decision causal graph over the M agents.
     pub graph: CausalGraph,
     /// Times to contact now, seconds, [M, M].
@@ -127,11 +130,17 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         is_edge,
         edges,
         image: Vec::new(),
+        segments: Vec::new(),
         graph,
         ttc_s: ttc_now,
     };
     if let Some(map) = &config.map {
-        features.image = raster::images(&features, window, bitmap, map);
+        match map.encoder {
+            MapEncoder::Polylines => features.segments = segments::seen(&features, bitmap),
+            MapEncoder::ResNet18 | MapEncoder::Light => {
+                features.image = raster::images(&features, window, bitmap, map)
+            }
+        }
     }
     Ok(features)
 }

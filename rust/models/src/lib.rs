@@ -31,6 +31,7 @@ pub mod plan_space;
 pub mod raster;
 pub mod sampler;
 pub mod schedule;
+mod segments;
 mod smooth;
 pub mod traffic;
 pub mod train;

@@ -7,10 +7,12 @@
 //! Differs from the released code: history pixels of others are drawn for neighbours in G alone, so that G = identity
 //! hides the others from this input too; dropping G is then a clamp of these channels at 0.
 
-use crate::config::MapConfig;
+use crate::config::{MapConfig, MapEncoder};
 use crate::error::Result;
 use crate::features::{SceneFeatures, Window};
+use crate::segments;
 use ccdiff_sim::geom::{Point2, Polygon, Pose2};
+use ccdiff_sim::observe::Segment;
 use ccdiff_sim::scene::{Map, Scene};
 
 /// Byte of the number 0.
@@ -53,6 +55,8 @@ pub struct MapBitmap {
     direction: Vec<u8>,
     /// Corners of the part that has a map.
     known: [Point2; 2],
+    /// Lines of the map, in place of pixels, for an encoder of polylines.
+    segments: Vec<Segment>,
 }
 
 impl MapBitmap {
@@ -72,8 +76,13 @@ impl MapBitmap {
             [Point2::new(x[0], y[0]), Point2::new(x[1], y[1])]
         });
         let first = Point2::new(min.x - margin, min.y - margin);
-        let bitmap = Self::draw(&scene.map, first, config.bitmap_px_per_m, width, height);
-        Ok(Self { known: known.unwrap_or(bitmap.known), ..bitmap })
+        let nothing = Map::default();
+        let (drawn, segments) = match config.encoder {
+            MapEncoder::Polylines => (&nothing, segments::of_map(&scene.map)),
+            MapEncoder::ResNet18 | MapEncoder::Light => (scene.map.as_ref(), Vec::new()),
+        };
+        let bitmap = Self::draw(drawn, first, config.bitmap_px_per_m, width, height);
+        Ok(Self { known: known.unwrap_or(bitmap.known), segments, ..bitmap })
     }
 
     /// Corners of the box of all logged positions, how far the bitmap reaches beyond it, and its width and height.
@@ -117,6 +126,7 @@ impl MapBitmap {
             height,
             flags: vec![0; width * height],
             direction: vec![0; width * height],
+            segments: Vec::new(),
         };
         for polygon in &map.drivable_area {
             bitmap.fill(polygon, DRIVABLE);
@@ -199,6 +209,11 @@ impl MapBitmap {
                 }
             }
         }
+    }
+
+    /// Lines of the map; none for an encoder of rasters.
+    pub(crate) fn segments(&self) -> &[Segment] {
+        &self.segments
     }
 
     /// Whether a point lies where there is a map: on the bitmap, and within the edge of the map.

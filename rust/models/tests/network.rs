@@ -15,8 +15,10 @@ use ccdiff_models::schedule::Schedule;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_models::{ModelError, raster::MapBitmap};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::geom::{Point2, Pose2};
+use ccdiff_sim::scene::{Map, Scene};
 use std::path::PathBuf;
+use std::sync::Arc;
 use tch::{Device, Kind, Tensor, nn};
 
 fn blind(config: ModelConfig) -> ModelConfig {
@@ -27,6 +29,12 @@ fn features_of(scene: &Scene, step: usize, config: &ModelConfig) -> SceneFeature
     let bitmap = config.map.as_ref().map(|m| MapBitmap::from_scene(scene, m).unwrap());
     let window = Window::from_scene(scene, step, &vehicles(scene), config.history_steps);
     features::build(&window, bitmap.as_ref(), config).unwrap()
+}
+
+/// `fast` with the map as lines.
+fn polylines() -> ModelConfig {
+    let fast = ModelConfig::fast();
+    ModelConfig { map: fast.map.map(|m| MapConfig { encoder: MapEncoder::Polylines, ..m }), ..fast }
 }
 
 fn network(config: &ModelConfig) -> (nn::VarStore, Network) {
@@ -110,16 +118,52 @@ fn with_the_identity_graph_an_agents_plan_does_not_depend_on_the_others() {
     }
 }
 
+/// A road in a map that goes on all round: where the map was cut out there are no lines.
+fn road_in_town() -> Scene {
+    let scene = common::scene(&[[0.0, 1.3, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 4.0, 0.3]], 110);
+    let mut map = Map::clone(&scene.map);
+    map.road_dividers.push(vec![Point2::new(-400.0, -400.0), Point2::new(400.0, 400.0)]);
+    Scene { map: Arc::new(map), ..Scene::clone(&scene) }
+}
+
 #[test]
 fn the_map_changes_the_plan() {
-    let config = ModelConfig::fast();
-    let (_store, network) = network(&config);
-    let scene = common::closing_pair();
-    let with_map = features_of(&scene, 40, &config);
-    let window = Window::from_scene(&scene, 40, &vehicles(&scene), config.history_steps);
-    let without = features::build(&window, None, &config).unwrap();
-    let plan = |f: &SceneFeatures| denoised(&network, &Batch::new(&[f], &config, Device::Cpu).unwrap());
-    assert!(!plan(&with_map).allclose(&plan(&without), 1e-4, 1e-4, false));
+    for config in [ModelConfig::fast(), polylines()] {
+        let (_store, network) = network(&config);
+        let scene = road_in_town();
+        let with_map = features_of(&scene, 40, &config);
+        let window = Window::from_scene(&scene, 40, &vehicles(&scene), config.history_steps);
+        let without = features::build(&window, None, &config).unwrap();
+        let plan = |f: &SceneFeatures| denoised(&network, &Batch::new(&[f], &config, Device::Cpu).unwrap());
+        assert!(!plan(&with_map).allclose(&plan(&without), 1e-4, 1e-4, false));
+    }
+}
+
+#[test]
+fn a_scene_that_is_turned_and_moved_shows_the_same_lines() {
+    let (config, scene) = (polylines(), road_in_town());
+    let turn = Pose2::new(500.0, -300.0, 0.9);
+    let shift = |p: &mut Point2| *p = turn.to_outer(*p);
+    let (mut moved, mut map) = (scene.clone(), Map::clone(&scene.map));
+    moved.tracks.position.iter_mut().for_each(shift);
+    moved.tracks.heading_rad.iter_mut().for_each(|h| *h += 0.9);
+    moved.tracks.velocity.iter_mut().for_each(|v| *v = turn.rotate(*v));
+    map.drivable_area.iter_mut().flat_map(|a| &mut a.exterior).for_each(shift);
+    map.road_dividers.iter_mut().flatten().for_each(shift);
+    moved.map = Arc::new(map);
+    let (here, there) = (features_of(&scene, 40, &config), features_of(&moved, 40, &config));
+    assert!(here.image.is_empty() && here.agents.len() == 2);
+    // lines as far from the way as others may change places with them
+    let of_agents =
+        |f: &SceneFeatures| f.segments.chunks(f.segments.len() / 2).map(<[f32]>::to_vec).collect();
+    let (here, there): (Vec<Vec<f32>>, Vec<Vec<f32>>) = (of_agents(&here), of_agents(&there));
+    for (here, there) in here.iter().zip(&there) {
+        for line in here.chunks(20) {
+            let far = |other: &[f32]| line.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let least = there.chunks(20).map(far).fold(f32::MAX, f32::min);
+            assert!(line[11] == 1.0 && least < 1e-3, "{line:?} {least}");
+        }
+    }
 }
 
 fn trainer(config: &ModelConfig, training: TrainConfig) -> Trainer {
@@ -142,10 +186,12 @@ fn quick(batch_scenes: usize) -> TrainConfig {
 
 #[test]
 fn the_fast_preset_learns_one_batch() {
-    let mut run = trainer(&ModelConfig::fast(), quick(4));
-    let losses = run.run(80).unwrap();
-    let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
-    assert!(mean(&losses[70..]) < 0.3 * mean(&losses[..5]), "{losses:?}");
+    for config in [ModelConfig::fast(), polylines()] {
+        let mut run = trainer(&config, quick(4));
+        let losses = run.run(80).unwrap();
+        let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
+        assert!(mean(&losses[70..]) < 0.3 * mean(&losses[..5]), "{losses:?}");
+    }
 }
 
 #[test]
