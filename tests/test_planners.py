@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 import ccdiff_env
 from ccdiff_env import WorldConfig
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.config import ObservationConfig
+from ccdiff_env.config import BicycleLimits, ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners import load_sb3
@@ -151,9 +151,13 @@ def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
     trained(scenes, dynamics="bicycle").save(tmp_path / "ego.zip")
     with pytest.raises(ConfigError, match=r'dynamics = "bicycle", the worlds have "unicycle"'):
         drive(scenes, str(tmp_path / "ego.zip"), REPLAY, options={"dynamics": "unicycle"})
-    env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=tmp_path / "ego.zip")
+    chosen = {"scenes": scenes, "ego": tmp_path / "ego.zip", "traffic": "idm"}
+    env = ccdiff_env.AdversarySelectionEnv(**chosen, dynamics="unicycle")
     with pytest.raises(ConfigError, match="bicycle"):
         env.reset(seed=0)
+    fitting = ccdiff_env.AdversarySelectionEnv(**chosen)
+    fitting.reset(seed=0)
+    assert isinstance(fitting.worlds.config.action.dynamics, BicycleLimits)
 
 
 def test_normalised_observations_are_not_forgotten(scenes, tmp_path):

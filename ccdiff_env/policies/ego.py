@@ -214,7 +214,9 @@ class EgoPolicy:
         def act(obs: npt.NDArray[Any]) -> F32:
             elapsed = np.array([native.status(i).elapsed_steps for i in range(worlds.num_worlds)])
             due = elapsed % held == 0
-            present[due] = self.act(np.asarray(obs)[due])
+            if due.any():
+                # of all worlds: products of matrices round with the number of rows
+                present[due] = self.act(obs)[due]
             return present
 
         return act
