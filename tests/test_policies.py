@@ -13,6 +13,7 @@ import torch
 import ccdiff_env
 from ccdiff_env import WorldConfig, policies
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.config import AssistedLimits
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import (
     ConfigError,
@@ -99,6 +100,14 @@ def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, 
         policy.drive(worlds)
     assert "\n" not in str(caught.value)
     assert "env_options" in str(caught.value)
+
+
+def test_limits_of_ones_own_are_kept(agent, tmp_path):
+    limits = AssistedLimits(offset_m=(-0.75, 0.75))
+    save_ego(tmp_path / "own.safetensors", agent.state_dict(), OPTIONS | {"dynamics": limits}, {})
+    assert policies.load(tmp_path / "own.safetensors").config.action.dynamics == limits
+    with pytest.raises(ConfigError, match="traffic"):
+        save_ego(tmp_path / "own.safetensors", agent.state_dict(), OPTIONS | {"traffic": "idm"}, {})
 
 
 def test_observations_of_another_width_are_refused(path):

@@ -20,7 +20,7 @@ from ccdiff_env.files import parsed_object
 if TYPE_CHECKING:
     from ccdiff_env.config import WorldConfig
 
-__all__ = ["Fit", "schema_digest"]
+__all__ = ["Fit", "fitting_fields", "schema_digest"]
 
 #: Name of the attribute of a space.
 ATTRIBUTE = "ccdiff_env"
@@ -36,7 +36,8 @@ def schema_digest(layout_json: str) -> str:
     return hashlib.blake2b(layout_json.encode(), digest_size=8).hexdigest()
 
 
-def _fields(config: WorldConfig) -> dict[str, Any]:
+def fitting_fields(config: WorldConfig) -> dict[str, Any]:
+    """Return the fields that a policy depends on, as JSON has them."""
     whole = json.loads(config.to_json())
     return {name: whole[name] for name in FIELDS}
 
@@ -63,7 +64,7 @@ class Fit:
     @classmethod
     def of(cls, config: WorldConfig, layout_json: str, form: str) -> Fit:
         """Return what worlds of a configuration give."""
-        return cls(_fields(config), form, schema_digest(layout_json))
+        return cls(fitting_fields(config), form, schema_digest(layout_json))
 
     def mark(self, space: gymnasium.Space[Any]) -> gymnasium.Space[Any]:
         """Write it on a space; returns the space."""
@@ -102,7 +103,7 @@ class Fit:
         ConfigError
             In one line that says what differs.
         """
-        there = _fields(config)
+        there = fitting_fields(config)
         for name, wanted in self.options.items():
             given = there[name]
             if name == "decision_steps" and given == 1:

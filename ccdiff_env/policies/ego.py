@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.envs.fit import fitting_fields, schema_digest
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, ShapeError
 from ccdiff_env.files import parsed_object
@@ -72,11 +72,6 @@ _LAYERS = (
     "policy.2",
     "policy.4",
 )
-
-
-def _schema(worlds: Worlds) -> str:
-    """Digest of what the floats of an observation mean."""
-    return hashlib.blake2b(worlds.native.layout_json.encode(), digest_size=8).hexdigest()
 
 
 def _worlds(config: WorldConfig) -> Worlds:
@@ -158,10 +153,10 @@ class EgoPolicy:
                 f"policy: trained for {action.dynamics}, the worlds have "
                 f"{worlds.config.action.dynamics}; make them with its env_options"
             )
-        if _schema(worlds) != self._schema:
+        if schema_digest(worlds.native.layout_json) != self._schema:
             raise ConfigError(
                 f"policy: trained on observations {self._schema}, the worlds' are "
-                f"{_schema(worlds)}; make them with its env_options"
+                f"{schema_digest(worlds.native.layout_json)}; make them with its env_options"
             )
 
     def act(self, obs: npt.NDArray[Any]) -> F32:
@@ -240,15 +235,25 @@ def save_ego(
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
     about
         How it was trained: what JSON can hold.
+
+    Raises
+    ------
+    ConfigError
+        If an option is none of these.
     """
+    if others := set(options) - set(FITTING):
+        raise ConfigError(
+            f"policy: options {sorted(others)}, expected some of {', '.join(FITTING)}"
+        )
     names = [f"{layer}.{part}" for layer in _LAYERS for part in ("weight", "bias")]
     kept = {name: np.asarray(tensors[name], np.float32) for name in names}
     kept["mean"] = np.asarray(tensors["mean"], np.float32)
     kept["std"] = np.sqrt(np.asarray(tensors["var"], np.float32) + np.float32(1e-4))
+    config = WorldConfig().with_options(**options)
     metadata = {
         "format": FORMAT,
-        "options": json.dumps(options),
-        "schema": _schema(_worlds(WorldConfig().with_options(**options))),
+        "options": json.dumps(fitting_fields(config)),
+        "schema": schema_digest(_worlds(config).native.layout_json),
         "about": json.dumps(about),
     }
     write_tensors(path, kept, metadata)
