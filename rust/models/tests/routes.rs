@@ -125,7 +125,7 @@ fn a_fork_is_taken_as_the_route_says() {
     let (left, right) = (bend(0.25), bend(-0.25));
     let model = network(&POINTS_M);
     let mut run = run(vec![left.clone(), right.clone()], &model);
-    run.run(250).unwrap();
+    run.run(600).unwrap();
     let weights = temporary("fork.safetensors");
     run.export(&weights, &serde_json::json!({})).unwrap();
     let sideways = |scene: &Scene, points_m| -> Vec<f32> {
