@@ -7,7 +7,10 @@ The ego replays its log; all other vehicles are driven for 10 s. Counted: pairs 
 do not touch at the start and then overlap by 0.2 m and more for longer than 0.5 s; vehicles that
 the log moves by 1 m at most in all, and that end more than 1 m from where they started; means and
 95th percentiles of the change of acceleration and yaw rate from one step to the next, in the step
-that a new plan begins with and in the others; share of vehicle steps with the centre off the road.
+that a new plan begins with and in the others; share of vehicle steps with the centre off the road;
+of the vehicles that drive at 1 m/s at least at the start: those that the log stops (below 0.5 m/s
+from some step on), those of them that stop in traffic too, those that stop there alone, and those
+that brake by more than 2.5 m/s in some second, in the log and in traffic.
 """
 
 from __future__ import annotations
@@ -30,6 +33,8 @@ CHUNK = 12
 #: Overlap that counts, m, for how long, steps.
 DEPTH_M, LONGEST_STEPS = 0.2, 5
 PARKED_M = 1.0
+DRIVES_MPS, STOPPED_MPS, BRAKES_MPS2 = 1.0, 0.5, 2.5
+STOPS = ("stops_in_log", "stops_in_both", "stops_in_traffic_alone", "brakes_in_log", "brakes")
 
 
 def play(scenes: SceneSet, ccdiff: dict[str, Any], world: dict[str, Any], seed: int) -> list[Any]:
@@ -60,7 +65,18 @@ def play(scenes: SceneSet, ccdiff: dict[str, Any], world: dict[str, Any], seed: 
     return [{n: np.stack([s[n] for s in one], axis=1) for n in names} for one in states]
 
 
-def figures(scene: Scene, played: Any, replan_steps: int) -> dict[str, Any]:
+def stops(logged: Any, driven: Any, dt_s: float) -> list[bool]:
+    """Return STOPS of a vehicle's speeds [T], in the log and in traffic."""
+    second = round(1.0 / dt_s)
+
+    def brakes(speed: Any) -> bool:
+        return bool((speed[:-second] - speed[second:] > BRAKES_MPS2).any())
+
+    log, traffic = (bool((speed < STOPPED_MPS).any()) for speed in (logged, driven))
+    return [log, log and traffic, traffic and not log, brakes(logged), brakes(driven)]
+
+
+def figures(scene: Scene, played: Any, start_step: int, replan_steps: int) -> dict[str, Any]:
     """Return the counts of one scene."""
     kinds, ids = np.array(scene.agent_types), np.array(scene.agent_ids)
     moving = np.flatnonzero((kinds != "static") & (ids != "ego"))
@@ -78,7 +94,8 @@ def figures(scene: Scene, played: Any, replan_steps: int) -> dict[str, Any]:
         if vehicle[list(pair)].any() and len(at) > LONGEST_STEPS and 0 not in at
     ]
     tracks = scene.tracks()
-    parked = moved = 0
+    parked = moved = movers = 0
+    stopped = np.zeros(len(STOPS), np.int64)
     jumps: dict[str, list[float]] = {"a": [], "a_replan": [], "w": [], "w_replan": []}
     off = steps_in_all = 0
     for a in moving:
@@ -93,6 +110,12 @@ def figures(scene: Scene, played: Any, replan_steps: int) -> dict[str, Any]:
             continue
         length = int(there.argmin()) if not there.all() else len(there)
         speed, turn = played["speed"][a, :length], np.unwrap(heading[a, :length])
+        there = tracks["valid"][a, start_step:][:length]
+        length = min(length, len(there) if there.all() else int(there.argmin()))
+        logged = np.linalg.norm(tracks["velocity"][a, start_step:][:length], axis=-1)
+        if logged[0] >= DRIVES_MPS:
+            movers += 1
+            stopped += stops(logged, speed[:length], scene.dt)
         # an action is the change over a step; the first follows the log
         action = {"a": np.diff(speed) / scene.dt, "w": np.diff(turn) / scene.dt}
         for name, values in action.items():
@@ -110,6 +133,7 @@ def figures(scene: Scene, played: Any, replan_steps: int) -> dict[str, Any]:
     return {
         "long_overlaps": len(long), "parked": parked, "parked_moved": moved, "off": off,
         "vehicles": len(driven), "vehicle_steps": steps_in_all, "jumps": jumps,
+        "movers": movers, **dict(zip(STOPS, stopped.tolist(), strict=True)),
     }  # fmt: skip
 
 
@@ -139,10 +163,12 @@ def main() -> None:
         part = scenes[at : at + CHUNK]
         replan_steps = args.ccdiff.get("replan_steps", 5)
         played = play(part, args.ccdiff, args.world, args.seed)
-        found += [figures(s, p, replan_steps) for s, p in zip(part, played, strict=True)]
-    total = {
-        n: sum(f[n] for f in found) for n in ("vehicles", "long_overlaps", "parked", "parked_moved")
-    }
+        start_step = WorldConfig().with_options(**args.world).history_steps
+        found += [
+            figures(s, p, start_step, replan_steps) for s, p in zip(part, played, strict=True)
+        ]
+    names = ("vehicles", "long_overlaps", "parked", "parked_moved", "movers", *STOPS)
+    total = {n: sum(f[n] for f in found) for n in names}
     share = sum(f["off"] for f in found) / max(sum(f["vehicle_steps"] for f in found), 1)
     jumps = {}
     for name in found[0]["jumps"]:

@@ -25,15 +25,11 @@ impl MapNetwork {
     }
 
     pub(crate) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
-        if let Self::Polylines(net) = self {
-            return net.forward(image);
-        }
-        let zero = f64::from(crate::raster::ZERO);
-        let image = (image.to_kind(Kind::Float) - zero) * (1.0 / 127.0);
+        let numbers = || (image.to_kind(Kind::Float) - f64::from(crate::raster::ZERO)) * (1.0 / 127.0);
         match self {
-            Self::ResNet(net) => net.forward(&image, train).unsqueeze(1),
-            Self::Light(net) => net.forward(&image),
-            Self::Polylines(net) => net.forward(&image),
+            Self::ResNet(net) => net.forward(&numbers(), train).unsqueeze(1),
+            Self::Light(net) => net.forward(&numbers()),
+            Self::Polylines(net) => net.forward(image),
         }
     }
 }
