@@ -2,8 +2,10 @@
 
 Ego steps per second of E = 32 worlds with CCDiff traffic (criticality 1), in a process of its own
 that sets no variable of OpenMP: alone with one and with two threads, two processes of one thread
-each, and with as many busy neighbours as there are cores. All cases take turns, so that what else
-the machine does meets all of them. Also the time and memory of a first CCDiff environment.
+each, and with as many busy neighbours as there are cores; in eight processes of 4 worlds that say
+no number of threads, like the workers of SubprocVecEnv; and in one that may use a single core, like
+a container of one. All cases take turns, so that what else the machine does meets all of them. Also
+the time and memory of a first CCDiff environment.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ import argparse
 import os
 import subprocess
 import sys
+from typing import NamedTuple
 
 import numpy as np
 
-WORLDS = 32
 BUSY = "while True: pass"
 WORKER = """
 import resource, sys, time
@@ -29,7 +31,7 @@ if dataroot:
 read = time.perf_counter()
 env = ccdiff_env.make_vec(
     worlds, scenes=scenes, traffic="ccdiff", driver="idm", copy=False, info="end",
-    num_threads=threads, criticality=1.0,
+    num_threads=threads or None, criticality=1.0,
 )
 env.reset(seed=0)
 idle = np.zeros(env.action_space.shape, np.float32)
@@ -46,16 +48,28 @@ print(speed, read - start, ready - read, mebibytes)
 """
 
 
-def measure(processes: int, threads: int, neighbours: int, args: argparse.Namespace) -> np.ndarray:
+class Case(NamedTuple):
+    """What runs at once; without a number of threads the library finds one."""
+
+    threads: int = 0
+    processes: int = 1
+    worlds: int = 32
+    neighbours: int = 0
+    one_core: bool = False
+
+
+def measure(case: Case, args: argparse.Namespace) -> np.ndarray:
     """Ego steps per second of all processes together; of the first: seconds twice, MiB."""
     free = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "MKL_", "RAYON_"))}
-    words = [args.dataroot or "", WORLDS, threads, args.steps]
+    words = [args.dataroot or "", case.worlds, case.threads, args.steps]
     command = [sys.executable, "-c", WORKER, *map(str, words)]
-    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(neighbours)]
+    if case.one_core:
+        command = ["taskset", "--cpu-list", str(min(os.sched_getaffinity(0))), *command]
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(case.neighbours)]
     try:
         runs = [
             subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=free)
-            for _ in range(processes)
+            for _ in range(case.processes)
         ]
         found = [np.array(run.communicate()[0].split(), float) for run in runs]
     finally:
@@ -72,21 +86,23 @@ def main() -> None:
     args = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
     cases = {
-        "one thread": (1, 1, 0),
-        f"{cores} threads": (1, cores, 0),
-        f"{cores} processes of one thread": (cores, 1, 0),
-        f"{cores} threads, {cores} busy neighbours": (1, cores, cores),
-        f"{2 * cores} threads, {cores} busy neighbours": (1, 2 * cores, cores),
+        "one thread": Case(1),
+        f"{cores} threads": Case(cores),
+        f"{cores} processes of one thread": Case(1, processes=cores),
+        f"{cores} threads, {cores} busy neighbours": Case(cores, neighbours=cores),
+        f"{2 * cores} threads, {cores} busy neighbours": Case(2 * cores, neighbours=cores),
+        "8 processes of 4 worlds": Case(processes=8, worlds=4),
+        "one core of the machine": Case(one_core=True),
     }
-    rows: dict[str, list[np.ndarray]] = {case: [] for case in cases}
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in cases}
     for _ in range(args.rounds):
-        for case, of in cases.items():
-            rows[case].append(measure(*of, args))
-    found = {case: np.array(part) for case, part in rows.items()}
+        for name, case in cases.items():
+            rows[name].append(measure(case, args))
+    found = {name: np.array(part) for name, part in rows.items()}
     first = found["one thread"]
-    for case, part in found.items():
+    for name, part in found.items():
         middle, ratio = np.median(part[:, 0]), np.median(part[:, 0] / first[:, 0])
-        print(f"{case:34s} {middle:7.0f} ego steps/s, {ratio:.2f} of one thread alone")
+        print(f"{name:34s} {middle:7.0f} ego steps/s, {ratio:.2f} of one thread alone")
     read, made, mebibytes = np.median(first[:, 1:], axis=0)
     print(f"import and scenes {read:.1f} s; environment to its first step {made:.1f} s")
     print(f"peak {mebibytes:.0f} MiB")
