@@ -317,7 +317,9 @@ def _learning(args: argparse.Namespace) -> int:
     if args.race is not None:
         from ccdiff_env.bench.race import race, race_table
 
-        print(race_table(race(stage_source(args, source_from(args)), max_s=args.race)))
+        print(
+            race_table(race(stage_source(args, source_from(args)), seed=args.seed, max_s=args.race))
+        )
         return 0
     run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
