@@ -293,7 +293,8 @@ def episodes(
         native.step(actions, out)
         for i in running:
             states[i].append(native.states(i))
-            plan = worlds.explain(i) if method.driver in NETWORKS else None
+            due = method.driver in NETWORKS and step % config.ccdiff.replan_steps == 0
+            plan = worlds.explain(i) if due else None
             if plan is not None and plan.made_at == step:
                 plans[i].append(plan)
         for recorder in recorders.values():
