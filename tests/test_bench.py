@@ -17,7 +17,6 @@ from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
-from ccdiff_env.bench.race import race, race_table
 from ccdiff_env.bench.scenes import scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
@@ -286,15 +285,6 @@ def test_stages_are_compared_with_log_replay_pair_by_pair():
     difference = np.array([0.0, -100.0, 0.0, 0.0])
     cell = f"{difference.mean():+.1f} ± {scipy.stats.sem(difference):.1f}"
     assert table.splitlines()[-1] == f"| CCDiff, no guidance | critical | {cell} | {cell} |"
-
-
-def test_a_race_ends_with_its_last_goal_or_its_time():
-    reached = race({"embedded": "train"}, (0.0,), max_s=120.0)
-    assert [row.get("goal") for row in reached] == [0.0]
-    assert reached[0]["decisions"] >= 1000  # as many episodes are looked at
-    ended = race({"embedded": "train"}, (0.0,), max_s=0.0)
-    assert ["goal" in row for row in ended] == [False]
-    assert "ended before" in race_table(ended)
 
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
