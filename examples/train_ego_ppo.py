@@ -37,14 +37,17 @@ REWARD = {
     "progress": 0.02,
     "collision": -2.5,
     "off_road": -3.0,
-    "comfort": -0.004,
-    "speed_limit": -0.01,
+    "comfort": -0.02,
+    "speed_limit": -0.05,
     "lane_keeping": -0.004,
     "goal": 1.0,
 }
 #: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
 #: other way, and a decision after which contact is a second away; this grows from 0 at 1.6 s.
 AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
+#: IDM stops for what crosses its way, and there it is hit: the ego may drive on. A place beside the
+#: route costs its square.
+ASSISTED, ASIDE = {"assisted": {"delta_mps2": (-6.0, 6.0)}}, -0.02
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -124,7 +127,7 @@ class Worlds:
         ]
         self.obs = np.concatenate([obs for obs, _ in begun])
         self.playing = [infos["scene_idx"] for _, infos in begun]
-        self.chase = args.failures
+        self.chase, self.aside = args.failures, ASIDE if args.dynamics == "assisted" else 0.0
         self.failures = [SceneWeights(len(env.worlds.scenes)) for env in self.envs]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -137,6 +140,7 @@ class Worlds:
             end, seen = terminated | truncated, self.obs[part]
             ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
             reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
+            reward = reward + self.aside * actions[part, 1] ** 2
             if truncated.any():
                 cut.append(np.flatnonzero(truncated) + part.start)
                 last.append(np.stack(info["final_obs"][truncated]))
@@ -289,7 +293,7 @@ def main() -> None:
     torch.set_num_threads(args.threads)
     fitting = {
         "observation": OBSERVATION,
-        "dynamics": args.dynamics,
+        "dynamics": ASSISTED if args.dynamics == "assisted" else args.dynamics,
         "decision_steps": args.decision_steps,
     }
     training = {"reward": REWARD, "start_spread_steps": 50}
