@@ -37,17 +37,18 @@ REWARD = {
     "progress": 0.02,
     "collision": -2.5,
     "off_road": -3.0,
-    "comfort": -0.02,
-    "speed_limit": -0.05,
+    "comfort": -0.004,
+    "speed_limit": -0.01,
     "lane_keeping": -0.004,
     "goal": 1.0,
 }
 #: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
 #: other way, and a decision after which contact is a second away; this grows from 0 at 1.6 s.
 AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
-#: IDM stops for what crosses its way, and there it is hit: the ego may drive on. A place beside the
-#: route costs its square.
-ASSISTED, ASIDE = {"assisted": {"delta_mps2": (-6.0, 6.0)}}, -0.02
+#: IDM stops for what crosses its way, and there it is hit: an assisted ego may drive on, at other
+#: prices; a place beside the route costs its square.
+ASSISTED = {"assisted": {"delta_mps2": (-6.0, 6.0)}}
+PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -233,10 +234,9 @@ class Agent(nn.Module):
 def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, torch.Tensor]:
     """Let all worlds decide ROLLOUT times; tensors [T, E, ...]."""
     size, width = worlds.obs.shape[0], len(agent.log_std)
-    x = torch.empty(ROLLOUT, *worlds.obs.shape)
+    x, values = torch.empty(ROLLOUT, *worlds.obs.shape), torch.empty(ROLLOUT + 1, size)
     actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
-    values = torch.empty(ROLLOUT + 1, size)
     for t in range(ROLLOUT):
         begin = time.perf_counter()
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
@@ -291,12 +291,13 @@ def main() -> None:
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
+    assisted = args.dynamics == "assisted"
     fitting = {
         "observation": OBSERVATION,
-        "dynamics": ASSISTED if args.dynamics == "assisted" else args.dynamics,
+        "dynamics": ASSISTED if assisted else args.dynamics,
         "decision_steps": args.decision_steps,
     }
-    training = {"reward": REWARD, "start_spread_steps": 50}
+    training = {"reward": REWARD | (PRICES if assisted else {}), "start_spread_steps": 50}
     args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
@@ -320,8 +321,7 @@ def main() -> None:
         save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, {"done": done})
 
     begin = shown = kept = time.perf_counter() - done["seconds"]
-    clock = dict.fromkeys(("worlds", "decisions", "update"), 0.0)
-    first = done["decisions"]
+    clock, first = dict.fromkeys(("worlds", "decisions", "update"), 0.0), done["decisions"]
     while done["decisions"] < args.decisions:
         left = 1.0 - done["decisions"] / args.decisions
         optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)

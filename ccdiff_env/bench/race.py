@@ -14,7 +14,7 @@ from ccdiff_env.config import RewardConfig, WorldConfig
 __all__ = ["race", "race_table"]
 
 NUM_ENVS = 512
-#: Decisions over which the learning rate falls to 0; the race ends there.
+#: Decisions over which the learning rate falls to a twentieth; the race ends there.
 DECISIONS = 3_000_000
 #: Episodes that a share of successes is taken over, the newest ones.
 EPISODES = 1000
@@ -30,7 +30,7 @@ def race(
     """Train PPO of stable-baselines3 in log replay until shares of the episodes succeed.
 
     Unicycle actions held for three steps; settings of :data:`ccdiff_env.envs.sb3.PPO_SETTINGS`, but
-    little noise, which fails less often, and a learning rate that falls to 0.
+    little noise, which fails less often, and a learning rate that falls.
 
     Parameters
     ----------
