@@ -279,6 +279,7 @@ def load_nuscenes(
     names: list[str] | None,
     exactly: bool,
     dt: float,
+    timing: str,
     interpolation: str,
     kinds: list[str] | None,
     categories: list[str] | None,

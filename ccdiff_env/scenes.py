@@ -198,7 +198,8 @@ def load_nuscenes(
     scenes: Sequence[str] | None = None,
     *,
     dt: float = 0.1,
-    interpolation: Literal["linear", "smooth"] = "linear",
+    timing: Literal["recorded", "nominal"] = "recorded",
+    interpolation: Literal["smooth", "linear"] = "smooth",
     kinds: Sequence[str] | None = None,
     categories: Sequence[str] | None = None,
     map_margin: float = 60.0,
@@ -223,8 +224,14 @@ def load_nuscenes(
         is an error.
     dt
         Seconds between steps; must divide 0.5 s, the key-frame interval.
+    timing
+        When key frames were: ``"recorded"``, at their timestamps (0.4 to 0.6 s apart), or
+        ``"nominal"``, every 0.5 s, as the paper's released code has it.
     interpolation
-        Between key frames: ``"linear"``, or ``"smooth"`` (cubic Hermite).
+        Between key frames: ``"smooth"``, cubic smoothing splines (C. H. Reinsch, 1967) whose slope
+        is the velocity, through the poses of the ego and within the noise of the annotations of
+        others; or ``"linear"``, straight lines in position, heading and velocity, the velocity at
+        key frames that of the devkit's ``box_velocity``.
     kinds
         Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
         ``static``; all by default.
@@ -272,6 +279,7 @@ def load_nuscenes(
         names=names,
         exactly=scenes is not None,
         dt=dt,
+        timing=timing,
         interpolation=interpolation,
         kinds=None if kinds is None else list(kinds),
         categories=None if categories is None else list(categories),

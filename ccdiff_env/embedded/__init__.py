@@ -58,7 +58,7 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     names = splits[split] if split is not None else tuple(n for s in splits.values() for n in s)
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
         unpack(Path(folder))
-        return load_nuscenes(folder, VERSION, scenes=names, cache=False)
+        return load_nuscenes(folder, VERSION, scenes=names, interpolation="linear", cache=False)
 
 
 def shipped() -> dict[str, bytes]:

@@ -4,10 +4,10 @@ use crate::category::kind_of_category;
 use crate::crop::crop;
 use crate::error::Result;
 use crate::map_file::{Bounds, GlobalMap};
-use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S};
+use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, KeyFrameTiming};
 use crate::report::SceneReport;
-use crate::resample::{Resampled, resample};
-use crate::tables::{LoggedScene, LoggedTrack, SceneEntry};
+use crate::resample::{ANNOTATION_SMOOTHING_S3, Resampled, Steps, resample};
+use crate::tables::{Key, LoggedScene, LoggedTrack, SceneEntry};
 use ccdiff_sim::geom::{Point2, Real, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Map, Scene, Tracks};
 use std::sync::Arc;
@@ -27,7 +27,6 @@ pub(crate) fn build_scene(
     source: &str,
     options: &BuildOptions,
 ) -> Result<(Option<Scene>, SceneReport)> {
-    let steps_per_key = options.steps_per_key_frame()?;
     let mut report = SceneReport {
         name: entry.name.clone(),
         key_frames: logged.timestamps_us.len(),
@@ -35,7 +34,8 @@ pub(crate) fn build_scene(
         ..SceneReport::default()
     };
     note_timing(entry, logged, &mut report);
-    let (agents, tracks) = collect(logged, steps_per_key, options, &mut report);
+    let clock = Clock::of(logged, options);
+    let (agents, tracks) = collect(logged, &clock, options, &mut report);
     let states = || tracks.iter().flat_map(|t| &t.states);
     if agents.is_empty() {
         return Ok((None, report));
@@ -48,7 +48,7 @@ pub(crate) fn build_scene(
         }
     }
     .map(f64::round);
-    let num_steps = (logged.timestamps_us.len() - 1) * steps_per_key + 1;
+    let num_steps = clock.steps.count;
     let scene_map = map.map(|map| {
         crop(map, origin, &Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m))
     });
@@ -67,6 +67,38 @@ pub(crate) fn build_scene(
         map: Arc::new(scene_map),
     };
     Ok((Some(scene.validated()?), report))
+}
+
+/// When key frames of a scene are, and its steps.
+struct Clock {
+    timing: KeyFrameTiming,
+    start_us: i64,
+    steps: Steps,
+}
+
+impl Clock {
+    fn of(logged: &LoggedScene, options: &BuildOptions) -> Self {
+        let [start_us, last_us] =
+            [logged.timestamps_us.first(), logged.timestamps_us.last()].map(|us| us.copied().unwrap_or(0));
+        let duration_us = match options.timing {
+            KeyFrameTiming::Recorded => last_us - start_us,
+            KeyFrameTiming::Nominal => nominal_us(logged.timestamps_us.len().saturating_sub(1)),
+        };
+        let steps = Steps::until(duration_us, options.dt_s * 1e6);
+        Self { timing: options.timing, start_us, steps }
+    }
+
+    /// Time of a key frame after the first of its scene.
+    fn time_us(&self, key: &Key) -> i64 {
+        match self.timing {
+            KeyFrameTiming::Recorded => key.timestamp_us - self.start_us,
+            KeyFrameTiming::Nominal => nominal_us(key.frame),
+        }
+    }
+}
+
+fn nominal_us(frame: usize) -> i64 {
+    (frame as f64 * KEY_FRAME_INTERVAL_S * 1e6) as i64
 }
 
 fn note_timing(entry: &SceneEntry, logged: &LoggedScene, report: &mut SceneReport) {
@@ -88,13 +120,14 @@ fn note_timing(entry: &SceneEntry, logged: &LoggedScene, report: &mut SceneRepor
 /// The agents to keep with their resampled tracks, ego first.
 fn collect(
     logged: &LoggedScene,
-    steps_per_key: usize,
+    clock: &Clock,
     options: &BuildOptions,
     report: &mut SceneReport,
 ) -> (Vec<Agent>, Vec<Resampled>) {
     let (mut agents, mut tracks) = (Vec::new(), Vec::new());
-    let mut keep = |agent: Agent, keys, report: &mut SceneReport| {
-        let track = resample(keys, steps_per_key, options.interpolation);
+    let mut keep = |agent: Agent, keys: &[Key], smoothing_s3, report: &mut SceneReport| {
+        let times_us: Vec<i64> = keys.iter().map(|key| clock.time_us(key)).collect();
+        let track = resample(keys, &times_us, clock.steps, options.interpolation, smoothing_s3);
         report.filled_gaps += track.filled_gaps;
         report.filled_key_frames += track.filled_key_frames;
         *report.tracks.entry(agent.category.clone()).or_default() += 1;
@@ -105,7 +138,7 @@ fn collect(
         let [length_m, width_m, height_m] = EGO_SIZE_M;
         let (id, category) = (EGO_ID.to_owned(), EGO_CATEGORY.to_owned());
         let ego = Agent { id, kind: AgentKind::Vehicle, category, length_m, width_m, height_m };
-        keep(ego, &logged.ego, report);
+        keep(ego, &logged.ego, 0.0, report);
     }
     for track in &logged.tracks {
         match wanted_kind(track, options) {
@@ -114,7 +147,7 @@ fn collect(
                 let (id, category) = (track.instance.clone(), track.category.clone());
                 let agent = Agent { id, kind, category, length_m: length, width_m: width, height_m: height };
                 report.annotations += track.keys.len();
-                keep(agent, &track.keys, report);
+                keep(agent, &track.keys, ANNOTATION_SMOOTHING_S3, report);
             }
             Err(reason) => report.drop_track(&reason, &track.category, track.keys.len()),
         }

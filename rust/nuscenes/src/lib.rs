@@ -9,7 +9,7 @@
 //! - `scan`: where strings and brackets end, `number`: the value of numbers
 //! - `token`, `index`: tokens as numbers, and how they are looked up
 //! - `tables`: rows, and their join to the logged facts of each scene
-//! - `resample`: key frames to steps
+//! - `resample`: key frames to steps, `spline`: smooth curves through them
 //! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
 //! - `build`: one scene
 //! - `category`: categories as kinds of agents
@@ -32,6 +32,7 @@ mod record;
 mod report;
 mod resample;
 mod scan;
+mod spline;
 mod stream;
 mod tables;
 mod token;
@@ -40,5 +41,7 @@ pub use category::kind_of_category;
 pub use codec::{decode_scene, encode_scene, scene_hash};
 pub use error::{NuscenesError, Result};
 pub use load::{Loaded, load};
-pub use options::{BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, LoadOptions, Selection};
+pub use options::{
+    BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming, LoadOptions, Selection,
+};
 pub use report::{CacheReport, Dropped, LoadReport, MapReport, SceneReport, Timing};

@@ -8,15 +8,27 @@ use std::path::PathBuf;
 /// Seconds between key frames of nuScenes.
 pub const KEY_FRAME_INTERVAL_S: f64 = 0.5;
 
+/// When key frames were.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KeyFrameTiming {
+    /// At their timestamps.
+    #[default]
+    Recorded,
+    /// Every half second, whatever their timestamps, as the paper's released code has it (reference.md#time-base).
+    Nominal,
+}
+
 /// How states between key frames are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
-    /// Straight lines in position, unwrapped heading and velocity (reference.md#time-base).
+    /// Cubic smoothing splines in position and unwrapped heading, through the poses of the ego and within the annotation noise
+    /// of those of others; velocity is the slope of the position.
     #[default]
-    Linear,
-    /// Cubic Hermite curves through the key frames with their velocities as tangents; velocity is the curve's own.
     Smooth,
+    /// Straight lines in position, unwrapped heading and velocity (reference.md#time-base).
+    Linear,
 }
 
 /// How scenes are built from the tables. All of it is part of the cache key.
@@ -24,6 +36,8 @@ pub enum Interpolation {
 pub struct BuildOptions {
     /// Time between steps, seconds; must divide 0.5 s.
     pub dt_s: f64,
+    /// When key frames were.
+    pub timing: KeyFrameTiming,
     /// How states between key frames are made.
     pub interpolation: Interpolation,
     /// Kinds to keep; `None` keeps all. The ego is always kept.
@@ -42,7 +56,8 @@ impl Default for BuildOptions {
     fn default() -> Self {
         Self {
             dt_s: 0.1,
-            interpolation: Interpolation::Linear,
+            timing: KeyFrameTiming::Recorded,
+            interpolation: Interpolation::Smooth,
             kinds: None,
             categories: None,
             map_margin_m: 60.0,
@@ -53,11 +68,7 @@ impl Default for BuildOptions {
 }
 
 impl BuildOptions {
-    /// Steps from one key frame to the next.
-    ///
-    /// # Errors
-    /// [`NuscenesError::Option`] where `dt_s` does not divide the key-frame interval.
-    pub fn steps_per_key_frame(&self) -> Result<usize> {
+    pub(crate) fn check(&self) -> Result<()> {
         let steps = KEY_FRAME_INTERVAL_S / self.dt_s;
         if !(self.dt_s > 0.0 && (1.0..=1000.0).contains(&steps) && (steps - steps.round()).abs() < 1e-6) {
             return Err(NuscenesError::Option {
@@ -66,11 +77,6 @@ impl BuildOptions {
                 expected: "a number of seconds that divides 0.5, such as 0.1",
             });
         }
-        Ok(steps.round() as usize)
-    }
-
-    pub(crate) fn check(&self) -> Result<()> {
-        self.steps_per_key_frame()?;
         if !(0.0..=10_000.0).contains(&self.map_margin_m) {
             let got = self.map_margin_m.to_string();
             return Err(NuscenesError::Option { field: "map_margin", got, expected: "0 to 10000 metres" });

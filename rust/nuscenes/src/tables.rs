@@ -26,6 +26,10 @@ pub(crate) const TABLES: [&str; 10] = [
 
 /// Coordinates beyond this are not on Earth's maps, metres.
 const MAX_COORDINATE_M: f64 = 1e6;
+/// Longest time between key frames of a scene: what a scene costs is bounded by the size of its tables.
+const MAX_INTERVAL_US: u64 = 10_000_000;
+/// Farthest that a pose of the ego may be from the time of its key frame.
+const MAX_POSE_OFFSET_US: u64 = 250_000;
 
 /// One version of a data set on disk.
 #[derive(Debug, Clone)]
@@ -181,6 +185,10 @@ impl Tables {
                     let got = sample.timestamp_us.to_string();
                     return Err(self.duplicate("sample", "timestamp in one scene", got));
                 }
+                if sample.timestamp_us.abs_diff(before.timestamp_us) > MAX_INTERVAL_US {
+                    let expected = "at most 10 s after the key frame before";
+                    return Err(late(self.path("sample"), sample.token, sample.timestamp_us, expected));
+                }
             }
         }
         let tokens = list.iter().map(|s| (s.token, ())).collect();
@@ -291,7 +299,12 @@ impl Tables {
             let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
             let sample = &samples.list[wanted.entries()[place].1 as usize];
             let (translation, rotation) = (row.numbers(2)?, row.numbers(3)?);
-            let key = ground_pose(&path, token, sample, row.integer(1)?, translation, rotation)?;
+            let timestamp_us: i64 = row.integer(1)?;
+            if timestamp_us.abs_diff(sample.timestamp_us) > MAX_POSE_OFFSET_US {
+                let expected = "within 0.25 s of its sample's";
+                return Err(late(path.clone(), token, timestamp_us, expected));
+            }
+            let key = ground_pose(&path, token, sample, timestamp_us, translation, rotation)?;
             Ok(Some((place, sample.slot, key)))
         })?;
         let mut egos: Vec<Vec<Key>> = vec![Vec::new(); num_scenes];
@@ -442,6 +455,11 @@ fn choose_channels(
         counts.iter().position(|c| *c == most).map(|c| c as u16)
     };
     (0..num_scenes).map(|s| best(&counts[s * num_channels..(s + 1) * num_channels])).collect()
+}
+
+fn late(path: PathBuf, token: Token, timestamp_us: i64, expected: &'static str) -> NuscenesError {
+    let (token, got) = (token.to_string(), timestamp_us.to_string());
+    NuscenesError::Value { path, token, field: "timestamp", got, expected }
 }
 
 /// Position and yaw of a pose in three dimensions, checked. Yaw is the direction of the rotated x axis, as the

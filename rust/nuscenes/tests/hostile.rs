@@ -41,6 +41,18 @@ fn a_missing_table_is_named() {
 }
 
 #[test]
+fn times_that_are_far_apart_are_refused() {
+    let start_us = 1_531_883_530_000_000_i64;
+    let last = DataSet::new().tables["sample"].len() - 1;
+    let message = error_with("sample", last, "timestamp", json!(start_us + 40_000_000));
+    assert_names(&message, &["sample.json", "timestamp", "at most 10 s"]);
+    for offset_us in [-300_000, 300_000, i64::MAX - start_us] {
+        let message = error_with("ego_pose", 0, "timestamp", json!(start_us + offset_us));
+        assert_names(&message, &["ego_pose.json", "timestamp", "within 0.25 s"]);
+    }
+}
+
+#[test]
 fn truncated_tables_are_refused() {
     for table in DataSet::new().tables.into_keys() {
         let folder = DataSet::new().written();

@@ -5,8 +5,8 @@
 mod common;
 
 use ccdiff_nuscenes::{
-    BuildOptions, Interpolation, LoadOptions, NuscenesError, Selection, decode_scene, encode_scene, load,
-    scene_hash,
+    BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, NuscenesError, Selection, decode_scene,
+    encode_scene, load, scene_hash,
 };
 use ccdiff_sim::scene::AgentKind;
 use common::{DataSet, Folder, VERSION};
@@ -215,8 +215,8 @@ fn another_option_or_another_content_is_another_entry() {
     let (folder, cache) = (DataSet::new().written(), Folder::new());
     let options = cached(&cache);
     load(&folder.0, VERSION, &options).unwrap();
-    let smooth = BuildOptions { interpolation: Interpolation::Smooth, ..BuildOptions::default() };
-    let other = load(&folder.0, VERSION, &LoadOptions { build: smooth, ..options.clone() }).unwrap();
+    let linear = BuildOptions { interpolation: Interpolation::Linear, ..BuildOptions::default() };
+    let other = load(&folder.0, VERSION, &LoadOptions { build: linear, ..options.clone() }).unwrap();
     assert_eq!(other.report.cache.built, 2);
     let mut data = DataSet::new();
     data.tables.get_mut("sample_annotation").unwrap()[0]["translation"] = json!([111.0, 204.0, 0.0]);
@@ -229,6 +229,41 @@ fn another_option_or_another_content_is_another_entry() {
     data.write(&folder.0, false);
     let remapped = load(&folder.0, VERSION, &options).unwrap();
     assert_eq!((remapped.report.cache.built, remapped.report.cache.hits), (1, 1));
+}
+
+#[test]
+fn uniform_motion_at_irregular_times_is_uniform() {
+    let mut data = DataSet::new();
+    let start_us = 1_531_883_530_000_000_i64;
+    let times_us = [0, 400_000, 1_000_000, 1_500_123, 1_950_000, 2_549_000];
+    let frame_of =
+        |row: &serde_json::Value| ((row["timestamp"].as_i64().unwrap() - start_us) / 500_000) as usize;
+    for table in ["sample", "ego_pose"] {
+        for row in data.tables.get_mut(table).unwrap() {
+            let time_us = times_us[frame_of(row)];
+            row["timestamp"] = json!(start_us + time_us);
+            if table == "ego_pose" {
+                row["translation"] = json!([100.25 + 8.0 * time_us as f64 * 1e-6, 200.0, 0.0]);
+            }
+        }
+    }
+    for interpolation in [Interpolation::Smooth, Interpolation::Linear] {
+        let build = BuildOptions { interpolation, ..BuildOptions::default() };
+        let options = LoadOptions { build: build.clone(), ..LoadOptions::default() };
+        let scene = &load(&data.written().0, VERSION, &options).unwrap().scenes[0];
+        assert_eq!(scene.num_steps, 26);
+        for step in 0..scene.num_steps {
+            let x_m = scene.tracks.position[step].x;
+            assert!((x_m - 0.25 - 0.8 * step as f32).abs() < 1e-4, "step {step}: {x_m}");
+            assert!((scene.tracks.velocity[step].x - 8.0).abs() < 1e-4);
+        }
+        let build = BuildOptions { timing: KeyFrameTiming::Nominal, ..build };
+        let options = LoadOptions { build, ..LoadOptions::default() };
+        let scene = &load(&data.written().0, VERSION, &options).unwrap().scenes[0];
+        // what lasted 0.4 s is played in half a second
+        assert_eq!(scene.num_steps, 26);
+        assert!((scene.tracks.position[5].x - 0.25 - 3.2).abs() < 1e-4);
+    }
 }
 
 #[test]

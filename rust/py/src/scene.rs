@@ -5,8 +5,8 @@ use crate::render::{CentreArg, scene_image};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, Interpolation, LoadOptions, NuscenesError, Selection, decode_scene, encode_scene, load,
-    scene_hash,
+    BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, NuscenesError, Selection, decode_scene,
+    encode_scene, load, scene_hash,
 };
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
@@ -311,9 +311,13 @@ impl PyScene {
     }
 }
 
+fn unknown(field: &str, value: &str, expected: &str) -> PyErr {
+    py::ConfigError::new_err(format!("{field} is {value:?}, expected {expected}"))
+}
+
 /// Loads nuScenes scenes; returns them with the report as JSON.
 #[pyfunction]
-#[pyo3(signature = (dataroot, version, *, names, exactly, dt, interpolation, kinds, categories, map_margin,
+#[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, kinds, categories, map_margin,
     min_annotations, require_map, cache_directory))]
 fn load_nuscenes(
     py: Python<'_>,
@@ -322,6 +326,7 @@ fn load_nuscenes(
     names: Option<Vec<String>>,
     exactly: bool,
     dt: f64,
+    timing: &str,
     interpolation: &str,
     kinds: Option<Vec<String>>,
     categories: Option<Vec<String>>,
@@ -330,13 +335,15 @@ fn load_nuscenes(
     require_map: bool,
     cache_directory: Option<PathBuf>,
 ) -> PyResult<(Vec<PyScene>, String)> {
+    let timing = match timing {
+        "recorded" => KeyFrameTiming::Recorded,
+        "nominal" => KeyFrameTiming::Nominal,
+        other => return Err(unknown("timing", other, "\"recorded\" or \"nominal\"")),
+    };
     let interpolation = match interpolation {
-        "linear" => Interpolation::Linear,
         "smooth" => Interpolation::Smooth,
-        other => {
-            let message = format!("interpolation is {other:?}, expected \"linear\" or \"smooth\"");
-            return Err(py::ConfigError::new_err(message));
-        }
+        "linear" => Interpolation::Linear,
+        other => return Err(unknown("interpolation", other, "\"smooth\" or \"linear\"")),
     };
     let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
     let selection = match names {
@@ -346,6 +353,7 @@ fn load_nuscenes(
     };
     let build = BuildOptions {
         dt_s: dt,
+        timing,
         interpolation,
         kinds,
         categories,

@@ -1,0 +1,157 @@
+//! Natural cubic smoothing splines through values at times that need not be evenly spaced.
+//!
+//! C. H. Reinsch, "Smoothing by Spline Functions", Numerische Mathematik 10, 1967; names as in P. J. Green and B. W.
+//! Silverman, "Nonparametric Regression and Generalized Linear Models", 1994, section 2.3.
+
+/// The curve that minimises the sum of squared distances to the values plus `smoothing` times the integral of its squared
+/// second derivative: twice continuously differentiable, straight beyond its ends. Smoothing 0 passes through the values.
+#[derive(Debug, Clone)]
+pub(crate) struct SmoothingSpline {
+    times_s: Vec<f64>,
+    smoothing_s3: f64,
+    /// R + smoothing Qᵀ Q as L D Lᵀ: the diagonal, and the two bands of L below it.
+    diagonal: Vec<f64>,
+    below: [Vec<f64>; 2],
+}
+
+/// A curve: values and second derivatives at the times.
+#[derive(Debug, Clone)]
+pub(crate) struct Curve {
+    values: Vec<f64>,
+    seconds: Vec<f64>,
+}
+
+impl SmoothingSpline {
+    /// For times that increase, with `smoothing_s3` of at least 0 (for values in metres: m² per m² s⁻³).
+    pub(crate) fn new(times_s: Vec<f64>, smoothing_s3: f64) -> Self {
+        let inner = times_s.len().saturating_sub(2);
+        let (mut diagonal, mut below) = (vec![0.0; inner], [vec![0.0; inner], vec![0.0; inner]]);
+        let columns: Vec<[f64; 3]> = (0..inner).map(|j| column(&times_s, j)).collect();
+        for j in 0..inner {
+            let [h, next] = [times_s[j + 1] - times_s[j], times_s[j + 2] - times_s[j + 1]];
+            let [a, b, c] = columns[j];
+            diagonal[j] = (h + next) / 3.0 + smoothing_s3 * (a * a + b * b + c * c);
+            if let Some([d, e, _]) = columns.get(j + 1) {
+                below[0][j] = next / 6.0 + smoothing_s3 * (b * d + c * e);
+            }
+            if let Some([d, _, _]) = columns.get(j + 2) {
+                below[1][j] = smoothing_s3 * (c * d);
+            }
+        }
+        for j in 0..inner {
+            let pivot = diagonal[j];
+            let [first, second] = [below[0][j], below[1][j]];
+            if j + 1 < inner {
+                diagonal[j + 1] -= first * first / pivot;
+                below[0][j + 1] -= first * second / pivot;
+            }
+            if j + 2 < inner {
+                diagonal[j + 2] -= second * second / pivot;
+            }
+            below[0][j] = first / pivot;
+            below[1][j] = second / pivot;
+        }
+        Self { times_s, smoothing_s3, diagonal, below }
+    }
+
+    /// The curve for these values, one for each time.
+    pub(crate) fn fit(&self, mut values: Vec<f64>) -> Curve {
+        let inner = self.diagonal.len();
+        let mut seconds = vec![0.0; values.len()];
+        if inner == 0 {
+            return Curve { values, seconds };
+        }
+        let columns = |j| column(&self.times_s, j);
+        // seconds[j + 1] belongs to the inner value j + 1; the ends have none
+        for j in 0..inner {
+            let [a, b, c] = columns(j);
+            seconds[j + 1] = a * values[j] + b * values[j + 1] + c * values[j + 2];
+        }
+        for j in 0..inner {
+            let solved = seconds[j + 1];
+            if j + 1 < inner {
+                seconds[j + 2] -= self.below[0][j] * solved;
+            }
+            if j + 2 < inner {
+                seconds[j + 3] -= self.below[1][j] * solved;
+            }
+        }
+        for j in (0..inner).rev() {
+            let mut solved = seconds[j + 1] / self.diagonal[j];
+            if j + 1 < inner {
+                solved -= self.below[0][j] * seconds[j + 2];
+            }
+            if j + 2 < inner {
+                solved -= self.below[1][j] * seconds[j + 3];
+            }
+            seconds[j + 1] = solved;
+        }
+        if self.smoothing_s3 > 0.0 {
+            for j in 0..inner {
+                for (i, weight) in columns(j).into_iter().enumerate() {
+                    values[j + i] -= self.smoothing_s3 * weight * seconds[j + 1];
+                }
+            }
+        }
+        Curve { values, seconds }
+    }
+
+    /// Value and slope of a curve `u_s` seconds after the time `i`; before the first time and after the last one a straight line.
+    pub(crate) fn at(&self, curve: &Curve, i: usize, u_s: f64) -> [f64; 2] {
+        let h = self.times_s[i + 1] - self.times_s[i];
+        let inside_s = u_s.clamp(0.0, h);
+        let (a, b) = (curve.values[i], curve.values[i + 1]);
+        let (c, d) = (curve.seconds[i], curve.seconds[i + 1]);
+        let (u, v) = (inside_s, h - inside_s);
+        let bend = (1.0 + u / h) * d + (1.0 + v / h) * c;
+        let value = (u * b + v * a) / h - u * v * bend / 6.0;
+        let slope = (b - a) / h - ((v - u) * bend + u * v * (d - c) / h) / 6.0;
+        [value + slope * (u_s - inside_s), slope]
+    }
+}
+
+/// Column `j` of Q: second differences about the time `j + 1`.
+fn column(times_s: &[f64], j: usize) -> [f64; 3] {
+    let [a, b] = [1.0 / (times_s[j + 1] - times_s[j]), 1.0 / (times_s[j + 2] - times_s[j + 1])];
+    [a, -a - b, b]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Slopes and second derivatives are continuous, the third derivative jumps by what each value is missed by: this and
+        /// straight ends are the smoothing spline and no other curve (Green and Silverman, theorem 2.1).
+        #[test]
+        fn the_curve_is_the_one_that_bends_least(
+            points in proptest::collection::vec((-5.0_f64..5.0, 0.05_f64..2.0), 2..12),
+            smoothing_s3 in prop_oneof![Just(0.0), 1e-4_f64..0.1],
+        ) {
+            let times_s: Vec<f64> = points.iter().scan(0.0, |t, (_, h)| { *t += h; Some(*t) }).collect();
+            let values: Vec<f64> = points.iter().map(|(value, _)| *value).collect();
+            let spline = SmoothingSpline::new(times_s.clone(), smoothing_s3);
+            let curve = spline.fit(values.clone());
+            let last = values.len() - 1;
+            prop_assert_eq!((curve.seconds[0], curve.seconds[last]), (0.0, 0.0));
+            let span = |i: usize| times_s[i + 1] - times_s[i];
+            let third = |i: usize| (curve.seconds[i + 1] - curve.seconds[i]) / span(i);
+            for i in 0..=last {
+                let before = if i > 0 { third(i - 1) } else { 0.0 };
+                let after = if i < last { third(i) } else { 0.0 };
+                let jump = after - before;
+                prop_assert!((values[i] - curve.values[i] - smoothing_s3 * jump).abs() < 1e-6);
+                if i > 0 && i < last {
+                    let [end, start] = [spline.at(&curve, i - 1, span(i - 1)), spline.at(&curve, i, 0.0)];
+                    prop_assert!((end[0] - start[0]).abs() < 1e-9);
+                    prop_assert!((end[1] - start[1]).abs() < 1e-6 * (1.0 + end[1].abs()));
+                }
+            }
+            // the slope is that of the value
+            let [a, b] = [0.3 * span(0), 0.3 * span(0) + 1e-6];
+            let slope = (spline.at(&curve, 0, b)[0] - spline.at(&curve, 0, a)[0]) / 1e-6;
+            prop_assert!((slope - spline.at(&curve, 0, a)[1]).abs() < 1e-3 * (1.0 + slope.abs()));
+        }
+    }
+}
