@@ -48,7 +48,7 @@ def paper_weights(scenes: SceneSet, folder: str) -> Path:
     """Write fresh weights of the paper's preset."""
     model, training = _models.model_preset("paper")
     trainer = _models.Trainer(
-        list(scenes[:1]), [], model, training, device="cpu", stride=10, smooth=False, estimate=True
+        list(scenes[:1]), [], model, training, device="cpu", stride=10, estimate=True
     )
     path = Path(folder) / "paper.safetensors"
     trainer.export(str(path), '{"data": "none: fresh weights"}')

@@ -16,7 +16,6 @@ class Trainer:
         *,
         device: str,
         stride: int,
-        smooth: bool,
         estimate: bool,
         teacher: str | None = None,
         start: str | None = None,

@@ -307,7 +307,6 @@ def train(
     network: dict[str, Any] | None = None,
     teacher: str | os.PathLike[str] | None = None,
     start: str | os.PathLike[str] | None = None,
-    smooth: bool = True,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
     validation_samples: int = 96,
@@ -348,8 +347,6 @@ def train(
     start
         Weights that the run begins with; preset and network are theirs. Parts that ``network`` adds
         to them begin fresh.
-    smooth
-        Whether tracks are smoothed first, as logs joined from 2 Hz key frames need it.
     notes
         Kept in the weight file's header.
     checkpoint_minutes
@@ -403,14 +400,13 @@ def train(
             training,
             device=device,
             stride=1,
-            smooth=smooth,
             estimate=not resumed and teacher is None and start is None,
             teacher=None if teacher is None else os.fspath(teacher),
             start=None if resumed or start is None else os.fspath(start),
         )
     if resumed:
         run.resume(os.fspath(state))
-    notes = {"licence": LICENCE, "num_scenes": len(scenes), "smooth": smooth, **(notes or {})}
+    notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
     curves = Curves(folder, run.step)
     try:
         run_training(

@@ -183,7 +183,6 @@ def test_training_on_cuda_gets_to_its_backward_pass_and_its_state_can_be_kept(
             json.dumps(training),
             device=device,
             stride=10,
-            smooth=False,
             estimate=False,
         )
 

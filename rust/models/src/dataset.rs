@@ -8,7 +8,6 @@ use crate::lateral_perturbation::LateralPerturbation;
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
 use crate::raster::MapBitmap;
-use crate::smooth::smoothed;
 use ccdiff_sim::geom::Pose2;
 use ccdiff_sim::scene::{AgentKind, EGO_ID, LaneIndex, Scene};
 use ccdiff_sim::world::Route;
@@ -28,15 +27,6 @@ struct Prepared {
     bitmap: Option<MapBitmap>,
     /// Routes of all agents; none for a network that knows no routes.
     routes: Vec<Route>,
-}
-
-/// How scenes become samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SampleConfig {
-    /// Every `stride`-th step is taken.
-    pub stride: usize,
-    /// Whether tracks are smoothed by two moving averages of 0.5 s, as logs of joined key frames need it.
-    pub smooth: bool,
 }
 
 /// Samples of a list of scenes.
@@ -94,13 +84,12 @@ pub fn vehicles(scene: &Scene) -> Vec<usize> {
 }
 
 impl Dataset {
-    /// Prepares scenes. A step is a sample if some vehicle has its whole future logged.
+    /// Prepares scenes. Every `stride`-th step is a sample if some vehicle has its whole future logged then.
     ///
     /// # Errors
     /// [`ModelError::Config`] for another time step than the configuration's or a stride of 0;
     /// [`ModelError::NoSamples`] where no step qualifies.
-    pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, sampling: SampleConfig) -> Result<Self> {
-        let stride = sampling.stride;
+    pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, stride: usize) -> Result<Self> {
         let num_scenes = scenes.len();
         if stride == 0 {
             return Err(ModelError::Config { field: "stride", got: "0".into(), expected: "at least 1" });
@@ -122,7 +111,7 @@ impl Dataset {
                         true => Vec::new(),
                         false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
                     },
-                    scene: if sampling.smooth { Arc::new(smoothed(&scene)) } else { scene },
+                    scene,
                 })
             })
             .collect::<Result<_>>()?;

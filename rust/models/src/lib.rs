@@ -32,7 +32,6 @@ pub mod raster;
 pub mod sampler;
 pub mod schedule;
 mod segments;
-mod smooth;
 pub mod traffic;
 pub mod train;
 pub mod trajectory_model;

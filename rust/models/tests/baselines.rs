@@ -6,7 +6,7 @@ mod common;
 
 use ccdiff_models::ModelError;
 use ccdiff_models::config::{ModelConfig, ModelKind};
-use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuidance,
@@ -34,8 +34,7 @@ fn temporary(name: &str) -> PathBuf {
 
 fn trainer(kind: ModelKind) -> Trainer {
     let config = ModelConfig::of(kind, "fast").unwrap();
-    let sampling = SampleConfig { stride: 20, smooth: false };
-    let data = Dataset::new(vec![common::closing_pair()], &config, sampling).unwrap();
+    let data = Dataset::new(vec![common::closing_pair()], &config, 20).unwrap();
     let preset = TrainConfig::preset("fast", kind).unwrap();
     let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ema_start: 2, ..preset };
     common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap())
@@ -224,8 +223,7 @@ fn a_future_without_a_log_trains_to_finite_losses() {
     let scene = Arc::new(scene);
     for kind in rivals() {
         let config = ModelConfig::of(kind, "fast").unwrap();
-        let sampling = SampleConfig { stride: 12, smooth: false };
-        let data = Dataset::new(vec![Arc::clone(&scene)], &config, sampling).unwrap();
+        let data = Dataset::new(vec![Arc::clone(&scene)], &config, 12).unwrap();
         let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind).unwrap() };
         let mut run = common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap());
         assert!(run.run(3).unwrap().iter().all(|l| l.is_finite()), "{kind:?}");

@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::ModelError;
 use ccdiff_models::checkpoint;
 use ccdiff_models::config::{ModelConfig, ModelKind};
-use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
@@ -39,8 +39,7 @@ fn training(teacher_steps: usize) -> TrainConfig {
 }
 
 fn run(model: ModelConfig, training: TrainConfig) -> Trainer {
-    let every = SampleConfig { stride: 5, smooth: false };
-    let data = Dataset::new(vec![common::closing_pair()], &model, every).unwrap();
+    let data = Dataset::new(vec![common::closing_pair()], &model, 5).unwrap();
     common::seeded(|| Trainer::new(model, training, data, Device::Cpu).unwrap())
 }
 

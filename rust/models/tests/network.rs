@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::batch::Batch;
 use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
-use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::{self, SampleOptions};
@@ -167,12 +167,8 @@ fn a_scene_that_is_turned_and_moved_shows_the_same_lines() {
 }
 
 fn trainer(config: &ModelConfig, training: TrainConfig) -> Trainer {
-    let data = Dataset::new(vec![common::closing_pair()], config, every(10)).unwrap();
+    let data = Dataset::new(vec![common::closing_pair()], config, 10).unwrap();
     common::seeded(|| Trainer::new(config.clone(), training, data, Device::Cpu).unwrap())
-}
-
-fn every(stride: usize) -> SampleConfig {
-    SampleConfig { stride, smooth: false }
 }
 
 fn quick(batch_scenes: usize) -> TrainConfig {
@@ -301,7 +297,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
 #[test]
 fn futures_of_a_straight_drive_are_straight_and_masked_where_the_log_ends() {
     let config = blind(ModelConfig::fast());
-    let data = Dataset::new(vec![common::closing_pair()], &config, every(1)).unwrap();
+    let data = Dataset::new(vec![common::closing_pair()], &config, 1).unwrap();
     let (features, futures) = data.sample(0, None).unwrap();
     assert_eq!(features.agents.len(), 2, "the third car is out of range");
     for t in 0..52 {
@@ -319,7 +315,7 @@ fn futures_of_a_straight_drive_are_straight_and_masked_where_the_log_ends() {
     assert_eq!(data.sample(0, Some(Noise::new(3, 1))).unwrap(), pushed);
     assert!(matches!(data.sample(10_000, None), Err(ModelError::Shape { .. })));
     assert!(matches!(
-        Dataset::new(vec![common::scene(&[[0.0; 5]], 40)], &config, every(1)),
+        Dataset::new(vec![common::scene(&[[0.0; 5]], 40)], &config, 1),
         Err(ModelError::NoSamples { .. })
     ));
 }

@@ -5,7 +5,7 @@
 mod common;
 
 use ccdiff_models::config::{ModelConfig, ModelKind};
-use ccdiff_models::dataset::{Dataset, SampleConfig};
+use ccdiff_models::dataset::Dataset;
 use ccdiff_models::features::{self, Window, route_ahead};
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
@@ -52,7 +52,7 @@ fn bend(yaw_rate_radps: f32) -> Arc<Scene> {
 
 fn run(scenes: Vec<Arc<Scene>>, model: &ModelConfig) -> Trainer {
     // the moment before the fork, and some after it
-    let data = Dataset::new(scenes, model, SampleConfig { stride: 5, smooth: false }).unwrap();
+    let data = Dataset::new(scenes, model, 5).unwrap();
     common::seeded(|| Trainer::new(model.clone(), training(), data, Device::Cpu).unwrap())
 }
 

@@ -3,7 +3,7 @@
 use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::{from_sim, policy_failed, py};
 use ccdiff_models::config::{ModelConfig, ModelKind};
-use ccdiff_models::dataset::{Dataset, SampleConfig, vehicles};
+use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuidance};
 use ccdiff_models::sampler::SampleOptions;
@@ -93,7 +93,7 @@ struct PyTrainer {
 impl PyTrainer {
     /// Fresh weights come from torch's global generator. With `estimate`, the normalisation is taken from the scenes.
     #[new]
-    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, smooth, estimate, teacher=None, start=None))]
+    #[pyo3(signature = (scenes, held_out, model, training, *, device, stride, estimate, teacher=None, start=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<Handed>,
@@ -102,7 +102,6 @@ impl PyTrainer {
         training: &str,
         device: &str,
         stride: usize,
-        smooth: bool,
         estimate: bool,
         teacher: Option<PathBuf>,
         start: Option<PathBuf>,
@@ -112,16 +111,13 @@ impl PyTrainer {
         let device = device_named(device).map_err(from_model)?;
         let (scenes, held_out) = (arcs(scenes), arcs(held_out));
         py.detach(move || {
-            let sampling = SampleConfig { stride, smooth };
             model = model.validated()?;
-            let mut data = Dataset::new(scenes, &model, sampling)?;
+            let mut data = Dataset::new(scenes, &model, stride)?;
             if estimate {
                 model.normalisation = data.estimate_normalisation(4000, training.seed)?;
                 data.set_normalisation(&model.normalisation);
             }
-            let sparse = SampleConfig { stride: 5, ..sampling };
-            let held_out =
-                (!held_out.is_empty()).then(|| Dataset::new(held_out, &model, sparse)).transpose()?;
+            let held_out = (!held_out.is_empty()).then(|| Dataset::new(held_out, &model, 5)).transpose()?;
             let run = Trainer::new(model, training, data, device)?;
             let run = match &start {
                 Some(path) => run.begun_with(path)?,
