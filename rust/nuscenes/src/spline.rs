@@ -14,12 +14,9 @@ pub(crate) struct SmoothingSpline {
     below: [Vec<f64>; 2],
 }
 
-/// A curve: values and second derivatives at the times.
+/// A curve: coefficients of a cubic in the seconds since its beginning, for each interval between two times.
 #[derive(Debug, Clone)]
-pub(crate) struct Curve {
-    values: Vec<f64>,
-    seconds: Vec<f64>,
-}
+pub(crate) struct Curve(Vec<[f64; 4]>);
 
 impl SmoothingSpline {
     /// For times that increase, with `smoothing_s3` of at least 0 (for values in metres: m² per m² s⁻³).
@@ -54,13 +51,10 @@ impl SmoothingSpline {
         Self { times_s, smoothing_s3, diagonal, below }
     }
 
-    /// The curve for these values, one for each time.
+    /// The curve for these values, one for each time, of which there are two at least.
     pub(crate) fn fit(&self, mut values: Vec<f64>) -> Curve {
         let inner = self.diagonal.len();
         let mut seconds = vec![0.0; values.len()];
-        if inner == 0 {
-            return Curve { values, seconds };
-        }
         let columns = |j| column(&self.times_s, j);
         // seconds[j + 1] belongs to the inner value j + 1; the ends have none
         for j in 0..inner {
@@ -93,20 +87,20 @@ impl SmoothingSpline {
                 }
             }
         }
-        Curve { values, seconds }
+        let cubic = |i: usize| {
+            let h = self.times_s[i + 1] - self.times_s[i];
+            let (a, b, c, d) = (values[i], values[i + 1], seconds[i], seconds[i + 1]);
+            [a, (b - a) / h - h * (2.0 * c + d) / 6.0, c / 2.0, (d - c) / (6.0 * h)]
+        };
+        Curve((0..values.len() - 1).map(cubic).collect())
     }
 
     /// Value and slope of a curve `u_s` seconds after the time `i`; before the first time and after the last one a straight line.
-    pub(crate) fn at(&self, curve: &Curve, i: usize, u_s: f64) -> [f64; 2] {
-        let h = self.times_s[i + 1] - self.times_s[i];
-        let inside_s = u_s.clamp(0.0, h);
-        let (a, b) = (curve.values[i], curve.values[i + 1]);
-        let (c, d) = (curve.seconds[i], curve.seconds[i + 1]);
-        let (u, v) = (inside_s, h - inside_s);
-        let bend = (1.0 + u / h) * d + (1.0 + v / h) * c;
-        let value = (u * b + v * a) / h - u * v * bend / 6.0;
-        let slope = (b - a) / h - ((v - u) * bend + u * v * (d - c) / h) / 6.0;
-        [value + slope * (u_s - inside_s), slope]
+    pub(crate) fn at(&self, Curve(cubics): &Curve, i: usize, u_s: f64) -> [f64; 2] {
+        let u = u_s.clamp(0.0, self.times_s[i + 1] - self.times_s[i]);
+        let [a, b, c, d] = cubics[i];
+        let slope = b + u * (2.0 * c + u * (3.0 * d));
+        [a + u * (b + u * (c + u * d)) + slope * (u_s - u), slope]
     }
 }
 
@@ -134,18 +128,23 @@ mod tests {
             let spline = SmoothingSpline::new(times_s.clone(), smoothing_s3);
             let curve = spline.fit(values.clone());
             let last = values.len() - 1;
-            prop_assert_eq!((curve.seconds[0], curve.seconds[last]), (0.0, 0.0));
             let span = |i: usize| times_s[i + 1] - times_s[i];
-            let third = |i: usize| (curve.seconds[i + 1] - curve.seconds[i]) / span(i);
+            let Curve(cubics) = &curve;
+            let end = cubics[last - 1];
+            prop_assert_eq!(cubics[0][2], 0.0);
+            prop_assert!((end[2] + 3.0 * end[3] * span(last - 1)).abs() < 1e-6);
             for i in 0..=last {
-                let before = if i > 0 { third(i - 1) } else { 0.0 };
-                let after = if i < last { third(i) } else { 0.0 };
-                let jump = after - before;
-                prop_assert!((values[i] - curve.values[i] - smoothing_s3 * jump).abs() < 1e-6);
+                let before = if i > 0 { 6.0 * cubics[i - 1][3] } else { 0.0 };
+                let after = if i < last { 6.0 * cubics[i][3] } else { 0.0 };
+                let value =
+                    if i < last { cubics[i][0] } else { spline.at(&curve, last - 1, span(last - 1))[0] };
+                prop_assert!((values[i] - value - smoothing_s3 * (after - before)).abs() < 1e-6);
                 if i > 0 && i < last {
                     let [end, start] = [spline.at(&curve, i - 1, span(i - 1)), spline.at(&curve, i, 0.0)];
                     prop_assert!((end[0] - start[0]).abs() < 1e-9);
                     prop_assert!((end[1] - start[1]).abs() < 1e-6 * (1.0 + end[1].abs()));
+                    let bend = cubics[i - 1][2] + 3.0 * cubics[i - 1][3] * span(i - 1);
+                    prop_assert!((bend - cubics[i][2]).abs() < 1e-6 * (1.0 + bend.abs()));
                 }
             }
             // the slope is that of the value
