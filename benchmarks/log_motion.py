@@ -4,9 +4,9 @@
 
 First table: loads with every choice of ``timing`` and ``interpolation``. Vehicles above 3 m/s, the
 ego and others: standard deviation of the change of speed per half second; rms of acceleration
-(m/s²) and jerk (m/s³) from differences at 10 Hz; vehicle steps in which ``velocity`` differs from the slope of
-``position`` by more than a tenth. Of the log: pairs of agents in contact per scene, and share of
-vehicle steps with the centre off the road.
+(m/s²) and jerk (m/s³) from differences at 10 Hz; vehicle steps in which ``velocity`` differs from
+the slope of ``position`` by more than a tenth. Of the log: pairs of agents in contact per scene,
+and share of vehicle steps with the centre off the road.
 
 Second table: each inner key frame of vehicles is left out once and foretold from the others, by
 scipy's curves: rms of the error, and 99th percentile of how far the curve through all stays off.
