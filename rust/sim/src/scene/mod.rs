@@ -3,12 +3,15 @@
 //! What flows in: a loader's arrays (nuScenes, ScenarioNet, a recorded rollout). What flows out: the log that
 //! worlds start from, replay and compare with. Nothing here knows a data set.
 
+mod contour;
 mod lane_index;
 mod map;
+mod road_area;
 pub mod synthetic;
 
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use map::{Lane, LaneKind, Map};
+pub use road_area::{RoadParts, road_area};
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Real, Vector2};
