@@ -1,12 +1,10 @@
-"""What commands say on a terminal: aligned tables, progress, and where the page is."""
+"""What commands say on a terminal: aligned tables, and where the page is."""
 
 from __future__ import annotations
 
 import sys
 import webbrowser
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TypeVar
 
 from ccdiff_env.embedded import embedded_splits
 from ccdiff_env.errors import ConfigError
@@ -14,9 +12,7 @@ from ccdiff_env.policies import SHIPPED
 from ccdiff_env.scenes import splits
 from ccdiff_env.traffic import driver_names
 
-__all__ = ["DATAROOT_HELP", "EGO_HELP", "align", "say_page", "shown", "split_help"]
-
-T = TypeVar("T")
+__all__ = ["DATAROOT_HELP", "EGO_HELP", "align", "say_page", "split_help"]
 
 #: Help of ``--dataroot``.
 DATAROOT_HELP = "folder of nuScenes (default: the embedded scenes)"
@@ -78,19 +74,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return not cell
     return True
-
-
-def shown(steps: Iterable[T], *, what: str) -> Iterator[T]:
-    """Go over steps with a bar, where this is a terminal and tqdm is installed."""
-    if sys.stderr.isatty():
-        try:
-            from tqdm import tqdm
-        except ImportError:
-            yield from steps
-            return
-        yield from tqdm(list(steps), desc=what, leave=False, dynamic_ncols=True)
-    else:
-        yield from steps
 
 
 def say_page(path: Path, *, open_it: bool = False) -> None:

@@ -12,8 +12,9 @@ from typing import Any
 from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
+from ccdiff_env.progress import shown
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, say_page, shown
+from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export

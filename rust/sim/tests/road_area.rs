@@ -1,5 +1,7 @@
 //! The road that edges and lanes make, against the shapes that they were drawn from.
 
+#![expect(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
 use ccdiff_sim::geom::{Point2, Polygon, Real, Region};
 use ccdiff_sim::scene::{Lane, LaneKind, RoadParts, road_area};
 
@@ -30,7 +32,7 @@ fn road(edges: &[Vec<Point2>], lanes: &[Lane]) -> Vec<Polygon> {
 
 /// Compares with what the shape says at places that are not at its border.
 fn agree(polygons: &[Polygon], from: (f64, f64), to: (f64, f64), inside_m: impl Fn(f64, f64) -> f64) {
-    let region = Region::new(polygons).expect("a road");
+    let Some(region) = Region::new(polygons) else { panic!("no road") };
     for i in 0..200 {
         for j in 0..200 {
             let x = from.0 + (to.0 - from.0) * (f64::from(i) + 0.37) / 200.0;
@@ -126,6 +128,16 @@ fn pieces_without_lanes_or_vehicles_are_left_out() {
     let region = Region::new(&road_area(parts)).expect("a road");
     assert!(region.contains(p(25.0, 3.0)) && region.contains(p(25.0, 83.0)));
     assert!(!region.contains(p(25.0, 43.0)));
+}
+
+#[test]
+fn edges_that_are_drawn_the_other_way_bound_the_same_road() {
+    let edges = [vec![p(0.0, -4.0), p(60.0, -4.0)], vec![p(60.0, 4.0), p(0.0, 4.0)]];
+    let reversed = edges.clone().map(|line| line.into_iter().rev().collect());
+    let lanes = [lane(vec![p(0.0, 0.0), p(60.0, 0.0)])];
+    for lines in [edges, reversed] {
+        agree(&road(&lines, &lanes), (3.0, -20.0), (57.0, 20.0), |_, y| 4.0 - y.abs());
+    }
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! Where a function on a grid is positive, as polygons: marching squares with linear interpolation (Lorensen and Cline 1987).
 
-use super::road_area::CELL_M;
 use crate::geom::{Point2, Polygon, Real};
 
+/// Distance between nodes, metres.
+pub(super) const CELL_M: f64 = 0.5;
 /// Points of a ring are left out where the line stays within this distance without them, metres.
 const TOLERANCE_M: f64 = 0.04;
 /// Sides of a cell by the numbers of their corners; corners are lower left, lower right, upper right, upper left.

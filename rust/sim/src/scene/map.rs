@@ -98,6 +98,12 @@ impl Map {
         rings.chain(lines).map(|points| along(points)).sum()
     }
 
+    /// Whether the map says where vehicles may drive; where it does not, nothing is ever off the road.
+    pub fn has_road(&self) -> bool {
+        let areas = self.drivable_area.iter().chain(self.lanes.iter().map(|lane| &lane.polygon));
+        areas.into_iter().any(|area| area.exterior.len() >= 3)
+    }
+
     /// Whether the map has lanes at all.
     pub fn has_lanes(&self) -> bool {
         !self.lanes.is_empty()

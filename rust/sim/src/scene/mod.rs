@@ -5,11 +5,13 @@
 
 mod contour;
 mod lane_index;
+mod lane_links;
 mod map;
 mod road_area;
 pub mod synthetic;
 
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
+pub use lane_links::link_lanes;
 pub use map::{Lane, LaneKind, Map};
 pub use road_area::{RoadParts, road_area};
 

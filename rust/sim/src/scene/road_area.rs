@@ -2,14 +2,12 @@
 //!
 //! A grid of nodes holds how far inside the road each node is, metres: by the nearest piece of edge, which has the road on
 //! its left, else by lanes and surfaces. Where the sign changes between two nodes the road ends; the lines through these
-//! places, closed, are its polygons. Along straight pieces they lie on the edge itself, at corners within a third of a cell.
+//! places, closed, are its polygons. Along straight pieces they lie on the edge itself, at corners within a cell.
 
-use super::contour::polygons;
+use super::contour::{CELL_M, polygons};
 use super::map::Lane;
 use crate::geom::{Point2, Polygon, Real};
 
-/// Distance between nodes, metres.
-pub(super) const CELL_M: f64 = 0.5;
 /// Most nodes of a grid: a square kilometre.
 const MAX_NODES: f64 = 4e6;
 /// How far the road reaches beyond lanes and vehicles that are given as `seeds`, metres.
@@ -39,21 +37,24 @@ const GAP_BETWEEN_EDGES_M2: f64 = 2.0;
 /// What a road is made of, in one frame, metres.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RoadParts<'a> {
-    /// Edges of the road, which lies to the left of each.
+    /// Edges of the road, which lies to the left of each; to the right of each where most lanes do.
     pub edges: &'a [Vec<Point2>],
     /// Lanes; those without a polygon are taken as 3.5 m wide.
     pub lanes: &'a [Lane],
     /// Other surfaces that vehicles use, such as driveways.
     pub surfaces: &'a [Polygon],
-    /// Where vehicles were: pieces of road without a lane or one of these are left out.
+    /// Where vehicles were: pieces of road without a lane or one of these are left out, and without edges these are road.
     pub seeds: &'a [Point2],
 }
 
 /// Polygons of the road, which do not overlap; none where nothing makes one, or where the map is larger than any city's.
 pub fn road_area(parts: RoadParts<'_>) -> Vec<Polygon> {
     let Some(mut field) = Field::new(&parts) else { return Vec::new() };
-    field.join_edges(parts.edges);
+    field.join_edges(parts.edges, parts.lanes);
     field.join_lanes(&parts);
+    if parts.edges.is_empty() {
+        field.join_seeds(parts.seeds);
+    }
     field.keep_used(&parts);
     let gap_m2 = if parts.edges.is_empty() { GAP_M2 } else { GAP_BETWEEN_EDGES_M2 };
     field.fill_gaps((gap_m2 / (CELL_M * CELL_M)) as usize);
@@ -75,7 +76,9 @@ impl Field {
     fn new(parts: &RoadParts<'_>) -> Option<Self> {
         let lines = parts.lanes.iter().map(|lane| &lane.centreline).chain(parts.edges);
         let rings = parts.surfaces.iter().chain(parts.lanes.iter().map(|lane| &lane.polygon));
-        let all = bounds(lines.chain(rings.map(|ring| &ring.exterior)).flatten())?;
+        let made = lines.chain(rings.map(|ring| &ring.exterior)).flatten();
+        bounds(made.clone())?;
+        let all = bounds(made.chain(parts.seeds))?;
         let near = bounds(parts.seeds).map_or(all, |[lo, hi]| {
             [[0, 1].map(|i| all[0][i].max(lo[i] - MARGIN_M)), [0, 1].map(|i| all[1][i].min(hi[i] + MARGIN_M))]
         });
@@ -131,7 +134,7 @@ impl Field {
     }
 
     /// Nodes to the left of their nearest edge are road.
-    fn join_edges(&mut self, edges: &[Vec<Point2>]) {
+    fn join_edges(&mut self, edges: &[Vec<Point2>], lanes: &[Lane]) {
         let pieces: Vec<Piece> = edges.iter().flat_map(|line| Piece::of_line(line)).collect();
         let mut nearest = vec![Nearest::NONE; self.inside_m.len()];
         for (i, piece) in pieces.iter().enumerate() {
@@ -157,9 +160,16 @@ impl Field {
                 }
             }
         }
+        // the middles of lanes are road: where they lie to the right of most edges, the data draws edges the other way
+        let told = lanes.iter().flat_map(|lane| Piece::of_line(&lane.centreline)).filter_map(|piece| {
+            let near = nearest[self.node(piece.middle())?];
+            (near.distance_m <= REACH_M).then_some(near.left_m >= 0.0)
+        });
+        let (left, right): (Vec<_>, Vec<_>) = told.partition(|left| *left);
+        let reversed = left.len() < right.len();
         for (node, near) in nearest.iter().enumerate().filter(|(_, near)| near.distance_m <= REACH_M) {
             self.edge_m[node] = near.distance_m as Real;
-            let left = near.left_m >= 0.0;
+            let left = (near.left_m >= 0.0) != reversed;
             self.inside_m[node] = if left { near.distance_m } else { -near.distance_m } as Real;
         }
     }
@@ -182,6 +192,26 @@ impl Field {
         let surfaces = parts.lanes.iter().map(|lane| &lane.polygon).chain(parts.surfaces);
         for surface in surfaces.filter(|surface| surface.exterior.len() >= 3) {
             self.join_surface(surface);
+        }
+    }
+
+    /// Where no edge tells, the places of vehicles are road, as wide as a lane.
+    fn join_seeds(&mut self, seeds: &[Point2]) {
+        let reach_m = f64::from(HALF_LANE_M) + EXACT_M;
+        for seed in seeds {
+            let at = [f64::from(seed.x), f64::from(seed.y)];
+            let mut found = Vec::new();
+            self.nodes_near([at, at], reach_m, |node, [x, y]| {
+                let distance_m = ((x - at[0]).powi(2) + (y - at[1]).powi(2)).sqrt() as Real;
+                found.push((node, HALF_LANE_M - distance_m));
+            });
+            self.join(found);
+        }
+    }
+
+    fn join(&mut self, found: Vec<(usize, Real)>) {
+        for (node, inside_m) in found {
+            self.inside_m[node] = self.inside_m[node].max(inside_m);
         }
     }
 
@@ -214,9 +244,7 @@ impl Field {
             let distance_m = near.get(&node).copied().unwrap_or(EXACT_M).min(EXACT_M) as Real;
             found.push((node, if before % 2 == 1 { distance_m } else { -distance_m }));
         });
-        for (node, inside_m) in found {
-            self.inside_m[node] = self.inside_m[node].max(inside_m);
-        }
+        self.join(found);
     }
 
     /// Takes away what is not joined to a lane or to where a vehicle was.
@@ -228,9 +256,9 @@ impl Field {
             }
         }
         let pieces = parts.lanes.iter().flat_map(|lane| Piece::of_line(&lane.centreline));
-        let middles = pieces.map(|piece| [0, 1].map(|i| (piece.from[i] + piece.to[i]) / 2.0));
         let seeds = parts.seeds.iter().map(|p| [f64::from(p.x), f64::from(p.y)]);
-        let starts: Vec<usize> = middles.chain(seeds).filter_map(|at| self.node(at)).collect();
+        let starts: Vec<usize> =
+            pieces.map(|piece| piece.middle()).chain(seeds).filter_map(|at| self.node(at)).collect();
         if starts.is_empty() {
             return;
         }
@@ -359,6 +387,10 @@ impl Piece {
     fn of_ring(ring: &[Point2]) -> impl Iterator<Item = Self> + '_ {
         let closing = ring.last().and_then(|last| Self::new(*last, ring[0]));
         Self::of_line(ring).chain(closing.into_iter().flat_map(Self::cut))
+    }
+
+    fn middle(&self) -> [f64; 2] {
+        [0, 1].map(|i| (self.from[i] + self.to[i]) / 2.0)
     }
 
     fn corners(&self) -> [[f64; 2]; 2] {
