@@ -25,7 +25,7 @@ from ccdiff_env.envs import (
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
+from ccdiff_env.scenes import Scene, SceneSet, load_gpudrive, load_nuscenes, load_scenarionet
 from ccdiff_env.version import __version__
 from ccdiff_env.view import notebook
 
@@ -49,6 +49,7 @@ __all__ = [
     "embedded_scenes",
     "errors",
     "load_bank",
+    "load_gpudrive",
     "load_nuscenes",
     "load_scenarionet",
     "make_vec",

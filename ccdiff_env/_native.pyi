@@ -6,7 +6,7 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.scene_types import F32, F64, U8, Bool, MapLayers, StateArrays, TrackArrays
+from ccdiff_env.scene_types import F32, F64, U8, Bool, MapLayers, Polygon, StateArrays, TrackArrays
 
 def causal_ttc(
     x: F32,
@@ -195,6 +195,10 @@ class Scene:
         """The data set's own category of each agent."""
 
     @property
+    def has_road(self) -> bool:
+        """Whether the map says where vehicles may drive; else nothing is ever off the road."""
+
+    @property
     def has_lanes(self) -> bool:
         """Whether the map has lanes."""
 
@@ -288,6 +292,10 @@ def load_nuscenes(
     require_map: bool,
     cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
+def load_gpudrive(paths: list[str], *, cache_directory: str | None) -> tuple[list[Scene], str]: ...
+def complete_map(
+    layers: MapLayers, *, edges: list[F32], surfaces: list[Polygon], seeds: F32
+) -> tuple[MapLayers, str]: ...
 def drivers() -> list[tuple[str, str, int]]:
     """Return name, title and number in images of everybody who may move an agent: those that
     images tell apart, in the order of their numbers, then kinds that look like one of them.

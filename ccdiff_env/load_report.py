@@ -42,6 +42,9 @@ class SceneReport:
     """Key frames in those gaps."""
     ego_channel: str | None
     """Sensor channel of the ego poses; ``None`` where the scene has no ego."""
+    road: str
+    """How the area where vehicles may drive was had: ``"given"``, from ``"edges"`` or ``"lanes"``;
+    ``"none"``: nothing is ever off the road."""
     map_layers: dict[str, int]
     """Elements per map layer round the scene."""
     map_bytes: int
@@ -214,6 +217,8 @@ def _lines(report: LoadReport) -> list[str]:
     rows.append(("gaps filled", f"{gaps} ({frames} key frames)"))
     channels = Counter(s.ego_channel or "none" for s in scenes)
     rows.append(("ego poses", ", ".join(f"{name} in {n} scenes" for name, n in channels.items())))
+    roads = Counter(s.road for s in scenes)
+    rows.append(("road", ", ".join(f"{name} in {n} scenes" for name, n in sorted(roads.items()))))
     if report.missing_maps:
         rows.append(("maps missing", _some(report.missing_maps)))
     rows += [("layer empty", f"{name} in {n} scenes") for name, n in report.missing_layers.items()]

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env._native import Scene
+from ccdiff_env._native import Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
 from ccdiff_env.scenario_fields import F64, ScenarioFields
@@ -38,6 +38,7 @@ _KINDS_OF_CATEGORIES = {"vehicle.motorcycle": "motorcycle", "vehicle.bicycle": "
 _EGO_ID = "ego"
 _INDEX_FILES = ("dataset_summary.pkl", "dataset_mapping.pkl")
 _LINKS = ("exit_lanes", "entry_lanes")
+_ROAD_EDGES = ("ROAD_EDGE_BOUNDARY", "ROAD_EDGE_MEDIAN", "ROAD_EDGE_UNKNOWN", "ROAD_EDGE")
 _CENTRELINE_SPACING_M = 1.0
 
 #: Map points lie as near to the origin as tracks must, see ``Scene``.
@@ -193,13 +194,16 @@ def _origin(source: ScenarioFields, tracks: Sequence[_Track]) -> F64:
 
 
 class _Features:
-    """Sorts map features into our layers."""
+    """Sorts map features into our layers; ``seeds`` [N, 2] are places where vehicles were."""
 
-    def __init__(self, source: ScenarioFields, origin: F64) -> None:
+    def __init__(self, source: ScenarioFields, origin: F64, seeds: npt.NDArray[np.float32]) -> None:
         self._source = source
         self._origin = origin
         self._unused: Counter[str] = Counter()
         self._own = _own_layers(source, origin)
+        #: Lines with the road on their left, and surfaces without lanes that vehicles use.
+        self._edges: list[npt.NDArray[np.float32]] = []
+        self._surfaces: list[Polygon] = []
         self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
         self.layers: MapLayers = {
             "drivable_area": [],
@@ -217,11 +221,14 @@ class _Features:
             name = source.text(key, "a key of map_features")
             self._sort(name, source.mapping(feature, f"map_features[{name!r}]"), lanes)
         self._link(lanes)
+        self.road = "given"
         if self._own is None:
-            self._drivable_area()
-        else:
+            self.layers, self.road = complete_map(
+                self.layers, edges=self._edges, surfaces=self._surfaces, seeds=seeds
+            )
+        else:  # its edges are the rings of the drivable area
             self.layers.update(self._own)
-            self._unused.pop("ROAD_EDGE_BOUNDARY", None)  # the rings of the drivable area
+            self.road = "given" if self._own["drivable_area"] else "none"
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
 
@@ -272,9 +279,16 @@ class _Features:
             layer = layers["road_dividers"] if "YELLOW" in kind else layers["lane_dividers"]
             if len(divider) >= 2:
                 layer.append(divider)
-        elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK"):
+        elif kind in _ROAD_EDGES:
+            edge = self._points(key, feature, "polyline").astype(np.float32)
+            if len(edge) >= 2:
+                self._edges.append(edge)
+        elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK", "DRIVEWAY"):
             polygon = self._polygon(key, feature)
-            layer_of = layers["ped_crossings"] if kind == "CROSSWALK" else layers["walkways"]
+            layer_of = {
+                "CROSSWALK": layers["ped_crossings"],
+                "DRIVEWAY": self._surfaces,
+            }.get(kind, layers["walkways"])
             if len(polygon["exterior"]) >= 3:
                 layer_of.append(polygon)
             else:
@@ -306,15 +320,6 @@ class _Features:
             for other in self._source.items(feature.get(name), where)
         ]
         return [index[other] for other in names if other in index]
-
-    def _drivable_area(self) -> None:
-        """Lane surfaces, where all lanes have one; with gaps they would call agents off-road."""
-        surfaces = [lane["polygon"] for lane in self.layers["lanes"]]
-        if surfaces and all(len(surface["exterior"]) >= 3 for surface in surfaces):
-            self.layers["drivable_area"] = surfaces
-            self._source.notes.append("the drivable area is made of the lanes' polygons")
-        elif surfaces:
-            self._source.notes.append("no drivable area: not all lanes have a polygon")
 
 
 def _tracks(source: ScenarioFields, num_steps: int, ego: str | None) -> list[_Track]:
@@ -349,8 +354,9 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
     tracks = _tracks(source, num_steps, ego)
     scene: Scene | None = None
     layers: dict[str, int] = {}
+    road = "none"
     if tracks:
-        scene, layers = _assembled(source, name, num_steps, tracks)
+        scene, layers, road = _assembled(source, name, num_steps, tracks)
     counts = Counter(track.category for track in tracks)
     report = SceneReport(
         name=name,
@@ -361,6 +367,7 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
         filled_gaps=0,
         filled_key_frames=0,
         ego_channel=None if sdc_id is None else "sdc",
+        road=road,
         map_layers=layers,
         map_bytes=0,
         notes=tuple(source.notes),
@@ -370,12 +377,14 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
 
 def _assembled(
     source: ScenarioFields, name: str, num_steps: int, tracks: Sequence[_Track]
-) -> tuple[Scene, dict[str, int]]:
+) -> tuple[Scene, dict[str, int], str]:
     metadata = source.part("metadata")
     valid = np.stack([track.valid for track in tracks])
     position = np.stack([track.position for track in tracks])
     origin = _origin(source, tracks)
-    features = _Features(source, origin)
+    vehicles = [track for track in tracks if track.kind == "vehicle"] or tracks[:1]
+    seeds = np.concatenate([track.position[track.valid] for track in vehicles]) - origin
+    features = _Features(source, origin, seeds.astype(np.float32))
     scene = Scene.from_arrays(
         name,
         agent_ids=[track.id for track in tracks],
@@ -396,7 +405,7 @@ def _assembled(
     counts = {
         layer: len(items) for layer, items in features.layers.items() if isinstance(items, list)
     }
-    return scene, counts
+    return scene, counts, features.road
 
 
 def _files(path: Path) -> Iterator[Path]:

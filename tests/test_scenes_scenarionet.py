@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import errors
+from ccdiff_env import _native, errors
 from ccdiff_env.scenarionet import load_scenario_dict
 
 T = 11
@@ -95,7 +95,13 @@ def test_description_becomes_a_scene(tmp_path, protocol):
     assert np.allclose(second["centreline"][[0, -1]], [[10, 0], [13.5, 0]])
     assert len(second["polygon"]["exterior"]) == 4
     assert first["speed_limit_mps"] == pytest.approx(10.0)
-    assert len(layers["drivable_area"]) == 2
+    shapely = pytest.importorskip("shapely")
+    (area,) = layers["drivable_area"]
+    surface, road = shapely.box(0, -2, 14, 2), shapely.Polygon(area["exterior"])
+    assert road.buffer(0.1).covers(surface), "the lanes' polygons are one"
+    # vehicles were within 1.75 m of y = 0 from 0.4 to 18 m
+    driven = shapely.LineString([(0.4, 0), (18.0, 0)]).buffer(1.75)
+    assert surface.union(driven).buffer(0.3).covers(road)
     assert [len(layers[k]) for k in ("road_dividers", "lane_dividers", "ped_crossings")] == [
         1,
         1,
@@ -207,3 +213,39 @@ def test_real_export_agrees_with_our_own_loader(data_root):
         assert np.allclose(ego["heading"][0, :steps], ours["heading"][0, :steps], atol=0.05)
         assert sorted(export.agent_types).count("static") == 5
         assert export.has_lanes
+
+
+@pytest.mark.nuscenes
+def test_edges_give_back_the_road_of_real_maps(data_root):
+    """Rings of nuScenes' drivable area, in pieces, with the road on their left."""
+    shapely = pytest.importorskip("shapely")
+    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini")
+
+    def area(polygons):
+        made = [shapely.Polygon(p["exterior"], p["holes"]) for p in polygons]
+        return shapely.union_all([shapely.make_valid(polygon) for polygon in made])
+
+    for scene in scenes:
+        layers, tracks = scene.map_layers(), scene.tracks()
+        given, edges = area(layers["drivable_area"]), []
+        for polygon in shapely.get_parts(given):
+            if polygon.geom_type != "Polygon":
+                continue  # what is left of rings that touch
+            oriented = shapely.geometry.polygon.orient(polygon)
+            for ring in [oriented.exterior, *oriented.interiors]:
+                points = shapely.get_coordinates(ring).astype(np.float32)
+                edges += [points[i : i + 8] for i in range(0, len(points) - 1, 7)]
+        vehicles = np.array(scene.agent_types) == "vehicle"
+        seeds = tracks["position"][vehicles][tracks["valid"][vehicles]]
+        bare = {
+            "lanes": [
+                lane | {"polygon": {"exterior": np.zeros((0, 2), np.float32)}}
+                for lane in layers["lanes"]
+            ]
+        }
+        found, road = _native.complete_map(bare, edges=edges, surfaces=[], seeds=seeds)
+        assert road == "edges"
+        near = shapely.LineString(tracks["position"][0][tracks["valid"][0]]).buffer(20.0)
+        ours, theirs = area(found["drivable_area"]) & near, given & near
+        shared = ours.intersection(theirs).area / ours.union(theirs).area
+        assert shared > 0.97, (scene.name, shared)

@@ -45,7 +45,8 @@ def scene_set(scenes: Scenes) -> SceneSet:
     if scenes is None or isinstance(scenes, str):
         return embedded_scenes(scenes or "train")
     if isinstance(scenes, SceneSet):
-        found = scenes
+        # read once: worlds hold all of them
+        found = SceneSet(scenes, lambda: scenes.report)
     else:
         listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
         if not all(isinstance(scene, Scene) for scene in listed):

@@ -5,7 +5,7 @@ use crate::crop::crop;
 use crate::error::Result;
 use crate::map_file::{Bounds, GlobalMap};
 use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, KeyFrameTiming};
-use crate::report::SceneReport;
+use crate::report::{Road, SceneReport};
 use crate::resample::{ANNOTATION_SMOOTHING_S3, Resampled, Steps, resample};
 use crate::tables::{Key, LoggedScene, LoggedTrack, SceneEntry};
 use ccdiff_sim::geom::{Point2, Real, Vector2};
@@ -54,6 +54,7 @@ pub(crate) fn build_scene(
     });
     let scene_map = scene_map.unwrap_or_default();
     count_layers(&scene_map, &mut report);
+    report.road = if scene_map.drivable_area.is_empty() { Road::None } else { Road::Given };
     let scene = Scene {
         name: entry.name.clone(),
         token: entry.token.clone(),
@@ -167,7 +168,7 @@ fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Resu
     Ok(kind)
 }
 
-fn count_layers(map: &Map, report: &mut SceneReport) {
+pub(crate) fn count_layers(map: &Map, report: &mut SceneReport) {
     report.map_layers = [
         ("drivable_area", map.drivable_area.len()),
         ("lanes", map.lanes.len()),

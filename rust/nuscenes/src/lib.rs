@@ -15,6 +15,7 @@
 //! - `category`: categories as kinds of agents
 //! - `cache`: built scenes on disk
 //! - `load`: all of it
+//! - `gpudrive`: Waymo scenes in GPUDrive's JSON
 
 mod arcline;
 mod build;
@@ -23,6 +24,7 @@ mod category;
 mod codec;
 mod crop;
 mod error;
+mod gpudrive;
 mod index;
 mod load;
 mod map_file;
@@ -40,8 +42,9 @@ mod token;
 pub use category::kind_of_category;
 pub use codec::{decode_scene, encode_scene, scene_hash};
 pub use error::{NuscenesError, Result};
+pub use gpudrive::load_gpudrive;
 pub use load::{Loaded, load};
 pub use options::{
     BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming, LoadOptions, Selection,
 };
-pub use report::{CacheReport, Dropped, LoadReport, MapReport, SceneReport, Timing};
+pub use report::{CacheReport, Dropped, LoadReport, MapReport, Road, SceneReport, Timing};

@@ -16,6 +16,21 @@ pub struct Dropped {
     pub annotations: usize,
 }
 
+/// How the area where vehicles may drive was had.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Road {
+    /// The map has none: nothing is ever off the road.
+    #[default]
+    None,
+    /// The data set has it.
+    Given,
+    /// Made from the edges of the road, and from lanes where there are no edges.
+    Edges,
+    /// Made from lanes and their widths.
+    Lanes,
+}
+
 /// What became of one scene.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SceneReport {
@@ -35,6 +50,8 @@ pub struct SceneReport {
     pub filled_key_frames: usize,
     /// Sensor channel whose key frames carry the ego poses; `None` where the scene has no ego.
     pub ego_channel: Option<String>,
+    /// How the area where vehicles may drive was had.
+    pub road: Road,
     /// Elements per map layer after cropping.
     pub map_layers: BTreeMap<String, usize>,
     /// Size of the cropped map in the cache file's encoding, bytes.

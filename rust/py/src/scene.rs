@@ -5,7 +5,7 @@ use crate::render::{CentreArg, scene_image};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, NuscenesError, Selection, decode_scene,
+    BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, Loaded, NuscenesError, Selection, decode_scene,
     encode_scene, load, scene_hash,
 };
 use ccdiff_sim::geom::{Point2, Vector2};
@@ -21,6 +21,8 @@ use std::sync::{Arc, OnceLock};
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyScene>()?;
+    module.add_function(wrap_pyfunction!(scene_map::complete_map, module)?)?;
+    module.add_function(wrap_pyfunction!(load_gpudrive, module)?)?;
     module.add_function(wrap_pyfunction!(load_nuscenes, module)?)
 }
 
@@ -222,6 +224,11 @@ impl PyScene {
     }
 
     #[getter]
+    fn has_road(&self) -> bool {
+        self.scene.map.has_road()
+    }
+
+    #[getter]
     fn has_lanes(&self) -> bool {
         self.scene.map.has_lanes()
     }
@@ -362,7 +369,22 @@ fn load_nuscenes(
         require_map,
     };
     let options = LoadOptions { selection, build, cache_directory };
-    let loaded = py.detach(|| load(&dataroot, version, &options)).map_err(from_nuscenes)?;
+    with_report(py.detach(|| load(&dataroot, version, &options)))
+}
+
+/// Loads Waymo scenes from GPUDrive's JSON, one from each file; returns them with the report as JSON.
+#[pyfunction]
+#[pyo3(signature = (paths, *, cache_directory))]
+fn load_gpudrive(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    cache_directory: Option<PathBuf>,
+) -> PyResult<(Vec<PyScene>, String)> {
+    with_report(py.detach(|| ccdiff_nuscenes::load_gpudrive(&paths, cache_directory.as_deref())))
+}
+
+fn with_report(loaded: ccdiff_nuscenes::Result<Loaded>) -> PyResult<(Vec<PyScene>, String)> {
+    let loaded = loaded.map_err(from_nuscenes)?;
     let report =
         serde_json::to_string(&loaded.report).map_err(|e| py::DatasetError::new_err(e.to_string()))?;
     Ok((loaded.scenes.into_iter().map(PyScene::from).collect(), report))

@@ -2,7 +2,7 @@
 
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
-use ccdiff_sim::scene::{Lane, LaneKind, Map};
+use ccdiff_sim::scene::{Lane, LaneKind, Map, RoadParts, link_lanes, road_area};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -136,6 +136,39 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
         *polygons = read_list(&value, |p| read_polygon(p, &name))?;
     }
     Ok(map)
+}
+
+/// Fills in what a map lacks: links between lanes that have none, and the area where vehicles may drive, from `edges` with
+/// the road on their left and from lanes and `surfaces`. `seeds` [N, 2] are places where vehicles were.
+///
+/// Returns the layers and how the area was had: "given", "edges", "lanes" or "none".
+#[pyfunction]
+#[pyo3(signature = (layers, *, edges, surfaces, seeds))]
+pub(crate) fn complete_map<'py>(
+    py: Python<'py>,
+    layers: &Bound<'py, PyDict>,
+    edges: &Bound<'py, PyList>,
+    surfaces: &Bound<'py, PyList>,
+    seeds: &Bound<'py, PyAny>,
+) -> PyResult<(Bound<'py, PyDict>, &'static str)> {
+    let mut map = from_dict(layers)?;
+    let edges = read_list(edges, |line| read_points(line, "edges"))?;
+    let surfaces = read_list(surfaces, |p| read_polygon(p, "surfaces"))?;
+    let seeds = read_points(seeds, "seeds")?;
+    let road = py.detach(|| {
+        link_lanes(&mut map.lanes);
+        if !map.drivable_area.is_empty() {
+            return "given";
+        }
+        let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds: &seeds };
+        map.drivable_area = road_area(parts);
+        match (map.drivable_area.is_empty(), edges.is_empty()) {
+            (true, _) => "none",
+            (false, true) => "lanes",
+            (false, false) => "edges",
+        }
+    });
+    Ok((to_dict(py, &map)?, road))
 }
 
 fn read_list<T>(

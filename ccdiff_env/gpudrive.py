@@ -1,0 +1,122 @@
+"""Waymo scenes in GPUDrive's JSON: files found, read in parallel when they are looked at."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import overload
+
+from ccdiff_env import _native
+from ccdiff_env._native import Scene
+from ccdiff_env.errors import ConfigError, DatasetNotFoundError
+from ccdiff_env.load_report import LoadReport
+from ccdiff_env.progress import shown
+
+__all__ = ["SceneFiles", "scene_files"]
+
+#: Scenes that are read at once, and scenes that are kept.
+_AT_ONCE = 16
+_KEPT = 64
+
+
+def scene_files(path: str | os.PathLike[str]) -> list[str]:
+    """Return the files of a file, a folder (searched for ``.json``) or a pattern, in order.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        There is none.
+    ConfigError
+        Two of them have one name, which is the scene's.
+    """
+    text, folder = os.fspath(path), Path(path)
+    if folder.is_file():
+        found = [text]
+    elif folder.is_dir():
+        found = sorted(os.fspath(file) for file in folder.rglob("*.json"))
+    else:
+        found = sorted(glob.glob(text, recursive=True))
+    if not found:
+        raise DatasetNotFoundError(f"no scenes of GPUDrive at {text}: expected .json files")
+    names: dict[str, str] = {}
+    for file in found:
+        other = names.setdefault(Path(file).stem, file)
+        if other is not file:
+            raise ConfigError(f"two scenes of one name: {other} and {file}")
+    return found
+
+
+class SceneFiles(Sequence[Scene]):
+    """Scenes of files, read when they are looked at; the last 64 are kept.
+
+    Parameters
+    ----------
+    files
+        One file a scene, whose stem is the scene's name.
+    cache_directory
+        Folder of built scenes; ``None`` for none.
+    """
+
+    def __init__(self, files: Sequence[str], cache_directory: str | None) -> None:
+        self.files = tuple(files)
+        self._cache_directory = cache_directory
+        self._kept: OrderedDict[int, Scene] = OrderedDict()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the scenes, in order."""
+        return tuple(Path(file).stem for file in self.files)
+
+    def report(self) -> LoadReport:
+        """Read all scenes; return the report of the load."""
+        _, report = self._read(range(len(self.files)))
+        return LoadReport.from_json(report)
+
+    def _read(self, indices: Sequence[int]) -> tuple[list[Scene], str]:
+        files = [self.files[i] for i in indices]
+        return _native.load_gpudrive(files, cache_directory=self._cache_directory)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    @overload
+    def __getitem__(self, key: int) -> Scene: ...
+    @overload
+    def __getitem__(self, key: slice) -> SceneFiles: ...
+    def __getitem__(self, key: int | slice) -> Scene | SceneFiles:
+        """Return a scene, or a part of the files."""
+        if isinstance(key, slice):
+            return SceneFiles(self.files[key], self._cache_directory)
+        index = range(len(self.files))[key]
+        if index not in self._kept:
+            self._keep(index, self._read([index])[0][0])
+        self._kept.move_to_end(index)
+        return self._kept[index]
+
+    def _keep(self, index: int, scene: Scene) -> None:
+        self._kept[index] = scene
+        while len(self._kept) > _KEPT:
+            self._kept.popitem(last=False)
+
+    def __iter__(self) -> Iterator[Scene]:
+        parts = range(0, len(self.files), _AT_ONCE)
+        for start in shown(parts, what="scenes") if len(parts) > 1 else parts:
+            part = range(start, min(start + _AT_ONCE, len(self.files)))
+            missing = [i for i in part if i not in self._kept]
+            read = dict(zip(missing, self._read(missing)[0], strict=True)) if missing else {}
+            scenes = [read[i] if i in read else self._kept[i] for i in part]
+            for index, scene in read.items():
+                self._keep(index, scene)
+            yield from scenes
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SceneFiles) and self.files == other.files
+
+    def __hash__(self) -> int:
+        return hash(self.files)
+
+    def __reduce__(self) -> tuple[type[SceneFiles], tuple[tuple[str, ...], str | None]]:
+        return SceneFiles, (self.files, self._cache_directory)

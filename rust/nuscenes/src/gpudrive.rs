@@ -1,0 +1,439 @@
+//! Waymo scenes in GPUDrive's JSON (Kazemkhani et al., "GPUDrive", 2024): one file a scene, 10 Hz, no drivable area.
+//!
+//! Where a state is not valid its numbers are -10000. Road edges are open lines with the road to their left: the drivable area
+//! is made from them, and lanes follow each other where one ends and another begins.
+
+use crate::build::count_layers;
+use crate::cache::{Cache, Hash};
+use crate::error::{NuscenesError, Result};
+use crate::load::Loaded;
+use crate::report::{CacheReport, LoadReport, Road, SceneReport};
+use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
+use ccdiff_sim::scene::{
+    Agent, AgentKind, EGO_ID, Lane, LaneKind, Map, RoadParts, Scene, Tracks, link_lanes, road_area,
+};
+use rayon::prelude::*;
+use serde::Deserialize;
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Largest file; the field's have 1.5 MB.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+/// What stands where a state is not valid.
+const NOT_VALID: f64 = -10_000.0;
+/// Seconds between steps.
+const DT_S: Real = 0.1;
+/// Coordinates beyond this are on no map of a city, metres.
+const MAX_COORDINATE_M: f64 = 1e6;
+/// Points of centre lines are about this far apart, metres.
+const LANE_SPACING_M: f64 = 1.0;
+/// Most metres of lanes in a scene.
+const MAX_LANES_M: f64 = 1e6;
+const LONGEST_NAME: usize = 200;
+
+#[derive(Deserialize)]
+struct File {
+    name: Option<String>,
+    scenario_id: Option<String>,
+    objects: Vec<Object>,
+    roads: Vec<MapElement>,
+    metadata: Metadata,
+}
+
+#[derive(Deserialize)]
+struct Metadata {
+    sdc_track_index: i64,
+}
+
+#[derive(Deserialize)]
+struct Object {
+    id: i64,
+    #[serde(rename = "type")]
+    kind: String,
+    length: f64,
+    width: f64,
+    #[serde(default)]
+    height: f64,
+    position: Vec<Point>,
+    heading: Vec<f64>,
+    velocity: Vec<Point>,
+    valid: Vec<bool>,
+}
+
+#[derive(Deserialize)]
+struct MapElement {
+    #[serde(default)]
+    id: i64,
+    #[serde(rename = "type")]
+    kind: String,
+    #[serde(default)]
+    map_element_id: i64,
+    geometry: Vec<Point>,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+struct Point {
+    x: f64,
+    y: f64,
+}
+
+/// Loads scenes, one from each file, in parallel.
+///
+/// # Errors
+/// [`NuscenesError`] names the first file at fault, and the place in it.
+pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Result<Loaded> {
+    let started = Instant::now();
+    let cache = Cache::new(cache_directory);
+    let load = |path: &PathBuf| {
+        let key = match cache.is_on() {
+            true => {
+                check_file(path)?;
+                Some(Hash::of(&("gpudrive", cache.file_hash(path, "scene")?))?)
+            }
+            false => None,
+        };
+        let known = key.and_then(|key| cache.get::<(Scene, SceneReport)>("scene", key));
+        if let Some((scene, report)) =
+            known.and_then(|(scene, report)| Some((scene.validated().ok()?, report)))
+        {
+            return Ok((Arc::new(scene), report, true));
+        }
+        let built = read_scene(path)?;
+        if let Some(key) = key {
+            cache.put("scene", key, &built);
+        }
+        Ok((Arc::new(built.0), built.1, false))
+    };
+    let loaded: Vec<_> = paths.par_iter().map(load).collect::<Result<_>>()?;
+    let hits = loaded.iter().filter(|(_, _, hit)| *hit).count();
+    let mut report = LoadReport { version: "gpudrive".into(), ..LoadReport::default() };
+    report.cache = CacheReport { hits, built: paths.len() - hits, ..cache.report() };
+    report.timing.total_s = started.elapsed().as_secs_f64();
+    let mut scenes = Vec::with_capacity(loaded.len());
+    for (scene, of_scene, _) in loaded {
+        scenes.push(scene);
+        report.scenes.push(of_scene);
+    }
+    Ok(Loaded { scenes, report })
+}
+
+/// Refuses what is no regular file of a bearable size, before it is opened.
+fn check_file(path: &Path) -> Result<()> {
+    let found = fs::metadata(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
+    if found.is_file() && found.len() <= MAX_FILE_BYTES {
+        return Ok(());
+    }
+    let got = if found.is_file() { format!("{} bytes long", found.len()) } else { "no regular file".into() };
+    fault(path, "", "file", got, "a regular file of at most 64 MiB")
+}
+
+fn fault<T>(path: &Path, place: &str, field: &'static str, got: String, expected: &'static str) -> Result<T> {
+    Err(NuscenesError::Value { path: path.to_owned(), token: place.to_owned(), field, got, expected })
+}
+
+fn read_scene(path: &Path) -> Result<(Scene, SceneReport)> {
+    check_file(path)?;
+    let file = fs::File::open(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
+    let mut bytes = Vec::new();
+    // one byte more than a file may have: it may have grown
+    let mut limited = file.take(MAX_FILE_BYTES + 1);
+    limited.read_to_end(&mut bytes).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return fault(path, "", "file", format!("{} bytes long", bytes.len()), "at most 64 MiB");
+    }
+    let file: File = serde_json::from_slice(&bytes).map_err(|error| {
+        let lines = bytes.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
+        let offset = lines.map(<[u8]>::len).sum::<usize>() + error.column().saturating_sub(1);
+        NuscenesError::Json { path: path.to_owned(), offset: offset as u64, message: error.to_string() }
+    })?;
+    drop(bytes);
+    Reader { path, file }.scene()
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    file: File,
+}
+
+impl Reader<'_> {
+    fn fault<T>(
+        &self,
+        place: String,
+        field: &'static str,
+        got: impl ToString,
+        expected: &'static str,
+    ) -> Result<T> {
+        fault(self.path, &place, field, got.to_string(), expected)
+    }
+
+    fn scene(&self) -> Result<(Scene, SceneReport)> {
+        let [name, token] = self.names()?;
+        let index = self.file.metadata.sdc_track_index;
+        let Some(ego) = usize::try_from(index).ok().filter(|i| *i < self.file.objects.len()) else {
+            return self.fault("metadata".into(), "sdc_track_index", index, "the index of an object");
+        };
+        let num_steps = self.file.objects[ego].valid.len();
+        let mut report = SceneReport {
+            name: name.clone(),
+            key_frames: num_steps,
+            ego_channel: Some("sdc".into()),
+            ..SceneReport::default()
+        };
+        let kept = self.kept(ego, num_steps, &mut report)?;
+        let first = self.file.objects[ego].valid.iter().position(|valid| *valid).unwrap_or(0);
+        let start = self.file.objects[ego].position[first];
+        let origin = [start.x.round(), start.y.round()];
+        let (agents, tracks) = self.agents(&kept, ego, num_steps, origin);
+        for agent in &agents {
+            *report.tracks.entry(agent.category.clone()).or_default() += 1;
+        }
+        report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
+        let seeds = vehicles(&agents, &tracks);
+        let map = self.map(origin, &seeds, &mut report)?;
+        count_layers(&map, &mut report);
+        let scene = Scene {
+            token,
+            name,
+            location: "waymo".into(),
+            source: "gpudrive".into(),
+            origin,
+            dt_s: DT_S,
+            num_steps,
+            agents,
+            tracks,
+            map: Arc::new(map),
+        };
+        Ok((scene.validated()?, report))
+    }
+
+    /// Printable names: of the file, which tells scenes apart without reading them, and of the scenario.
+    fn names(&self) -> Result<[String; 2]> {
+        let stem = self.path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let scenario =
+            [&self.file.scenario_id, &self.file.name].into_iter().flatten().find(|n| !n.is_empty());
+        let scenario = scenario.cloned().unwrap_or_else(|| stem.clone());
+        for (field, name) in [("file", &stem), ("scenario_id", &scenario)] {
+            if name.len() > LONGEST_NAME || name.chars().any(char::is_control) {
+                let got: String = name.escape_debug().take(80).collect();
+                return self.fault("scene".into(), field, got, "a printable name of at most 200 bytes");
+            }
+        }
+        Ok([stem, scenario])
+    }
+
+    /// Indices of the objects that become agents, the ego first.
+    fn kept(&self, ego: usize, num_steps: usize, report: &mut SceneReport) -> Result<Vec<usize>> {
+        let mut ids = BTreeSet::new();
+        let (mut kept, objects) = (vec![ego], &self.file.objects);
+        for (i, object) in objects.iter().enumerate() {
+            if !ids.insert(object.id) {
+                let (path, got) = (self.path.to_owned(), object.id.to_string());
+                return Err(NuscenesError::Duplicate { path, what: "id of an object", got });
+            }
+            self.check_states(i, object, num_steps)?;
+            let steps = object.valid.iter().filter(|valid| **valid).count();
+            let reason = match kind_of(&object.kind) {
+                _ if steps < 2 => Some("fewer than 2 steps"),
+                None => Some("unknown type"),
+                Some(_) => None,
+            };
+            match reason {
+                Some(reason) if i == ego => {
+                    let expected = "a vehicle, pedestrian or cyclist that is there for two steps";
+                    return self.fault(format!("objects[{i}]"), "sdc_track_index", reason, expected);
+                }
+                Some(reason) => report.drop_track(reason, &object.kind, steps),
+                None if i != ego => kept.push(i),
+                None => {}
+            }
+            if reason.is_none() && !(object.length > 0.0 && object.width > 0.0 && object.height >= 0.0) {
+                let got = format!("{} x {} x {}", object.length, object.width, object.height);
+                return self.fault(
+                    format!("objects[{i}]"),
+                    "size",
+                    got,
+                    "a positive length and width in metres",
+                );
+            }
+        }
+        Ok(kept)
+    }
+
+    fn check_states(&self, i: usize, object: &Object, num_steps: usize) -> Result<()> {
+        for (field, len) in [
+            ("position", object.position.len()),
+            ("heading", object.heading.len()),
+            ("velocity", object.velocity.len()),
+            ("valid", object.valid.len()),
+        ] {
+            if len != num_steps {
+                let expected = "as many entries as the ego's valid has";
+                return self.fault(format!("objects[{i}]"), field, format!("{len} entries long"), expected);
+            }
+        }
+        for step in (0..num_steps).filter(|step| object.valid[*step]) {
+            let (position, velocity) = (object.position[step], object.velocity[step]);
+            for (list, field, value) in [
+                ("position", "x", position.x),
+                ("position", "y", position.y),
+                ("velocity", "x", velocity.x),
+                ("velocity", "y", velocity.y),
+                ("heading", "value", object.heading[step]),
+            ] {
+                if value == NOT_VALID || value.abs() > MAX_COORDINATE_M {
+                    let expected = "a number within 1000 km, and not -10000 where valid";
+                    return self.fault(format!("objects[{i}].{list}[{step}]"), field, value, expected);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn agents(&self, kept: &[usize], ego: usize, num_steps: usize, origin: [f64; 2]) -> (Vec<Agent>, Tracks) {
+        let entries = kept.len() * num_steps;
+        let mut tracks = Tracks {
+            position: vec![Point2::origin(); entries],
+            heading_rad: vec![0.0; entries],
+            velocity: vec![Vector2::zeros(); entries],
+            valid: Vec::with_capacity(entries),
+        };
+        let mut agents = Vec::with_capacity(kept.len());
+        for (row, i) in kept.iter().enumerate() {
+            let object = &self.file.objects[*i];
+            agents.push(Agent {
+                id: if *i == ego { EGO_ID.to_owned() } else { object.id.to_string() },
+                kind: kind_of(&object.kind).unwrap_or(AgentKind::Vehicle),
+                category: object.kind.clone(),
+                length_m: object.length as Real,
+                width_m: object.width as Real,
+                height_m: object.height as Real,
+            });
+            tracks.valid.extend_from_slice(&object.valid);
+            let mut before: Option<f64> = None;
+            for step in (0..num_steps).filter(|step| object.valid[*step]) {
+                let (at, position, velocity) =
+                    (row * num_steps + step, object.position[step], object.velocity[step]);
+                let heading = before.map_or(object.heading[step], |b| unwrapped(b, object.heading[step]));
+                before = Some(heading);
+                tracks.position[at] = relative(position, origin);
+                tracks.heading_rad[at] = heading as Real;
+                tracks.velocity[at] = Vector2::new(velocity.x as Real, velocity.y as Real);
+            }
+        }
+        (agents, tracks)
+    }
+
+    fn map(&self, origin: [f64; 2], seeds: &[Point2], report: &mut SceneReport) -> Result<Map> {
+        let mut map = Map::default();
+        let (mut edges, mut lanes_m) = (Vec::new(), 0.0);
+        let mut unused = std::collections::BTreeMap::<String, usize>::new();
+        for (i, road) in self.file.roads.iter().enumerate() {
+            let far = |p: &&Point| p.x.abs() > MAX_COORDINATE_M || p.y.abs() > MAX_COORDINATE_M;
+            if let Some(point) = road.geometry.iter().find(far) {
+                let got = format!("{}, {}", point.x, point.y);
+                return self.fault(format!("roads[{i}]"), "geometry", got, "points within 1000 km");
+            }
+            let mut line: Vec<Point2> = road.geometry.iter().map(|p| relative(*p, origin)).collect();
+            line.dedup();
+            let is_line = line.len() >= 2;
+            let is_area = line.len() >= 3;
+            match (road.kind.as_str(), road.map_element_id) {
+                ("lane", 0..=2) if is_line => {
+                    lanes_m += line.windows(2).map(|w| f64::from((w[1] - w[0]).norm())).sum::<f64>();
+                    if lanes_m > MAX_LANES_M {
+                        return self.fault(
+                            format!("roads[{i}]"),
+                            "geometry",
+                            "more",
+                            "1000 km of lanes at most",
+                        );
+                    }
+                    map.lanes.push(Lane {
+                        id: road.id.to_string(),
+                        kind: LaneKind::Lane,
+                        centreline: resampled(&line),
+                        polygon: Polygon::default(),
+                        successors: Vec::new(),
+                        predecessors: Vec::new(),
+                        speed_limit_mps: None,
+                    });
+                }
+                // yellow lines part the directions of traffic
+                ("road_line", 9..=13) if is_line => map.road_dividers.push(line),
+                ("road_line", _) if is_line => map.lane_dividers.push(line),
+                ("road_edge", _) if is_line => edges.push(line),
+                ("crosswalk", _) if is_area => map.ped_crossings.push(area(line)),
+                ("driveway", _) if is_area => map.drivable_area.push(area(line)),
+                (kind, _) => *unused.entry(kind.chars().take(40).collect()).or_default() += 1,
+            }
+        }
+        for (kind, count) in unused {
+            report.notes.push(format!("{count} roads of type {kind:?} have no layer here"));
+        }
+        link_lanes(&mut map.lanes);
+        let surfaces = std::mem::take(&mut map.drivable_area);
+        let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds };
+        map.drivable_area = road_area(parts);
+        report.road = if map.drivable_area.is_empty() { Road::None } else { Road::Edges };
+        Ok(map)
+    }
+}
+
+fn kind_of(name: &str) -> Option<AgentKind> {
+    match name {
+        "vehicle" => Some(AgentKind::Vehicle),
+        "pedestrian" => Some(AgentKind::Pedestrian),
+        "cyclist" => Some(AgentKind::Cyclist),
+        _ => None,
+    }
+}
+
+fn relative(point: Point, origin: [f64; 2]) -> Point2 {
+    Point2::new((point.x - origin[0]) as Real, (point.y - origin[1]) as Real)
+}
+
+/// Where vehicles were.
+fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<Point2> {
+    let num_steps = tracks.valid.len() / agents.len();
+    let of_vehicle = |i: &usize| tracks.valid[*i] && agents[*i / num_steps].kind == AgentKind::Vehicle;
+    (0..tracks.valid.len()).filter(of_vehicle).map(|i| tracks.position[i]).collect()
+}
+
+/// The angle that differs from the one before by at most half a turn.
+fn unwrapped(before: f64, angle: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    before + (angle - before + PI).rem_euclid(TAU) - PI
+}
+
+/// A ring without its first point at the end once more.
+fn area(mut ring: Vec<Point2>) -> Polygon {
+    if ring.first() == ring.last() {
+        ring.pop();
+    }
+    Polygon::from_exterior(ring)
+}
+
+/// A line with points about a metre apart.
+fn resampled(line: &[Point2]) -> Vec<Point2> {
+    let length_m: f64 = line.windows(2).map(|w| f64::from((w[1] - w[0]).norm())).sum();
+    let count = (length_m / LANE_SPACING_M).ceil().max(1.0) as usize;
+    let mut out = Vec::with_capacity(count + 1);
+    let (mut i, mut passed_m) = (0, 0.0);
+    for k in 0..count {
+        let along_m = length_m * k as f64 / count as f64;
+        let mut step_m = f64::from((line[i + 1] - line[i]).norm());
+        while i + 2 < line.len() && passed_m + step_m <= along_m {
+            passed_m += step_m;
+            i += 1;
+            step_m = f64::from((line[i + 1] - line[i]).norm());
+        }
+        let share = ((along_m - passed_m) / step_m).clamp(0.0, 1.0) as Real;
+        out.push(line[i] + (line[i + 1] - line[i]) * share);
+    }
+    out.push(line[line.len() - 1]);
+    out
+}

@@ -1,0 +1,228 @@
+"""Waymo scenes in GPUDrive's JSON: against what they were drawn from, and hostile ones."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+
+import gpudrive_scene
+import numpy as np
+import pytest
+from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene, vehicle
+
+import ccdiff_env
+from ccdiff_env import errors
+
+
+@pytest.fixture
+def loaded(tmp_path):
+    return ccdiff_env.load_gpudrive(save(tmp_path / "waymo_1.json"), cache=False)
+
+
+def test_a_file_becomes_a_scene(loaded):
+    waymo = loaded["waymo_1"]
+    assert (waymo.token, waymo.location, waymo.source) == ("a1b2c3", "waymo", "gpudrive")
+    assert (waymo.dt, waymo.num_steps) == (0.1, STEPS)
+    assert waymo.agent_ids == ["ego", "11", "12", "13"], "the ego first; one step is no track"
+    assert waymo.agent_types == ["vehicle", "vehicle", "cyclist", "pedestrian"]
+    tracks = waymo.tracks()
+    assert tracks["valid"].sum(axis=1).tolist() == [STEPS, 58, STEPS, STEPS]
+    assert (tracks["position"][~tracks["valid"]] == 0).all(), "-10000 is nowhere"
+    turned = math.radians(8.0) + 5.0 / 35.0 * 0.1 * np.arange(STEPS)
+    place = np.array(CENTRE) - waymo.origin + 35.0 * np.stack([np.cos(turned), np.sin(turned)], 1)
+    assert np.allclose(tracks["position"][0], place, atol=1e-3)
+    assert np.allclose(np.unwrap(tracks["heading"][0]), tracks["heading"][0], atol=1e-6)
+    (report,) = loaded.report.scenes
+    assert (report.road, report.map_layers["lanes"]) == ("edges", 3)
+    assert [(d.reason, d.tracks) for d in report.dropped] == [("fewer than 2 steps", 1)]
+    assert sorted(note.split('"')[1] for note in report.notes) == [
+        "lane",
+        "speed_bump",
+        "stop_sign",
+    ]
+
+
+def test_lanes_follow_where_one_ends_and_another_begins(loaded):
+    lanes = loaded[0].map_layers()["lanes"]
+    assert [lane["successors"] for lane in lanes] == [[1], [], []]
+    assert [lane["predecessors"] for lane in lanes] == [[], [0], []]
+
+
+def test_edges_bound_the_road(loaded):
+    shapely = pytest.importorskip("shapely")
+    waymo = loaded[0]
+    assert waymo.has_road
+    areas = [
+        shapely.Polygon(area["exterior"], area["holes"])
+        for area in waymo.map_layers()["drivable_area"]
+    ]
+    assert all(area.is_valid for area in areas)
+    road = shapely.union_all(areas)
+    generator = np.random.default_rng(0)
+    places = generator.uniform((0, 0), (60, 45), (20_000, 2))
+    expected = inside(places)
+    points = shapely.points(places + np.array(CENTRE) - waymo.origin)
+    near = shapely.distance(points, road.boundary) < 0.1
+    for corner in DRIVEWAY:  # they are blunt, by less than a cell
+        near |= np.hypot(*(places - corner).T) < 0.5
+    told = ~np.isnan(expected) & ~near
+    found = shapely.contains(road, points)
+    assert told.mean() > 0.3
+    assert (found[told] == expected[told].astype(bool)).all()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+def test_who_leaves_the_road_is_off_it(loaded, turn):
+    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, traffic="idm")
+    env.reset(seed=0)
+    for _ in range(80):
+        _, _, terminated, truncated, info = env.step(np.array([1.0, turn], dtype=np.float32))
+        if terminated or truncated:
+            break
+    assert info["off_road"], "straight on over the kerb, or a turn over the median"
+
+
+def test_the_logged_ego_stays_on_the_road(loaded):
+    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, driver="replay")
+    env.reset(seed=0)
+    done = False
+    while not done:
+        _, _, terminated, truncated, info = env.step(env.action_space.sample() * 0)
+        assert not info["off_road"]
+        done = terminated or truncated
+
+
+def test_folders_and_patterns_are_read_when_looked_at(tmp_path):
+    for i in range(40):
+        save(tmp_path / f"s{i:02}.json")
+    (tmp_path / "s40.json").write_text("{", encoding="utf-8")
+    assert len(ccdiff_env.load_gpudrive(tmp_path / "s1?.json", cache=False)) == 10
+    everything = ccdiff_env.load_gpudrive(tmp_path, cache=False)
+    assert everything.names == tuple(f"s{i:02}" for i in range(41)), "names without reading"
+    assert everything["s07"].name == everything[7].name == "s07"
+    assert [s.name for s in everything[38:40]] == ["s38", "s39"]
+    assert pickle.loads(pickle.dumps(everything[:2])) == everything[:2]
+    with pytest.raises(errors.DatasetError, match=r"invalid JSON at byte \d.*s40\.json"):
+        list(everything)
+    (tmp_path / "sub").mkdir()
+    save(tmp_path / "sub" / "s01.json")
+    with pytest.raises(errors.ConfigError, match="two scenes of one name"):
+        ccdiff_env.load_gpudrive(tmp_path)
+    with pytest.raises(errors.DatasetNotFoundError, match="no scenes of GPUDrive"):
+        ccdiff_env.load_gpudrive(tmp_path / "none")
+
+
+def test_built_scenes_are_kept(tmp_path):
+    file, cache = save(tmp_path / "a.json"), tmp_path / "cache"
+    first = ccdiff_env.load_gpudrive(file, cache=cache)
+    assert (first.report.cache.built, first.report.cache.hits) == (1, 0)
+    again = ccdiff_env.load_gpudrive(file, cache=cache)
+    assert (again.report.cache.built, again.report.cache.hits) == (0, 1)
+    assert again[0] == first[0]
+    data = scene()
+    data["objects"][0]["length"] = 5.0
+    save(file, data)
+    assert ccdiff_env.load_gpudrive(file, cache=cache)[0] != first[0]
+
+
+def _object(data, i=0):
+    return data["objects"][i]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d.pop("objects"), "missing field `objects`"),
+        (
+            lambda d: d["metadata"].update(sdc_track_index=9),
+            "sdc_track_index is 9, expected the ind",
+        ),
+        (lambda d: d["metadata"].update(sdc_track_index=-1), "sdc_track_index is -1"),
+        (
+            lambda d: d["metadata"].update(sdc_track_index=4),
+            "sdc_track_index is fewer than 2 steps",
+        ),
+        (lambda d: _object(d)["heading"].pop(), r"objects\[0\].*heading is 90 entries long"),
+        (lambda d: _object(d)["position"].append({"x": 0, "y": 0}), "position is 92 entries long"),
+        (
+            lambda d: _object(d)["position"][9].update(x=-10000),
+            r"objects\[0\]\.position\[9\].*x is -1",
+        ),
+        (lambda d: _object(d)["velocity"][9].update(y=1e9), r"velocity\[9\].*y is 1000000000"),
+        (lambda d: _object(d).update(length=0), "size is 0 x 2"),
+        (lambda d: _object(d).update(id=7), "id of an object .7. is there twice"),
+        (lambda d: d["roads"][0]["geometry"][3].update(x=1e300), r"roads\[0\].*geometry is 1"),
+        (lambda d: d["roads"][0].update(geometry=3), "invalid JSON"),
+        (lambda d: d.update(scenario_id="a\nb"), "scenario_id is a"),
+        (lambda d: d.update(objects=[]), "sdc_track_index is 1"),
+    ],
+)
+def test_fields_that_break_a_rule_are_named(tmp_path, change, words):
+    data = scene()
+    change(data)
+    with pytest.raises(errors.DatasetError, match=words):
+        ccdiff_env.load_gpudrive(save(tmp_path / "bad.json", data), cache=False)[0]
+
+
+def test_damaged_and_odd_files_are_refused(tmp_path):
+    path = save(tmp_path / "bad.json")
+    whole = path.read_text(encoding="utf-8")
+    for text in (
+        whole[: len(whole) // 2],
+        "[" * 100_000,
+        '{"objects":' + "[" * 100_000,
+        whole.replace('"heading": [', '"heading": [NaN, ', 1),
+        whole.replace('"length": 4.6', '"length": 1e999', 1),
+        "",
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(errors.DatasetError, match=r"invalid JSON at byte .*bad\.json"):
+            ccdiff_env.load_gpudrive(path, cache=False)[0]
+    deep = '"more": ' + "[" * 100_000 + "]" * 100_000
+    path.write_text(whole.replace("{", "{" + deep + ", ", 1), encoding="utf-8")
+    assert len(ccdiff_env.load_gpudrive(path, cache=False)[0].agent_ids) == 4, "passed over"
+    os.remove(path)
+    os.mkfifo(path)
+    with pytest.raises(errors.DatasetError, match="no regular file"):
+        ccdiff_env.load_gpudrive(str(tmp_path / "*.json"), cache=False)[0]
+    os.remove(path)
+    with open(path, "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(errors.DatasetError, match="bytes long, expected a regular file"):
+        ccdiff_env.load_gpudrive(path, cache=False)[0]
+
+
+def test_a_million_roads_cost_little_more_than_their_bytes(tmp_path):
+    data = scene()
+    data["roads"] += [{"type": "lane", "geometry": [{"x": 0, "y": 0}]}] * 1_000_000
+    waymo = ccdiff_env.load_gpudrive(save(tmp_path / "many.json", data), cache=False)[0]
+    assert len(waymo.map_layers()["lanes"]) == 3
+
+
+def test_far_roads_do_not_cost_their_distance(tmp_path):
+    data = scene()
+    far = {"x": CENTRE[0] + 9e5, "y": CENTRE[1] + 9e5}
+    data["roads"].append(
+        {
+            "type": "road_edge",
+            "map_element_id": 15,
+            "geometry": [far, data["roads"][4]["geometry"][0]],
+        }
+    )
+    waymo = ccdiff_env.load_gpudrive(save(tmp_path / "far.json", data), cache=False)[0]
+    assert waymo.has_road
+
+
+def test_a_scene_without_lines_has_no_road(tmp_path):
+    data = {**scene(), "roads": []}
+    loaded = ccdiff_env.load_gpudrive(save(tmp_path / "bare.json", data), cache=False)
+    assert not loaded[0].has_road
+    assert loaded.report.scenes[0].road == "none"
+
+
+def test_the_generator_of_these_tests_is_what_the_field_writes():
+    data = gpudrive_scene.scene()
+    ego = data["objects"][1]
+    assert len(ego["position"]) == len(ego["heading"]) == len(ego["velocity"]) == STEPS
+    assert vehicle(1, 25.0, -6.0, 85.0, first=3)["position"][0]["x"] == -10000.0
