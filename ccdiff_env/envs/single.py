@@ -34,7 +34,33 @@ U8 = npt.NDArray[np.uint8]
 
 
 class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
-    """One world in Rust; the ego is driven by the actions.
+    """Drive the ego of a logged scene among traffic, along its recorded route.
+
+    Action
+        Box [2] in [-1, 1]; beyond, it is clipped. With the unicycle, +1 is 4 m/s² and -1 is
+        -8 m/s² of acceleration, and 1 is 1 rad/s of yaw rate to the left. ``dynamics`` takes
+        ``"bicycle"``, ``"delta_pose"`` or ``"assisted"`` (changes of what IDM would do) in its
+        place. With ``discrete=True`` it is an index of a grid (Discrete).
+
+    Observation
+        ``observation="flat"``: Box [D], float32. ``"dict"``: a Box per entry, a MultiBinary per
+        mask, with ``bev={}`` a bird's-eye raster besides. ``"bev"``: the raster alone, Box uint8
+        [channels, S, S]. Places are in the ego's frame; ``worlds.layout`` names all numbers, with
+        their units and scales. Numbers are bounded and never NaN.
+
+    Reward
+        Sum of weighted components: progress along the route, collision, leaving the road, comfort,
+        speed above the limit, distance from the route, goal. ``reward={"goal": 5.0}`` sets weights;
+        ``info`` holds each component as ``reward_<name>``.
+
+    Start
+        3.0 s into the log of a scene that the seed draws, with all agents that are there then.
+        ``start_spread_steps`` spreads the starts; ``options={"scene": name}`` names the scene.
+
+    End
+        Terminated: a collision, a corner off the road, or the goal (the logged position at the
+        horizon). Truncated: the horizon (10 s), or the end of the log. ``info["metrics"]`` and
+        ``info["is_success"]`` sum up the episode.
 
     Parameters
     ----------
@@ -43,8 +69,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     config
         Configuration to start from.
     observation
-        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
-        a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
+        ``"flat"``, ``"dict"`` or ``"bev"``, as above.
     info
         ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
         ``"none"``: only numbers at resets: index of the scene, seed, episode.
@@ -59,8 +84,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         :class:`~ccdiff_env.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
-        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
-        ``bev={"size_px": 64}``.
+        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``bev={"size_px": 64}``.
 
     Notes
     -----
