@@ -1,6 +1,6 @@
 //! The road that edges and lanes make, against the shapes that they were drawn from.
 
-#![expect(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::expect_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::geom::{Point2, Polygon, Real, Region};
 use ccdiff_sim::scene::{Lane, LaneKind, RoadParts, road_area};
