@@ -14,7 +14,7 @@ from importlib import import_module
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
-    "train": ("train a planning network on nuScenes (resumes a run in --out)", "train_command"),
+    "train": ("train a planning network (resumes a run in --out)", "train_command"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),

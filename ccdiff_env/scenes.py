@@ -25,9 +25,12 @@ __all__ = [
     "Scene",
     "SceneSet",
     "cache_directory",
+    "has_road",
     "load_nuscenes",
     "load_scenarionet",
+    "of_kinds",
     "splits",
+    "warn_without_road",
     "with_tracks",
 ]
 
@@ -152,6 +155,35 @@ class SceneSet(Sequence[Scene]):
         )
 
 
+def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
+    """Return scenes with agents of some types alone, and their egos."""
+
+    def kept(scene: Scene) -> Scene:
+        both = zip(scene.agent_ids, scene.agent_types, strict=True)
+        chosen = np.flatnonzero([name == "ego" or kind in kinds for name, kind in both])
+        if len(chosen) == scene.num_agents:
+            return scene
+        return with_tracks(scene, scene.tracks(), chosen)
+
+    return SceneSet(map(kept, scenes), lambda: scenes.report)
+
+
+def has_road(scene: Scene) -> bool:
+    """Return whether a scene has a drivable area; where not, nobody is ever off the road."""
+    return bool(scene.map_layers()["drivable_area"])
+
+
+def warn_without_road(scenes: SceneSet) -> None:
+    """Warn once of the scenes of a load that have no road."""
+    without = [scene.name for scene in scenes if not has_road(scene)]
+    if without:
+        warnings.warn(
+            f"{len(without)} of {len(scenes)} scenes have no drivable area ({without[0]}, ...): "
+            "nobody is off the road there, and figures that need a road are n/a",
+            stacklevel=3,
+        )
+
+
 @_memoise
 def splits() -> dict[str, tuple[str, ...]]:
     """Return the scene names of every split.
@@ -217,8 +249,7 @@ def load_nuscenes(
         Folder of the tables.
     split
         Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split that
-        the data set does not have are listed in the report; a warning says so where it has less
-        than half of them.
+        the data set does not have are listed in the report, and a warning counts them.
     scenes
         Names or tokens of the scenes to load, in this order, instead of a split; a missing one
         is an error.
@@ -290,11 +321,12 @@ def load_nuscenes(
     )
     if '"missing_maps":[]' not in report:
         warnings.warn(
-            "no map file for some scenes (report.missing_maps): nothing is off road there; the map "
-            "expansion of nuScenes belongs into maps/expansion, see docs/data.md",
+            "no map file for some scenes (report.missing_maps): nothing is off road there, and "
+            "figures that need a road are n/a; the map expansion of nuScenes belongs into "
+            "maps/expansion, see docs/data.md",
             stacklevel=2,
         )
-    if scenes is None and names is not None and 2 * len(loaded) < len(names):
+    if scenes is None and names is not None and '"missing":[]' not in report:
         warnings.warn(
             f"{version} has {len(loaded)} of the {len(names)} scenes of split {split!r} "
             "(report.missing names the others)"
@@ -320,7 +352,7 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     -------
     SceneSet
         The scenes in the order of the file names, and ``.report``; the track of ``sdc_id`` is
-        ``"ego"`` and comes first.
+        ``"ego"`` and comes first. A warning counts the scenes without a drivable area.
 
     Raises
     ------
@@ -333,5 +365,6 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     # imported here: reading pickles is not needed to import the package
     from ccdiff_env.scenarionet import read_scenarios
 
-    scenes, report = read_scenarios(path)
-    return SceneSet(scenes, report)
+    scenes = SceneSet(*read_scenarios(path))
+    warn_without_road(scenes)
+    return scenes

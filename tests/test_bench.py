@@ -23,7 +23,7 @@ from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 
 
 def test_the_floor_replays_the_log():
@@ -289,7 +289,7 @@ def test_stages_are_compared_with_log_replay_pair_by_pair():
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
     base, taught = training_jobs(
-        {"embedded": "train"}, ["replay"], [0], steps=4096, base_steps=8192, folder=tmp_path
+        "embedded/train", ["replay"], [0], steps=4096, base_steps=8192, folder=tmp_path
     )
     for jobs, steps in ((base, 8192), (taught, 4096)):
         run_jobs(jobs, tmp_path / "training", progress=False)
@@ -303,7 +303,7 @@ def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
 
 def test_adversary_policies_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     training = selection.adversary_policy_jobs(
-        {"embedded": "train"}, [0], ego="replay", steps=64, folder=tmp_path
+        "embedded/train", [0], ego="replay", steps=64, folder=tmp_path
     )
     run_jobs(training, tmp_path / "training", progress=False)
     policy = training[0].arguments["path"]

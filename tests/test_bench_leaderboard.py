@@ -20,7 +20,7 @@ def run(tmp_path):
     def make(name, scores, seed=0, benchmark="planners"):
         folder = tmp_path / name
         folder.mkdir()
-        settings = {"benchmark": benchmark, "source": {"embedded": "val"}, "seed": seed}
+        settings = {"benchmark": benchmark, "source": "embedded/val", "seed": seed}
         (folder / "run.json").write_text(json.dumps({**settings, "weights": "abc"}))
         (folder / "report.html").write_text("")
         with (folder / "scores.csv").open("w", newline="") as file:

@@ -15,7 +15,7 @@ from ccdiff_env.bench.plots import colours_of
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 
 
 class Parts(HTMLParser):

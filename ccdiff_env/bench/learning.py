@@ -76,7 +76,7 @@ FIGURES = (
 
 
 def training_jobs(
-    source: Mapping[str, str],
+    source: str,
     stages: Sequence[str],
     seeds: Sequence[int],
     *,
@@ -89,7 +89,7 @@ def training_jobs(
     Parameters
     ----------
     source
-        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Scenes of training, a text of :func:`ccdiff_env.load`.
     stages
         Names of :data:`TRAINING_STAGES`.
     seeds
@@ -107,7 +107,7 @@ def training_jobs(
         Jobs of the common pretraining, one per seed; then those that need it, one per seed and
         stage.
     """
-    common = {"source": dict(source)}
+    common = {"source": source}
     train = f"{__name__}:train_ego"
     base = [
         Job(
@@ -144,7 +144,7 @@ def training_jobs(
 
 def train_ego(
     *,
-    source: Mapping[str, str],
+    source: str,
     stage: str,
     seed: int,
     steps: int,

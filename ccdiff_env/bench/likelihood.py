@@ -251,7 +251,7 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
 
 
 def likelihood_jobs(
-    source: Mapping[str, str],
+    source: str,
     methods: Sequence[str],
     *,
     num_samples: int = 16,
@@ -263,7 +263,7 @@ def likelihood_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     methods
         Names of :data:`~ccdiff_env.bench.traffic.METHODS`.
     num_samples
@@ -284,7 +284,7 @@ def likelihood_jobs(
             f"{method}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "method": method,
                 "num_samples": num_samples,
@@ -299,7 +299,7 @@ def likelihood_jobs(
 
 def evaluate(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     method: str,
     num_samples: int,

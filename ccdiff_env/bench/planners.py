@@ -122,7 +122,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
 
 
 def planner_jobs(
-    source: Mapping[str, str],
+    source: str,
     planners: Sequence[str],
     traffic: Sequence[str],
     *,
@@ -134,7 +134,7 @@ def planner_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     planners
         ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, a policy of
         :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
@@ -157,7 +157,7 @@ def planner_jobs(
             f"{p:02d}-{file_name(name, '')}-{seed}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "planner": planner,
                 "traffic": name,
@@ -173,7 +173,7 @@ def planner_jobs(
 
 def evaluate(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     planner: str,
     traffic: str,
@@ -186,7 +186,7 @@ def evaluate(
 
 def evaluate_recorded(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     planner: str,
     traffic: str,

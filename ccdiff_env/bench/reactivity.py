@@ -136,15 +136,13 @@ def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
     return off
 
 
-def reactivity_jobs(
-    source: Mapping[str, str], traffic: Sequence[str], *, seed: int = 0
-) -> list[Job]:
+def reactivity_jobs(source: str, traffic: Sequence[str], *, seed: int = 0) -> list[Job]:
     """Return the jobs: traffic x ways x chunks of the scenes.
 
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     traffic
         Names of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
     seed
@@ -159,7 +157,7 @@ def reactivity_jobs(
             f"{name}-{way}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": part,
                 "traffic": name,
                 "way": way,
@@ -173,7 +171,7 @@ def reactivity_jobs(
 
 
 def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], traffic: str, way: str, seed: int
+    *, source: str, names: Sequence[str], traffic: str, way: str, seed: int
 ) -> list[dict[str, Any]]:
     """Play scenes with an ego that goes a way: one dictionary for each that has room for it.
 

@@ -64,14 +64,14 @@ def _options(ego: str, strength: float) -> dict[str, Any]:
 
 
 def adversary_policy_jobs(
-    source: Mapping[str, str], seeds: Sequence[int], *, ego: str, steps: int, folder: Path
+    source: str, seeds: Sequence[int], *, ego: str, steps: int, folder: Path
 ) -> list[Job]:
     """Return the jobs that train one adversary policy per seed; policies go to a folder.
 
     Parameters
     ----------
     source
-        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Scenes of training, a text of :func:`ccdiff_env.load`.
     seeds
         Seeds of PPO and of the worlds.
     ego
@@ -86,7 +86,7 @@ def adversary_policy_jobs(
             f"train-{seed}",
             f"{__name__}:train_adversary_policy",
             {
-                "source": dict(source),
+                "source": source,
                 "ego": ego,
                 "seed": seed,
                 "steps": steps,
@@ -98,7 +98,7 @@ def adversary_policy_jobs(
 
 
 def train_adversary_policy(
-    *, source: Mapping[str, str], ego: str, seed: int, steps: int, path: str
+    *, source: str, ego: str, seed: int, steps: int, path: str
 ) -> dict[str, Any]:
     """Train MaskablePPO and save it.
 
@@ -141,7 +141,7 @@ def train_adversary_policy(
 
 
 def trial_jobs(
-    source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
+    source: str, policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
 ) -> list[Job]:
     """Return the jobs that try every adversary policy: policies x strengths x chunks of the scenes.
 
@@ -164,7 +164,7 @@ def trial_jobs(
             f"{Path(policy).stem}-{strength:g}-{i:03d}",
             f"{__name__}:choose",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "adversary_policy": policy,
                 "strength": strength,
@@ -180,7 +180,7 @@ def trial_jobs(
 
 def choose(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     adversary_policy: str,
     strength: float,

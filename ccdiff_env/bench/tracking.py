@@ -30,13 +30,13 @@ __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 MODELS = ("unicycle", "bicycle", "delta_pose")
 
 
-def tracking_jobs(source: Mapping[str, str], models: Sequence[str] = MODELS) -> list[Job]:
+def tracking_jobs(source: str, models: Sequence[str] = MODELS) -> list[Job]:
     """Return the jobs: models of motion x chunks of the scenes.
 
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     models
         Names of :data:`MODELS`.
     """
@@ -47,16 +47,14 @@ def tracking_jobs(source: Mapping[str, str], models: Sequence[str] = MODELS) -> 
         Job(
             f"{model}-{i:03d}",
             f"{__name__}:evaluate",
-            {"source": dict(source), "names": names, "model": model},
+            {"source": source, "names": names, "model": model},
         )
         for model in models
         for i, names in enumerate(chunks(scene_names(source), CHUNK))
     ]
 
 
-def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], model: str
-) -> list[dict[str, Any]]:
+def evaluate(*, source: str, names: Sequence[str], model: str) -> list[dict[str, Any]]:
     """Drive the log of scenes through a model of motion: one dictionary for each vehicle.
 
     ``error_m``: distance from the log at the end; ``worst_m``: the largest; ``collision``,

@@ -44,7 +44,7 @@ STATIONARY_MPS = 0.5
 
 
 def traffic_jobs(
-    source: Mapping[str, str],
+    source: str,
     methods: Sequence[str],
     *,
     num_controlled: Sequence[int | None] = (1, 2, 3, 4, 5, 10, None),
@@ -63,7 +63,7 @@ def traffic_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     methods
         Names of :data:`METHODS`.
     num_controlled
@@ -112,7 +112,7 @@ def traffic_jobs(
             f"{method}-K{'Full' if k is None else k}-T{n}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": part,
                 "method": method,
                 "num_controlled": k,
@@ -346,7 +346,7 @@ def evaluate(**arguments: Any) -> list[dict[str, Any]]:
 
 def evaluate_recorded(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     method: str,
     num_controlled: int | None,
