@@ -13,9 +13,9 @@ import argparse
 
 import numpy as np
 
-import ccdiff_env
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 
 
 class MyPlanner:
@@ -55,9 +55,7 @@ class MyPlanner:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--split", default="mini_val")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--traffic", default="idm")
     parser.add_argument("--criticality", type=float, default=0.0)
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
@@ -69,10 +67,7 @@ FIGURES = ("score", "success", "collision", "no_at_fault_collision", "on_road", 
 
 def main() -> None:
     args = arguments()
-    if args.dataroot is None:
-        scenes = ccdiff_env.embedded_scenes("val")
-    else:
-        scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split)
+    scenes = scenes_from(args)
     scenes = scenes[:2] if args.smoke else scenes
     options = {"criticality": args.criticality} if args.traffic == "ccdiff" else {}
     traffic = Traffic(args.traffic, args.traffic, options)
