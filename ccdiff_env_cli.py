@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -81,6 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parse(sys.argv[1:] if argv is None else argv)
     from ccdiff_env.errors import CcdiffError
 
+    usual = warnings.formatwarning
+    warnings.formatwarning = lambda text, *_, **__: f"ccdiff-env {args.verb}: {text}\n"
     try:
         status: int = args.run(args)
         sys.stdout.flush()
@@ -93,4 +96,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    finally:
+        warnings.formatwarning = usual
     return status

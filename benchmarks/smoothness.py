@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.episode import drivable
+from ccdiff_env.bench.episode import off_road
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.metrics import Motion
@@ -128,8 +128,8 @@ def figures(scene: Scene, played: Any, start_step: int, replan_steps: int) -> di
             position[driven], heading[driven], scene.sizes[driven][:, :2], active[driven],
             dt_s=scene.dt,
         )  # fmt: skip
-        outside = cars.off_road(drivable(scene)).centroid
-        off, steps_in_all = int((outside & active[driven]).sum()), int(active[driven].sum())
+        road, steps_in_all = off_road(scene, cars), int(active[driven].sum())
+        off = 0 if road is None else int((road.centroid & active[driven]).sum())
     return {
         "long_overlaps": len(long), "parked": parked, "parked_moved": moved, "off": off,
         "vehicles": len(driven), "vehicle_steps": steps_in_all, "jumps": jumps,

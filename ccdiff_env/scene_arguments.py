@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
-from ccdiff_env.sources import DEFAULT, SOURCES, Place, load, parse, settled
+from ccdiff_env.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
 
 __all__ = [
     "add_other_scenes",
@@ -130,8 +130,8 @@ def _joined(split: str | list[str] | None) -> str | None:
 
 
 def _split_help(use: str | None) -> str:
-    known = [s for s in (ROOTED, PLAIN) if s.splits is not None]
-    names = "; ".join(f"{s.title}: {', '.join(s.splits())}, all" for s in known)
+    known = (ROOTED, PLAIN)
+    names = "; ".join(f"{s.title}: {', '.join(split_names(s))}" for s in known)
     usual = [dict.fromkeys(of.get(use or "", "all") for of in s.usual.values()) for s in known]
     defaults = (f"{s.title}: {', else '.join(u)}" for s, u in zip(known, usual, strict=True))
     return f"split, of: {names} (default: {'; '.join(defaults)})"

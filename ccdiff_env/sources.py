@@ -18,7 +18,18 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
 from ccdiff_env.source_record import Place, Source
 
-__all__ = ["DEFAULT", "SOURCES", "Place", "Source", "coverage", "load", "parse", "settled", "title"]
+__all__ = [
+    "DEFAULT",
+    "SOURCES",
+    "Place",
+    "Source",
+    "coverage",
+    "load",
+    "parse",
+    "settled",
+    "split_names",
+    "title",
+]
 
 
 def _nuscenes(place: Place) -> SceneSet:
@@ -30,6 +41,10 @@ def _nuscenes(place: Place) -> SceneSet:
 def _embedded(place: Place) -> SceneSet:
     parts = [embedded_scenes(name) for name in (place.split or "all").split("+")]
     return parts[0] if len(parts) == 1 else SceneSet(scene for part in parts for scene in part)
+
+
+def _scenarionet(place: Place) -> SceneSet:
+    return load_scenarionet(place.path or "")
 
 
 #: The sources by name.
@@ -61,7 +76,7 @@ SOURCES: dict[str, Source] = {
         Source(
             "scenarionet",
             "ScenarioNet",
-            lambda place: load_scenarionet(place.path or ""),
+            _scenarionet,
             path="FILE_OR_FOLDER",
             lacks="a road where not all lanes have a polygon",
         ),
@@ -108,12 +123,13 @@ def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
         version, _, split = tail.partition("/")
         return path, version, split or None
     path, _, last = text.rpartition("/")
-    if path and all(part in _split_names(source) for part in last.split("+")):
+    if path and all(part in split_names(source) for part in last.split("+")):
         return path, None, last
     return text, None, None
 
 
-def _split_names(source: Source) -> list[str]:
+def split_names(source: Source) -> list[str]:
+    """Return the names of a source's splits, ``"all"`` among them; none where it has no splits."""
     return [] if source.splits is None else [*source.splits(), "all"]
 
 
@@ -126,7 +142,7 @@ def _checked(place: Place, text: str) -> Place:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:
         raise _wrong(text, f"{source.name} has no splits")
-    known = _split_names(source)
+    known = split_names(source)
     if place.split is not None:
         for part in place.split.split("+"):
             if part not in known:
@@ -222,7 +238,7 @@ def load(
     )
     found = SOURCES[place.source].load(place)
     if place.names is not None:
-        found = SceneSet((found[name] for name in place.names), lambda of=found: of.report)
+        found = SceneSet([found[name] for name in place.names], found.report)
     if place.limit is not None:
         found = found[: place.limit]
     return found if kinds is None else of_kinds(found, kinds)

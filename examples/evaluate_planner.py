@@ -13,6 +13,7 @@ import argparse
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
@@ -76,7 +77,7 @@ def main() -> None:
     for planner in (MyPlanner, "idm", "replay", "constant_velocity"):
         rows = play(scenes, planner, traffic)
         name = planner if isinstance(planner, str) else planner.__name__
-        means = [np.mean([row[figure] for row in rows]) for figure in FIGURES]
+        means = [mean_interval(rows, figure)[0] for figure in FIGURES]
         print(f"  {name:18s}" + "".join(f"{mean:23.3f}" for mean in means))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.episode import Episode, drivable
+from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -181,10 +181,11 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     found["ttc"] = np.where(there, seconds.min(axis=2, initial=np.inf).T, np.nan)
     found["ttc"] = np.minimum(found["ttc"], FEATURES["ttc"].high)
     hits = motion.collisions().agents["all"]
-    road = motion.off_road(drivable(episode.scene)).box.any(axis=1)
+    road = off_road(episode.scene, motion)
     present = valid.any(axis=1)
     found["collision"] = np.where(present, hits, np.nan)[:, None]
-    found["off_road"] = np.where(present, road, np.nan)[:, None]
+    left = np.nan if road is None else road.box.any(axis=1)
+    found["off_road"] = np.where(present, left, np.nan)[:, None]
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.adversary_policy import MAX_AGENTS, REPLAN_STEPS
+from ccdiff_env.bench.intervals import FEW, are_few, spread
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
@@ -291,8 +292,7 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         cells = []
         for key, factor, digits in factors:
             values = factor * np.array([m[key] for m in learned])
-            spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-            cells.append(f"{values.mean():.{digits}f}{spread}")
+            cells.append(spread(values, digits, next(iter(rows.values()))))
         lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
         shift = float(np.mean([m["shift_sigmas"] for m in learned]))
         head, first = "PPO", [f"| PPO | {cells[0]} |"]
@@ -318,6 +318,8 @@ def _less_causal(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) 
     """Paired differences to the causal ranking at full strength ± standard errors over scenes."""
     if ("causal", 1.0) not in rows:
         return []
+    if are_few(rows["causal", 1.0]):
+        return ["", FEW]
 
     def column(name: str, key: str) -> npt.NDArray[np.float64]:
         return np.array([row[key] for row in rows[name, 1.0]], np.float64)

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import brackets, cell, mean_interval
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planner_report import mean_interval
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes import Scene, SceneSet, has_road
 
 __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 
@@ -84,6 +84,8 @@ def _track(scene: Scene, model: str) -> list[dict[str, Any]]:
             "worst_m": float(driven["log_distance"][:, i].max()),
             **{
                 k: bool(driven[k][:, i].any() and not replayed[k][:, i].any())
+                if k == "collision" or has_road(scene)
+                else None
                 for k in ("collision", "off_road")
             },
         }
@@ -124,7 +126,7 @@ def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Pat
     """Write ``table.md``: errors and consequences of each model of motion, over vehicles."""
     lines = [
         "| dynamics | vehicles | error at the end, m: p50 | p95 | largest, m: p95 | "
-        "new contact | leaves the road |",
+        "new contact % | leaves the road % |",
         "|---|---:|---:|---:|---:|---|---|",
     ]
     for model, rows in found.items():
@@ -133,7 +135,8 @@ def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Pat
         cells.append(f"{np.percentile(worst, 95):.2f}")
         for name in ("collision", "off_road"):
             mean, low, high = (100.0 * x for x in mean_interval(rows, name))
-            cells.append(f"{mean:.2f} % [{low:.2f}, {high:.2f}]")
+            cells.append(cell((mean, low, high)))
         lines.append(f"| {model} | {len(rows)} | " + " | ".join(cells) + " |")
-    lines += ["", "Shares of vehicles, less what the replayed log has; 95 % bootstrap intervals."]
+    what = "Shares of vehicles, less what the replayed log has."
+    lines += ["", f"{what} {brackets(found.values())}"]
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.episode import Episode, drivable, logged, measure, relations
+from ccdiff_env.bench.episode import Episode, logged, measure, off_road, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -155,8 +155,11 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     there = scene.tracks()["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
     start = logged(scene, agents, slice(START_STEP, START_STEP + 1))
-    off_road = start.off_road(drivable(scene)).centroid[:, 0]
-    kept: npt.NDArray[np.int64] = agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
+    road = off_road(scene, start)
+    if road is None:
+        return agents
+    on_road = ~road.centroid[:, 0]
+    kept: npt.NDArray[np.int64] = agents[on_road | (np.array(scene.agent_ids)[agents] == "ego")]
     return kept
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes import has_road
 from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log
 
 Lane = Literal["ego", "guided", "others"]
@@ -228,8 +229,7 @@ def _outside(rollout: Rollout, steps: slice) -> npt.NDArray[np.bool_]:
         np.ascontiguousarray(tracks["valid"][:, steps]),
         dt_s=rollout.dt_s,
     )
-    layers: dict[str, Any] = dict(rollout.scene.map_layers())
-    areas = layers.get("drivable_area", [])
-    if not areas:
+    if not has_road(rollout.scene):
         return np.zeros(rollout.valid.shape, bool)
+    areas = rollout.scene.map_layers()["drivable_area"]
     return np.asarray(log.off_road([(a["exterior"], a["holes"]) for a in areas]).box, dtype=bool)
