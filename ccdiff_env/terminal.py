@@ -18,8 +18,8 @@ T = TypeVar("T")
 
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, the file of "
-    "a policy (.zip, .safetensors)"
+    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
+    "module:name?option=value with options, the file of a policy (.zip, .safetensors)"
 )
 
 

@@ -22,6 +22,7 @@ from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.metrics import Motion
 from ccdiff_env.traffic import NETWORKS
 
@@ -282,7 +283,7 @@ def likelihood_jobs(
     parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{method}-{i:03d}",
+            f"{file_name(method)}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": source,

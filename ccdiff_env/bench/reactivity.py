@@ -27,6 +27,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
@@ -154,7 +155,7 @@ def reactivity_jobs(source: str, traffic: Sequence[str], *, seed: int = 0) -> li
     parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{name}-{way}-{i:03d}",
+            f"{file_name(name)}-{way}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": source,

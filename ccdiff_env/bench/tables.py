@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
@@ -103,7 +104,7 @@ def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]
 def condition_of(job: str) -> Condition:
     """Return the condition that a job of :func:`~ccdiff_env.bench.traffic.traffic_jobs` plays."""
     method, k, steps, _ = job.rsplit("-", 3)
-    return Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
+    return Condition(unquote(method), None if k == "KFull" else int(k[1:]), int(steps[1:]))
 
 
 def _under_present_names(rows: Rows) -> Rows:

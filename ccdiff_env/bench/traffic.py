@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
@@ -109,7 +110,7 @@ def traffic_jobs(
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     return [
         Job(
-            f"{method}-K{'Full' if k is None else k}-T{n}-{i:03d}",
+            f"{quote(method, safe=':')}-K{'Full' if k is None else k}-T{n}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": source,
