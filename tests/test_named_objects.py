@@ -56,8 +56,8 @@ def anything(**options):
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("2.5", 2.5), ("3", 3), ("true", True), ("null", None), ('"7"', "7"), ("runs/a.pt", "runs/a.pt"),
-        ("[1]", "[1]"), ("", ""), ("a=b", "a=b"),
+        ("2.5", 2.5), ("3", 3), ("true", True), ("null", None), ('"7"', "7"),
+        ("runs/a.pt", "runs/a.pt"), ("[1]", "[1]"), ("", ""), ("a=b", "a=b"),
     ],
 )  # fmt: skip
 def test_values_are_json_scalars_else_text(text, value):

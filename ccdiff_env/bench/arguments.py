@@ -84,7 +84,8 @@ class Former(argparse.Action):
 METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, replay, pdm, ccdiff, ego, ego_replay, module:name of a class or "
-    "function, module:name?option=value with options, files of stable-baselines3 (.zip) or of this package (.safetensors)"
+    "function, module:name?option=value with options, files of stable-baselines3 "
+    "(.zip) or of this package (.safetensors)"
 )
 
 

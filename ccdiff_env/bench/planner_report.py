@@ -88,7 +88,8 @@ def write_report(
                 cells.append(cell((mean, low, high)))
             lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
         lines.append("")
-    lines.append(f"Means over scenes. {brackets(found.values())} Emphasised: best of its traffic.")
+    best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
+    lines.append(f"Means over scenes. {brackets(found.values())}{best}")
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
     _plot(found, planners, traffic, folder / "robustness.png")
