@@ -17,12 +17,12 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.curriculum import Criticality, Curriculum
-from ccdiff_env.embedded import embedded_scenes, embedded_splits
+from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.sources import load
+from ccdiff_env.sources import SOURCES, load
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.python import BoundTraffic
@@ -47,8 +47,8 @@ def scene_set(scenes: Scenes) -> SceneSet:
     ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones.
     """
     if scenes is None or isinstance(scenes, str):
-        split = scenes or "train"
-        return embedded_scenes(split) if split in ("all", *embedded_splits()) else load(split)
+        text = scenes or "train"
+        return embedded_scenes(text) if text.isalnum() and text not in SOURCES else load(text)
     if isinstance(scenes, SceneSet):
         found = scenes
     else:
