@@ -29,8 +29,8 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def are_few(rows: Iterable[Mapping[str, Any]]) -> bool:
-    """Return whether rows, each with its ``scene``, are of too few scenes for intervals."""
-    return len({row["scene"] for row in rows}) < LEAST_SCENES
+    """Return whether rows are of too few scenes for intervals; one without ``scene`` is one."""
+    return len({row.get("scene", i) for i, row in enumerate(rows)}) < LEAST_SCENES
 
 
 def brackets(groups: Iterable[Rows]) -> str:
