@@ -9,12 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
-    "train": ("train a planning network on nuScenes (resumes a run in --out)", "train_command"),
+    "train": ("train a planning network (resumes a run in --out)", "train_command"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),
@@ -81,6 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parse(sys.argv[1:] if argv is None else argv)
     from ccdiff_env.errors import CcdiffError
 
+    usual = warnings.formatwarning
+    warnings.formatwarning = lambda text, *_, **__: f"ccdiff-env {args.verb}: {text}\n"
     try:
         status: int = args.run(args)
         sys.stdout.flush()
@@ -93,4 +96,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    finally:
+        warnings.formatwarning = usual
     return status

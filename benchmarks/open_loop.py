@@ -1,6 +1,6 @@
 """Open-loop errors of a CCDiff network on nuScenes scenes, and how fast it plans.
 
-``python benchmarks/open_loop.py --dataroot <nuscenes> [--weights <file>] [--limit N]``
+``python benchmarks/open_loop.py [--scenes SOURCE] [--weights <file>] [--limit N]``
 prints one JSON object.
 """
 
@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-import ccdiff_env
 from ccdiff_env.models import ScenePlan, TrajectoryModel, shipped_weights
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes import Scene
+from ccdiff_env.sources import load
 
 SAMPLES = 5
 HORIZON = 52
@@ -96,11 +97,8 @@ def speed(
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--dataroot", type=Path, required=True)
-    parser.add_argument("--version", default="v1.0-trainval")
-    parser.add_argument("--split", default="val")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--weights", type=Path, default=None)
-    parser.add_argument("--limit", type=int, default=None, help="number of scenes")
     args = parser.parse_args()
     torch.set_num_threads(1)
     model = TrajectoryModel(args.weights or shipped_weights())
@@ -110,8 +108,7 @@ def main() -> None:
     if model.header["training"].get("teacher_steps"):
         steps = (1,)
     knows_routes = bool(model.header["model"].get("route_points_m"))
-    scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
-    chosen = list(scenes)[: args.limit]
+    chosen = load(place_from(args), kinds=["vehicle"])
     cases = [(s, t) for s in chosen for t in range(30, s.num_steps - HORIZON, 20)]
     result = {
         "scenes": len(chosen),

@@ -1,6 +1,6 @@
 """What a viewer sees of unguided CCDiff traffic: overlaps, parked movers, jumps at replans.
 
-    python benchmarks/smoothness.py [--dataroot <nuscenes> --version v1.0-mini --split all]
+    python benchmarks/smoothness.py [--scenes nuscenes:FOLDER@v1.0-mini/all]
         [--ccdiff '{"keep_noise": true}'] [--world '{"on_traffic_collision": "ignore"}']
 
 The ego replays its log; all other vehicles are driven for 10 s. Counted: pairs without the ego that
@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-import ccdiff_env
-from ccdiff_env.bench.episode import drivable
+from ccdiff_env.bench.episode import off_road
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.metrics import Motion
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.scenes import Scene, SceneSet
 
 #: Scenes that share a batch.
@@ -128,8 +128,8 @@ def figures(scene: Scene, played: Any, start_step: int, replan_steps: int) -> di
             position[driven], heading[driven], scene.sizes[driven][:, :2], active[driven],
             dt_s=scene.dt,
         )  # fmt: skip
-        outside = cars.off_road(drivable(scene)).centroid
-        off, steps_in_all = int((outside & active[driven]).sum()), int(active[driven].sum())
+        road, steps_in_all = off_road(scene, cars), int(active[driven].sum())
+        off = 0 if road is None else int((road.centroid & active[driven]).sum())
     return {
         "long_overlaps": len(long), "parked": parked, "parked_moved": moved, "off": off,
         "vehicles": len(driven), "vehicle_steps": steps_in_all, "jumps": jumps,
@@ -142,22 +142,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--dataroot")
-    parser.add_argument("--version", default="v1.0-trainval")
-    parser.add_argument("--split", help="ccdiff100; of the embedded scenes: val; all: no split")
-    parser.add_argument("--limit", type=int)
+    add_scene_arguments(parser, "test")
     parser.add_argument(
         "--ccdiff", type=json.loads, default={}, help="fields of CcdiffConfig, JSON"
     )
     parser.add_argument("--world", type=json.loads, default={}, help="fields of WorldConfig, JSON")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    if args.dataroot is None:
-        scenes = ccdiff_env.embedded_scenes(args.split or "val")
-    else:
-        split = None if args.split == "all" else args.split or "ccdiff100"
-        scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, split)
-    scenes = scenes[: args.limit]
+    scenes = scenes_from(args)
     found = []
     for at in range(0, len(scenes), CHUNK):
         part = scenes[at : at + CHUNK]

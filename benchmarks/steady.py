@@ -1,4 +1,4 @@
-"""CCDiff traffic on a busy machine: ``python benchmarks/steady.py [--dataroot <nuscenes>]``.
+"""CCDiff traffic on a busy machine: ``python benchmarks/steady.py [--scenes SOURCE]``.
 
 Ego steps per second of E = 32 worlds with CCDiff traffic (criticality 1), in a process of its own
 that sets no variable of OpenMP: alone with one and with two threads, two processes of one thread
@@ -18,16 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+
 BUSY = "while True: pass"
 WORKER = """
 import resource, sys, time
 import numpy as np
 start = time.perf_counter()
 import ccdiff_env
-dataroot, worlds, threads, steps = sys.argv[1], *map(int, sys.argv[2:])
-scenes = ccdiff_env.embedded_scenes("val")
-if dataroot:
-    scenes = ccdiff_env.load_nuscenes(dataroot, "v1.0-trainval", "ccdiff100")
+worlds, threads, steps = map(int, sys.argv[2:])
+scenes = ccdiff_env.load(sys.argv[1])
 read = time.perf_counter()
 env = ccdiff_env.make_vec(
     worlds, scenes=scenes, traffic="ccdiff", driver="idm", copy=False, info="end",
@@ -61,7 +61,7 @@ class Case(NamedTuple):
 def measure(case: Case, args: argparse.Namespace) -> np.ndarray:
     """Ego steps per second of all processes together; of the first: seconds twice, MiB."""
     free = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_", "MKL_", "RAYON_"))}
-    words = [args.dataroot or "", case.worlds, case.threads, args.steps]
+    words = [place_from(args), case.worlds, case.threads, args.steps]
     command = [sys.executable, "-c", WORKER, *map(str, words)]
     if case.one_core:
         command = ["taskset", "--cpu-list", str(min(os.sched_getaffinity(0))), *command]
@@ -80,7 +80,7 @@ def measure(case: Case, args: argparse.Namespace) -> np.ndarray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="folder of nuScenes; embedded scenes without it")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--steps", type=int, default=100, help="steps of each measurement")
     parser.add_argument("--rounds", type=int, default=3, help="turns of all cases")
     args = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Speed of traffic of networks: ``python benchmarks/traffic.py [--dataroot <nuscenes>]``.
+"""Speed of traffic of networks: ``python benchmarks/traffic.py [--scenes SOURCE]``.
 
 - *ego steps per second* of the vector environment, reset and step through Python, resets included,
   a plan every 0.5 s, DDIM with five steps, one sample, and in one step; the ego is driven by IDM.
@@ -11,7 +11,7 @@ one world each in batches of E, and seconds for a guided scene of 10 s: K = 5, a
 five samples, two gradient steps in each of four denoising steps (elsewhere eight on the output).
 
 Seconds are of the clock and of the processor (all threads); the latter do not depend on what else
-the machine does. Scenes: ccdiff100 of the data set, else the embedded validation scenes.
+the machine does.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import ccdiff_env
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.traffic import episodes
 from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import NETWORKS
 
@@ -36,12 +37,6 @@ from ccdiff_env import _models  # noqa: E402
 
 ENVS = (1, 8, 32, 64)
 STEP = 40
-
-
-def scenes_of(dataroot: str | None) -> SceneSet:
-    if dataroot is None:
-        return ccdiff_env.embedded_scenes("val")
-    return ccdiff_env.load_nuscenes(dataroot, "v1.0-trainval", "ccdiff100")
 
 
 def paper_weights(scenes: SceneSet, folder: str) -> Path:
@@ -137,14 +132,14 @@ def compare(names: list[str], scenes: SceneSet, rounds: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="folder of nuScenes; embedded scenes without it")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--steps", type=int, default=50, help="steps per measurement")
     parser.add_argument("--rounds", type=int, default=3, help="plans per measurement")
     parser.add_argument("--threads", type=int, default=1, help="threads of worlds and of torch")
     parser.add_argument("--models", help="names of networks, comma-separated, or all")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
-    scenes = scenes_of(args.dataroot)
+    scenes = scenes_from(args)
     vehicles = np.mean([int(s.tracks()["valid"][:, STEP].sum()) for s in scenes])
     print(f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s)")
     if args.models is not None:

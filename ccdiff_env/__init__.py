@@ -23,9 +23,11 @@ from ccdiff_env.envs import (
     register,
 )
 from ccdiff_env.envs.replay import replay
+from ccdiff_env.gpudrive import load_gpudrive
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import Scene, SceneSet, load_gpudrive, load_nuscenes, load_scenarionet
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
+from ccdiff_env.sources import load
 from ccdiff_env.version import __version__
 from ccdiff_env.view import notebook
 
@@ -48,6 +50,7 @@ __all__ = [
     "config",
     "embedded_scenes",
     "errors",
+    "load",
     "load_bank",
     "load_gpudrive",
     "load_nuscenes",

@@ -196,7 +196,7 @@ class Scene:
 
     @property
     def has_road(self) -> bool:
-        """Whether the map says where vehicles may drive; else nothing is ever off the road."""
+        """Whether the map has a drivable area; else figures that need a road are not there."""
 
     @property
     def has_lanes(self) -> bool:

@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed, takes_former_names
 from ccdiff_env.files import parsed_object
+from ccdiff_env.named_objects import named_instance
 from ccdiff_env.options import (
     DYNAMICS,
     ActionConfig,
@@ -123,7 +124,8 @@ class WorldConfig(WorldOptions):
             to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``,
             ``bev`` as the field of ``observation``, kinds of drivers without a field of their own
             (``simnet={"weights": ...}``) as entries of ``policies``. Drivers may be given as
-            objects (``traffic=PythonTraffic(model)``) and as paths to import (``"module:Class"``).
+            objects (``traffic=PythonTraffic(model)``) and as paths to import (``"module:Class"``,
+            ``"module:Class?option=value"``).
 
         Raises
         ------
@@ -327,7 +329,8 @@ def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict
     for field_name in ("traffic", "driver"):
         value = options.get(field_name)
         if isinstance(value, str) and ":" in value:
-            value = PythonTraffic.load(value)
+            made = named_instance(value, "traffic model")
+            value = made if isinstance(made, PythonTraffic) else PythonTraffic(made)
         if isinstance(value, PythonTraffic):
             found["python"] = value
             options = {**options, field_name: "python"}

@@ -14,8 +14,10 @@ from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError
 from ccdiff_env.load_report import LoadReport
 from ccdiff_env.progress import shown
+from ccdiff_env.scenes import SceneSet, cache_folder
+from ccdiff_env.source_record import Place, Source
 
-__all__ = ["SceneFiles", "scene_files"]
+__all__ = ["SOURCE", "SceneFiles", "load_gpudrive", "scene_files"]
 
 #: Scenes that are read at once, and scenes that are kept.
 _AT_ONCE = 16
@@ -120,3 +122,53 @@ class SceneFiles(Sequence[Scene]):
 
     def __reduce__(self) -> tuple[type[SceneFiles], tuple[tuple[str, ...], str | None]]:
         return SceneFiles, (self.files, self._cache_directory)
+
+
+def load_gpudrive(
+    path: str | os.PathLike[str], *, cache: bool | str | os.PathLike[str] = True
+) -> SceneSet:
+    """Load Waymo scenes in GPUDrive's JSON: 9.1 s at 10 Hz, the present at step 10.
+
+    Scenes are read in parallel when they are looked at, so that folders of many are no burden.
+    The area where vehicles may drive is made from road edges, which have the road on their left.
+    Lanes follow where one ends and another begins.
+
+    Parameters
+    ----------
+    path
+        A ``.json`` file, a folder that is searched for them, or a pattern (``"data/*_1?.json"``).
+        A file's stem is its scene's name, the scenario's id the token.
+    cache
+        As in :func:`ccdiff_env.load_nuscenes`.
+
+    Returns
+    -------
+    SceneSet
+        The scenes in the order of the files; the track of ``sdc_track_index`` is ``"ego"`` and
+        comes first. ``.report`` reads them all.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        No such file.
+    DatasetError
+        A file is damaged or breaks a rule, found when its scene is read; the message names file,
+        place, field and value.
+    ConfigError
+        Two files have one name.
+    """
+    files = SceneFiles(scene_files(path), cache_folder(cache))
+    return SceneSet(files, files.report, names=files.names)
+
+
+def _load(place: Place) -> SceneSet:
+    return load_gpudrive(place.path or "")
+
+
+SOURCE = Source(
+    "gpudrive",
+    "Waymo (GPUDrive)",
+    _load,
+    path="FILE_OR_FOLDER_OR_PATTERN",
+    lacks="surfaces of lanes; the road is made from its edges",
+)

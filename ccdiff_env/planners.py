@@ -9,7 +9,6 @@ import importlib
 import inspect
 import json
 import os
-import sys
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,6 +27,7 @@ from ccdiff_env.errors import (
     MissingFeatureError,
     ShapeError,
 )
+from ccdiff_env.named_objects import named_object
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.traffic import driver_names
 
@@ -270,23 +270,6 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
     return Seat(_Sb3(getattr(learners, algorithm).load(path, device="cpu"), name), name)
 
 
-def _imported(name: str) -> Any:
-    """Return what ``module:name`` names; modules of the working folder are found, too."""
-    module, _, attribute = name.partition(":")
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        if error.name != module:
-            raise
-        raise ConfigError(
-            f"planner {name!r}: no module {module!r} in {os.getcwd()}, nor installed"
-        ) from None
-    except AttributeError:
-        raise ConfigError(f"planner {name!r}: no {attribute!r} in module {module!r}") from None
-
-
 def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     """Return the driver of the ego's slot, and who makes its actions if nobody of the world does.
 
@@ -296,8 +279,8 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
         ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a policy of
         :mod:`ccdiff_env.policies` by name, or its file (``.safetensors``); a :class:`Planner`, a
         class of one, a function from observations [N, D] to actions [N, ...], or ``module:name``
-        of these; an object with ``predict`` as those of stable-baselines3; or the path of a policy
-        that stable-baselines3 saved.
+        of these (``module:name?option=value`` with options); an object with ``predict`` as those of
+        stable-baselines3; or the path of a policy that stable-baselines3 saved.
 
     Raises
     ------
@@ -308,10 +291,10 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
         return ego, None
     if isinstance(ego, (str, os.PathLike)):
         name = os.fspath(ego)
-        if name.endswith(".zip"):
+        if name.endswith(".zip") and "?" not in name:
             return "external", load_sb3(ego)
         if ":" in name:
-            return "external", Seat(_imported(name), name)
+            return "external", Seat(named_object(name, "planner"), name)
         policy = find_policy(name)
         if policy is None:
             raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *SHIPPED])

@@ -25,10 +25,12 @@ __all__ = [
     "Scene",
     "SceneSet",
     "cache_directory",
-    "load_gpudrive",
+    "cache_folder",
     "load_nuscenes",
     "load_scenarionet",
+    "of_kinds",
     "splits",
+    "warn_without_road",
     "with_tracks",
 ]
 
@@ -159,6 +161,30 @@ class SceneSet(Sequence[Scene]):
         )
 
 
+def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
+    """Return scenes with agents of some types alone, and their egos."""
+
+    def kept(scene: Scene) -> Scene:
+        both = zip(scene.agent_ids, scene.agent_types, strict=True)
+        chosen = np.flatnonzero([name == "ego" or kind in kinds for name, kind in both])
+        if len(chosen) == scene.num_agents:
+            return scene
+        return with_tracks(scene, scene.tracks(), chosen)
+
+    return SceneSet(map(kept, scenes), lambda: scenes.report)
+
+
+def warn_without_road(scenes: SceneSet) -> None:
+    """Warn once of the scenes of a load that have no road."""
+    without = [scene.name for scene in scenes if not scene.has_road]
+    if without:
+        warnings.warn(
+            f"{len(without)} of {len(scenes)} scenes have no road ({without[0]}, ...): "
+            "nobody is off the road there, and figures that need a road are n/a",
+            stacklevel=3,
+        )
+
+
 @_memoise
 def splits() -> dict[str, tuple[str, ...]]:
     """Return the scene names of every split.
@@ -182,8 +208,8 @@ def cache_directory() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "ccdiff_env"
 
 
-def _cache_folder(cache: bool | str | os.PathLike[str]) -> str | None:
-    """Folder of built scenes that an argument names."""
+def cache_folder(cache: bool | str | os.PathLike[str]) -> str | None:
+    """Return the folder of built scenes that an argument ``cache`` names; ``None`` for none."""
     if cache is False:
         return None
     return os.fspath(cache_directory() if cache is True else cache)
@@ -231,8 +257,7 @@ def load_nuscenes(
         Folder of the tables.
     split
         Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split that
-        the data set does not have are listed in the report; a warning says so where it has less
-        than half of them.
+        the data set does not have are listed in the report, and a warning counts them.
     scenes
         Names or tokens of the scenes to load, in this order, instead of a split; a missing one
         is an error.
@@ -299,15 +324,16 @@ def load_nuscenes(
         map_margin=map_margin,
         min_annotations=min_annotations,
         require_map=require_map,
-        cache_directory=_cache_folder(cache),
+        cache_directory=cache_folder(cache),
     )
     if '"missing_maps":[]' not in report:
         warnings.warn(
-            "no map file for some scenes (report.missing_maps): nothing is off road there; the map "
-            "expansion of nuScenes belongs into maps/expansion, see docs/data.md",
+            "no map file for some scenes (report.missing_maps): nothing is off road there, and "
+            "figures that need a road are n/a; the map expansion of nuScenes belongs into "
+            "maps/expansion, see docs/data.md",
             stacklevel=2,
         )
-    if scenes is None and names is not None and 2 * len(loaded) < len(names):
+    if scenes is None and names is not None and '"missing":[]' not in report:
         warnings.warn(
             f"{version} has {len(loaded)} of the {len(names)} scenes of split {split!r} "
             "(report.missing names the others)"
@@ -315,46 +341,6 @@ def load_nuscenes(
             stacklevel=2,
         )
     return SceneSet(loaded, partial(LoadReport.from_json, report))
-
-
-def load_gpudrive(
-    path: str | os.PathLike[str], *, cache: bool | str | os.PathLike[str] = True
-) -> SceneSet:
-    """Load Waymo scenes in GPUDrive's JSON: 9.1 s at 10 Hz, the present at step 10.
-
-    Scenes are read in parallel when they are looked at, so that folders of many are no burden.
-    The area where vehicles may drive is made from road edges, which have the road on their left.
-    Lanes follow where one ends and another begins.
-
-    Parameters
-    ----------
-    path
-        A ``.json`` file, a folder that is searched for them, or a pattern (``"data/*_1?.json"``).
-        A file's stem is its scene's name, the scenario's id the token.
-    cache
-        As in :func:`load_nuscenes`.
-
-    Returns
-    -------
-    SceneSet
-        The scenes in the order of the files; the track of ``sdc_track_index`` is ``"ego"`` and
-        comes first. ``.report`` reads them all.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        No such file.
-    DatasetError
-        A file is damaged or breaks a rule, found when its scene is read; the message names file,
-        place, field and value.
-    ConfigError
-        Two files have one name.
-    """
-    # imported here: most uses need no Waymo scenes
-    from ccdiff_env.gpudrive import SceneFiles, scene_files
-
-    files = SceneFiles(scene_files(path), _cache_folder(cache))
-    return SceneSet(files, files.report, names=files.names)
 
 
 def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
@@ -375,7 +361,7 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     -------
     SceneSet
         The scenes in the order of the file names, and ``.report``; the track of ``sdc_id`` is
-        ``"ego"`` and comes first.
+        ``"ego"`` and comes first. A warning counts the scenes without a drivable area.
 
     Raises
     ------
@@ -388,5 +374,6 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     # imported here: reading pickles is not needed to import the package
     from ccdiff_env.scenarionet import read_scenarios
 
-    scenes, report = read_scenarios(path)
-    return SceneSet(scenes, report)
+    scenes = SceneSet(*read_scenarios(path))
+    warn_without_road(scenes)
+    return scenes

@@ -6,29 +6,17 @@ import sys
 import webbrowser
 from pathlib import Path
 
-from ccdiff_env.embedded import embedded_splits
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies import SHIPPED
-from ccdiff_env.scenes import splits
 from ccdiff_env.traffic import driver_names
 
-__all__ = ["DATAROOT_HELP", "EGO_HELP", "align", "say_page", "split_help"]
+__all__ = ["EGO_HELP", "align", "say_page"]
 
-#: Help of ``--dataroot``.
-DATAROOT_HELP = "folder of nuScenes (default: the embedded scenes)"
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, the file of "
-    "a policy (.zip, .safetensors)"
+    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
+    "module:name?option=value with options, the file of a policy (.zip, .safetensors)"
 )
-
-
-def split_help(default: str, embedded: str) -> str:
-    """Return the help of an option that names splits of nuScenes, or of the embedded scenes."""
-    return (
-        f"split, of: {', '.join(splits())}, all; embedded: {', '.join(embedded_splits())}, all "
-        f"(default: {default}; embedded: {embedded})"
-    )
 
 
 def align(markdown: str) -> str:

@@ -1,4 +1,4 @@
-"""``ccdiff-env train``: training of a planning network on nuScenes."""
+"""``ccdiff-env train``: training of a planning network."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import splits
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.sources import SOURCES, coverage, load, title
 from ccdiff_env.traffic import NETWORKS
 
 #: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
@@ -17,14 +18,7 @@ ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("--dataroot", required=True, type=Path, help="folder of nuScenes")
-    parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        default=["train", "train_val"],
-        help=f"splits to train on, of: {', '.join(splits())}, all",
-    )
+    add_scene_arguments(parser, "train", several=True)
     parser.add_argument("--model", default="ccdiff", help=f"network, of: {', '.join(NETWORKS)}")
     parser.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="size of the network"
@@ -68,20 +62,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train, and print where the weights are."""
     from ccdiff_env.models import require_networks, train
-    from ccdiff_env.scenes import load_nuscenes
 
-    kept_out = {*splits()["val"], *splits()["mini_val"]}
+    place = place_from(args)
+    source = SOURCES[place.source]
+    known = {} if source.splits is None else source.splits()
+    kept_out = {name for split in source.kept_out for name in known[split]}
     if args.hold_out_every < 2:
         raise ConfigError(f"--hold-out-every is {args.hold_out_every}, expected at least 2")
     require_networks()
     import torch
 
     torch.set_num_threads(args.threads)
-    scenes = [
-        scene
-        for scene in load_nuscenes(args.dataroot, args.version, args.split, kinds=["vehicle"])
-        if scene.name not in kept_out
-    ]
+    loaded = load(place, kinds=["vehicle"])
+    scenes = [scene for scene in loaded if scene.name not in kept_out]
     held_out = scenes[args.hold_out_every // 2 :: args.hold_out_every]
     names = {scene.name for scene in held_out}
     settings = {
@@ -108,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         start=args.start,
         network=network,
         settings={key: value for key, value in settings.items() if value is not None},
-        notes={"data": f"nuScenes {args.version}", "splits": list(args.split)},
+        notes={"data": title(place, coverage(place, loaded))},
         progress=not args.quiet,
     )
     print(weights)

@@ -14,6 +14,7 @@ import numpy as np
 
 import ccdiff_env
 from ccdiff_env.planners import ego_driver
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 
 TRAFFIC = {
     "replay": {"traffic": "replay"},
@@ -25,9 +26,7 @@ TRAFFIC = {
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--split", default="mini_val")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--egos", nargs="+", default=["constant_velocity", "idm", "replay"])
     parser.add_argument("--traffic", nargs="+", default=list(TRAFFIC), choices=list(TRAFFIC))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
@@ -60,10 +59,7 @@ def play(scenes, ego: str, rules: dict, worlds: int) -> list[dict[str, float]]:
 
 def main() -> None:
     args = arguments()
-    if args.dataroot is None:
-        scenes = ccdiff_env.embedded_scenes("val")
-    else:
-        scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split)
+    scenes = scenes_from(args)
     rules = {name: dict(TRAFFIC[name]) for name in args.traffic}
     if args.smoke:
         scenes, args.egos = scenes[:2], ["idm", "constant_velocity"]

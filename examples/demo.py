@@ -4,7 +4,7 @@
 traffic, then in safety-critical CCDiff traffic that it records for this; drives it on held-out
 scenes beside constant velocity, IDM and log replay, in IDM traffic and in realistic and
 safety-critical CCDiff traffic; and leaves a table, a learning curve and a replay. Its actions
-change what IDM would do (assisted driving). Without a data set it uses embedded scenes.
+change what IDM would do (assisted driving). ``--scenes`` names others than the embedded ones.
 """
 
 from __future__ import annotations
@@ -26,6 +26,14 @@ from ccdiff_env.config import RewardConfig, WorldConfig
 from ccdiff_env.policies.ego import OBSERVATION
 from ccdiff_env.recorder import Recorder
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.scene_arguments import (
+    add_other_scenes,
+    add_scene_arguments,
+    other_place,
+    place_from,
+    scenes_from,
+)
+from ccdiff_env.sources import title
 from ccdiff_env.terminal import align
 from ccdiff_env.view import write_page
 
@@ -59,18 +67,6 @@ CONFIG = WorldConfig().with_options(
 TRAINING = dataclasses.replace(CONFIG, reward=RewardConfig().scaled(0.2))
 
 Act = Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
-
-
-def scenes_of(args: argparse.Namespace) -> tuple[Any, Any, str]:
-    """Training scenes, held-out scenes, and their name."""
-    if args.dataroot is None:
-        train, test = ccdiff_env.embedded_scenes("train"), ccdiff_env.embedded_scenes("val")
-        return train, test, "embedded scenes"
-    splits = ("mini_train", "mini_val") if "mini" in args.version else ("train", "val")
-    train, test = (
-        ccdiff_env.load_nuscenes(args.dataroot, args.version, split=split) for split in splits
-    )
-    return train, test, f"nuScenes {args.version}"
 
 
 def evaluate(
@@ -259,8 +255,8 @@ def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
 def main() -> None:
     """Run the demo."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--dataroot", help="a nuScenes copy; embedded scenes without it")
-    parser.add_argument("--version", default="v1.0-mini", help="version of the nuScenes copy")
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     parser.add_argument(
         "--steps",
         type=int,
@@ -276,7 +272,8 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
 
     start = time.time()
-    train_scenes, test_scenes, name = scenes_of(args)
+    train_scenes, test_scenes = scenes_from(args), scenes_from(args, other=True)
+    name = f"{title(place_from(args))}; {title(other_place(args))}"
     print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
     if args.smoke:
         train_scenes, test_scenes, args.steps = train_scenes[:2], test_scenes[:2], (1, 1)

@@ -13,9 +13,10 @@ import argparse
 
 import numpy as np
 
-import ccdiff_env
+from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 
 
 class MyPlanner:
@@ -55,9 +56,7 @@ class MyPlanner:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--split", default="mini_val")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--traffic", default="idm")
     parser.add_argument("--criticality", type=float, default=0.0)
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
@@ -69,10 +68,7 @@ FIGURES = ("score", "success", "collision", "no_at_fault_collision", "on_road", 
 
 def main() -> None:
     args = arguments()
-    if args.dataroot is None:
-        scenes = ccdiff_env.embedded_scenes("val")
-    else:
-        scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split)
+    scenes = scenes_from(args)
     scenes = scenes[:2] if args.smoke else scenes
     options = {"criticality": args.criticality} if args.traffic == "ccdiff" else {}
     traffic = Traffic(args.traffic, args.traffic, options)
@@ -81,7 +77,7 @@ def main() -> None:
     for planner in (MyPlanner, "idm", "replay", "constant_velocity"):
         rows = play(scenes, planner, traffic)
         name = planner if isinstance(planner, str) else planner.__name__
-        means = [np.mean([row[figure] for row in rows]) for figure in FIGURES]
+        means = [mean_interval(rows, figure)[0] for figure in FIGURES]
         print(f"  {name:18s}" + "".join(f"{mean:23.3f}" for mean in means))
 
 

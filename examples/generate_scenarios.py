@@ -1,7 +1,6 @@
 """Make safety-critical scenarios from logs, mark those that no ego plan escapes, and export them.
 
-    python examples/generate_scenarios.py --dataroot /data/nuscenes --version v1.0-trainval \\
-        --split val --ego idm --budget 2
+    python examples/generate_scenarios.py --scenes nuscenes:/data/nuscenes/val --ego idm --budget 2
 
 No learning: CCDiff traffic drives, the causal ranking chooses the adversaries, the planner under
 test drives the ego. Scenarios with a collision are saved as rollouts (.npz, scenes again by
@@ -17,13 +16,12 @@ from pathlib import Path
 import ccdiff_env
 from ccdiff_env import AdversarySelectionEnv, Recorder, counterfactual
 from ccdiff_env.files import file_name
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--split", default="mini_val")
+    add_scene_arguments(parser, "test")
     parser.add_argument("--ego", default="idm", help="replay, idm, constant_velocity or a .zip")
     parser.add_argument(
         "--adversary-policy", default="causal", help="none, random, nearest, ttc, causal"
@@ -39,10 +37,7 @@ def arguments() -> argparse.Namespace:
 
 def main() -> None:
     args = arguments()
-    if args.dataroot is None:
-        scenes = ccdiff_env.embedded_scenes("val")
-    else:
-        scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split)
+    scenes = scenes_from(args)
     options = {"ccdiff": {"criticality": args.criticality}}
     if args.smoke:
         scenes, args.all = scenes[:1], True

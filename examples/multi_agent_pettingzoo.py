@@ -20,13 +20,13 @@ from stable_baselines3 import PPO
 import ccdiff_env
 from ccdiff_env import AgentVectorEnv, render
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
+from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--splits", nargs=2, default=("mini_train", "mini_val"))
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     parser.add_argument("--agents", type=int, default=4)
     parser.add_argument("--adversaries", type=int)
     parser.add_argument("--steps", type=int, default=200_000, help="of all vehicles together")
@@ -35,12 +35,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("runs/multi_agent"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
-
-
-def load(args: argparse.Namespace, which: int):
-    if args.dataroot is None:
-        return ccdiff_env.embedded_scenes(("train", "val")[which])
-    return ccdiff_env.load_nuscenes(args.dataroot, args.version, args.splits[which])
 
 
 def play(env, act, scene: str, frames: list | None = None) -> dict[str, dict]:
@@ -60,7 +54,7 @@ def play(env, act, scene: str, frames: list | None = None) -> dict[str, dict]:
 
 def main() -> None:
     args = arguments()
-    train, held_out = load(args, 0), load(args, 1)
+    train, held_out = scenes_from(args), scenes_from(args, other=True)
     if args.smoke:
         args.steps, args.worlds, held_out = 256, 2, held_out[:1]
     options = {"agents": args.agents, "adversaries": args.adversaries, "traffic": "idm"}

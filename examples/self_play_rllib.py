@@ -15,6 +15,7 @@ from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
 
 import ccdiff_env
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 
 #: Rank 0 is the ego, ranks 1 and 2 the two nearest vehicles, who play against it.
 OPTIONS = {"agents": 3, "adversaries": "others", "names": "slot", "traffic": "idm", "info": "end"}
@@ -22,6 +23,7 @@ OPTIONS = {"agents": 3, "adversaries": "others", "names": "slot", "traffic": "id
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_scene_arguments(parser, "train")
     parser.add_argument("--iterations", type=int, default=50)
     parser.add_argument("--runners", type=int, default=0, help="processes that play; 0: this one")
     parser.add_argument("--seed", type=int, default=0)
@@ -29,8 +31,8 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def make(_config: dict) -> ParallelPettingZooEnv:
-    return ParallelPettingZooEnv(ccdiff_env.parallel_env(scenes="train", **OPTIONS))
+def make(config: dict) -> ParallelPettingZooEnv:
+    return ParallelPettingZooEnv(ccdiff_env.parallel_env(scenes=config["scenes"], **OPTIONS))
 
 
 def role(agent_id: str, *_args, **_kwargs) -> str:
@@ -43,7 +45,11 @@ def main() -> None:
     ray.init(num_cpus=max(args.runners, 1), include_dashboard=False, log_to_driver=False)
     config = (
         PPOConfig()
-        .environment("ccdiff_game", disable_env_checking=True)
+        .environment(
+            "ccdiff_game",
+            env_config={"scenes": str(place_from(args))},
+            disable_env_checking=True,
+        )
         .env_runners(num_env_runners=args.runners)
         .multi_agent(policies={"ego", "adversary"}, policy_mapping_fn=role)
         .training(

@@ -14,16 +14,15 @@ from pathlib import Path
 import numpy as np
 from sb3_contrib import MaskablePPO
 
-import ccdiff_env
 from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
+from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder; embedded scenes without")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--splits", nargs=2, default=("mini_train", "mini_val"))
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     parser.add_argument("--ego", default="idm", help="replay, idm, constant_velocity or a .zip")
     parser.add_argument("--budget", type=int, default=2)
     parser.add_argument("--steps", type=int, default=20_000, help="decisions")
@@ -32,12 +31,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("runs/adversary_selection"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
-
-
-def load(args: argparse.Namespace, which: int):
-    if args.dataroot is None:
-        return ccdiff_env.embedded_scenes(("train", "val")[which])
-    return ccdiff_env.load_nuscenes(args.dataroot, args.version, args.splits[which])
 
 
 def evaluate(choose, scenes, options: dict) -> tuple[float, float, float]:
@@ -56,7 +49,7 @@ def evaluate(choose, scenes, options: dict) -> tuple[float, float, float]:
 
 def main() -> None:
     args = arguments()
-    train, held_out = load(args, 0), load(args, 1)
+    train, held_out = scenes_from(args), scenes_from(args, other=True)
     options = {"ego": args.ego, "budget": args.budget, "max_agents": 8}
     options["ccdiff"] = {"denoising_steps": 5, "criticality": 1.0}
     if args.smoke:

@@ -2,7 +2,7 @@
 
     python examples/train_ego_ppo.py --traffic replay idm --decisions 2e6
 
-Without --dataroot the embedded scenes are used. A run that was stopped goes on where its last
+--scenes names others than the embedded ones. A run that was stopped goes on where its last
 checkpoint is: give it --resume. The policy is exported beside the checkpoint, for
 ``ccdiff_env.policies.load``, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
 """
@@ -22,6 +22,7 @@ import ccdiff_env
 from ccdiff_env.bank import load_bank
 from ccdiff_env.curriculum import SceneWeights
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.spaces import Layout
 
 ROLLOUT = 16  # decisions of each world between updates
@@ -54,9 +55,7 @@ SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--split", default="mini_train")
+    add_scene_arguments(parser, "train")
     parser.add_argument(
         "--bank", nargs="*", type=Path, default=[], help="folders of recorded traffic"
     )
@@ -88,10 +87,7 @@ class Worlds:
     """Vector environments side by side, one for each traffic, as one batch of E worlds."""
 
     def __init__(self, args: argparse.Namespace, config: ccdiff_env.WorldConfig, seed: int) -> None:
-        if args.dataroot is None:
-            scenes = ccdiff_env.embedded_scenes("train")
-        else:
-            scenes = ccdiff_env.load_nuscenes(args.dataroot, args.version, args.split.split("+"))
+        scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         # plans of one denoising step: two to three times as fast

@@ -2,7 +2,7 @@
 
     python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --steps 300000
 
-Without --dataroot the embedded scenes are used.
+--scenes names others than the embedded ones.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 
 import ccdiff_env
 from ccdiff_env.envs.sb3 import SB3VecEnv
+from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 FIGURES = (
     "is_success",
@@ -28,9 +29,8 @@ FIGURES = (
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dataroot", help="nuScenes folder")
-    parser.add_argument("--version", default="v1.0-mini")
-    parser.add_argument("--splits", nargs=2, default=("mini_train", "mini_val"))
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     parser.add_argument("--traffic", default="idm", help="replay, idm, constant_velocity or ccdiff")
     parser.add_argument("--criticality", type=float, default=0.0, help="of ccdiff traffic")
     parser.add_argument("--steps", type=int, default=200_000)
@@ -39,12 +39,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
-
-
-def load(args: argparse.Namespace, which: int):
-    if args.dataroot is None:
-        return ccdiff_env.embedded_scenes(("train", "val")[which])
-    return ccdiff_env.load_nuscenes(args.dataroot, args.version, args.splits[which])
 
 
 def rules(args: argparse.Namespace) -> dict:
@@ -71,7 +65,7 @@ def evaluate(model: PPO, scenes, options: dict) -> dict[str, float]:
 
 def main() -> None:
     args = arguments()
-    train, held_out = load(args, 0), load(args, 1)
+    train, held_out = scenes_from(args), scenes_from(args, other=True)
     if args.smoke:
         args.steps, args.worlds, held_out = 256, 4, held_out[:1]
     options = rules(args)

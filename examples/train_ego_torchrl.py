@@ -19,10 +19,12 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 import ccdiff_env
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_scene_arguments(parser, "train")
     parser.add_argument("--traffic", default="idm", help="replay, idm, constant_velocity or ccdiff")
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--batch", type=int, default=2_000, help="frames per update")
@@ -42,7 +44,7 @@ def main() -> None:
     if args.smoke:
         args.frames, args.batch = 256, 128
     torch.manual_seed(args.seed)
-    gym_env = ccdiff_env.EgoEnv(scenes="train", traffic=args.traffic, info="none")
+    gym_env = ccdiff_env.EgoEnv(scenes=scenes_from(args), traffic=args.traffic, info="none")
     width, actions = gym_env.observation_space.shape[0], gym_env.action_space.shape[0]
     env = TransformedEnv(GymWrapper(gym_env))
     env.append_transform(RewardSum())

@@ -156,7 +156,7 @@ def test_a_manifest_names_files_by_text(tmp_path):
     fields |= dict.fromkeys(("collision", "at_fault", "avoidable"), False)
     fields |= dict.fromkeys(("time_s", "realism_cost", "fde_m", "shift_sigmas")) | {"file": 3}
     head = dict.fromkeys(("generator", "traffic", "weights"), "x")
-    head |= {"seed": 0, "source": {"embedded": "val"}, "settings": {}}
+    head |= {"seed": 0, "source": "embedded/val", "settings": {}}
     text = {"format": scenario_sets.FORMAT, "scenarios": [fields], **head}
     (tmp_path / "manifest.json").write_text(json.dumps(text))
     with pytest.raises(errors.DatasetError, match="file 3"):

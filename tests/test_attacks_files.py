@@ -106,7 +106,7 @@ def made(tmp_path_factory):
         tmp_path_factory.mktemp("set"),
         list(ccdiff_env.embedded_scenes("val").names[:2]),
     )
-    source = {"embedded": "val"}
+    source = "embedded/val"
     rows = scenario_sets.generate(
         source=source, names=names, generator="idm", traffic="replay", seed=0,
         folder=str(folder), num_plans=1,
@@ -138,8 +138,8 @@ def test_manifests_hold_what_they_say(made, name, value):
     "change",
     [
         {"scenarios": 3}, {"seed": "0"}, {"seed": True}, {"generator": None}, {"settings": []},
-        {"source": 3}, {"source": {}}, {"source": {"embedded": 3}},
-        {"source": {"embedded": "val", "limit": "-1"}},
+        {"source": 3}, {"source": {}}, {"source": {"embedded": "val"}},
+        {"source": "embedded/val?limit=0"},
     ],
     ids=str,
 )  # fmt: skip
@@ -159,7 +159,7 @@ def test_episodes_are_of_the_scene_that_the_manifest_names(made):
 
 
 SCORES = "planner,traffic,scene,score\nidm,idm,a,0.5\nidm,idm,b,0.7\n"
-SETTINGS = {"benchmark": "planners", "source": {"embedded": "val"}, "seed": 0, "weights": "a"}
+SETTINGS = {"benchmark": "planners", "source": "embedded/val", "seed": 0, "weights": "a"}
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 
 
 def test_the_floor_replays_the_log():
@@ -113,14 +113,14 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     centre = np.zeros((3, 20))
     centre[:, 10] = 1.0
     moved = np.roll(centre, 1, axis=1)
-    log = [_row(str(i), False, 0.0, 0.0, centre.tolist()) for i in range(8)]
-    rows = [_row(str(i), i < 2, 0.01 * (i % 2), float(i), moved.tolist()) for i in range(8)]
+    log = [_row(str(i), False, 0.0, 0.0, centre.tolist()) for i in range(12)]
+    rows = [_row(str(i), i < 3, 0.01 * (i % 2), float(i), moved.tolist()) for i in range(12)]
     figures = summarise(rows, log)
     former = [{n.replace("_reference_impl", "_parity"): v for n, v in r.items()} for r in rows]
     assert summarise(former, log).value == pytest.approx(figures.value, nan_ok=True)
     assert figures.value["scr"] == 0.25
     assert figures.value["orr"] == pytest.approx(0.5)
-    assert figures.value["fde"] == 3.5
+    assert figures.value["fde"] == 5.5
     # one bin: 0.2, 0.2 m/s² and 0.1 m/s³
     assert figures.value["cfd"] == pytest.approx(100 * 0.5 / 3)
     assert figures.low["scr"] < 0.25 < figures.high["scr"]
@@ -134,7 +134,7 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     text = (tmp_path / "table.md").read_text(encoding="utf-8")
     assert "0.25 [" in text
     assert "| method | | 1 | Full |" in text
-    _, rs = scores(scr=[0.25, 0.25], orr=[0.5, 0.5], fde=[3.5, 9.0], cfd=[1.0, 1.0])
+    _, rs = scores(scr=[0.25, 0.25], orr=[0.5, 0.5], fde=[5.5, 9.0], cfd=[1.0, 1.0])
     lines = [line for line in text.splitlines() if "| | RS |" in line]
     assert all(f"{v:.2f}" in lines[0] for v in rs)
     assert (tmp_path / "table.tex").read_text(encoding="utf-8").count(r"\midrule") == 1
@@ -146,8 +146,8 @@ def test_conditions_stand_by_number_and_intervals_are_never_nan():
     found = conditions({name: [] for name in names})
     assert [c.k for c in found] == ["1", "2", "10", "Full"]
     histogram = np.full((3, 20), 0.05).tolist()
-    rows = [_row(str(i), True, 0.0, 1.0, histogram) for i in range(2)]
-    figures = summarise([{**rows[0], "fde_controlled_m": 2.0}, rows[1]], rows)
+    rows = [_row(str(i), True, 0.0, 1.0, histogram) for i in range(10)]
+    figures = summarise([*({**row, "fde_controlled_m": 2.0} for row in rows[1:]), rows[0]], rows)
     assert figures.value["fde_controlled"] == 2.0
     assert figures.low["fde_controlled"] == figures.high["fde_controlled"] == 2.0
 
@@ -250,7 +250,7 @@ def test_learning_tables_average_over_scenes_then_seeds():
             "collision": 0.5, "no_at_fault_collision": 0.75, "on_road": 1.0, "progress": 0.5,
             "comfort": 1.0,
         }  # fmt: skip
-        return [{**parts, "score": score}, {**parts, "score": score}]
+        return [{**parts, "score": score, "scene": i} for i in range(10)]
 
     table = learning_table(
         {
@@ -273,7 +273,10 @@ def test_learning_tables_average_over_scenes_then_seeds():
 def test_stages_are_compared_with_log_replay_pair_by_pair():
     def rows(*collisions):
         whole = dict.fromkeys(("on_road", "progress", "comfort", "score"), 1.0)
-        return [{**whole, "collision": c, "no_at_fault_collision": 1.0 - c} for c in collisions]
+        return [
+            {**whole, "scene": i, "collision": c, "no_at_fault_collision": 1.0 - c}
+            for i, c in enumerate(3 * collisions)
+        ]
 
     table = learning_table(
         {
@@ -282,14 +285,14 @@ def test_stages_are_compared_with_log_replay_pair_by_pair():
             ("egos/critical-1.zip", "ccdiff"): rows(1.0, 1.0, 1.0, 1.0),  # nothing to compare with
         }
     )
-    difference = np.array([0.0, -100.0, 0.0, 0.0])
+    difference = np.array(3 * [0.0, -100.0, 0.0, 0.0])
     cell = f"{difference.mean():+.1f} ± {scipy.stats.sem(difference):.1f}"
     assert table.splitlines()[-1] == f"| CCDiff, no guidance | critical | {cell} | {cell} |"
 
 
 def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
     base, taught = training_jobs(
-        {"embedded": "train"}, ["replay"], [0], steps=4096, base_steps=8192, folder=tmp_path
+        "embedded/train", ["replay"], [0], steps=4096, base_steps=8192, folder=tmp_path
     )
     for jobs, steps in ((base, 8192), (taught, 4096)):
         run_jobs(jobs, tmp_path / "training", progress=False)
@@ -303,7 +306,7 @@ def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
 
 def test_adversary_policies_are_trained_tried_and_compared_at_equal_cost(tmp_path):
     training = selection.adversary_policy_jobs(
-        {"embedded": "train"}, [0], ego="replay", steps=64, folder=tmp_path
+        "embedded/train", [0], ego="replay", steps=64, folder=tmp_path
     )
     run_jobs(training, tmp_path / "training", progress=False)
     policy = training[0].arguments["path"]
@@ -333,7 +336,7 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
             "collision": collision, "realism_cost": cost, "shift_sigmas": 4.0 * cost,
             "at_fault": 0.0, "adversaries": 1.0,
         }  # fmt: skip
-        return [parts, parts]
+        return [{**parts, "scene": i} for i in range(10)]
 
     table = selection.selection_table(
         {
@@ -353,7 +356,7 @@ def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
 def test_adversary_policies_are_compared_with_the_causal_ranking_scene_by_scene():
     def rows(hits, shift):
         parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "adversaries": 1.0}
-        return [{"collision": hit, **parts} for hit in hits]
+        return [{"collision": hit, "scene": i, **parts} for i, hit in enumerate(3 * hits)]
 
     table = selection.selection_table(
         {
@@ -362,8 +365,9 @@ def test_adversary_policies_are_compared_with_the_causal_ranking_scene_by_scene(
             ("fork", 1.0): rows([1.0, 0.0, 1.0, 0.0], 0.3),
         }
     )
-    # differences 1, 0, 0, 0: mean 0.25, standard deviation 0.5, over the root of 4
-    assert "| fork | +25.0 ± 25.0 | -0.10 ± 0.00 |" in table
+    # differences 1, 0, 0, 0, three times
+    error = 100.0 * scipy.stats.sem(3 * [1.0, 0.0, 0.0, 0.0])
+    assert f"| fork | +25.0 ± {error:.1f} | -0.10 ± 0.00 |" in table
     assert "At the shift of fork (0.30 sigmas)" in table
     assert "| causal | 18.7 |" in table or "| causal | 18.8 |" in table
 

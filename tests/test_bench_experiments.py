@@ -20,7 +20,7 @@ from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import START_STEP, episodes, evaluate
 from ccdiff_env.metrics import speed_limit
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 NAMES = ["cut-in-03", "left-turn-04"]
 
 

@@ -16,7 +16,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.bench.traffic import traffic_jobs
 from ccdiff_env.errors import ConfigError, DatasetError
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 
 
 def square(x, log=None):
@@ -121,7 +121,7 @@ def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
         jobs = [
             Job(f"job-{x}", f"{__name__}:fragile", {"x": x, "marker": marker}) for x in range(4)
         ]
-        jobs += traffic_jobs({"embedded": "val"}, ["ccdiff_one_sample"], num_controlled=(1,))
+        jobs += traffic_jobs("embedded/val", ["ccdiff_one_sample"], num_controlled=(1,))
         run_jobs(jobs, tmp_path / "ray", backend="ray", progress=False)
         assert os.path.exists(marker)
         run_jobs(jobs, tmp_path / "local", progress=False)

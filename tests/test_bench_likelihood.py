@@ -25,7 +25,7 @@ from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import START_STEP, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 NAMES = ["cut-in-03", "left-turn-04"]
 
 

@@ -16,8 +16,8 @@ from ccdiff_env.bench.traffic import control_set, episodes, evaluate, traffic_jo
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.traffic import read_ranking
 
-VAL = {"embedded": "val", "limit": "2"}
-ONE = {"embedded": "val", "limit": "1"}
+VAL = "embedded/val?limit=2"
+ONE = "embedded/val?limit=1"
 
 
 def everybody(source):

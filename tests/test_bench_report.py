@@ -9,13 +9,14 @@ import pytest
 
 from ccdiff_env import cli
 from ccdiff_env.bench.examples import choose_examples, examples_table
+from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
 from ccdiff_env.bench.plots import colours_of
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 
 
 class Parts(HTMLParser):
@@ -162,7 +163,7 @@ def test_cells_of_a_matrix_are_tinted_and_the_best_is_emphasised():
 
 def rows_of(**scores):
     return {
-        (p, t): [{"scene": f"{i}", "score": v} for i, v in enumerate(values)]
+        (p, t): [{"scene": f"{i}", "score": v} for i, v in enumerate(5 * values)]
         for (p, t), values in ((tuple(k.split("__")), v) for k, v in scores.items())
     }
 
@@ -175,11 +176,13 @@ def test_the_verdict_names_the_best_and_what_breaks():
     text = verdict(found, ["idm", "pdm"], ["replay", "idm"])
     assert text.startswith("idm is best over all (0.85), first in all traffic. ")
     assert "pdm breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
-    assert text.endswith("2 scenes.")
+    assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
     assert "the intervals overlap with those of pdm everywhere" in verdict(
         near, ["idm", "pdm"], ["replay"]
     )
+    few = {key: rows[:9] for key, rows in found.items()}
+    assert verdict(few, ["idm", "pdm"], ["replay", "idm"]) == FEW
 
 
 def test_colours_of_methods_are_the_same_whatever_else_is_drawn():

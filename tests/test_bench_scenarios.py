@@ -32,11 +32,11 @@ from ccdiff_env.bench.scenario_sets import (
     realism,
     write_manifest,
 )
-from ccdiff_env.bench.scenes import scene_names, scenes_of, source_of
+from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.rollout import Rollout, RolloutEvent
 
-VAL = {"embedded": "val"}
+VAL = "embedded/val"
 #: IDM collides in the first two, unavoidably in the first, and in none of the others.
 NAMES = ["cut-in-03", "double-left-03", "hard-brake-03"]
 CRITICAL = "ccdiff-2"
@@ -292,10 +292,10 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
 
 def test_a_limit_takes_the_first_scenes():
-    few = source_of(dataroot=None, split="val", limit=2)
+    few = "embedded/val?limit=2"
     assert scene_names(few) == scene_names(VAL)[:2]
     with pytest.raises(ConfigError, match="limit"):
-        source_of(dataroot=None, limit=0)
+        scene_names("embedded/val?limit=0")
 
 
 def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):

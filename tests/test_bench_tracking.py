@@ -55,4 +55,4 @@ def test_unknown_models_are_refused(tmp_path):
     command = ["bench", "tracking", "--out", str(tmp_path), "--dynamics", "assisted"]
     assert cli.main(command) == 2
     with pytest.raises(UnknownNameError, match="no model 'rail'"):
-        tracking_jobs({"embedded": "val"}, ["rail"])
+        tracking_jobs("embedded/val", ["rail"])

@@ -105,6 +105,8 @@ def understood(line: str) -> None:
             compile(code, line, "exec")
         case ["python", script, *rest]:
             text = (ROOT / script).read_text(encoding="utf-8")
+            if "add_scene_arguments" in text:
+                text += (ROOT / "ccdiff_env/scene_arguments.py").read_text(encoding="utf-8")
             missing = [w for w in rest if w.startswith("--") and f'"{w}"' not in text]
             assert not missing, line
         case ["make", verb, *_]:

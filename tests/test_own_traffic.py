@@ -277,7 +277,7 @@ def test_kinds_are_those_of_rust_and_weights_of_another_kind_are_refused():
 def test_benchmarks_take_a_model_by_its_path():
     from ccdiff_env.bench import likelihood, planners, traffic
 
-    path, source = f"{__name__}:Model", {"embedded": "val"}
+    path, source = f"{__name__}:Model", "embedded/val"
     names = ["cut-in-03"]
     rows = traffic.evaluate(
         source=source, names=names, method=path, num_controlled=2, replan_steps=5, seed=0

@@ -8,7 +8,7 @@ import pytest
 
 from ccdiff_env.bench.race import race, race_table
 
-SOURCE = {"embedded": "train"}
+SOURCE = "embedded/train"
 
 
 @pytest.fixture(autouse=True)

@@ -312,7 +312,7 @@ def test_a_name_is_a_file_a_scene_or_an_error(tmp_path):
     assert find_rollout("left-turn-00").scene.name == "left-turn-00"
     planned_rollout().save(tmp_path / "run.npz")
     assert find_rollout(str(tmp_path / "run.npz")).num_steps == NUM_STEPS
-    with pytest.raises(UnknownNameError, match="no embedded scene"):
+    with pytest.raises(UnknownNameError, match="in embedded: no scene 'scene-9999'"):
         find_rollout("scene-9999")
     with pytest.raises(ConfigError, match="--compare"):
         find_rollout("log")
@@ -474,7 +474,7 @@ def test_several_files_are_a_grid(tmp_path, capsys):
         (["--traffic", "idm", "--criticality", "1"], "--criticality is for networks"),
         (["--traffic", "idm", "--samples", "3"], "--samples is for networks"),
         (["--traffic", "replay", "--weights", "w.safetensors"], "--weights is for networks"),
-        (["--traffic", "idm", "--scenes", "nothing"], "'nothing'"),
+        (["--traffic", "idm", "--scenes", "nothing"], "no source 'nothing'"),
         (["--traffic", "nobody"], "'nobody'"),
         (["--criticality", "5"], "--criticality is 5, expected 0 to 2"),
     ],

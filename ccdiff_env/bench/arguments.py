@@ -16,11 +16,13 @@ from typing import Any, TypeVar
 from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
-from ccdiff_env.bench.scenes import source_of, source_title
+from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.files import parsed_object, write_aside
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.terminal import DATAROOT_HELP, align, say_page, split_help
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.sources import coverage
+from ccdiff_env.terminal import align, say_page
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
@@ -28,14 +30,10 @@ __all__ = [
     "add_methods",
     "add_replays",
     "add_run_arguments",
-    "add_scene_arguments",
     "add_traffic",
-    "add_train_split",
     "add_weights",
     "counts",
     "replan_steps",
-    "source_from",
-    "stage_source",
 ]
 
 K = TypeVar("K", bound=Hashable)
@@ -86,21 +84,14 @@ class Former(argparse.Action):
 METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, replay, pdm, ccdiff, ego, ego_replay, module:name of a class or "
-    "function, files of stable-baselines3 (.zip) or of this package (.safetensors)"
+    "function, module:name?option=value with options, files of stable-baselines3 "
+    "(.zip) or of this package (.safetensors)"
 )
-
-
-def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add which scenes are played."""
-    parser.add_argument("--dataroot", help=DATAROOT_HELP)
-    parser.add_argument("--version", default="v1.0-trainval", help="folder of the tables")
-    parser.add_argument("--split", help=split_help("ccdiff100", "val"))
-    parser.add_argument("--limit", type=int, help="only so many scenes, the first (default: all)")
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what every resumable benchmark takes: scenes, run folder, backend."""
-    add_scene_arguments(parser)
+    add_scene_arguments(parser, "test")
     parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
     parser.add_argument(
@@ -126,22 +117,6 @@ def add_methods(parser: argparse.ArgumentParser, default: str) -> None:
     """Add which methods of traffic are compared."""
     parser.add_argument(
         "--methods", action=Listed, names=METHODS, default=default, help="comma-separated"
-    )
-
-
-def add_train_split(parser: argparse.ArgumentParser) -> None:
-    """Add which scenes are trained on."""
-    parser.add_argument("--train-split", nargs="+", help=split_help("train train_val", "train"))
-
-
-def source_from(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the description of the scenes that the arguments name."""
-    default = "val" if args.dataroot is None else "ccdiff100"
-    return source_of(
-        dataroot=args.dataroot,
-        version=args.version,
-        split=args.split or default,
-        limit=args.limit,
     )
 
 
@@ -178,13 +153,6 @@ def _weights_from(given: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def stage_source(args: argparse.Namespace, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of the scenes of training that the arguments name."""
-    embedded = args.dataroot is None
-    splits = args.train_split or (["train"] if embedded else ["train", "train_val"])
-    return {**source, "embedded" if embedded else "split": "+".join(splits)}
-
-
 class Run:
     """A run folder of a resumable benchmark: its settings, jobs, replays, and report.
 
@@ -205,7 +173,10 @@ class Run:
     """
 
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
-        self.source = source_from(args)
+        place = place_from(args)
+        #: Text of the scenes, and how many of its split there are.
+        self.source = str(place)
+        self.coverage = coverage(place, scenes_of(self.source))
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
         files = sorted(shipped_weights().parent.glob("*_fast.safetensors"))
@@ -223,6 +194,7 @@ class Run:
         #: Weight files by network, in place of the shipped ones.
         self.own_weights = _weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
+        given["coverage"] = self.coverage
         given["own_weights"] = {
             network: hashlib.sha256(Path(file).read_bytes()).hexdigest()
             for network, file in self.own_weights.items()
@@ -298,7 +270,7 @@ class Run:
         """
         line = " · ".join(
             [
-                source_title(self.source),
+                source_title(self.source, self.coverage),
                 f"seed {self._seed}",
                 f"weights {self.weights[:12]}",
                 f"ccdiff-env {metadata.version('ccdiff-env')}",

@@ -15,18 +15,19 @@ from ccdiff_env.bench.arguments import (
     add_methods,
     add_replays,
     add_run_arguments,
-    add_scene_arguments,
     add_traffic,
-    add_train_split,
     add_weights,
     counts,
     replan_steps,
-    source_from,
-    stage_source,
 )
-from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import renamed
 from ccdiff_env.files import file_name
+from ccdiff_env.scene_arguments import (
+    add_other_scenes,
+    add_scene_arguments,
+    other_place,
+    scenes_from,
+)
 from ccdiff_env.terminal import EGO_HELP, align, say_page
 
 __all__ = ["add_arguments"]
@@ -284,7 +285,7 @@ def _scenarios_of(args: argparse.Namespace) -> int:
 def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
     add_run_arguments(parser)
-    add_train_split(parser)
+    add_other_scenes(parser, "train")
     parser.add_argument("--lessons", action=Former, dest="stages")
     parser.add_argument(
         "--stages",
@@ -317,13 +318,11 @@ def _learning(args: argparse.Namespace) -> int:
     if args.race is not None:
         from ccdiff_env.bench.race import race, race_table
 
-        print(
-            race_table(race(stage_source(args, source_from(args)), seed=args.seed, max_s=args.race))
-        )
+        print(race_table(race(str(other_place(args)), seed=args.seed, max_s=args.race)))
         return 0
     run = Run(args, "learning", steps=args.steps, base_steps=args.base_steps)
     base, taught = training_jobs(
-        stage_source(args, run.source),
+        str(other_place(args)),
         args.stages.split(","),
         [args.seed + k for k in range(args.seeds)],
         steps=args.steps,
@@ -354,7 +353,7 @@ def _learning(args: argparse.Namespace) -> int:
 def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("selection", help="learned and simple choices of the adversary")
     add_run_arguments(parser)
-    add_train_split(parser)
+    add_other_scenes(parser, "train")
     parser.add_argument("--ego", default="replay", help=EGO_HELP)
     parser.add_argument("--seeds", type=int, default=3, help="adversary policies that are trained")
     parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
@@ -369,7 +368,7 @@ def _selection(args: argparse.Namespace) -> int:
     folder = run.folder / "choosers"  # its name in a run folder of before
     folder = folder if folder.exists() else run.folder / "adversary_policies"
     jobs = selection.adversary_policy_jobs(
-        stage_source(args, run.source),
+        str(other_place(args)),
         [args.seed + k for k in range(args.seeds)],
         ego=args.ego,
         steps=args.steps,
@@ -388,7 +387,7 @@ def _selection(args: argparse.Namespace) -> int:
 
 def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("speed", help="seconds per plan against the number of vehicles")
-    add_scene_arguments(parser)
+    add_scene_arguments(parser, "test")
     parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
     parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
     parser.add_argument("--samples", type=int, default=1, help="samples per plan")
@@ -405,7 +404,7 @@ def _speed(args: argparse.Namespace) -> int:
 
     torch.set_num_threads(1)
     timings = measure_speed(
-        scenes_of(source_from(args)),
+        scenes_from(args),
         rounds=args.rounds,
         num_samples=args.samples,
         device=args.device,

@@ -8,8 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import FEW, cell
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.tables import Condition, Figures, in_order, interval, with_scores
+from ccdiff_env.bench.tables import (
+    NEED_ROAD,
+    Condition,
+    Figures,
+    in_order,
+    interval,
+    of_few,
+    with_scores,
+)
 from ccdiff_env.metrics import generational_distance
 
 __all__ = ["PAPER", "Difference", "difference", "paper_pairs", "write_comparison"]
@@ -88,19 +97,20 @@ def _against(table: Mapping[Condition, Figures], base: str) -> str:
             continue
         cells = []
         for name, (_, digits) in COMPARED.items():
-            value, low, high = difference(figures, reference, name)
-            text = f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
-            cells.append(text if np.isfinite(value) else "")
+            found = difference(figures, reference, name)
+            known = name in NEED_ROAD or np.isfinite(found[0])
+            cells.append(cell(found, digits, "+") if known else "")
         label, period = METHODS[c.method].label, f"{c.replan_steps / 10:g}"
         lines.append(f"| {label} | {c.k} | {period} | {' | '.join(cells)} |")
     if not lines:
         return ""
+    intervals = FEW if of_few(table) else "95 % intervals of the paired bootstrap."
     heads = ["method", "K", "T s", *(head for head, _ in COMPARED.values())]
     return "\n".join(
         [
             f"### Less {METHODS[base].label}",
             "",
-            "Means over scenes, same scenes and vehicles; 95 % intervals of the paired bootstrap. "
+            f"Means over scenes, same scenes and vehicles; {intervals} "
             "Methods without guidance: less the same without guidance.",
             "",
             "| " + " | ".join(heads) + " |",
@@ -126,6 +136,8 @@ def _distances(table: Mapping[Condition, Figures]) -> str:
     if len(whole) < 2:
         return ""
     points = np.array(list(whole.values()))
+    if not np.isfinite(points).all():  # no road, no realism
+        return ""
     gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
     lines = [
         f"| {METHODS[method].label} | {cs:.2f} | {rs:.2f} | {near:.2f} | {inverse:.2f} |"
@@ -161,9 +173,9 @@ def paper_pairs(
     for first, second in combinations(_played(table, column, base).items(), 2):
         (one, figures), (two, others) = first, second
         theirs = PAPER[one][name][at] - PAPER[two][name][at]
-        if theirs == 0.0:
-            continue
         value, low, high = difference(figures, others, name)
+        if theirs == 0.0 or not np.isfinite(value):
+            continue
         agrees = value * theirs > 0.0
         is_clear = low > 0.0 or high < 0.0
         pairs, same = pairs + 1, same + agrees
@@ -200,7 +212,10 @@ def _beside(table: Mapping[Condition, Figures], base: str) -> str:
             "|---|" + "---:|" * len(heads),
         ]
         for method, figures in played.items():
-            cells = [f"{figures.value[n]:.2f}, {PAPER[method][n][at]:.2f}" for n in names]
+            cells = [
+                f"{cell((figures.value[n], np.nan, np.nan))}, {PAPER[method][n][at]:.2f}"
+                for n in names
+            ]
             label = METHODS[base if method == "ccdiff" else method].label
             parts.append(f"| {label} | {' | '.join(cells)} |")
         counts = [paper_pairs(table, column, name, base) for name in names]
@@ -222,6 +237,8 @@ def write_comparison(
     CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
     """
     base = "ccdiff_equal" if "ccdiff_equal" in methods else "ccdiff"
-    parts = [_against(table, base), _distances(table), _beside(table, base)]
+    parts = [_against(table, base)]
+    if not of_few(table):
+        parts += [_distances(table), _beside(table, base)]
     text = "\n".join(part for part in parts if part)
     (folder / "comparison.md").write_text(text or "One method alone.\n", encoding="utf-8")

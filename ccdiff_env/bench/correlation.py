@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import LEAST_SCENES
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.metrics import pearson
@@ -24,9 +25,6 @@ FEATURES = {
     "vehicles": "scenes: vehicles",
     "distance_cliques": "scenes: cliques, distances",
 }
-
-#: Samples below which no p value is printed.
-LEAST = 10
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -77,20 +75,21 @@ def write_correlations(by_condition: Mapping[Condition, Rows], folder: Path) -> 
             for name, values in by_feature.items():
                 writer.writerow([c.method, c.k, c.replan_steps / 10, name, *values])
             label = METHODS[c.method].label if c.method in METHODS else c.method
-            cells = [_cell(by_feature[name]) for name in FEATURES]
+            some = len(by_condition[c]) >= LEAST_SCENES
+            cells = [_cell(by_feature[name], some) for name in FEATURES]
             lines.append(
                 f"| {label} | {c.k} | {c.replan_steps / 10:g} | " + " | ".join(cells) + " |"
             )
     lines += [
         "",
         "Pearson's r of the feature with new collisions, and its p value, which says nothing of "
-        f"fewer than {LEAST} samples and is left out there. No cell: one of the two never varies.",
+        f"fewer than {LEAST_SCENES} scenes and is left out there. No cell: one never varies.",
     ]
     (folder / "correlation.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _cell(found: Correlation) -> str:
+def _cell(found: Correlation, some: bool) -> str:
     count, r, p = found
     if not np.isfinite(r):
         return ""
-    return f"{r:.2f} (p = {p:.1g})" if count >= LEAST else f"{r:.2f} (n = {count})"
+    return f"{r:.2f} (p = {p:.1g})" if some else f"{r:.2f} (n = {count})"

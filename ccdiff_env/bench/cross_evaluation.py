@@ -100,7 +100,7 @@ def traffic_named(name: str) -> Traffic:
 
 
 def generation_jobs(
-    source: Mapping[str, str],
+    source: str,
     folders: Mapping[str, Path],
     *,
     traffic: str = "ccdiff-1",
@@ -112,7 +112,7 @@ def generation_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     folders
         Folder of each generator's set, on a disc that all workers see.
     traffic, seed, num_plans
@@ -125,7 +125,7 @@ def generation_jobs(
             f"make-{g:02d}-{i:03d}",
             "ccdiff_env.bench.scenario_sets:generate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "generator": generator,
                 "traffic": traffic,

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.cross_evaluation import Realism
-from ccdiff_env.bench.planner_report import mean_interval, short_name
+from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, cell, mean_interval
+from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
@@ -65,7 +66,8 @@ def write_cross(
         }
         for name, kept in subsets.items()
     }
-    lines = [_verdict(parts["avoidable"], list(sets), planners), ""]
+    few = any(are_few(rows) for rows in parts["avoidable"].values() if rows)
+    lines = [FEW if few else _verdict(parts["avoidable"], list(sets), planners), ""]
     lines += _sets_table(sets, realism)
     for name, part in parts.items():
         for figure, title in _FIGURES.items():
@@ -73,7 +75,8 @@ def write_cross(
             lines += [f"### {title}: {scope}", "", *_matrix(part, list(sets), planners, figure)]
     lines += [
         "Rows: the ego that the traffic was made against; columns: the planner tested. In a set "
-        "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios.",
+        "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios, none of "
+        f"fewer than {LEAST_SCENES}.",
     ]
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     _write_csv(sets, realism, parts, folder)
@@ -212,7 +215,7 @@ def _matrix(
         if not any(rows):
             continue
         title = REACTING if generator is None else short_name(generator)
-        cells = [_cell(r, name) for r in rows]
+        cells = [cell(mean_interval(r, name)) if r else "" for r in rows]
         lines.append(f"| {title} | {max(map(len, rows))} | " + " | ".join(cells) + " |")
     others = [
         [row for g in generators if g != planner for row in part[g, planner]]
@@ -222,13 +225,6 @@ def _matrix(
         cells = [f"{mean_interval(rows, name)[0]:.2f}" if rows else "" for rows in others]
         lines.append("| mean, own set left out | | " + " | ".join(cells) + " |")
     return [*lines, ""]
-
-
-def _cell(rows: Sequence[Mapping[str, Any]], name: str) -> str:
-    if not rows:
-        return ""
-    mean, low, high = mean_interval(rows, name)
-    return f"{mean:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _write_csv(

@@ -9,12 +9,21 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.metrics import Motion, speed_limit
+from ccdiff_env.metrics import Motion, OffRoad, speed_limit
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import TrafficPlan
 
-__all__ = ["Episode", "Relations", "drivable", "features", "logged", "measure", "relations"]
+__all__ = [
+    "Episode",
+    "Relations",
+    "drivable",
+    "features",
+    "logged",
+    "measure",
+    "off_road",
+    "relations",
+]
 
 #: Logged steps that rankings look at, the present one left out.
 PAST_STEPS = 30
@@ -80,6 +89,13 @@ def drivable(scene: Scene) -> list[tuple[Any, Any]]:
     return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
 
 
+def off_road(scene: Scene, motion: Motion, replan_steps: int = 5) -> OffRoad | None:
+    """Test a motion against the drivable area; ``None`` where the scene has no road."""
+    if not scene.has_road:
+        return None
+    return motion.off_road(drivable(scene), replan_steps=replan_steps)
+
+
 def features(episode: Episode) -> dict[str, Any]:
     """Return what may tell collisions in advance, from the history of the episode.
 
@@ -105,7 +121,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     """Return the figures of one episode, all of them finite or ``None``."""
     motion, log, controlled = episode.motion, episode.log, episode.controlled
     found = motion.collisions(controlled=controlled, log=log)
-    road = motion.off_road(drivable(episode.scene), replan_steps=replan_steps)
+    road = off_road(episode.scene, motion, replan_steps)
     displacement = motion.displacement(log)
     ade, fde = displacement.mean()
     ade_controlled, fde_controlled = (
@@ -127,9 +143,9 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "collision": {v: bool(found.any(v)) for v in found.agents},
         "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
         "kinds": [kind for kind in found.first_kind if kind is not None],
-        "off_road": _number(road.centroid_rate),
-        "off_road_box": _number(road.box_rate),
-        "off_road_reference_impl": _number(road.reference_impl_rate),
+        "off_road": road and road.centroid_rate,
+        "off_road_box": road and road.box_rate,
+        "off_road_reference_impl": road and road.reference_impl_rate,
         "ade_m": _number(ade),
         "fde_m": _number(fde),
         "ade_controlled_m": _number(ade_controlled),

@@ -71,7 +71,7 @@ def examples_table(
                 for name in ("realism_cost", "shift_sigmas")
             )
             fde = "" if row["fde_m"] is None else f"{row['fde_m']:.1f}"
-            road = "" if row["off_road"] is None else f"{100 * row['off_road']:.1f}"
+            road = "n/a" if row["off_road"] is None else f"{100 * row['off_road']:.1f}"
             hit = "yes" if row["collision"]["controlled_new"] else "no"
             scene = f"[{row['scene']}]({pages[c, row['scene']]})"
             lines.append(f"| {scene} | {hit} | {cost} | {shift} | {fde} | {road} |")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import FEW, are_few, mean_interval, spread
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
@@ -76,7 +77,7 @@ FIGURES = (
 
 
 def training_jobs(
-    source: Mapping[str, str],
+    source: str,
     stages: Sequence[str],
     seeds: Sequence[int],
     *,
@@ -89,7 +90,7 @@ def training_jobs(
     Parameters
     ----------
     source
-        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Scenes of training, a text of :func:`ccdiff_env.load`.
     stages
         Names of :data:`TRAINING_STAGES`.
     seeds
@@ -107,7 +108,7 @@ def training_jobs(
         Jobs of the common pretraining, one per seed; then those that need it, one per seed and
         stage.
     """
-    common = {"source": dict(source)}
+    common = {"source": source}
     train = f"{__name__}:train_ego"
     base = [
         Job(
@@ -144,7 +145,7 @@ def training_jobs(
 
 def train_ego(
     *,
-    source: Mapping[str, str],
+    source: str,
     stage: str,
     seed: int,
     steps: int,
@@ -249,15 +250,13 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
         for name, planners in groups.items():
             cells = []
             for _, part, factor in FIGURES:
-                means = np.array(
-                    [np.mean([row[part] for row in rows[p, traffic]]) for p in planners]
-                )
+                means = np.array([mean_interval(rows[p, traffic], part)[0] for p in planners])
                 values = factor * means if factor > 0 else -factor * (1.0 - means)
                 digits = 2 if abs(factor) == 1.0 else 1
-                spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-                cells.append(f"{values.mean():.{digits}f}{spread}")
+                cells.append(spread(values, digits, rows[planners[0], traffic]))
             lines.append(f"| {name} | " + " | ".join(cells) + " |")
         lines.append("")
+    lines += [FEW, ""] * any(map(are_few, rows.values()))
     return "\n".join(lines + _by_seed(rows) + _against_replay(rows))
 
 
@@ -298,6 +297,8 @@ def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]])
         stage, seed = _stage_of(planner)
         beside = rows.get((str(Path(planner).with_name(f"replay-{seed}.zip")), traffic))
         if seed is None or stage == "replay" or beside is None:
+            continue
+        if are_few(found):
             continue
         pairs.setdefault((traffic, stage), []).extend(
             [

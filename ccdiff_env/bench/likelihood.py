@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.episode import Episode, drivable
+from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.metrics import Motion
 from ccdiff_env.traffic import NETWORKS
 
@@ -181,10 +182,11 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     found["ttc"] = np.where(there, seconds.min(axis=2, initial=np.inf).T, np.nan)
     found["ttc"] = np.minimum(found["ttc"], FEATURES["ttc"].high)
     hits = motion.collisions().agents["all"]
-    road = motion.off_road(drivable(episode.scene)).box.any(axis=1)
+    road = off_road(episode.scene, motion)
     present = valid.any(axis=1)
     found["collision"] = np.where(present, hits, np.nan)[:, None]
-    found["off_road"] = np.where(present, road, np.nan)[:, None]
+    left = np.nan if road is None else road.box.any(axis=1)
+    found["off_road"] = np.where(present, left, np.nan)[:, None]
     return found
 
 
@@ -251,7 +253,7 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
 
 
 def likelihood_jobs(
-    source: Mapping[str, str],
+    source: str,
     methods: Sequence[str],
     *,
     num_samples: int = 16,
@@ -263,7 +265,7 @@ def likelihood_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     methods
         Names of :data:`~ccdiff_env.bench.traffic.METHODS`.
     num_samples
@@ -281,10 +283,10 @@ def likelihood_jobs(
     parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{method}-{i:03d}",
+            f"{file_name(method)}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "method": method,
                 "num_samples": num_samples,
@@ -299,7 +301,7 @@ def likelihood_jobs(
 
 def evaluate(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     method: str,
     num_samples: int,

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interval
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.planner_report import mean_interval
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 
 __all__ = ["write_likelihoods"]
@@ -35,7 +35,8 @@ def write_likelihoods(
         Episodes per scene and method, which the likelihoods depend on.
     """
     figures = {
-        method: {name: _interval(rows, name) for name in _COLUMNS} for method, rows in found.items()
+        method: {name: mean_interval(rows, name) for name in _COLUMNS}
+        for method, rows in found.items()
     }
     with (folder / "likelihoods.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -49,15 +50,17 @@ def write_likelihoods(
     parts.append("|---|" + "---|" * len(FEATURES))
     for method, by_name in figures.items():
         label = METHODS[method].label if method in METHODS else method
-        cells = [_cell(by_name[n], 3) for n in GROUPS]
-        cells += [_cell(by_name[n], 2) for n in ("ade_m", "min_ade_m")]
+        cells = [cell(by_name[n], 3) for n in GROUPS]
+        cells += [cell(by_name[n]) for n in ("ade_m", "min_ade_m")]
         groups.append(f"| {label} | " + " | ".join(cells) + " |")
-        parts.append(f"| {label} | " + " | ".join(f"{by_name[n][0]:.3f}" for n in FEATURES) + " |")
+        means = [cell((by_name[n][0], np.nan, np.nan), 3) for n in FEATURES]
+        parts.append(f"| {label} | " + " | ".join(means) + " |")
     note = (
-        f"Means over scenes; brackets: 95 % bootstrap intervals. {num_samples} episodes per "
+        f"Means over scenes. {brackets(found.values())} {num_samples} episodes per "
         "scene and method: figures from another number cannot be compared."
     )
-    text = [_verdict(figures), "", *groups, "", *parts, "", note]
+    few = any(map(are_few, found.values()))
+    text = [FEW if few else _verdict(figures), "", *groups, "", *parts, "", note]
     (folder / "table.md").write_text("\n".join(text) + "\n", encoding="utf-8")
     _plot(figures, folder / "likelihoods.png")
 
@@ -73,21 +76,10 @@ def _verdict(figures: Mapping[str, Mapping[str, tuple[float, float, float]]]) ->
     if not total:
         return "Only the log was measured."
     best = max(total, key=lambda m: total[m])
-    leads = {g: max((figures[m][g][0], m) for m in total) for g in GROUPS}
+    known = {g: [m for m in total if np.isfinite(figures[m][g][0])] for g in GROUPS}
+    leads = {g: max((figures[m][g][0], m) for m in of) for g, of in known.items() if of}
     parts = ", ".join(f"{g}: {label[m]} ({value:.3f})" for g, (value, m) in leads.items())
     return f"{label[best]} is most likely over all ({total[best]:.3f}). First by group: {parts}."
-
-
-def _interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
-    known = [row for row in rows if row[name] is not None]
-    return mean_interval(known, name) if known else (np.nan, np.nan, np.nan)
-
-
-def _cell(figure: tuple[float, float, float], digits: int) -> str:
-    value, low, high = figure
-    if not np.isfinite(value):
-        return ""
-    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 def _plot(figures: Mapping[str, Mapping[str, tuple[float, float, float]]], path: Path) -> None:

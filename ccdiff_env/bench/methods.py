@@ -78,7 +78,7 @@ OWN_RANKINGS = ("greedy", "gradient")
 
 
 class NamedDrivers(dict[str, _T]):
-    """Entries by name; a model of one's own is named by its path, ``module:Class``.
+    """Entries by name; a model of one's own by its path, ``module:Class?option=value``.
 
     Parameters
     ----------

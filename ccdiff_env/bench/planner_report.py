@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interval
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 
 __all__ = [
-    "mean_interval",
     "short_name",
     "summary",
     "verdict",
@@ -44,16 +44,6 @@ _REASONS = {
     "right_way": "wrong way",
     "ttc": "close call",
 }
-RESAMPLES = 1000
-
-
-def mean_interval(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[float, float, float]:
-    """Return the mean of a figure over scenes and its 95 % bootstrap interval."""
-    values = np.array([row[name] for row in rows], np.float64)
-    rng = np.random.default_rng(0)
-    drawn = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1)
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return float(values.mean()), float(low), float(high)
 
 
 def write_report(
@@ -93,14 +83,13 @@ def write_report(
         for planner in planners:
             cells = []
             for part in _PARTS:
-                mean, low, high = mean_interval(found[planner, name], part)
-                between = f" [{low:.2f}, {high:.2f}]" if part == "score" else ""
-                cells.append(f"{mean:.2f}{between}")
+                mean, *bounds = mean_interval(found[planner, name], part)
+                low, high = bounds if part == "score" else (np.nan, np.nan)
+                cells.append(cell((mean, low, high)))
             lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
         lines.append("")
-    lines.append(
-        "Means over scenes; brackets: 95 % bootstrap intervals; emphasised: best of its traffic."
-    )
+    best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
+    lines.append(f"Means over scenes. {brackets(found.values())}{best}")
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
     _plot(found, planners, traffic, folder / "robustness.png")
@@ -150,7 +139,9 @@ def worst_table(
             "|---|---|---|---|",
         ]
         for name, row in worst_scenes(found, planner, count):
-            why = [text for part, text in _REASONS.items() if row[part] < 1.0]
+            why = [
+                text for part, text in _REASONS.items() if row[part] is not None and row[part] < 1.0
+            ]
             if row["collision"] and row["no_at_fault_collision"]:
                 why.insert(0, "collision, not at fault")
             page = pages.get((planner, name, row["scene"]))
@@ -181,6 +172,8 @@ def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path:
 
 def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> str:
     """Say in two sentences who is best, and where planners break."""
+    if any(map(are_few, found.values())):
+        return FEW
     mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
     label = {name: TRAFFIC[name].label for name in traffic}
     sentences = []
@@ -219,13 +212,13 @@ def summary(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
     lines = ["| score | " + " | ".join(TRAFFIC[t].label for t in traffic) + " | mean |"]
     lines.append("|---|" + "---:|" * (len(traffic) + 1))
     top = {t: max(round(mean[p, t][0], 2) for p in planners) for t in traffic}
+    some = not any(map(are_few, found.values()))
     order = sorted(planners, key=lambda p: -float(np.mean([mean[p, t][0] for t in traffic])))
     for planner in order:
         cells = []
         for name in traffic:
-            value, low, high = mean[planner, name]
-            text = f"{value:.2f} [{low:.2f}, {high:.2f}]"
-            best = len(planners) > 1 and round(value, 2) == top[name]
+            text = cell(mean[planner, name])
+            best = some and len(planners) > 1 and round(mean[planner, name][0], 2) == top[name]
             cells.append(f"**{text}**" if best else text)
         cells.append(f"{np.mean([mean[planner, t][0] for t in traffic]):.2f}")
         lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")

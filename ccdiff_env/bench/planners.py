@@ -122,7 +122,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
 
 
 def planner_jobs(
-    source: Mapping[str, str],
+    source: str,
     planners: Sequence[str],
     traffic: Sequence[str],
     *,
@@ -134,7 +134,7 @@ def planner_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     planners
         ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, a policy of
         :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
@@ -157,7 +157,7 @@ def planner_jobs(
             f"{p:02d}-{file_name(name, '')}-{seed}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "planner": planner,
                 "traffic": name,
@@ -173,7 +173,7 @@ def planner_jobs(
 
 def evaluate(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     planner: str,
     traffic: str,
@@ -186,7 +186,7 @@ def evaluate(
 
 def evaluate_recorded(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     planner: str,
     traffic: str,
@@ -304,6 +304,7 @@ def drive(
                 dict(zip(worlds.metric_names, m.tolist(), strict=True)),
                 {name: np.array([row[i] for row in f]) for i, name in enumerate(names)},
                 config.speed_limit_mps,
+                road=scene.has_road,
             ),
         }
         for scene, m, f in zip(scenes, metrics, columns, strict=True)
@@ -313,9 +314,15 @@ def drive(
 
 
 def planner_score(
-    metrics: Mapping[str, float], columns: Mapping[str, npt.NDArray[np.float32]], limit_mps: float
+    metrics: Mapping[str, float],
+    columns: Mapping[str, npt.NDArray[np.float32]],
+    limit_mps: float,
+    *,
+    road: bool = True,
 ) -> dict[str, Any]:
     """Return the parts of the score of one episode, each in [0, 1], and the score.
+
+    Without a road ``on_road`` is ``None``, and no part of the score.
 
     Parameters
     ----------
@@ -325,14 +332,16 @@ def planner_score(
         Info columns of each step by name, [T].
     limit_mps
         Speed limit.
+    road
+        Whether the scene has a road, ``Scene.has_road``.
     """
     calm = np.ones(len(columns["speed"]), bool)
     for name, (low, high) in COMFORT.items():
         calm &= (columns[name] >= low) & (columns[name] <= high)
     over = np.maximum(columns["speed"] - limit_mps, 0.0)
-    parts = {
+    parts: dict[str, float | None] = {
         "no_at_fault_collision": 1.0 - metrics["at_fault"],
-        "on_road": 1.0 - metrics["off_road"],
+        "on_road": 1.0 - metrics["off_road"] if road else None,
         "makes_progress": float(metrics["route_completion"] >= LEAST_PROGRESS),
         "right_way": 1.0 - metrics["wrong_way"],
         "ttc": float(np.min(columns["ttc"]) >= TTC_BOUND_S),
@@ -342,8 +351,9 @@ def planner_score(
     }
     musts = ("no_at_fault_collision", "on_road", "makes_progress", "right_way")
     weights = {"ttc": 5, "progress": 5, "speed_limit": 4, "comfort": 2}
-    product = float(np.prod([parts[m] for m in musts]))
-    mean = sum(w * parts[name] for name, w in weights.items()) / sum(weights.values())
+    known = {name: value for name, value in parts.items() if value is not None}
+    product = float(np.prod([known.get(m, 1.0) for m in musts]))
+    mean = sum(w * known[name] for name, w in weights.items()) / sum(weights.values())
     return {
         **parts,
         "collision": metrics["collision"],

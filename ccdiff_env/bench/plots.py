@@ -76,7 +76,10 @@ def plot_scores(table: Mapping[Condition, Figures], path: Path) -> None:
     chosen = [c for c in table if c.num_controlled != 0]
     named = {n: [table[c].value[n] for c in chosen] for n in ("scr", "orr", "fde", "cfd")}
     cs, rs = scores(**named)  # type: ignore[arg-type]
-    at = {c: (float(rs[i]), float(cs[i])) for i, c in enumerate(chosen)}
+    at = {c: (float(rs[i]), float(cs[i])) for i, c in enumerate(chosen) if np.isfinite(rs[i])}
+    chosen = list(at)
+    if not chosen:  # no road, no realism
+        return
     figure, axes = new_plot(7, 5.2)
     colours = colours_of(c.method for c in chosen)
     for method, colour in colours.items():

@@ -21,7 +21,7 @@ EPISODES = 1000
 
 
 def race(
-    source: Mapping[str, str],
+    source: str,
     goals: Sequence[float] = (0.8, 0.95),
     *,
     seed: int = 0,
@@ -35,7 +35,7 @@ def race(
     Parameters
     ----------
     source
-        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Scenes of training, a text of :func:`ccdiff_env.load`.
     goals
         Shares of successes among the newest episodes, in rising order.
     seed

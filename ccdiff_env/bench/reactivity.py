@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.episode import drivable, logged
+from ccdiff_env.bench.episode import logged, off_road
+from ccdiff_env.bench.intervals import brackets, cell, mean_interval
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planner_report import mean_interval
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.files import file_name
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
@@ -132,19 +133,17 @@ def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
     x, y, heading = (values[None] for values in path)
     size, there = scene.sizes[ego : ego + 1, :2], np.ones(x.shape, bool)
     motion = Motion(np.stack([x, y], axis=-1), heading, size, there, dt_s=scene.dt)
-    off: npt.NDArray[np.bool_] = motion.off_road(drivable(scene)).centroid[0]
-    return off
+    road = off_road(scene, motion)
+    return np.zeros(x.size, bool) if road is None else road.centroid[0]
 
 
-def reactivity_jobs(
-    source: Mapping[str, str], traffic: Sequence[str], *, seed: int = 0
-) -> list[Job]:
+def reactivity_jobs(source: str, traffic: Sequence[str], *, seed: int = 0) -> list[Job]:
     """Return the jobs: traffic x ways x chunks of the scenes.
 
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     traffic
         Names of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
     seed
@@ -156,10 +155,10 @@ def reactivity_jobs(
     parts = chunks(scene_names(source), CHUNK)
     return [
         Job(
-            f"{name}-{way}-{i:03d}",
+            f"{file_name(name)}-{way}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": part,
                 "traffic": name,
                 "way": way,
@@ -173,7 +172,7 @@ def reactivity_jobs(
 
 
 def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], traffic: str, way: str, seed: int
+    *, source: str, names: Sequence[str], traffic: str, way: str, seed: int
 ) -> list[dict[str, Any]]:
     """Play scenes with an ego that goes a way: one dictionary for each that has room for it.
 
@@ -228,12 +227,8 @@ def write_reactivity(
     for (traffic, way), rows in found.items():
         cells = []
         for name in ("collision", "low_ttc", "others"):
-            if rows:
-                mean, low, high = mean_interval(rows, name)
-                cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
-            else:
-                cells.append("")
+            cells.append(cell(mean_interval(rows, name)) if rows else "")
         label = TRAFFIC[traffic].label
         lines.append(f"| {label} | {way} | {len(rows)} | " + " | ".join(cells) + " |")
-    lines += ["", "Shares of scenes; brackets: 95 % bootstrap intervals. Low: below 0.95 s."]
+    lines += ["", f"Shares of scenes. {brackets(found.values())} Low: below 0.95 s."]
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -101,7 +101,7 @@ class ScenarioSet:
     weights
         SHA-256 of the weights that drove.
     source
-        Where the scenes come from, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Where the scenes come from, a text of :func:`ccdiff_env.load`.
     settings
         Further settings: those of the traffic, the plans tried to avoid a collision.
     scenarios
@@ -113,7 +113,7 @@ class ScenarioSet:
     traffic: str
     seed: int
     weights: str
-    source: Mapping[str, str]
+    source: str
     settings: Mapping[str, Any]
     scenarios: tuple[Scenario, ...]
 
@@ -172,7 +172,7 @@ def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
 
 def generate(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     generator: str,
     traffic: str,
@@ -188,7 +188,7 @@ def generate(
     Parameters
     ----------
     source, names
-        The scenes, see :func:`ccdiff_env.bench.scenes.scenes_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     generator
         The ego, as :func:`ccdiff_env.bench.planners.planner_jobs` names planners.
     traffic
@@ -296,7 +296,7 @@ def write_manifest(
     traffic: str,
     seed: int,
     weights: str,
-    source: Mapping[str, str],
+    source: str,
     settings: Mapping[str, Any],
 ) -> Path:
     """Write the manifest of a set, see :class:`ScenarioSet`; returns its path."""
@@ -306,7 +306,7 @@ def write_manifest(
         "traffic": traffic,
         "seed": seed,
         "weights": weights,
-        "source": dict(source),
+        "source": source,
         "settings": dict(settings),
     }
     path = folder / MANIFEST

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.adversary_policy import MAX_AGENTS, REPLAN_STEPS
+from ccdiff_env.bench.intervals import FEW, are_few, spread
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
@@ -64,14 +65,14 @@ def _options(ego: str, strength: float) -> dict[str, Any]:
 
 
 def adversary_policy_jobs(
-    source: Mapping[str, str], seeds: Sequence[int], *, ego: str, steps: int, folder: Path
+    source: str, seeds: Sequence[int], *, ego: str, steps: int, folder: Path
 ) -> list[Job]:
     """Return the jobs that train one adversary policy per seed; policies go to a folder.
 
     Parameters
     ----------
     source
-        Scenes of training, see :func:`ccdiff_env.bench.scenes.source_of`.
+        Scenes of training, a text of :func:`ccdiff_env.load`.
     seeds
         Seeds of PPO and of the worlds.
     ego
@@ -86,7 +87,7 @@ def adversary_policy_jobs(
             f"train-{seed}",
             f"{__name__}:train_adversary_policy",
             {
-                "source": dict(source),
+                "source": source,
                 "ego": ego,
                 "seed": seed,
                 "steps": steps,
@@ -98,7 +99,7 @@ def adversary_policy_jobs(
 
 
 def train_adversary_policy(
-    *, source: Mapping[str, str], ego: str, seed: int, steps: int, path: str
+    *, source: str, ego: str, seed: int, steps: int, path: str
 ) -> dict[str, Any]:
     """Train MaskablePPO and save it.
 
@@ -141,7 +142,7 @@ def train_adversary_policy(
 
 
 def trial_jobs(
-    source: Mapping[str, str], policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
+    source: str, policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
 ) -> list[Job]:
     """Return the jobs that try every adversary policy: policies x strengths x chunks of the scenes.
 
@@ -164,7 +165,7 @@ def trial_jobs(
             f"{Path(policy).stem}-{strength:g}-{i:03d}",
             f"{__name__}:choose",
             {
-                "source": dict(source),
+                "source": source,
                 "names": names,
                 "adversary_policy": policy,
                 "strength": strength,
@@ -180,7 +181,7 @@ def trial_jobs(
 
 def choose(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     adversary_policy: str,
     strength: float,
@@ -291,8 +292,7 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         cells = []
         for key, factor, digits in factors:
             values = factor * np.array([m[key] for m in learned])
-            spread = f" ± {values.std(ddof=1):.{digits}f}" if len(values) > 1 else ""
-            cells.append(f"{values.mean():.{digits}f}{spread}")
+            cells.append(spread(values, digits, next(iter(rows.values()))))
         lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
         shift = float(np.mean([m["shift_sigmas"] for m in learned]))
         head, first = "PPO", [f"| PPO | {cells[0]} |"]
@@ -318,6 +318,8 @@ def _less_causal(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) 
     """Paired differences to the causal ranking at full strength ± standard errors over scenes."""
     if ("causal", 1.0) not in rows:
         return []
+    if are_few(rows["causal", 1.0]):
+        return ["", FEW]
 
     def column(name: str, key: str) -> npt.NDArray[np.float64]:
         return np.array([row[key] for row in rows[name, 1.0]], np.float64)

@@ -7,10 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, column
+from ccdiff_env.bench.intervals import cell as interval_cell
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
 
@@ -20,6 +23,7 @@ __all__ = [
     "Figures",
     "condition_of",
     "conditions",
+    "of_few",
     "summarise",
     "write_tables",
 ]
@@ -51,6 +55,8 @@ FORMER = {
     "off_road_parity": "off_road_reference_impl",
     "comfort_parity": "comfort_reference_impl",
 }
+#: Figures that scenes without a road do not have.
+NEED_ROAD = ("orr", "orr_box", "orr_reference_impl")
 RESAMPLES = 1000
 T = TypeVar("T")
 
@@ -76,7 +82,8 @@ class Figures:
     """Figures of a condition by name: value, and the 95 % interval of a bootstrap over scenes.
 
     ``draws`` are the values in the resamples, ``[R]`` each: conditions of the same scenes and seed
-    are resampled alike, so that differences of their draws are paired.
+    are resampled alike, so that differences of their draws are paired. Of few scenes intervals and
+    draws are NaN.
     """
 
     num_scenes: int
@@ -97,16 +104,11 @@ def conditions(raw: Mapping[str, Any]) -> dict[Condition, list[Mapping[str, Any]
 def condition_of(job: str) -> Condition:
     """Return the condition that a job of :func:`~ccdiff_env.bench.traffic.traffic_jobs` plays."""
     method, k, steps, _ = job.rsplit("-", 3)
-    return Condition(method, None if k == "KFull" else int(k[1:]), int(steps[1:]))
+    return Condition(unquote(method), None if k == "KFull" else int(k[1:]), int(steps[1:]))
 
 
 def _under_present_names(rows: Rows) -> Rows:
     return [{FORMER.get(name, name): value for name, value in row.items()} for row in rows]
-
-
-def _column(rows: Rows, name: str) -> npt.NDArray[np.float64]:
-    values = [row.get(name) for row in rows]  # absent in rows of an older release
-    return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
 def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
@@ -127,19 +129,19 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
         "scr_new": [row["collision"]["new"] for row in rows],
         "scr_controlled": [row["collision"]["controlled_new"] for row in rows],
         "collision_rate": [row["collision_rate"]["new"] for row in rows],
-        "orr": 100 * _column(rows, "off_road"),
-        "orr_box": 100 * _column(rows, "off_road_box"),
-        "orr_reference_impl": 100 * _column(rows, "off_road_reference_impl"),
-        "fde": _column(rows, "fde_m"),
-        "fde_controlled": _column(rows, "fde_controlled_m"),
+        "orr": 100 * column(rows, "off_road"),
+        "orr_box": 100 * column(rows, "off_road_box"),
+        "orr_reference_impl": 100 * column(rows, "off_road_reference_impl"),
+        "fde": column(rows, "fde_m"),
+        "fde_controlled": column(rows, "fde_controlled_m"),
         "sor": [row["over_speed"] for row in rows],
-        "sor_log": _column(rows, "over_speed_log"),
-        "excess": _column(rows, "excess_mps"),
-        "realism_cost": _column(rows, "realism_cost"),
-        "shift_sigmas": _column(rows, "shift_sigmas"),
-        "conflict_share": _column(rows, "conflict_share"),
-        "gradient_cosine": _column(rows, "gradient_cosine"),
-        "graph_sparsity": _column(rows, "graph_sparsity"),
+        "sor_log": column(rows, "over_speed_log"),
+        "excess": column(rows, "excess_mps"),
+        "realism_cost": column(rows, "realism_cost"),
+        "shift_sigmas": column(rows, "shift_sigmas"),
+        "conflict_share": column(rows, "conflict_share"),
+        "gradient_cosine": column(rows, "gradient_cosine"),
+        "graph_sparsity": column(rows, "graph_sparsity"),
     }
     table = np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=1)
     histograms = {
@@ -163,6 +165,8 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(len(rows), size=len(rows))) for _ in range(RESAMPLES)]
     draws = {name: np.array([d[name] for d in drawn]) for name in FIGURES}
+    if len(rows) < LEAST_SCENES:
+        draws = {name: np.full(RESAMPLES, np.nan) for name in FIGURES}
     bounds = {name: interval(draws[name]) for name in FIGURES}
     return Figures(
         num_scenes=len(rows),
@@ -228,19 +232,32 @@ def verdict(table: Mapping[Condition, Figures]) -> str:
     pairs = with_scores(table, False)
     if not pairs:
         return "Only the log was measured."
+    if of_few(table):
+        return FEW
     of: dict[str, list[tuple[float, float]]] = {}
     for c, pair in pairs.items():
         of.setdefault(METHODS[c.method].label if c.method in METHODS else c.method, []).append(pair)
     mean = {method: np.mean(found, axis=0) for method, found in of.items()}
     most = max(float(m[0]) for m in mean.values())
     control = [method for method, m in mean.items() if m[0] >= most - 0.005]
-    real = max(mean, key=lambda m: float(mean[m][1]))
-    at = ", ".join(f"RS {mean[method][1]:.2f}" for method in control)
+    at = ", ".join(f"RS {_number(mean[method][1])}" for method in control)
     s = "" if len(control) > 1 else "s"
-    return (
-        f"{' and '.join(control)} make{s} most collisions (CS {most:.2f}, mean over K; {at}); "
-        f"{real} is the most realistic (RS {mean[real][1]:.2f}, CS {mean[real][0]:.2f})."
-    )
+    first = f"{' and '.join(control)} make{s} most collisions (CS {most:.2f}, mean over K; {at})"
+    rated = [method for method, m in mean.items() if np.isfinite(m[1])]
+    if not rated:
+        return f"{first}; realism is n/a without a road."
+    real = max(rated, key=lambda m: float(mean[m][1]))
+    rs, cs = mean[real][1], mean[real][0]
+    return f"{first}; {real} is the most realistic (RS {rs:.2f}, CS {cs:.2f})."
+
+
+def of_few(table: Mapping[Condition, Figures]) -> bool:
+    """Return whether a table is of too few scenes for intervals and verdicts."""
+    return any(figures.num_scenes < LEAST_SCENES for figures in table.values())
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else "n/a"
 
 
 def _axes(
@@ -293,10 +310,10 @@ def _cells(
     digits: int,
 ) -> list[str]:
     def cell(c: Condition | None) -> str:
-        if c is None or not np.isfinite(table[c].value[name]):
+        if c is None or not (name in NEED_ROAD or np.isfinite(table[c].value[name])):
             return ""
         f = table[c]
-        return f"{f.value[name]:.{digits}f} [{f.low[name]:.{digits}f}, {f.high[name]:.{digits}f}]"
+        return interval_cell((f.value[name], f.low[name], f.high[name]), digits)
 
     return [cell(c) for c in conditions]
 
@@ -307,7 +324,7 @@ def _scores_of(
     which: int,
 ) -> list[str]:
     found = [scores.get(c) if c is not None else None for c in conditions]
-    return ["" if pair is None else f"{pair[which]:.2f}" for pair in found]
+    return ["" if pair is None else _number(pair[which]) for pair in found]
 
 
 def _floor(table: Mapping[Condition, Figures]) -> str:
@@ -317,7 +334,7 @@ def _floor(table: Mapping[Condition, Figures]) -> str:
             v = f.value
             parts.append(
                 f"Floor (K = 0, log replay), {f.num_scenes} scenes: SCR {v['scr']:.3f}, of new "
-                f"contacts {v['scr_new']:.3f}, ORR {v['orr']:.2f} %, FDE {v['fde']:.2f} m, "
+                f"contacts {v['scr_new']:.3f}, ORR {_number(v['orr'])} %, FDE {v['fde']:.2f} m, "
                 f"CFD {v['cfd']:.2f}, SOR {v['sor']:.2f}."
             )
     return "\n".join(parts)
@@ -342,7 +359,8 @@ def _markdown(
                 cells = _scores_of(chosen, relative, j)
                 lines.append(f"| | {name} | " + " | ".join(cells) + " |")
         lines.append("")
-    lines.append("Brackets: 95 % bootstrap intervals over scenes. CS, RS: bounds over this table.")
+    brackets = FEW if of_few(table) else "Brackets: 95 % bootstrap intervals over scenes."
+    lines.append(f"{brackets} CS, RS: bounds over this table.")
     return "\n".join(lines) + "\n"
 
 
@@ -359,13 +377,18 @@ def _matrices(
         for title, of in columns.items():
             lines += [f"| {title} | " + " | ".join(f"K = {h}" for h in heads) + " |"]
             lines += ["|---|" + "---:|" * len(heads)]
-            best = {h: max(round(of[by[h]], 2) for by in rows.values() if h in by) for h in heads}
+            rated = {c: round(value, 2) for c, value in of.items() if np.isfinite(value)}
+            best = {
+                h: max((rated.get(by[h], -1.0) for by in rows.values() if h in by), default=0.0)
+                for h in heads
+            }
+            some = len(rows) > 1 and not of_few(table)
             for method, by_head in rows.items():
                 label = METHODS[method].label if method in METHODS else method
                 cells = []
                 for h in heads:
-                    text = f"{of[by_head[h]]:.2f}" if h in by_head else ""
-                    first = text and len(rows) > 1 and round(of[by_head[h]], 2) == best[h]
+                    text = _number(of[by_head[h]]) if h in by_head else ""
+                    first = some and h in by_head and rated.get(by_head[h]) == best[h]
                     cells.append(f"**{text}**" if first else text)
                 lines.append(f"| {label} | " + " | ".join(cells) + " |")
             lines.append("")

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import brackets, cell, mean_interval
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planner_report import mean_interval
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
@@ -30,13 +30,13 @@ __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 MODELS = ("unicycle", "bicycle", "delta_pose")
 
 
-def tracking_jobs(source: Mapping[str, str], models: Sequence[str] = MODELS) -> list[Job]:
+def tracking_jobs(source: str, models: Sequence[str] = MODELS) -> list[Job]:
     """Return the jobs: models of motion x chunks of the scenes.
 
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     models
         Names of :data:`MODELS`.
     """
@@ -47,16 +47,14 @@ def tracking_jobs(source: Mapping[str, str], models: Sequence[str] = MODELS) -> 
         Job(
             f"{model}-{i:03d}",
             f"{__name__}:evaluate",
-            {"source": dict(source), "names": names, "model": model},
+            {"source": source, "names": names, "model": model},
         )
         for model in models
         for i, names in enumerate(chunks(scene_names(source), CHUNK))
     ]
 
 
-def evaluate(
-    *, source: Mapping[str, str], names: Sequence[str], model: str
-) -> list[dict[str, Any]]:
+def evaluate(*, source: str, names: Sequence[str], model: str) -> list[dict[str, Any]]:
     """Drive the log of scenes through a model of motion: one dictionary for each vehicle.
 
     ``error_m``: distance from the log at the end; ``worst_m``: the largest; ``collision``,
@@ -86,6 +84,8 @@ def _track(scene: Scene, model: str) -> list[dict[str, Any]]:
             "worst_m": float(driven["log_distance"][:, i].max()),
             **{
                 k: bool(driven[k][:, i].any() and not replayed[k][:, i].any())
+                if k == "collision" or scene.has_road
+                else None
                 for k in ("collision", "off_road")
             },
         }
@@ -126,7 +126,7 @@ def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Pat
     """Write ``table.md``: errors and consequences of each model of motion, over vehicles."""
     lines = [
         "| dynamics | vehicles | error at the end, m: p50 | p95 | largest, m: p95 | "
-        "new contact | leaves the road |",
+        "new contact % | leaves the road % |",
         "|---|---:|---:|---:|---:|---|---|",
     ]
     for model, rows in found.items():
@@ -135,7 +135,8 @@ def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Pat
         cells.append(f"{np.percentile(worst, 95):.2f}")
         for name in ("collision", "off_road"):
             mean, low, high = (100.0 * x for x in mean_interval(rows, name))
-            cells.append(f"{mean:.2f} % [{low:.2f}, {high:.2f}]")
+            cells.append(cell((mean, low, high)))
         lines.append(f"| {model} | {len(rows)} | " + " | ".join(cells) + " |")
-    lines += ["", "Shares of vehicles, less what the replayed log has; 95 % bootstrap intervals."]
+    what = "Shares of vehicles, less what the replayed log has."
+    lines += ["", f"{what} {brackets(found.values())}"]
     (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import causal
-from ccdiff_env.bench.episode import Episode, drivable, logged, measure, relations
+from ccdiff_env.bench.episode import Episode, logged, measure, off_road, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -44,7 +45,7 @@ STATIONARY_MPS = 0.5
 
 
 def traffic_jobs(
-    source: Mapping[str, str],
+    source: str,
     methods: Sequence[str],
     *,
     num_controlled: Sequence[int | None] = (1, 2, 3, 4, 5, 10, None),
@@ -63,7 +64,7 @@ def traffic_jobs(
     Parameters
     ----------
     source
-        The scenes, see :func:`ccdiff_env.bench.scenes.source_of`.
+        The scenes, a text of :func:`ccdiff_env.load`.
     methods
         Names of :data:`METHODS`.
     num_controlled
@@ -109,10 +110,10 @@ def traffic_jobs(
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     return [
         Job(
-            f"{method}-K{'Full' if k is None else k}-T{n}-{i:03d}",
+            f"{quote(method, safe=':')}-K{'Full' if k is None else k}-T{n}-{i:03d}",
             f"{__name__}:evaluate",
             {
-                "source": dict(source),
+                "source": source,
                 "names": part,
                 "method": method,
                 "num_controlled": k,
@@ -155,8 +156,11 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     there = scene.tracks()["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
     start = logged(scene, agents, slice(START_STEP, START_STEP + 1))
-    off_road = start.off_road(drivable(scene)).centroid[:, 0]
-    kept: npt.NDArray[np.int64] = agents[~off_road | (np.array(scene.agent_ids)[agents] == "ego")]
+    road = off_road(scene, start)
+    if road is None:
+        return agents
+    on_road = ~road.centroid[:, 0]
+    kept: npt.NDArray[np.int64] = agents[on_road | (np.array(scene.agent_ids)[agents] == "ego")]
     return kept
 
 
@@ -346,7 +350,7 @@ def evaluate(**arguments: Any) -> list[dict[str, Any]]:
 
 def evaluate_recorded(
     *,
-    source: Mapping[str, str],
+    source: str,
     names: Sequence[str],
     method: str,
     num_controlled: int | None,

@@ -43,7 +43,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
     Parameters
     ----------
     scenes
-        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
+        of a split of the embedded scenes.
     config
         Configuration to start from.
     agents

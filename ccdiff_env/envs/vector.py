@@ -77,7 +77,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     num_envs
         Number of worlds E.
     scenes
-        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
+        of a split of the embedded scenes.
     config
         Configuration to start from.
     autoreset_mode

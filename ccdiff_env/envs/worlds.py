@@ -22,6 +22,7 @@ from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.models import require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.sources import SOURCES, load
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.python import BoundTraffic
@@ -29,7 +30,7 @@ from ccdiff_env.traffic.python import BoundTraffic
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
-#: Scenes by themselves, or the name of a split of the embedded ones.
+#: Scenes by themselves, the text of a source, or the name of a split of the embedded ones.
 Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
 #: A scene by name or by index.
 SceneChoice: TypeAlias = str | int | None
@@ -41,9 +42,13 @@ TRAIL_STEPS = 31
 
 
 def scene_set(scenes: Scenes) -> SceneSet:
-    """Return scenes as a set; ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones."""
+    """Return scenes as a set: texts are those of :func:`ccdiff_env.load`.
+
+    ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones.
+    """
     if scenes is None or isinstance(scenes, str):
-        return embedded_scenes(scenes or "train")
+        text = scenes or "train"
+        return embedded_scenes(text) if text.isalnum() and text not in SOURCES else load(text)
     if isinstance(scenes, SceneSet):
         # read once: worlds hold all of them
         found = SceneSet(scenes, lambda: scenes.report)

@@ -14,7 +14,8 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
 from ccdiff_env.progress import shown
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, say_page
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.terminal import EGO_HELP, say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
@@ -76,8 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--out", type=Path, help="page to write, or folder of pages (default: by the scene)"
     )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
-    parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
+    add_scene_arguments(parser)
     play = parser.add_argument_group("playing a scene first")
     play.add_argument(
         "--traffic",
@@ -171,7 +171,7 @@ def _runs(args: argparse.Namespace) -> list[Titled]:
 
 
 def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Titled:
-    rollout = find_rollout(word, dataroot=args.dataroot, version=args.version, like=like)
+    rollout = find_rollout(word, place_from(args), like=like)
     return Titled(rollout, Path(word).stem if Path(word).is_file() else word)
 
 
@@ -191,7 +191,7 @@ def _played(args: argparse.Namespace) -> list[Titled]:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
-    scene = find_scene(args.what, dataroot=args.dataroot, version=args.version)
+    scene = find_scene(args.what, place_from(args))
     runs = []
     samples = {} if args.samples is None else {"num_samples": args.samples}
     for traffic, driver, level in product(args.traffic, drivers, levels):

@@ -12,18 +12,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.rollout import Rollout
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes import Scene
-from ccdiff_env.terminal import DATAROOT_HELP
+from ccdiff_env.sources import DEFAULT, load
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
 from ccdiff_env.view.sources import find_scene, play_scene
 
 __all__ = ["LiveRun", "read_curves"]
 
-SCENE = "left-turn-04"
 MAX_POINTS = 400
 MAX_CURVES = 16
 MAX_BYTES = 20_000_000
@@ -39,10 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument("folder", metavar="RUN", type=Path, help="folder that a training writes")
     parser.add_argument(
-        "--scene", default=SCENE, help="scene that saved networks and policies play"
+        "--scene", help="scene that saved networks and policies play (default: the first)"
     )
-    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
-    parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
+    add_scene_arguments(parser)
     parser.add_argument("--port", type=int, default=0, help="port of 127.0.0.1; 0: a free one")
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
 
@@ -51,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     if not args.folder.is_dir():
         raise DatasetNotFoundError(f"no folder of a run at {args.folder}")
-    scene = find_scene(args.scene, dataroot=args.dataroot, version=args.version)
+    place = place_from(args)
+    scene = load(place)[0] if args.scene is None else find_scene(args.scene, place)
     LocalServer(LiveRun(args.folder, scene).answers, args.port).run(open_it=args.open)
     return 0
 
@@ -73,7 +72,7 @@ class LiveRun:
     """
 
     folder: Path
-    scene: Scene = field(default_factory=lambda: embedded_scenes()[SCENE])
+    scene: Scene = field(default_factory=lambda: load(DEFAULT)[0])
 
     @property
     def answers(self) -> dict[str, Any]:

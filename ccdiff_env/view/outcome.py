@@ -228,8 +228,7 @@ def _outside(rollout: Rollout, steps: slice) -> npt.NDArray[np.bool_]:
         np.ascontiguousarray(tracks["valid"][:, steps]),
         dt_s=rollout.dt_s,
     )
-    layers: dict[str, Any] = dict(rollout.scene.map_layers())
-    areas = layers.get("drivable_area", [])
-    if not areas:
+    if not rollout.scene.has_road:
         return np.zeros(rollout.valid.shape, bool)
+    areas = rollout.scene.map_layers()["drivable_area"]
     return np.asarray(log.off_road([(a["exterior"], a["holes"]) for a in areas]).box, dtype=bool)

@@ -7,16 +7,14 @@ import html
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import Rollout
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, with_tracks
-from ccdiff_env.terminal import DATAROOT_HELP, split_help
+from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
@@ -31,19 +29,14 @@ MAX_MOVE_M = 100.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument("scene", nargs="?", help="scene to begin with (default: the first)")
-    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
-    parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
-    parser.add_argument("--split", help=split_help("all", "all"))
+    add_scene_arguments(parser)
     parser.add_argument("--port", type=int, default=0, help="port of 127.0.0.1; 0: a free one")
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
-    if args.dataroot is None:
-        scenes = embedded_scenes(args.split)
-    else:
-        scenes = load_nuscenes(args.dataroot, args.version, args.split)
+    scenes = scenes_from(args)
     first = args.scene or scenes.names[0]
     if first not in scenes:
         raise UnknownNameError(f"no scene {first!r}: ccdiff-env scenes lists them")

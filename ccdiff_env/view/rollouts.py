@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env import render
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.files import file_name
-from ccdiff_env.scenes import SceneSet, load_nuscenes
-from ccdiff_env.terminal import DATAROOT_HELP, EGO_HELP, split_help
+from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.sources import load
+from ccdiff_env.terminal import EGO_HELP
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import check_criticality, play_scene
@@ -25,10 +25,10 @@ NETWORK: dict[str, Any] = {"criticality": 0.0, "samples": 5, "weights": "fast"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("--dataroot", type=Path, help=DATAROOT_HELP)
-    parser.add_argument("--version", default="v1.0-mini", help="folder of the tables")
-    parser.add_argument("--split", help=split_help("mini_val", "val"))
-    parser.add_argument("--scenes", nargs="+", help="names of scenes (default: all of the split)")
+    parser.add_argument(
+        "names", nargs="*", metavar="SCENE", help="names of scenes (default: all of the split)"
+    )
+    add_scene_arguments(parser, "test")
     parser.add_argument(
         "--traffic", default="ccdiff", help=f"the others, of: {', '.join(driver_names())}"
     )
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     """Play the scenes; write rollouts, images and pages; print the index."""
     settings = _settings(args)
     args.out.mkdir(parents=True, exist_ok=True)
-    for scene in _scenes(args):
+    for scene in load(place_from(args), names=args.names or None):
         for k in range(args.episodes):
             rollout = play_scene(
                 scene,
@@ -86,14 +86,3 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) != default:
             raise ConfigError(f"--{name} is for networks, but --traffic is {args.traffic}")
     return {}
-
-
-def _scenes(args: argparse.Namespace) -> SceneSet:
-    if args.dataroot is None:
-        scenes = embedded_scenes(args.split or "val")
-    else:
-        split = None if args.scenes else args.split or "mini_val"
-        return load_nuscenes(args.dataroot, args.version, split, args.scenes)
-    if not args.scenes:
-        return scenes
-    return SceneSet([scenes[name] for name in args.scenes])

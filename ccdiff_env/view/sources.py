@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.rollout import DRIVER_NAMES, Rollout
-from ccdiff_env.scenes import Scene, load_nuscenes
+from ccdiff_env.scenes import Scene
+from ccdiff_env.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
 
@@ -120,21 +120,16 @@ def play_scene(
 
 
 def find_rollout(
-    name: str,
-    *,
-    dataroot: str | Path | None = None,
-    version: str = "v1.0-mini",
-    like: Rollout | None = None,
+    name: str, place: Place | str = DEFAULT, *, like: Rollout | None = None
 ) -> Rollout:
     """Return the rollout that a word of the command line names.
 
     Parameters
     ----------
     name
-        File of a rollout, else name of a scene: of nuScenes where ``dataroot`` is given, else of
-        the embedded ones. ``"log"`` is the log of ``like``.
-    dataroot, version
-        Folder of nuScenes, and of its tables.
+        File of a rollout, else name of a scene. ``"log"`` is the log of ``like``.
+    place
+        Where scenes are looked for, as :func:`ccdiff_env.load` takes it.
     like
         The run that this one is compared with.
 
@@ -152,29 +147,24 @@ def find_rollout(
         if like is None:
             raise ConfigError(f"{LOG!r} stands for the log of another run: use it with --compare")
         return log_rollout(like.scene, like=like)
-    return log_rollout(find_scene(name, dataroot=dataroot, version=version))
+    return log_rollout(find_scene(name, place))
 
 
-def find_scene(
-    name: str, *, dataroot: str | Path | None = None, version: str = "v1.0-mini"
-) -> Scene:
-    """Return a scene by name: of nuScenes where ``dataroot`` is given, else of the embedded ones.
+def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
+    """Return a scene of a place by name.
 
     Raises
     ------
     UnknownNameError
         If there is no such scene.
     """
-    if dataroot is not None:
-        return load_nuscenes(dataroot, version, scenes=[name])[0]
-    scenes = embedded_scenes()
-    if name not in scenes:
+    try:
+        return load(place, names=[name])[0]
+    except UnknownNameError as error:
         raise UnknownNameError(
-            f"no file {name!r}, and no embedded scene of that name "
-            f"({', '.join(scenes.names[:4])}, ...; ccdiff-env scenes lists them); for nuScenes "
-            "give --dataroot"
-        )
-    return scenes[name]
+            f"no file {name!r}, and in {place}: {error}; ccdiff-env scenes lists them, --scenes "
+            "names another source"
+        ) from None
 
 
 def rollout_files(folder: Path) -> list[Path]:

@@ -43,7 +43,8 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     Parameters
     ----------
     scenes
-        A :class:`SceneSet`, scenes, or the name of a split of the embedded scenes.
+        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
+        of a split of the embedded scenes.
     config
         Configuration of the world to start from.
     ego

@@ -98,10 +98,9 @@ impl Map {
         rings.chain(lines).map(|points| along(points)).sum()
     }
 
-    /// Whether the map says where vehicles may drive; where it does not, nothing is ever off the road.
+    /// Whether the map has a drivable area.
     pub fn has_road(&self) -> bool {
-        let areas = self.drivable_area.iter().chain(self.lanes.iter().map(|lane| &lane.polygon));
-        areas.into_iter().any(|area| area.exterior.len() >= 3)
+        !self.drivable_area.is_empty()
     }
 
     /// Whether the map has lanes at all.

@@ -1,0 +1,122 @@
+"""Classes and functions of one's own by name: ``module:name``, ``module:Class?option=value``."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import importlib
+import inspect
+import json
+import os
+import sys
+from typing import Any
+
+from ccdiff_env.errors import ConfigError
+
+__all__ = ["named_instance", "named_object"]
+
+
+def named_object(text: str, what: str) -> Any:
+    """Import what a text names; modules of the working folder are found, too.
+
+    Parameters
+    ----------
+    text
+        ``module:name``, with options ``?name=value&name=value`` after it. Values are numbers,
+        ``true``, ``false``, ``null`` and quoted texts of JSON; everything else is a text itself.
+    what
+        What it is, for messages.
+
+    Returns
+    -------
+    Any
+        The object. With options: a class of it whose options are given, or a function likewise.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such module, object or option; the message names the options there are.
+    """
+    path, _, options = text.partition("?")
+    module, _, name = path.partition(":")
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        found: Any = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise
+        raise ConfigError(
+            f"{what} {text!r}: no module {error.name!r} in {os.getcwd()}, nor installed"
+        ) from None
+    except (AttributeError, ValueError):
+        raise ConfigError(f"{what} {text!r}: no {name!r} in module {module!r}") from None
+    return _with_options(found, _values(options, what, text), what, text) if options else found
+
+
+def named_instance(text: str, what: str) -> Any:
+    """Import what a text names; of a class make an object, without other arguments.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`named_object`, and if the class needs options that are not given.
+    """
+    found = named_object(text, what)
+    if not isinstance(found, type):
+        return found
+    try:
+        inspect.signature(found).bind()
+    except TypeError as error:
+        takes = ", ".join(_options_of(found)) or "none"
+        raise ConfigError(f"{what} {text!r}: {error}; it takes {takes}, as ?option=value") from None
+    return found()
+
+
+def _options_of(found: Any) -> list[str]:
+    """Names of the arguments that may be given by name."""
+    given = inspect.signature(found).parameters.values()
+    return [p.name for p in given if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+
+
+def _values(options: str, what: str, text: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for part in options.split("&"):
+        name, equals, value = part.partition("=")
+        if not equals or not name.isidentifier() or name in found:
+            raise ConfigError(f"{what} {text!r}: {part!r}, expected option=value, each option once")
+        found[name] = _value(value)
+    return found
+
+
+def _value(text: str) -> Any:
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    return text if isinstance(value, (list, dict)) else value
+
+
+def _with_options(found: Any, options: dict[str, Any], what: str, text: str) -> Any:
+    """Return a class or function with options; it is called by its name and the options."""
+    if not callable(found) or not (isinstance(found, type) or inspect.isroutine(found)):
+        raise ConfigError(f"{what} {text!r}: a {type(found).__name__} takes no options")
+    named, given = _options_of(found), inspect.signature(found).parameters.values()
+    unknown = [name for name in options if name not in named]
+    if unknown and not any(p.kind is p.VAR_KEYWORD for p in given):
+        near = difflib.get_close_matches(unknown[0], named, n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        takes = ", ".join(named) or "none"
+        raise ConfigError(f"{what} {text!r}: no option {unknown[0]!r}{hint}, it takes {takes}")
+    made: Any
+    if isinstance(found, type):
+        init = functools.partialmethod(found.__init__, **options)  # type: ignore[misc]
+        made = type(found.__name__, (found,), {"__init__": init})
+    else:
+        made = functools.partial(found, **options)
+    # configurations and reports name a model by these
+    made.__module__ = found.__module__
+    made.__qualname__ = f"{found.__qualname__}?{text.partition('?')[2]}"
+    return made

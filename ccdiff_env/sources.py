@@ -1,0 +1,265 @@
+"""Data sources: where scenes come from, and the texts that name them.
+
+``SOURCE:PATH@VERSION/SPLIT?limit=N``: each source says which of these parts it has. A source is one
+record of :data:`SOURCES`; commands, benchmarks, examples and environments take every one of them.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ccdiff_env import gpudrive
+from ccdiff_env.embedded import embedded_scenes, embedded_splits
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
+from ccdiff_env.source_record import Place, Source
+
+__all__ = [
+    "DEFAULT",
+    "SOURCES",
+    "Place",
+    "Source",
+    "coverage",
+    "load",
+    "parse",
+    "settled",
+    "split_names",
+    "title",
+]
+
+
+def _nuscenes(place: Place) -> SceneSet:
+    split = None if place.names or place.split is None else place.split.split("+")
+    version = place.version or "v1.0-trainval"
+    return load_nuscenes(place.path or "", version, split, place.names, kinds=place.kinds)
+
+
+def _embedded(place: Place) -> SceneSet:
+    parts = [embedded_scenes(name) for name in (place.split or "all").split("+")]
+    return parts[0] if len(parts) == 1 else SceneSet(scene for part in parts for scene in part)
+
+
+def _scenarionet(place: Place) -> SceneSet:
+    return load_scenarionet(place.path or "")
+
+
+#: The sources by name.
+SOURCES: dict[str, Source] = {
+    source.name: source
+    for source in (
+        Source(
+            "embedded",
+            "embedded scenes",
+            _embedded,
+            splits=embedded_splits,
+            usual={"": {"train": "train", "test": "val"}},
+            kept_out=("val",),
+            lacks="recorded traffic: it is simulated",
+        ),
+        Source(
+            "nuscenes",
+            "nuScenes",
+            _nuscenes,
+            path="FOLDER",
+            splits=splits,
+            usual={
+                "v1.0-trainval": {"train": "train+train_val", "test": "ccdiff100"},
+                "v1.0-mini": {"train": "mini_train", "test": "mini_val"},
+            },
+            kept_out=("val", "mini_val"),
+            lacks="states of traffic lights, speed limits",
+        ),
+        Source(
+            "scenarionet",
+            "ScenarioNet",
+            _scenarionet,
+            path="FILE_OR_FOLDER",
+            lacks="a road where a file has neither road edges nor lanes",
+        ),
+        gpudrive.SOURCE,
+    )
+}
+
+
+#: The source that is meant where none is named.
+DEFAULT = "embedded"
+
+
+def parse(text: str) -> Place:
+    """Take a text apart.
+
+    The last part of a path is the split where it names one. A folder that is called as a split
+    needs its version or split named as well.
+
+    Raises
+    ------
+    ConfigError
+        If it names no source, no split of it, or a part that the source does not have or needs.
+    """
+    found = re.fullmatch(r"(\w*)(.*?)(?:\?limit=(\d+))?", text, re.DOTALL)
+    name, rest, limit = found.groups() if found else (text, "", None)
+    if name not in SOURCES:
+        raise _wrong(text, f"no source {name!r}", name, SOURCES)
+    path: str | None = None
+    version = split = None
+    if rest.startswith(":") and SOURCES[name].path is not None:
+        path, version, split = _parts(SOURCES[name], rest[1:])
+        path = os.path.expanduser(path)
+    elif rest.startswith("/") and SOURCES[name].path is None:
+        split = rest[1:]
+    elif rest:
+        raise _wrong(text, f"{rest!r} after {name!r}")
+    place = Place(name, path, version, split, None if limit is None else int(limit))
+    return _checked(place, text)
+
+
+def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
+    """Path, version and split of what follows the colon."""
+    path, at, tail = text.rpartition("@")
+    if source.versions and at and tail.count("/") <= 1 and not Path(text).exists():
+        version, _, split = tail.partition("/")
+        return path, version, split or None
+    path, _, last = text.rpartition("/")
+    if path and all(part in split_names(source) for part in last.split("+")):
+        return path, None, last
+    return text, None, None
+
+
+def split_names(source: Source) -> list[str]:
+    """Return the names of a source's splits, ``"all"`` among them; none where it has no splits."""
+    return [] if source.splits is None else [*source.splits(), "all"]
+
+
+def _checked(place: Place, text: str) -> Place:
+    """Refuse a place that no scenes can be found by."""
+    source = SOURCES[place.source]
+    if place.limit is not None and place.limit < 1:
+        raise _wrong(text, f"limit is {place.limit}, expected at least 1")
+    if source.path is not None and not place.path:
+        raise _wrong(text, "no path")
+    if place.split is not None and source.splits is None:
+        raise _wrong(text, f"{source.name} has no splits")
+    known = split_names(source)
+    if place.split is not None:
+        for part in place.split.split("+"):
+            if part not in known:
+                expected = f"no split {part!r}, expected one of {', '.join(known)}"
+                raise _wrong(text, expected, part, known)
+    elif known and place.path is not None and not Path(place.path).exists():
+        last = Path(place.path).name
+        if _near(last, known):
+            raise _wrong(text, f"neither a folder nor a split {last!r}", last, known)
+    return place
+
+
+def _near(name: str, known: Iterable[str]) -> list[str]:
+    return difflib.get_close_matches(name, list(known), n=2, cutoff=0.6)
+
+
+def _wrong(text: str, what: str, name: str = "", known: Iterable[str] = ()) -> ConfigError:
+    near = " or ".join(map(repr, _near(name, known)))
+    hint = f" (did you mean {near}?)" if near else ""
+    forms = ", ".join(source.form for source in SOURCES.values())
+    return ConfigError(f"scenes {text!r}: {what}{hint}; sources are {forms}")
+
+
+def settled(place: Place, use: str | None = None) -> Place:
+    """Return a place whose version and split are named.
+
+    Parameters
+    ----------
+    place
+        The place.
+    use
+        ``"train"`` or ``"test"``: which split of the source is meant where none is named; all
+        scenes for ``None``.
+    """
+    source, version, split = SOURCES[place.source], place.version, place.split
+    if version is None and source.versions:
+        there = [v for v in source.versions if (Path(place.path or "") / v).is_dir()]
+        version = (there or list(source.versions))[0]
+    if split is None and source.splits is not None:
+        split = source.usual.get(version or "", {}).get(use or "", "all")
+    return _checked(replace(place, version=version, split=split), str(place))
+
+
+def load(
+    scenes: str | Place,
+    limit: int | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    kinds: Sequence[str] | None = None,
+) -> SceneSet:
+    """Load scenes of any source.
+
+    Parameters
+    ----------
+    scenes
+        ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
+        ``"scenarionet:/data/files"``. Without a version the first that is there is taken, without
+        a split all scenes.
+    limit
+        Only so many scenes, the first ones.
+    names
+        Only scenes of these names, in this order.
+    kinds
+        Only agents of these types (``vehicle``, ``pedestrian``, ...), and the ego.
+
+    Returns
+    -------
+    SceneSet
+        The scenes and the report of their load. A split with missing scenes warns.
+
+    Raises
+    ------
+    ConfigError
+        If the text names no source, or a part that the source does not have.
+    UnknownNameError
+        If there is no scene of a name.
+    DatasetError
+        If files are missing or damaged.
+
+    Examples
+    --------
+    >>> import ccdiff_env
+    >>> len(ccdiff_env.load("embedded/val", limit=3))
+    3
+    """
+    place = parse(scenes) if isinstance(scenes, str) else scenes
+    if limit is not None:
+        place = _checked(replace(place, limit=limit), str(place))
+    place = replace(
+        settled(place),
+        names=None if names is None else tuple(names),
+        kinds=None if kinds is None else tuple(kinds),
+    )
+    found = SOURCES[place.source].load(place)
+    if place.names is not None:
+        found = SceneSet([found[name] for name in place.names], found.report)
+    if place.limit is not None:
+        found = found[: place.limit]
+    return found if kinds is None else of_kinds(found, kinds)
+
+
+def coverage(place: Place, scenes: SceneSet) -> str:
+    """Say how many of the scenes of a split there are, ``93 of 150 scenes of val``."""
+    report, count = scenes.report, len(scenes)
+    if place.split in (None, "all"):
+        return f"{count} scenes"
+    there = len(report.scenes) or count
+    whole = there + len(report.missing) + len(report.empty)
+    return f"{there} of {whole} scenes of {place.split}"
+
+
+def title(place: Place, counted: str | None = None) -> str:
+    """Return a place in words; ``counted`` is its :func:`coverage`, where that is known."""
+    source = SOURCES[place.source]
+    name = place.version or (place.path and Path(place.path).name) or ""
+    parts = [f"{source.title} {name}".strip(), counted or place.split or ""]
+    parts += [] if place.limit is None else [f"the first {place.limit}"]
+    return ", ".join(part for part in parts if part)

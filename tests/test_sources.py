@@ -1,0 +1,391 @@
+"""Data sources: texts, the argument block, coverage, and what scenes without a road do not have."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+import re
+import warnings
+
+import numpy as np
+import pytest
+from test_scenes_scenarionet import scenario
+
+import ccdiff_env
+from ccdiff_env.bench.intervals import FEW, cell, mean_interval
+from ccdiff_env.bench.planners import planner_score
+from ccdiff_env.bench.scenes import scene_names, source_title
+from ccdiff_env.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.scene_arguments import (
+    add_other_scenes,
+    add_scene_arguments,
+    other_place,
+    place_from,
+    scenes_from,
+)
+from ccdiff_env.scenes import of_kinds
+from ccdiff_env.sources import SOURCES, Place, Source, coverage, parse, settled, title
+from ccdiff_env_cli import main
+
+FOLDER, MINI = "/data/nuscenes", "v1.0-mini"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("embedded", ("embedded", None, None, None, None)),
+        ("embedded/val", ("embedded", None, None, "val", None)),
+        ("embedded/train+val?limit=3", ("embedded", None, None, "train+val", 3)),
+        (f"nuscenes:{FOLDER}", ("nuscenes", FOLDER, None, None, None)),
+        (f"nuscenes:{FOLDER}/val", ("nuscenes", FOLDER, None, "val", None)),
+        (f"nuscenes:{FOLDER}@{MINI}", ("nuscenes", FOLDER, MINI, None, None)),
+        (f"nuscenes:{FOLDER}@{MINI}/mini_val", ("nuscenes", FOLDER, MINI, "mini_val", None)),
+        ("nuscenes:/a@b/c/all?limit=2", ("nuscenes", "/a@b/c", None, "all", 2)),
+        ("nuscenes:/data/val/val", ("nuscenes", "/data/val", None, "val", None)),
+        ("scenarionet:/data/val", ("scenarionet", "/data/val", None, None, None)),
+        ("scenarionet:a@b/c.pkl", ("scenarionet", "a@b/c.pkl", None, None, None)),
+    ],
+)
+def test_texts_have_parts_and_places_give_them_back(text, parts):
+    place = parse(text)
+    assert (place.source, place.path, place.version, place.split, place.limit) == parts
+    assert str(place) == text
+    whole = settled(place)
+    assert parse(str(whole)) == whole
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nuscene:/a", "no source 'nuscene' (did you mean 'nuscenes'?)"),
+        ("/data/nuscenes", "no source ''"),
+        ("", "no source ''"),
+        ("embedded/vall", "no split 'vall', expected one of train, val, all (did you mean 'val'"),
+        ("embedded:/a", "':/a' after 'embedded'"),
+        ("embedded/", "no split ''"),
+        ("scenarionet", "no path"),
+        ("nuscenes:", "no path"),
+        ("nuscenes:/a@v1.0-mini/mini_vla", "no split 'mini_vla'"),
+        ("nuscenes:/nowhere/mini_vla", "neither a folder nor a split 'mini_vla' (did you mean"),
+        ("embedded?limit=0", "limit is 0, expected at least 1"),
+        ("embedded/val?limit=-1", "no split 'val?limit=-1'"),
+    ],
+)
+def test_wrong_texts_are_told_with_the_sources_there_are(text, message):
+    with pytest.raises(ConfigError, match=re.escape(message)) as caught:
+        ccdiff_env.load(text)
+    for part in (repr(text), *(source.form for source in SOURCES.values())):
+        assert part in str(caught.value)
+
+
+def test_embedded_scenes_are_those_of_their_splits():
+    splits = embedded_splits()
+    for text, names in {
+        "embedded/val": splits["val"],
+        "embedded/val?limit=2": splits["val"][:2],
+        "embedded/train+val": (*splits["train"], *splits["val"]),
+        "embedded": (*splits["train"], *splits["val"]),
+    }.items():
+        assert ccdiff_env.load(text).names == tuple(names)
+    few = ccdiff_env.load("embedded/val", limit=4, names=splits["val"][::-1])
+    assert few.names == tuple(splits["val"][::-1][:4])
+    with pytest.raises(UnknownNameError, match="nowhere"):
+        ccdiff_env.load("embedded", names=["nowhere"])
+    with pytest.raises(ConfigError, match="limit is 0"):
+        ccdiff_env.load("embedded", limit=0)
+    env = ccdiff_env.EgoEnv(scenes="embedded/val?limit=1")
+    assert env.reset(seed=0)[1]["scene"] == splits["val"][0]
+
+
+def test_agents_of_some_kinds_stay_with_their_tracks():
+    scene = next(s for s in ccdiff_env.load("embedded") if "pedestrian" in s.agent_types)
+    (kept,) = of_kinds(ccdiff_env.SceneSet([scene]), ["pedestrian"])
+    expected = [i for i, kind in enumerate(scene.agent_types) if kind == "pedestrian" or i == 0]
+    assert kept.agent_ids == [scene.agent_ids[i] for i in expected]
+    for name, values in scene.tracks().items():
+        assert np.array_equal(kept.tracks()[name], values[expected])
+    (same,) = of_kinds(ccdiff_env.SceneSet([kept]), ["pedestrian"])
+    assert same is kept
+
+
+@pytest.fixture
+def nuscenes(tmp_path):
+    """A folder in the schema of nuScenes whose version is looked for, with one scene of val."""
+    unpack(tmp_path)
+    (tmp_path / VERSION).rename(tmp_path / MINI)
+    table = tmp_path / MINI / "scene.json"
+    table.write_text(table.read_text().replace(f'"{embedded_splits()["val"][0]}"', '"scene-0003"'))
+    return tmp_path
+
+
+def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
+    place = settled(parse(f"nuscenes:{nuscenes}/val"))
+    assert place.version == MINI  # the only one that is there
+    with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
+        scenes = ccdiff_env.load(place)
+    said = coverage(place, scenes)
+    assert said == "1 of 150 scenes of val"
+    assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"
+    out = tmp_path / "run"
+    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
+    with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
+        assert main([*command, "--scenes", str(place), "--out", str(out)]) == 0
+    settings = json.loads((out / "run.json").read_text())
+    assert settings["source"] == str(place)
+    assert settings["coverage"] == said
+    assert said in (out / "report.html").read_text()
+    assert FEW in (out / "table.md").read_text()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ccdiff_env.load(f"nuscenes:{nuscenes}", names=["scene-0003"]).names == (
+            "scene-0003",
+        )
+    assert coverage(parse("embedded/val"), ccdiff_env.load("embedded/val")) == (
+        "12 of 12 scenes of val"
+    )
+
+
+def arguments(words, use="test", **options):
+    parser = argparse.ArgumentParser()
+    add_scene_arguments(parser, use, **options)
+    add_other_scenes(parser, "train")
+    return parser.parse_args(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "played", "trained"),
+    [
+        ([], "embedded/val", "embedded/train"),
+        (["--split", "all", "--limit", "2"], "embedded/all?limit=2", "embedded/train?limit=2"),
+        (["--scenes", "embedded"], "embedded/val", "embedded/train"),
+        (
+            ["--dataroot", "/no"],
+            "nuscenes:/no@v1.0-trainval/ccdiff100",
+            "nuscenes:/no@v1.0-trainval/train+train_val",
+        ),
+        (
+            ["--dataroot", "/no", "--version", MINI],
+            f"nuscenes:/no@{MINI}/mini_val",
+            f"nuscenes:/no@{MINI}/mini_train",
+        ),
+        (
+            ["--scenes", f"nuscenes:/no@{MINI}/all", "--train-split", "train", "val"],
+            f"nuscenes:/no@{MINI}/all",
+            f"nuscenes:/no@{MINI}/train+val",
+        ),
+        (
+            ["--scenes", "scenarionet:/a", "--train-scenes", "scenarionet:/b"],
+            "scenarionet:/a",
+            "scenarionet:/b",
+        ),
+    ],
+)
+def test_short_forms_and_texts_name_the_same(words, played, trained):
+    args = arguments(words)
+    assert str(place_from(args)) == played
+    assert str(other_place(args)) == trained
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--scenes", "embedded", "--dataroot", "/a"], "--dataroot is a part of --scenes"),
+        (["--scenes", "embedded", "--split", "val"], "--split is a part of --scenes"),
+        (["--version", MINI], "--version is of --dataroot"),
+        (["--split", "vla"], "no split 'vla'"),
+        (["--limit", "0"], "limit is 0"),
+    ],
+)
+def test_contradictions_are_refused(words, message, capsys):
+    with pytest.raises(ConfigError, match=message):
+        place_from(arguments(words))
+    assert main(["scenes", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--scenes", "scenarionet:/a"], "scenarionet:/a has no split to train on"),
+        (["--dataroot", "/a", "--version", "mine"], "no split to train on"),
+        (["--train-scenes", "embedded", "--train-split", "val"], "give one of them"),
+    ],
+)
+def test_scenes_of_training_must_be_known(words, message):
+    with pytest.raises(ConfigError, match=message):
+        other_place(arguments(words))
+
+
+def test_a_new_source_is_one_record(monkeypatch, tmp_path, capsys):
+    town = ccdiff_env.embedded_scenes("val")
+    loads = []
+
+    def load(place):
+        loads.append(place)
+        return ccdiff_env.SceneSet(town[: int(place.path)])
+
+    monkeypatch.setitem(SOURCES, "dummy", Source("dummy", "Dummies", load, path="COUNT"))
+    text = "dummy:3"
+    assert ccdiff_env.load(text, limit=2).names == town.names[:2]
+    assert scene_names(text) == list(town.names[:3])
+    assert source_title(text) == "Dummies 3"
+    out, page = tmp_path / "run", tmp_path / "page.html"
+    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
+    assert main([*command, "--scenes", text, "--out", str(out), "--limit", "1"]) == 0
+    assert json.loads((out / "run.json").read_text())["source"] == f"{text}?limit=1"
+    assert main(["view", town.names[2], "--scenes", text, "-o", str(page)]) == 0
+    assert town.names[2] in page.read_text()
+    capsys.readouterr()
+    assert main(["scenes", "--scenes", text]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2 + 3
+    assert ccdiff_env.make_vec(1, scenes=text).reset(seed=0)[0].shape[0] == 1
+    assert main(["view", town.names[3], "--scenes", text]) == 2
+    assert "in dummy:3: no scene" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="dummy:COUNT"):
+        ccdiff_env.load("dumy:3")
+    assert all(place.source == "dummy" for place in loads)
+
+
+def without_road(scene):
+    """The scene without its drivable area."""
+    tracks = scene.tracks()
+    return ccdiff_env.Scene.from_arrays(
+        scene.name,
+        agent_ids=scene.agent_ids,
+        agent_types=scene.agent_types,
+        agent_categories=scene.agent_categories,
+        sizes=scene.sizes,
+        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
+        dt=scene.dt,
+        map_layers={**scene.map_layers(), "drivable_area": []},
+    )
+
+
+@pytest.fixture
+def roadless(monkeypatch):
+    """A source of scenes of which the first two have no road."""
+    town = ccdiff_env.embedded_scenes("val")
+    scenes = ccdiff_env.SceneSet([*map(without_road, town[:2]), *town[2:]])
+    assert [scene.has_road for scene in scenes[:3]] == [False, False, True]
+    source = Source("town", "Town", lambda place: scenes[: int(place.path)], path="COUNT")
+    monkeypatch.setitem(SOURCES, "town", source)
+
+
+def test_figures_of_the_road_are_not_available_without_one(roadless, tmp_path, capsys):
+    common = ["--scenes", "town:2", "--quiet"]
+    out = tmp_path / "planners"
+    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--out", str(out)]
+    assert main([*command, *common]) == 0
+    lines = (out / "table.md").read_text().splitlines()
+    head, _, row = lines[lines.index("### Traffic: Log replay") + 2 :][:3]
+    cells = dict(zip(head.split("|"), row.split("|"), strict=True))
+    assert cells[" on road "] == " n/a "
+    out = tmp_path / "traffic"
+    command = ["bench", "traffic", "--methods", "constant_velocity", "--k", "2", "--out", str(out)]
+    assert main([*command, *common]) == 0
+    text = (out / "table.md").read_text()
+    assert "| ORR % | n/a |" in text
+    assert "| RS | n/a |" in text
+    assert "ORR n/a %" in text
+    assert "nan" not in text
+    rows = json.loads(next((out / "raw").glob("constant_velocity-*.json")).read_text())["result"]
+    assert all(row["off_road"] is None and row["num_agents"] > 1 for row in rows)
+
+
+def test_scenes_with_a_road_count_where_others_have_none(roadless, tmp_path):
+    out = tmp_path / "run"
+    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
+    assert main([*command, "--scenes", "town:12", "--out", str(out)]) == 0
+    (result,) = (out / "raw").glob("*.json")
+    rows = json.loads(result.read_text())["result"]
+    rows = rows if isinstance(rows, list) else rows["rows"]
+    known = [row["on_road"] for row in rows if row["on_road"] is not None]
+    assert len(known) == 10
+    assert mean_interval(rows, "on_road")[0] == pytest.approx(np.mean(known))
+
+
+def test_the_score_without_a_road_is_that_of_the_other_parts():
+    metrics = {
+        "at_fault": 0.0, "off_road": 0.0, "route_completion": 0.5, "wrong_way": 0.0,
+        "collision": 0.0, "is_success": 0.0, "min_ttc": 0.5,
+    }  # fmt: skip
+    names = ("speed", "ttc", "acceleration", "lateral_acceleration", "jerk")
+    figures = {name: np.ones(4) for name in names}
+    found = planner_score({**metrics, "off_road": 1.0}, figures, 15.0, road=False)
+    assert found["on_road"] is None
+    assert found["score"] == planner_score(metrics, figures, 15.0)["score"] > 0.0
+
+
+def test_intervals_need_ten_scenes_and_known_figures():
+    rows = [{"scene": str(i), "x": float(i % 2)} for i in range(10)]
+    mean, low, high = mean_interval(rows, "x")
+    assert low < mean == 0.5 < high
+    assert cell((mean, low, high)) == f"0.50 [{low:.2f}, {high:.2f}]"
+    few = mean_interval(rows[:9], "x")
+    assert cell(few) == "0.44"
+    # several rows of a scene are one scene
+    assert cell(mean_interval([{**row, "scene": "a"} for row in rows], "x")) == "0.50"
+    # scenes that lack the figure are none
+    assert np.isnan(mean_interval([*rows[:9], {"scene": "b", "x": None}], "x")[1])
+    assert cell(mean_interval([{"scene": "a", "x": None}], "x")) == "n/a"
+
+
+def test_a_load_without_roads_warns_once(tmp_path):
+    for name in "ab":
+        made = scenario()
+        made["map_features"] = {}
+        made["id"] = made["metadata"]["scenario_id"] = name
+        (tmp_path / f"{name}.pkl").write_bytes(pickle.dumps(made))
+    with pytest.warns(UserWarning, match="2 of 2 scenes have no drivable area") as caught:
+        ccdiff_env.load(f"scenarionet:{tmp_path}")
+    assert len([w for w in caught if w.category is UserWarning]) == 1
+
+
+def test_run_folders_of_the_former_form_are_refused_in_a_line():
+    with pytest.raises(ConfigError, match="an older release") as caught:
+        source_title({"embedded": "val"})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.nuscenes
+@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench", "rollout"])
+def test_scenarionet_files_open_everywhere(data_root, tmp_path, verb):
+    text = f"scenarionet:{data_root / 'scenarionet'}"
+    out = tmp_path / "out"
+    words = {
+        "scenes": [],
+        "view": ["scene-0757", "--traffic", "idm", "-o", f"{out}.html"],
+        "train": ["--steps", "1", "--batch-scenes", "1", "--quiet", "--out", str(out)],
+        "bench": [
+            "planners",
+            "--planners",
+            "idm",
+            "--traffic",
+            "idm",
+            "--quiet",
+            "--out",
+            str(out),
+        ],
+        "rollout": ["scene-0757", "--traffic", "idm", "--out", str(out)],
+    }[verb]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of scenes without a road
+        assert main([verb, *words, "--scenes", text]) == 0
+
+
+@pytest.mark.nuscenes
+def test_texts_open_what_load_nuscenes_opens(data_root):
+    folder = data_root / "nuscenes"
+    expected = ccdiff_env.load_nuscenes(folder, MINI, "mini_val")
+    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val") == expected
+    args = arguments(["--dataroot", str(folder), "--version", MINI])
+    assert scenes_from(args) == expected
+    found = ccdiff_env.load(Place("nuscenes", str(folder), MINI), names=["scene-0103"])
+    assert found.names == ("scene-0103",)
+    vehicles = ccdiff_env.load_nuscenes(folder, MINI, "mini_val", kinds=["vehicle"])
+    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val", kinds=["vehicle"]) == vehicles
+    with pytest.warns(UserWarning, match="93 of the 150"):
+        scenes = ccdiff_env.load(f"nuscenes:{folder}@v1.0-trainval/val")
+    assert coverage(parse(f"nuscenes:{folder}/val"), scenes) == "93 of 150 scenes of val"
