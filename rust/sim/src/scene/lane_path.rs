@@ -5,6 +5,8 @@ use crate::geom::{Point2, Real};
 
 /// Most of one straight segment of a lane that a way follows, metres.
 const LONGEST_STEP_M: Real = 1000.0;
+/// Most lanes that a way follows: lines of no length may follow each other in a circle.
+const MOST_LANES: usize = 1000;
 
 /// Appends the points of a lane from an arc length on, then those of the lanes that follow, always the first of them, until
 /// `length_m` have been gone; returns what is left of these.
@@ -16,7 +18,7 @@ pub(crate) fn follow(
     points: &mut Vec<Point2>,
 ) -> Real {
     let (mut lane, mut from_s_m, mut left_m) = (lane_idx as usize, from_s_m, length_m);
-    loop {
+    for _ in 0..MOST_LANES {
         let mut s = 0.0;
         for pair in map.lanes[lane].centreline.windows(2) {
             s += (pair[1] - pair[0]).norm();
