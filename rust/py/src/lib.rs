@@ -3,6 +3,7 @@
 mod causal;
 mod drivers;
 mod enter;
+mod map_queries;
 mod metrics;
 mod python_policy;
 mod render;
@@ -25,6 +26,7 @@ fn build_mark() -> u64 {
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
+    map_queries::register(m)?;
     metrics::register(m)?;
     drivers::register(m)?;
     render::register(m)?;
