@@ -277,7 +277,16 @@ class Scene:
     def __hash__(self) -> int: ...
 
 LINE_KINDS: list[str]
+ROUTE_SPACING_M: float
 
+def traffic_batch_from_log(
+    scenes: Sequence[Scene],
+    steps: Sequence[int],
+    num_states: int,
+    num_points: int,
+    num_future: int,
+    seed: int,
+) -> tuple[dict[str, Any], dict[str, Any]]: ...
 def map_near_pieces(
     scenes: Sequence[Scene],
     world: npt.NDArray[np.int64],

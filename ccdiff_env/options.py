@@ -393,6 +393,8 @@ class PythonOptions:
     replan_steps: int = 5
     #: Past states of each agent, the present one included (in [1, 1000]).
     history_states: int = 31
+    #: Places on each vehicle's route, 2 m apart from where it is (in [0, 1000]).
+    route_points: int = 41
 
 
 #: Where a network runs.

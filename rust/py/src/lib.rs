@@ -3,6 +3,7 @@
 mod causal;
 mod drivers;
 mod enter;
+mod logged_batch;
 mod map_queries;
 mod metrics;
 mod python_policy;
@@ -10,6 +11,7 @@ mod render;
 mod scene;
 mod scene_map;
 mod schemas;
+mod traffic_batch;
 mod world;
 mod world_image;
 mod world_plans;
@@ -26,6 +28,7 @@ fn build_mark() -> u64 {
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
+    logged_batch::register(m)?;
     map_queries::register(m)?;
     metrics::register(m)?;
     drivers::register(m)?;
