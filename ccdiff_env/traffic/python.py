@@ -177,6 +177,9 @@ class PythonTraffic(PythonOptions):
         Steps from one plan to the next, 1 to T.
     history_states
         Past states H of each agent, the present one included.
+    least_history_states
+        Fewest of them that the log must have at the start of an episode; the states before it are
+        told as not valid.
     route_points
         Places P on each vehicle's route.
 

@@ -21,6 +21,9 @@ options! {
         replan_steps: usize = 5, range within(1.0, 10_000.0);
         /// Past states of each agent, the present one included.
         history_states: usize = 31, range within(1.0, 1000.0);
+        /// Fewest of them that the log must have at the start of an episode, the present one included; an environment that
+        /// starts earlier is refused. The states before are told as not valid.
+        least_history_states: usize = 1, range within(1.0, 1000.0);
         /// Places on each vehicle's route, 2 m apart from where it is.
         route_points: usize = 41, range within(0.0, 1000.0);
     }
@@ -146,6 +149,10 @@ impl TrafficPolicy for PythonPolicy {
 
     fn history_states(&self) -> usize {
         self.options.history_states
+    }
+
+    fn least_history_states(&self) -> usize {
+        self.options.least_history_states
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {
