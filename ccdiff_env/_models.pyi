@@ -72,7 +72,6 @@ def traffic_policy(
     options: str,
     weights: Path,
     dt_s: float,
-    history_steps: int,
     num_threads: int,
     scenes: list[Scene],
 ) -> object: ...

@@ -276,6 +276,37 @@ class Scene:
     def __eq__(self, other: object, /) -> bool: ...
     def __hash__(self) -> int: ...
 
+LINE_KINDS: list[str]
+ROUTE_SPACING_M: float
+
+def traffic_batch_from_log(
+    scenes: Sequence[Scene],
+    steps: Sequence[int],
+    num_states: int,
+    num_points: int,
+    num_future: int,
+    seed: int,
+) -> tuple[dict[str, Any], dict[str, Any]]: ...
+def map_near_pieces(
+    scenes: Sequence[Scene],
+    world: npt.NDArray[np.int64],
+    position: F32,
+    heading: F32,
+    count: int,
+    kinds: bytes,
+) -> tuple[F32, U8, F32, Bool]: ...
+def map_road_distance(
+    scenes: Sequence[Scene], world: npt.NDArray[np.int64], position: F32, heading: F32
+) -> F32: ...
+def map_lane_ahead(
+    scenes: Sequence[Scene],
+    world: npt.NDArray[np.int64],
+    position: F32,
+    heading: F32,
+    num_points: int,
+    spacing_m: float,
+    reach_m: float,
+) -> tuple[F32, Bool, npt.NDArray[np.int64], F32, F32]: ...
 def load_nuscenes(
     dataroot: str,
     version: str,

@@ -282,7 +282,8 @@ class WorldOptions:
 
     #: Step (s, in (0, 1]); must equal the scenes' own.
     dt_s: float = 0.1
-    #: Logged steps before the first free one; episodes start at this step of the log.
+    #: Logged steps before the first free one; episodes start at this step of the log. Drivers that
+    #: look back farther are told that the states before were not there.
     history_steps: int = 30
     #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
     start_spread_steps: int = 0
@@ -393,6 +394,12 @@ class PythonOptions:
     replan_steps: int = 5
     #: Past states of each agent, the present one included (in [1, 1000]).
     history_states: int = 31
+    #: Fewest of them that the log must have at the start of an episode, the present one included
+    #: (in [1, 1000]); an environment that starts earlier is refused. The states before are told as
+    #: not valid.
+    least_history_states: int = 1
+    #: Places on each vehicle's route, 2 m apart from where it is (in [0, 1000]).
+    route_points: int = 41
 
 
 #: Where a network runs.

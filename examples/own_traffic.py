@@ -2,7 +2,7 @@
 
 The model sees the last second of each vehicle on its own and proposes accelerations and yaw rates
 for the next second. It is trained on the logs of the embedded scenes, then drives in place of IDM.
-The benchmarks take it by its path::
+The benchmarks take it by its path, once it is trained::
 
     PYTHONPATH=examples ccdiff-env bench traffic --methods own_traffic:SmallTraffic --out runs/own
 """
@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 import ccdiff_env
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.traffic import PythonTraffic, TrafficBatch
 
 HISTORY, STEPS = 11, 10
@@ -32,12 +33,17 @@ def features(heading: np.ndarray, speed: np.ndarray) -> torch.Tensor:
 
 
 class SmallTraffic:
-    """A network of two layers as a traffic model; weights are read where there are any."""
+    """A network of two layers as a traffic model; untrained where no file of weights is named."""
 
-    def __init__(self, path: Path = WEIGHTS) -> None:
+    def __init__(self, path: Path | None = WEIGHTS) -> None:
         torch.manual_seed(0)
         self.network = nn.Sequential(nn.Linear(2 * HISTORY, 64), nn.Tanh(), nn.Linear(64, 2))
-        if path.is_file():
+        self.trained = path is not None
+        if path is not None:
+            if not path.is_file():
+                raise ConfigError(
+                    f"no weights at {path}: python examples/own_traffic.py trains them"
+                )
             self.network.load_state_dict(torch.load(path, weights_only=True))
 
     def actions(self, rows: torch.Tensor) -> torch.Tensor:
@@ -46,6 +52,8 @@ class SmallTraffic:
 
     def __call__(self, batch: TrafficBatch) -> torch.Tensor:
         """Return actions [M, STEPS, 2] of all agents of a batch."""
+        if not self.trained:
+            raise ConfigError("these weights are untrained and do not drive")
         with torch.no_grad():
             return self.actions(
                 features(batch.heading_rad[:, -HISTORY:], batch.speed_mps[:, -HISTORY:])
@@ -56,18 +64,17 @@ def samples() -> tuple[torch.Tensor, torch.Tensor]:
     """What vehicles of the logs did [N, 2 H], and their mean acceleration and yaw rate after it."""
     rows, targets = [], []
     for scene in ccdiff_env.embedded_scenes("train"):
-        log = scene.tracks()
-        heading, velocity = log["heading"], log["velocity"]
-        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        speed = (velocity * ahead).sum(axis=-1)
-        for t in range(HISTORY, scene.num_steps - STEPS, 5):
-            there = log["valid"][:, t - HISTORY + 1 : t + STEPS + 1].all(axis=1)
-            kept = there & (np.array(scene.agent_types) == "vehicle")
-            past = slice(t - HISTORY + 1, t + 1)
-            rows.append(features(heading[kept, past], speed[kept, past]))
-            change = np.stack([speed[kept, t + STEPS] - speed[kept, t],
-                               heading[kept, t + STEPS] - heading[kept, t]], axis=-1)  # fmt: skip
-            targets.append(torch.from_numpy((change / (STEPS * scene.dt)).astype(np.float32)))
+        steps = range(HISTORY - 1, scene.num_steps - STEPS, 5)
+        # what the model is told when it drives, and what came after
+        batch, future = TrafficBatch.from_log(
+            [scene] * len(steps), steps, history_states=HISTORY, future_steps=STEPS
+        )
+        kept = batch.drives & batch.valid.all(axis=1) & future.valid.all(axis=1)
+        heading, speed = batch.heading_rad[kept], batch.speed_mps[kept]
+        rows.append(features(heading, speed))
+        change = np.stack([future.speed_mps[kept, -1] - speed[:, -1],
+                           future.heading_rad[kept, -1] - heading[:, -1]], axis=-1)  # fmt: skip
+        targets.append(torch.from_numpy(change / np.float32(STEPS * batch.dt_s)))
     return torch.cat(rows), torch.cat(targets)
 
 
@@ -84,6 +91,7 @@ def train(model: SmallTraffic, steps: int) -> float:
         loss.backward()
         optimiser.step()
         errors.append(float(loss.detach()))
+    model.trained = True
     return float(np.mean(errors[-20:]))
 
 
@@ -94,13 +102,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="file of the weights")
     parser.add_argument("--smoke", action="store_true", help="a few steps of everything")
     args = parser.parse_args()
-    model = SmallTraffic(Path("no weights"))
+    model = SmallTraffic(None)
     error = train(model, 40 if args.smoke else args.steps)
     print(f"error of the actions, in shares of their limits: {error:.3f}")
     if not args.smoke:
         args.out.parent.mkdir(parents=True, exist_ok=True)
         torch.save(model.network.state_dict(), args.out)
-    traffic = PythonTraffic(model, replan_steps=5, history_states=HISTORY)
+    traffic = PythonTraffic(
+        model, replan_steps=5, history_states=HISTORY, least_history_states=HISTORY
+    )
     env = ccdiff_env.make_vec(4, scenes="val", traffic=traffic, driver="idm")
     env.reset(seed=0)
     for _ in range(10 if args.smoke else 100):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -190,6 +192,18 @@ def test_models_come_by_path_and_bad_ones_are_named():
             PythonTraffic(coast, **wrong)
     with pytest.raises(ConfigError, match="expected a function"):
         PythonTraffic(3)
+
+
+def test_the_example_drives_trained_weights_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "examples"))
+    with pytest.raises(ConfigError, match=r"no weights at .*own_traffic\.pt.* trains them"):
+        PythonTraffic.load("own_traffic:SmallTraffic")
+    example = importlib.import_module("own_traffic")
+    env = env_of(PythonTraffic(example.SmallTraffic(None)))
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match="untrained"):
+        walk(env, 1)
 
 
 def test_files_do_not_import_code():

@@ -288,7 +288,7 @@ def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
         ({"ccdiff": {"guidance": {"discuont": 1.0}}}, "discuont"),
         ({"ccdiff": {"ranking": "nearest"}}, "ranking"),
         ({"ccdiff": {"wieghts": "fast"}}, "weights"),
-        ({"history_steps": 20}, "history_steps"),
+        ({"history_steps": 4}, "history_steps is 4, expected at least 5"),
     ],
 )
 def test_bad_settings_name_themselves(scenes, options, match):

@@ -482,7 +482,6 @@ def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) ->
             options,
             weights(kind, options),
             config.dt_s,
-            config.history_steps,
             num_threads,
             list(scenes),
         )

@@ -10,7 +10,7 @@ from ccdiff_env.traffic.ccdiff import (
     read_ranking,
 )
 from ccdiff_env.traffic.kinds import KINDS, Policy, driver_names, driver_titles
-from ccdiff_env.traffic.python import PythonTraffic, TrafficBatch
+from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 
 __all__ = [
     "KINDS",
@@ -18,6 +18,7 @@ __all__ = [
     "PAPER_PROTOCOL",
     "CcdiffConfig",
     "IdmConfig",
+    "LoggedFuture",
     "Policy",
     "PythonTraffic",
     "TrafficBatch",

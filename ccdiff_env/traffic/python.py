@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
 from ccdiff_env.options import PythonOptions, check
 
 if TYPE_CHECKING:
     from ccdiff_env.scenes import Scene, SceneSet
 
-__all__ = ["AGENT_KINDS", "BoundTraffic", "PythonTraffic", "TrafficBatch"]
+__all__ = [
+    "AGENT_KINDS",
+    "ROUTE_SPACING_M",
+    "BoundTraffic",
+    "LoggedFuture",
+    "PythonTraffic",
+    "TrafficBatch",
+]
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
@@ -25,6 +34,8 @@ Bool = npt.NDArray[np.bool_]
 
 #: Name of each number in :attr:`TrafficBatch.kind`.
 AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+#: Distance between places of :attr:`TrafficBatch.route_m`, m.
+ROUTE_SPACING_M: float = _native.ROUTE_SPACING_M
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,6 +76,83 @@ class TrafficBatch:
     seed: npt.NDArray[np.uint64]
     #: Seconds between states, and between the steps of a plan.
     dt_s: float
+    #: Places on each vehicle's route, from where it is on, :data:`ROUTE_SPACING_M` apart, m, in the
+    #: frame of its scene, [M, P, 2]. Routes are those of IDM and CCDiff: the logged path, then
+    #: the lanes ahead, else straight on. They tell where a vehicle goes, not when.
+    route_m: F32
+    #: Whether a route is told and goes so far, [M, P]; no routes are told of others than vehicles.
+    route_valid: Bool
+
+    @classmethod
+    def from_log(
+        cls,
+        scenes: Sequence[Scene],
+        steps: Sequence[int] | npt.NDArray[np.integer[Any]],
+        *,
+        future_steps: int,
+        history_states: int = PythonOptions.history_states,
+        route_points: int = PythonOptions.route_points,
+        seed: int = 0,
+    ) -> tuple[TrafficBatch, LoggedFuture]:
+        """Return what a model would be told at steps of logs, and what came after: for training.
+
+        The arrays are those of an episode that starts at the step, bit for bit. World ``i`` is
+        scene ``i`` at step ``i``; the agents are those logged at that step; ``drives`` says which
+        of them are vehicles. Another ``seed`` gives other numbers in :attr:`seed`.
+
+        Parameters
+        ----------
+        scenes
+            The scene of each world, W of them with one step ``dt``; a scene may stand there twice.
+        steps
+            Steps of their logs, 0 to ``num_steps - 1``, [W].
+        future_steps
+            States after the step F that :class:`LoggedFuture` tells, up to 10000.
+        history_states, route_points
+            As of :class:`PythonTraffic`: H and P.
+        seed
+            Any integer.
+
+        Raises
+        ------
+        ShapeError
+            If there is not one step for each scene.
+        ConfigError
+            If there is no scene, or a number is out of its range.
+        SceneError
+            If scenes have different ``dt``.
+        """
+        options = {"history_states": history_states, "route_points": route_points}
+        check("PythonOptions", "python", options)
+        listed = list(scenes)
+        if not listed:
+            raise ConfigError("scenes: empty, expected at least one scene")
+        try:
+            at, future = [operator.index(step) for step in steps], operator.index(future_steps)
+        except TypeError as error:
+            raise ConfigError(f"steps, future_steps: {error}, expected integers") from None
+        if not 0 <= future <= 10_000:
+            raise ConfigError(f"future_steps is {future}, expected 0 to 10000")
+        if any(step < 0 for step in at):
+            raise ConfigError(f"steps: {min(at)}, expected at least 0")
+        arrays, after = _native.traffic_batch_from_log(
+            listed, at, history_states, route_points, future, operator.index(seed) % 2**64
+        )
+        return cls(**arrays, scenes=tuple(listed), dt_s=listed[0].dt), LoggedFuture(**after)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoggedFuture:
+    """Logged states of the M agents of a batch after its step; zero where not valid."""
+
+    #: Centres, m, in the frame of each agent's scene, [M, F, 2].
+    position_m: F32
+    #: Headings, rad, in that frame, [M, F].
+    heading_rad: F32
+    #: Speeds along the heading, m/s, [M, F].
+    speed_mps: F32
+    #: Whether the agent is logged, [M, F].
+    valid: Bool
 
 
 #: From a batch to poses x, y (m), heading (rad) in the scene's frame [M, T, 3], or accelerations
@@ -89,6 +177,11 @@ class PythonTraffic(PythonOptions):
         Steps from one plan to the next, 1 to T.
     history_states
         Past states H of each agent, the present one included.
+    least_history_states
+        Fewest of them that the log must have at the start of an episode; the states before it are
+        told as not valid.
+    route_points
+        Places P on each vehicle's route.
 
     Examples
     --------

@@ -38,6 +38,10 @@ impl TrafficPolicy for Contained {
         self.policy.history_states()
     }
 
+    fn least_history_states(&self) -> usize {
+        self.policy.least_history_states()
+    }
+
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         if let Some(fault) = self.fault.get() {
             return Err(self.error(fault));

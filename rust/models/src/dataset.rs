@@ -16,7 +16,7 @@ use std::sync::Arc;
 use tch::Device;
 
 /// Samples start no earlier than this step, so that there is some history.
-const FIRST_STEP: usize = 5;
+pub(crate) const FIRST_STEP: usize = 5;
 
 /// A scene with what is computed once about it.
 #[derive(Debug)]

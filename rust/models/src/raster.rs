@@ -108,7 +108,7 @@ impl MapBitmap {
                 scene: scene.name.clone(),
                 field: "tracks".into(),
                 got: format!("{width:.0} x {height:.0} pixels of the network's map"),
-                expected: "at most 2^27 pixels: agents far from each other cannot be planned for",
+                expected: "at most 2^27 pixels: agents far from each other cannot be planned for".into(),
             }
             .into());
         }

@@ -37,7 +37,7 @@ fn default_policies() -> String {
     serde_json::json!(kinds).to_string()
 }
 
-/// A policy of worlds with this step and history over these scenes, which plans on this many threads; `options` is a
+/// A policy of worlds with this step over these scenes, which plans on this many threads; `options` is a
 /// `CcdiffConfig` as JSON.
 #[pyfunction]
 fn traffic_policy<'py>(
@@ -47,7 +47,6 @@ fn traffic_policy<'py>(
     options: &str,
     weights: PathBuf,
     dt_s: f32,
-    history_steps: usize,
     num_threads: usize,
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
@@ -58,7 +57,7 @@ fn traffic_policy<'py>(
     let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
     let policy = py.detach(|| {
         let policy = PlannedTraffic::new(config, &weights, num_threads)?;
-        policy.check(dt_s, history_steps, &scenes).map(|()| policy)
+        policy.check(dt_s, &scenes).map(|()| policy)
     });
     let policy = policy.map_err(from_model)?;
     if policy.kind() != kind {

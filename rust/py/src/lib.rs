@@ -3,12 +3,15 @@
 mod causal;
 mod drivers;
 mod enter;
+mod logged_batch;
+mod map_queries;
 mod metrics;
 mod python_policy;
 mod render;
 mod scene;
 mod scene_map;
 mod schemas;
+mod traffic_batch;
 mod world;
 mod world_image;
 mod world_plans;
@@ -25,6 +28,8 @@ fn build_mark() -> u64 {
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
+    logged_batch::register(m)?;
+    map_queries::register(m)?;
     metrics::register(m)?;
     drivers::register(m)?;
     render::register(m)?;

@@ -1,14 +1,14 @@
 //! A traffic model written in Python, as a policy of a batch: one call per plan phase for all worlds that are due.
 
+use crate::traffic_batch::{self, Row, Told};
 use ccdiff_sim::SimError;
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::options;
 use ccdiff_sim::options::within;
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, TrafficPolicy};
-use numpy::{Element, PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use ccdiff_sim::policy::{Driver, PlanRecord, PlanRequest, PlanState, TrafficPolicy};
+use numpy::{PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 
 options! {
     /// Options of a traffic model of one's own, written in Python: `ccdiff_env.traffic.PythonTraffic`.
@@ -21,6 +21,11 @@ options! {
         replan_steps: usize = 5, range within(1.0, 10_000.0);
         /// Past states of each agent, the present one included.
         history_states: usize = 31, range within(1.0, 1000.0);
+        /// Fewest of them that the log must have at the start of an episode, the present one included; an environment that
+        /// starts earlier is refused. The states before are told as not valid.
+        least_history_states: usize = 1, range within(1.0, 1000.0);
+        /// Places on each vehicle's route, 2 m apart from where it is.
+        route_points: usize = 41, range within(0.0, 1000.0);
     }
 }
 
@@ -28,81 +33,63 @@ options! {
 pub(crate) struct PythonPolicy {
     name: String,
     options: PythonOptions,
-    /// Called with the arrays of [`PythonPolicy::arrays`]; returns float32 [M, T, 3] or [M, T, 2].
+    /// Called with the arrays of [`traffic_batch::arrays`]; returns float32 [M, T, 3] or [M, T, 2].
     model: Py<PyAny>,
     dynamics: Dynamics,
 }
-
-/// Agents of the worlds that are due: number of the world among them, and index in its scene.
-type Rows = Vec<(usize, usize)>;
 
 impl PythonPolicy {
     pub(crate) fn new(name: &str, options: PythonOptions, model: Py<PyAny>) -> Self {
         Self { name: name.into(), options, model, dynamics: Dynamics::default() }
     }
 
-    /// What the model is told: M agents of W worlds, H states each.
-    fn arrays<'py>(
-        &self,
-        py: Python<'py>,
-        due: &[&PlanRequest<'_>],
-        rows: &Rows,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        fn shaped<'py, T: Element>(
-            py: Python<'py>,
-            values: Vec<T>,
-            shape: &[usize],
-        ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-            PyArray1::from_vec(py, values).reshape(shape)
-        }
-        let (m, h) = (rows.len(), self.options.history_states);
-        let past = rows.iter().flat_map(|(w, a)| {
-            let history = due[*w].world.history;
-            let first = history.map_or(0, |p| p.len().saturating_sub(h));
-            (first..first + h).filter_map(move |k| history.map(|p| p.at(*a, k)))
-        });
-        let past: Vec<_> = past.collect();
-        let world = |row: &(usize, usize)| due[row.0].world;
-        let of_rows = |f: &dyn Fn(&(usize, usize)) -> i64| rows.iter().map(f).collect::<Vec<_>>();
-        let of_worlds = |f: &dyn Fn(&PlanRequest<'_>) -> i64| due.iter().map(|r| f(r)).collect::<Vec<_>>();
-        let footprint = |row: &(usize, usize)| {
-            let agent = &world(row).scene.scene.agents[row.1];
-            [agent.length_m, agent.width_m]
+    /// What the model is told of the worlds that are due.
+    fn told<'a>(&self, due: &[&PlanRequest<'a>]) -> ccdiff_sim::Result<Vec<Told<'a>>> {
+        let of_world = |request: &&PlanRequest<'a>| {
+            let world = request.world;
+            let history = world.history.filter(|h| h.len() >= self.options.history_states);
+            let history = history.ok_or_else(|| {
+                let message = "the world keeps too short a history".into();
+                SimError::Policy { policy: self.name.clone(), message }
+            })?;
+            let row = |agent_idx: usize| Row {
+                agent_idx,
+                drives: request.drives(agent_idx),
+                // kept for route followers only
+                route_s_m: match world.drivers[agent_idx] {
+                    Driver::REPLAY => {
+                        let path = &world.scene.routes[agent_idx].path;
+                        path.project(world.states.position(agent_idx)).s_m
+                    }
+                    _ => world.route_s_m[agent_idx],
+                },
+            };
+            let active = &world.states.active;
+            Ok(Told {
+                scene: world.scene,
+                scene_idx: world.scene_idx,
+                history,
+                elapsed_steps: world.elapsed_steps,
+                seed: world.noise_seed,
+                rows: (0..active.len()).filter(|a| active[*a]).map(row).collect(),
+            })
         };
-        let dict = PyDict::new(py);
-        let position = past.iter().flat_map(|p| [p.position.x, p.position.y]).collect();
-        dict.set_item("position_m", shaped::<f32>(py, position, &[m, h, 2])?)?;
-        let heading = past.iter().map(|p| p.heading_rad).collect();
-        dict.set_item("heading_rad", shaped::<f32>(py, heading, &[m, h])?)?;
-        let speed = past.iter().map(|p| p.speed_mps).collect();
-        dict.set_item("speed_mps", shaped::<f32>(py, speed, &[m, h])?)?;
-        dict.set_item("valid", shaped(py, past.iter().map(|p| p.valid).collect(), &[m, h])?)?;
-        dict.set_item("size_m", shaped(py, rows.iter().flat_map(footprint).collect(), &[m, 2])?)?;
-        let kinds = rows.iter().map(|row| world(row).scene.kinds[row.1] as u8).collect();
-        dict.set_item("kind", shaped::<u8>(py, kinds, &[m])?)?;
-        let drives = rows.iter().map(|(w, a)| due[*w].drives(*a)).collect();
-        dict.set_item("drives", shaped::<bool>(py, drives, &[m])?)?;
-        dict.set_item("world", shaped(py, of_rows(&|r| r.0 as i64), &[m])?)?;
-        dict.set_item("agent", shaped(py, of_rows(&|r| r.1 as i64), &[m])?)?;
-        dict.set_item("scene_idx", shaped(py, of_worlds(&|r| r.world.scene_idx as i64), &[due.len()])?)?;
-        let elapsed = of_worlds(&|r| r.world.elapsed_steps as i64);
-        dict.set_item("elapsed_steps", shaped(py, elapsed, &[due.len()])?)?;
-        let seeds = due.iter().map(|r| r.world.noise_seed).collect();
-        dict.set_item("seed", shaped::<u64>(py, seeds, &[due.len()])?)?;
-        Ok(dict)
+        due.iter().map(of_world).collect()
     }
 
-    fn ask(&self, py: Python<'_>, due: &[&PlanRequest<'_>], rows: &Rows) -> PyResult<Vec<PlanState>> {
-        let answer = self.model.bind(py).call1((self.arrays(py, due, rows)?,))?;
+    fn ask(&self, py: Python<'_>, due: &[&PlanRequest<'_>], told: &[Told<'_>]) -> PyResult<Vec<PlanState>> {
+        let (states, points) = (self.options.history_states, self.options.route_points);
+        let answer = self.model.bind(py).call1((traffic_batch::arrays(py, told, states, points)?,))?;
         let answer = answer.cast_into::<PyArray3<f32>>()?;
         let (steps, width) = (answer.shape()[1], answer.shape()[2]);
         let answer = answer.try_readonly()?;
         let flat = answer.as_slice()?;
         let mut plans: Vec<PlanState> = due.iter().map(|r| empty(r, steps)).collect();
         // whoever calls has checked the shape
-        for (row, plan) in rows.iter().zip(flat.chunks_exact((steps * width).max(1))) {
-            if due[row.0].drives(row.1) {
-                self.add(&mut plans[row.0], due[row.0], row.1, plan, width);
+        let rows = told.iter().enumerate().flat_map(|(w, world)| world.rows.iter().map(move |row| (w, row)));
+        for ((w, row), plan) in rows.zip(flat.chunks_exact((steps * width).max(1))) {
+            if row.drives {
+                self.add(&mut plans[w], due[w], row.agent_idx, plan, width);
             }
         }
         for plan in &mut plans {
@@ -164,20 +151,20 @@ impl TrafficPolicy for PythonPolicy {
         self.options.history_states
     }
 
+    fn least_history_states(&self) -> usize {
+        self.options.least_history_states
+    }
+
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {
         let is_due: Vec<bool> = requests.iter().map(|r| r.is_due(self.options.replan_steps)).collect();
         let due: Vec<&PlanRequest<'_>> =
             requests.iter().zip(&is_due).filter(|(_, due)| **due).map(|(r, _)| r).collect();
-        let there = |(w, r): (usize, &&PlanRequest<'_>)| {
-            let active = &r.world.states.active;
-            (0..active.len()).filter(|a| active[*a]).map(move |a| (w, a)).collect::<Vec<_>>()
-        };
-        let rows: Rows = due.iter().enumerate().flat_map(there).collect();
-        if rows.is_empty() {
+        let told = self.told(&due)?;
+        if told.iter().all(|world| world.rows.is_empty()) {
             return Ok(vec![None; requests.len()]);
         }
         let plans = Python::attach(|py| {
-            self.ask(py, &due, &rows).map_err(|error| {
+            self.ask(py, &due, &told).map_err(|error| {
                 let message = error.to_string();
                 // left where the caller finds it: the model's own exception reaches the user
                 error.restore(py);

@@ -10,6 +10,7 @@ use ccdiff_nuscenes::{
 };
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
+use ccdiff_sim::world::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
@@ -44,11 +45,19 @@ pub(crate) struct PyScene {
     /// Shared with the worlds that run it.
     pub(crate) scene: Arc<Scene>,
     hash: OnceLock<String>,
+    prepared: OnceLock<Arc<PreparedScene>>,
+}
+
+impl PyScene {
+    /// What is derived from the scene, made at the first call.
+    pub(crate) fn prepared(&self) -> Arc<PreparedScene> {
+        Arc::clone(self.prepared.get_or_init(|| Arc::new(PreparedScene::new(Arc::clone(&self.scene), None))))
+    }
 }
 
 impl From<Arc<Scene>> for PyScene {
     fn from(scene: Arc<Scene>) -> Self {
-        Self { scene, hash: OnceLock::new() }
+        Self { scene, hash: OnceLock::new(), prepared: OnceLock::new() }
     }
 }
 

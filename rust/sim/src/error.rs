@@ -16,7 +16,7 @@ pub enum SimError {
         /// The value found.
         got: String,
         /// The rule it breaks.
-        expected: &'static str,
+        expected: Cow<'static, str>,
     },
     /// A configuration value is out of its range or contradicts another one.
     #[error("config: {field} is {got}, expected {expected}")]

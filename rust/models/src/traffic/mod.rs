@@ -89,22 +89,15 @@ impl PlannedTraffic {
     /// Checks that worlds can be planned for.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for another step or history than the weights were trained with, [`SimError::Scene`] for a
-    /// scene without a map, or with one that is too large, where the network reads it.
-    pub fn check(&self, dt_s: Real, history_steps: usize, scenes: &[Arc<Scene>]) -> Result<()> {
+    /// [`ModelError::Config`] for another step than the weights were trained with, [`SimError::Scene`] for a scene
+    /// without a map, or with one that is too large, where the network reads it.
+    pub fn check(&self, dt_s: Real, scenes: &[Arc<Scene>]) -> Result<()> {
         let model = &self.model;
         if (f64::from(dt_s) - model.dt_s).abs() > 1e-6 {
             return Err(ModelError::Config {
                 field: "dt_s",
                 got: dt_s.to_string(),
                 expected: "the step that the weights of the traffic were trained with",
-            });
-        }
-        if history_steps + 1 < model.history_steps {
-            return Err(ModelError::Config {
-                field: "history_steps",
-                got: history_steps.to_string(),
-                expected: "at least the history that the weights of the traffic were trained with (30)",
             });
         }
         let blank = |s: &&Arc<Scene>| s.map.drivable_area.is_empty() && s.map.lanes.is_empty();
@@ -114,7 +107,7 @@ impl PlannedTraffic {
                 scene: scene.name.clone(),
                 field: "map".into(),
                 got: "neither drivable area nor lanes".into(),
-                expected: "a map: the network of the traffic reads it",
+                expected: "a map: the network of the traffic reads it".into(),
             }
             .into());
         }
@@ -183,6 +176,11 @@ impl TrafficPolicy for PlannedTraffic {
 
     fn history_states(&self) -> usize {
         self.model.history_steps
+    }
+
+    /// Shorter histories than the weights' own are masked; training has none that are shorter still.
+    fn least_history_states(&self) -> usize {
+        self.model.history_steps.min(crate::dataset::FIRST_STEP + 1)
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {

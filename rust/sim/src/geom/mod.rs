@@ -5,6 +5,7 @@
 //! platform's C library.
 
 mod bitmap;
+mod boundary;
 pub mod math;
 mod obb;
 mod polygon;
@@ -14,6 +15,7 @@ mod region;
 
 pub use bitmap::Bitmap;
 pub(crate) use bitmap::visit_band;
+pub use boundary::Boundary;
 pub use obb::OrientedBox;
 pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};
 pub use polyline::{Polyline, Projection};

@@ -41,7 +41,8 @@ pub enum SegmentKind {
 }
 
 impl SegmentKind {
-    const ALL: [Self; KINDS] = [
+    /// All kinds in order.
+    pub const ALL: [Self; KINDS] = [
         Self::Lane,
         Self::Connector,
         Self::RoadDivider,
@@ -51,6 +52,20 @@ impl SegmentKind {
         Self::StopLine,
         Self::Walkway,
     ];
+
+    /// Name, as observations have it after `is_`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lane => "lane",
+            Self::Connector => "connector",
+            Self::RoadDivider => "road_divider",
+            Self::LaneDivider => "lane_divider",
+            Self::RoadEdge => "road_edge",
+            Self::Crossing => "crossing",
+            Self::StopLine => "stop_line",
+            Self::Walkway => "walkway",
+        }
+    }
 }
 
 /// A short straight part of a line of the map.
@@ -125,10 +140,14 @@ impl MapSegments {
 
     /// All segments.
     pub fn segments(&self) -> impl ExactSizeIterator<Item = Segment> {
-        self.places.iter().map(|place| {
-            let [x, y, cos, sin, half_length_m, ..] = place.0;
-            Segment { x, y, cos, sin, half_length_m, kind: SegmentKind::ALL[kind_idx(place)] }
-        })
+        (0..self.len()).map(|idx| self.segment(idx))
+    }
+
+    /// One of them.
+    pub(crate) fn segment(&self, idx: usize) -> Segment {
+        let place = &self.places[idx];
+        let [x, y, cos, sin, half_length_m, ..] = place.0;
+        Segment { x, y, cos, sin, half_length_m, kind: SegmentKind::ALL[kind_idx(place)] }
     }
 
     /// Indices of the first numbers of [`Self::places`].

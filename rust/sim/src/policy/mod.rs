@@ -76,6 +76,12 @@ pub trait TrafficPolicy: Send + Sync {
         0
     }
 
+    /// Fewest states of the log, the present one included, that it needs at the start of an episode. Where there are fewer
+    /// than it looks back at, the earliest ones are not valid.
+    fn least_history_states(&self) -> usize {
+        1
+    }
+
     /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep the plan
     /// that there is.
     ///

@@ -212,7 +212,7 @@ fn add_segments(lane_idx: u32, points: &[Point2], segments: &mut Vec<Segment>) {
             let d = points[i] - points[from];
             // past the ends of the chord (a line that turns back) the distance to the chord's line says nothing
             let along = d.dot(&unit);
-            let beyond = (-along).max(along - length_m).max(0.0);
+            let beyond = if length_m > 0.0 { (-along).max(along - length_m).max(0.0) } else { d.norm() };
             (unit.x * d.y - unit.y * d.x).abs() + beyond
         };
         let furthest = (from + 1..to).map(|i| (deviation(i), i)).max_by(|a, b| a.0.total_cmp(&b.0));

@@ -6,12 +6,14 @@
 mod contour;
 mod lane_index;
 mod lane_links;
+mod lane_path;
 mod map;
 mod road_area;
 pub mod synthetic;
 
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use lane_links::link_lanes;
+pub(crate) use lane_path::follow;
 pub use map::{Lane, LaneKind, Map};
 pub use road_area::{RoadParts, road_area};
 
@@ -120,7 +122,7 @@ impl Scene {
     /// [`SimError::Scene`] names the first field that is not finite, not positive, of the wrong length or twice there.
     pub fn validated(self) -> Result<Self> {
         let fail = |field: String, got: String, expected: &'static str| {
-            Err(SimError::Scene { scene: self.name.clone(), field, got, expected })
+            Err(SimError::Scene { scene: self.name.clone(), field, got, expected: expected.into() })
         };
         let (num_agents, num_steps) = (self.agents.len(), self.num_steps);
         if num_agents == 0 {

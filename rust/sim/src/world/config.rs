@@ -137,7 +137,8 @@ options! {
     pub struct WorldConfig {
         /// Step; must equal the scenes' own.
         dt_s: Real = 0.1, unit "s", range within(0.0, 1.0).open_below();
-        /// Logged steps before the first free one; episodes start at this step of the log.
+        /// Logged steps before the first free one; episodes start at this step of the log. Drivers that look back farther
+        /// are told that the states before were not there.
         history_steps: usize = 30;
         /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
         start_spread_steps: usize = 0;

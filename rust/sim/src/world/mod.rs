@@ -22,6 +22,7 @@ mod halt;
 mod history;
 mod inspect;
 mod log;
+mod map_queries;
 mod motion;
 mod policies;
 mod prepared;
@@ -50,6 +51,7 @@ pub use config::{
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use history::{History, PastState};
 pub use inspect::WorldStatus;
+pub use map_queries::{LaneAhead, NearPiece};
 pub use prepared::PreparedScene;
 pub use rng::Rng;
 pub use route::Route;

@@ -54,6 +54,15 @@ impl Policies {
                 let expected = "a name that nobody else has".into();
                 return Err(SimError::Config { field: "policies".into(), got: name, expected });
             }
+            let (least, has) = (policy.least_history_states(), config.history_steps.saturating_add(1));
+            if has < least {
+                let expected = format!(
+                    "at least {}: {name:?} looks back at {least} states or more, the present one included",
+                    least - 1
+                );
+                let got = config.history_steps.to_string();
+                return Err(SimError::Config { field: "history_steps".into(), got, expected });
+            }
             table.push((name, policy));
         }
         let planners = (0..table.len()).filter(|i| table[*i].1.history_states() > 0);

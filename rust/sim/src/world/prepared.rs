@@ -1,12 +1,12 @@
 //! A scene with everything a world derives from it once: indices, footprints, routes. Shared by all worlds.
 
-use crate::geom::{Bitmap, Real, Region};
+use crate::geom::{Bitmap, Boundary, Polygon, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
-use crate::scene::{AgentKind, LaneIndex, Scene};
+use crate::scene::{AgentKind, LaneIndex, Map, Scene};
 use crate::state::Footprint;
 use crate::world::log::Log;
 use crate::world::route::Route;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A scene made ready to be stepped.
 #[derive(Debug)]
@@ -20,6 +20,8 @@ pub struct PreparedScene {
     /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
     /// then nothing is ever off the road.
     pub road: Option<Region>,
+    /// Edge of the road, made when somebody asks for distances to it.
+    pub(crate) road_edge: OnceLock<Boundary>,
     /// Nearest-lane index; `None` without lanes.
     pub lanes: Option<LaneIndex>,
     /// Route of each agent.
@@ -36,12 +38,6 @@ impl PreparedScene {
     /// Derives everything from a scene; the ground for rasters where there are some.
     pub fn new(scene: Arc<Scene>, bev: Option<&BevConfig>) -> Self {
         let map = &scene.map;
-        let road = if map.drivable_area.is_empty() {
-            let lanes: Vec<_> = map.lanes.iter().map(|l| l.polygon.clone()).collect();
-            Region::new(&lanes)
-        } else {
-            Region::new(&map.drivable_area)
-        };
         let lanes = LaneIndex::new(map);
         let routes = Route::of_all(&scene, lanes.as_ref());
         Self {
@@ -50,15 +46,24 @@ impl PreparedScene {
             log: Log::new(&scene),
             segments: MapSegments::new(map),
             ground: bev.map(|bev| bev.ground(map)),
-            road,
+            road: Region::new(&Self::road_polygons(map)),
+            road_edge: OnceLock::new(),
             lanes,
             routes,
             scene,
         }
     }
 
+    /// Where vehicles may drive, as polygons.
+    pub(crate) fn road_polygons(map: &Map) -> Vec<Polygon> {
+        match map.drivable_area.is_empty() {
+            true => map.lanes.iter().map(|l| l.polygon.clone()).collect(),
+            false => map.drivable_area.clone(),
+        }
+    }
+
     /// Position along its route of an agent where it is logged at a step, metres.
-    pub(crate) fn logged_s_m(&self, agent_idx: usize, step_idx: usize) -> Real {
+    pub fn logged_s_m(&self, agent_idx: usize, step_idx: usize) -> Real {
         let project = |(a, route): (usize, &Route)| {
             self.log.at(a, step_idx).map_or(0.0, |(pose, _)| route.path.project(pose.position).s_m)
         };

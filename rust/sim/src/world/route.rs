@@ -1,7 +1,7 @@
 //! The path an agent is meant to drive: its log, then the lanes ahead, else straight on.
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
-use crate::scene::{LaneIndex, Map, Scene};
+use crate::scene::{LaneIndex, Map, Scene, follow};
 
 /// Distance between samples of a route, metres.
 const SPACING_M: Real = 1.0;
@@ -9,8 +9,6 @@ const SPACING_M: Real = 1.0;
 const MIN_STEP_M: Real = 0.5;
 /// How far a route goes on past the end of the log, metres.
 const EXTENSION_M: Real = 80.0;
-/// Most of one straight segment of a lane that a route follows past the end of the log, metres.
-const LONGEST_STEP_M: Real = 1000.0;
 /// Lateral acceleration at which curves are taken, m/s².
 const CURVE_MPS2: Real = 3.0;
 /// Braking assumed ahead of a curve, m/s².
@@ -92,27 +90,7 @@ fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneI
         points.push(pose.to_outer(Point2::new(EXTENSION_M, 0.0)));
         return false;
     };
-    let (mut lane_idx, mut from_s, mut left_m) = (hit.lane_idx as usize, hit.s_m + 4.0, EXTENSION_M);
-    loop {
-        let lane = &map.lanes[lane_idx];
-        let mut s = 0.0;
-        for pair in lane.centreline.windows(2) {
-            s += (pair[1] - pair[0]).norm();
-            if s >= from_s && left_m > 0.0 {
-                let step = pair[1] - pair[0];
-                // a metre where the loaders made the line, but a file can say anything
-                let share = (LONGEST_STEP_M / step.norm()).min(1.0);
-                left_m -= step.norm();
-                points.push(if share < 1.0 { pair[0] + step * share } else { pair[1] });
-            }
-        }
-        from_s = 0.0;
-        let Some(next) = lane.successors.first() else { break };
-        if left_m <= 0.0 {
-            return true;
-        }
-        lane_idx = *next as usize;
-    }
+    let left_m = follow(map, hit.lane_idx, hit.s_m + 4.0, EXTENSION_M, points);
     if left_m > 0.0 && points.len() >= 2 {
         let (a, b) = (points[points.len() - 2], points[points.len() - 1]);
         let d = b - a;

@@ -6,6 +6,7 @@ use crate::scene::Scene;
 use crate::world::config::{SceneOrder, WorldConfig};
 use crate::world::episode::Episode;
 use crate::world::prepared::PreparedScene;
+use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 /// The scenes of a batch, each prepared when it is first played.
@@ -83,18 +84,26 @@ fn weights_error(got: String, expected: &str) -> SimError {
 
 /// Refuses a scene that worlds of a configuration cannot play.
 pub(super) fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
-    let fail = |field: &str, got: String, expected| {
+    let fail = |field: &str, got: String, expected: Cow<'static, str>| {
         Err(SimError::Scene { scene: scene.name.clone(), field: field.into(), got, expected })
     };
     if (scene.dt_s - config.dt_s).abs() > 1e-6 {
-        return fail("dt_s", scene.dt_s.to_string(), "the world's own step");
+        return fail("dt_s", scene.dt_s.to_string(), "the world's own step".into());
     }
-    if scene.num_steps < config.history_steps + 2 {
-        return fail("num_steps", scene.num_steps.to_string(), "more steps than the history and one");
+    let (has, history) = (scene.num_steps, config.history_steps);
+    if has < history.saturating_add(2) {
+        let expected = match has.checked_sub(2) {
+            Some(fits) => format!(
+                "at least history_steps + 2 = {}: history_steps of at most {fits} fits",
+                history.saturating_add(2)
+            ),
+            None => "at least 2: a start and a step".into(),
+        };
+        return fail("num_steps", has.to_string(), expected.into());
     }
     if config.controlled.anyone_at(scene, config.history_steps) {
         Ok(())
     } else {
-        fail("agents", "nobody to control".into(), "a controlled agent present at the start")
+        fail("agents", "nobody to control".into(), "a controlled agent present at the start".into())
     }
 }

@@ -1,0 +1,296 @@
+"""What the maps of scenes say of places: pieces of lines near an agent, the road's edge, its lane.
+
+Every function takes one scene, or several with the scene of each place: ``world`` [M], as
+:class:`~ccdiff_env.traffic.TrafficBatch` has it. Positions and headings are those of the scene's
+frame. What is derived from a map is made at the first call and kept with the scene.
+
+Examples
+--------
+>>> import ccdiff_env
+>>> from ccdiff_env import map_queries
+>>> scene = ccdiff_env.embedded_scenes("val")[0]
+>>> log = scene.tracks()
+>>> there = log["valid"][:, 30]
+>>> position, heading = log["position"][there, 30], log["heading"][there, 30]
+>>> lines = map_queries.nearest_lines(scene, position, heading, count=8)
+>>> lines.start_m.shape == (there.sum(), 8, 2)
+True
+>>> bool(map_queries.road_distance(scene, position)[0] > 0)
+True
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env import _native
+from ccdiff_env._native import Scene
+from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
+
+__all__ = [
+    "LINE_KINDS",
+    "LaneAhead",
+    "NearLines",
+    "in_frame",
+    "lane_ahead",
+    "nearest_lines",
+    "road_distance",
+]
+
+F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+#: Name of each number in :attr:`NearLines.kind`.
+LINE_KINDS: tuple[str, ...] = tuple(_native.LINE_KINDS)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NearLines:
+    """Straight pieces of lines in the frames of M agents, nearest first; zero where not valid."""
+
+    #: Starts of the pieces by the direction of their lines, x ahead, y to the left, m, [M, K, 2].
+    start_m: F32
+    #: Ends of the pieces, m, [M, K, 2].
+    end_m: F32
+    #: Kinds of their lines, indices of :data:`LINE_KINDS`, [M, K].
+    kind: npt.NDArray[np.uint8]
+    #: Distances from the agents' positions, m, [M, K].
+    distance_m: F32
+    #: Whether there are so many pieces, [M, K].
+    valid: Bool
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LaneAhead:
+    """The lanes of M agents, and the way along them in the agents' frames; zero where not valid."""
+
+    #: Places on the way, from the nearest point of the lane on, m, [M, P, 2].
+    position_m: F32
+    #: Whether the lanes go so far, [M, P].
+    valid: Bool
+    #: Index of the lane in ``scene.map_layers()["lanes"]``, -1 without one in reach, [M].
+    lane: I64
+    #: Offset of the agent from the lane's centre line, left positive, m, [M].
+    lateral_m: F32
+    #: Heading of the agent minus that of the lane, rad, [M].
+    heading_error_rad: F32
+
+
+def _floats(name: str, values: Any, shape: tuple[int | None, ...]) -> F32:
+    """Values as contiguous float32 of a shape, in which ``None`` is any length."""
+    try:
+        array = np.ascontiguousarray(values, np.float32)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: {error}, expected an array") from None
+    fits = len(array.shape) == len(shape)
+    if not fits or any(n not in (None, m) for m, n in zip(array.shape, shape, strict=True)):
+        expected = ", ".join("M" if n is None else str(n) for n in shape)
+        raise ShapeError(f"{name} has shape {array.shape}, expected [{expected}]")
+    return array
+
+
+def _worlds(scenes: Scene | Sequence[Scene], world: Any, count: int) -> tuple[list[Scene], I64]:
+    """The scenes as a list, and the scene of each of ``count`` places."""
+    listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    if not listed or not all(isinstance(scene, Scene) for scene in listed):
+        raise ConfigError("scenes: expected a scene or several")
+    if world is None:
+        if len(listed) > 1:
+            raise ConfigError(f"world is None, expected the number of one of {len(listed)} scenes")
+        return listed, np.zeros(count, np.int64)
+    numbers = np.asarray(world)
+    if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
+        raise ShapeError(
+            f"world has shape {numbers.shape} and dtype {numbers.dtype}, "
+            f"expected {count} integers, one for each place"
+        )
+    return listed, np.ascontiguousarray(numbers, np.int64)
+
+
+def _at_least(name: str, value: Any, least: int) -> int:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not least <= number <= 10_000:
+        raise ConfigError(f"{name} is {value!r}, expected an integer from {least} to 10000")
+    return number
+
+
+def nearest_lines(
+    scenes: Scene | Sequence[Scene],
+    position_m: Any,
+    heading_rad: Any,
+    *,
+    count: int = 64,
+    kinds: Collection[str] = LINE_KINDS,
+    world: Any = None,
+) -> NearLines:
+    """Return the pieces of the map's lines nearest to agents, in the agents' frames.
+
+    Lines are cut into straight pieces of at most 5 m, which follow them to half a metre. Edges on
+    which the map was cut out are left out: nothing ends there.
+
+    Parameters
+    ----------
+    scenes
+        One scene, or several.
+    position_m, heading_rad
+        Poses of the agents, scene frame, [M, 2] m and [M] rad.
+    count
+        Pieces of each agent K, 1 to 10000.
+    kinds
+        Kinds of lines that count, of :data:`LINE_KINDS`.
+    world
+        Scene of each agent, index of ``scenes``, [M]; left out for one scene.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape.
+    ConfigError
+        If a number is not finite, or ``count`` out of its range.
+    UnknownNameError
+        If there is no kind or scene of that name or number.
+    """
+    position = _floats("position_m", position_m, (None, 2))
+    heading = _floats("heading_rad", heading_rad, (len(position),))
+    listed, numbers = _worlds(scenes, world, len(position))
+    unknown = [kind for kind in kinds if kind not in LINE_KINDS]
+    if unknown:
+        known = ", ".join(LINE_KINDS)
+        raise UnknownNameError(f"kinds: {unknown[0]!r} is no kind of line, there are {known}")
+    wanted = bytes(LINE_KINDS.index(kind) for kind in kinds)
+    count = _at_least("count", count, 1)
+    ends, kind, distance, valid = _native.map_near_pieces(
+        listed, numbers, position, heading, count, wanted
+    )
+    start, end = ends[:, :, 0], ends[:, :, 1]
+    return NearLines(start_m=start, end_m=end, kind=kind, distance_m=distance, valid=valid)
+
+
+def road_distance(scenes: Scene | Sequence[Scene], position_m: Any, *, world: Any = None) -> F32:
+    """Return the distances of places to the edge of the road, m, positive on the road.
+
+    The road is what ``off_road`` goes by: the union of the drivable areas, else of the lanes'
+    surfaces. It ends where the map was cut out.
+
+    Parameters
+    ----------
+    scenes
+        One scene, or several.
+    position_m
+        Places, scene frame, m, [..., 2].
+    world
+        Scene of each place along the first axis, [M]; left out for one scene.
+
+    Returns
+    -------
+    ndarray
+        Distances of the shape of the places, [...].
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape.
+    ConfigError
+        If a number is not finite.
+    SceneError
+        If a scene has no road.
+    """
+    shape = np.shape(position_m)
+    if not shape or shape[-1] != 2:
+        raise ShapeError(f"position_m has shape {shape}, expected [..., 2]")
+    places = _floats("position_m", np.reshape(position_m, (-1, 2)), (None, 2))
+    listed, numbers = _worlds(scenes, world, len(places) if world is None else shape[0])
+    if world is not None:
+        numbers = numbers.repeat(len(places) // max(shape[0], 1))
+    heading = np.zeros(len(places), np.float32)
+    return _native.map_road_distance(listed, numbers, places, heading).reshape(shape[:-1])
+
+
+def lane_ahead(
+    scenes: Scene | Sequence[Scene],
+    position_m: Any,
+    heading_rad: Any,
+    *,
+    points: int = 41,
+    spacing_m: float = 2.0,
+    reach_m: float = 5.0,
+    world: Any = None,
+) -> LaneAhead:
+    """Return the lanes that agents are on, and the way along them, in the agents' frames.
+
+    An agent's lane is the nearest one that leads where the agent heads, to 90 degrees. The way
+    follows it, then the first of its successors, and so on.
+
+    Parameters
+    ----------
+    scenes
+        One scene, or several.
+    position_m, heading_rad
+        Poses of the agents, scene frame, [M, 2] m and [M] rad.
+    points
+        Places on the way P, 1 to 10000.
+    spacing_m
+        Distance from one place to the next, m.
+    reach_m
+        Lanes farther than this are not looked at, m, at most 10.
+    world
+        Scene of each agent, index of ``scenes``, [M]; left out for one scene.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape.
+    ConfigError
+        If a number is not finite, or out of its range.
+    UnknownNameError
+        If there is no scene of that number.
+    """
+    position = _floats("position_m", position_m, (None, 2))
+    heading = _floats("heading_rad", heading_rad, (len(position),))
+    listed, numbers = _worlds(scenes, world, len(position))
+    for name, value, most in (("spacing_m", spacing_m, 1000.0), ("reach_m", reach_m, 10.0)):
+        if not isinstance(value, (int, float)) or not 0.0 < value <= most:
+            raise ConfigError(f"{name} is {value!r}, expected a number above 0, at most {most:g}")
+    places, valid, lane, lateral, error = _native.map_lane_ahead(
+        listed, numbers, position, heading, _at_least("points", points, 1), spacing_m, reach_m
+    )
+    return LaneAhead(
+        position_m=places, valid=valid, lane=lane, lateral_m=lateral, heading_error_rad=error
+    )
+
+
+def in_frame(points_m: Any, position_m: Any, heading_rad: Any) -> F32:
+    """Return points of the scene's frame in the frames of agents: x ahead, y to the left.
+
+    Parameters
+    ----------
+    points_m
+        Points of each agent, scene frame, m, [M, ..., 2].
+    position_m, heading_rad
+        Poses of the agents, scene frame, [M, 2] m and [M] rad.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape.
+    """
+    position = _floats("position_m", position_m, (None, 2))
+    heading = _floats("heading_rad", heading_rad, (len(position),))
+    points = np.asarray(points_m, np.float32)
+    if points.ndim < 2 or points.shape[0] != len(position) or points.shape[-1] != 2:
+        raise ShapeError(f"points_m has shape {points.shape}, expected [{len(position)}, ..., 2]")
+    between = (1,) * (points.ndim - 2)
+    offset = points - position.reshape(-1, *between, 2)
+    cos, sin = (of(heading).reshape(-1, *between) for of in (np.cos, np.sin))
+    x, y = offset[..., 0], offset[..., 1]
+    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)

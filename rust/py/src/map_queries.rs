@@ -1,0 +1,191 @@
+//! Bindings of what the maps of scenes say of places: arrays in, arrays out.
+
+use crate::enter::enter;
+use crate::scene::PyScene;
+use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
+use ccdiff_sim::geom::{Point2, Pose2};
+use ccdiff_sim::observe::SegmentKind;
+use ccdiff_sim::world::PreparedScene;
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// Nothing is farther from the origin of a scene along an axis, metres.
+const FARTHEST_M: f32 = 1e6;
+
+/// Adds the functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("LINE_KINDS", SegmentKind::ALL.map(SegmentKind::name))?;
+    module.add_function(wrap_pyfunction!(map_near_pieces, module)?)?;
+    module.add_function(wrap_pyfunction!(map_road_distance, module)?)?;
+    module.add_function(wrap_pyfunction!(map_lane_ahead, module)?)
+}
+
+/// Places on the maps of scenes.
+struct Places {
+    scenes: Vec<Arc<PreparedScene>>,
+    /// Scene of each place.
+    world: Vec<usize>,
+    poses: Vec<Pose2>,
+}
+
+type F32<'py> = PyReadonlyArray2<'py, f32>;
+
+impl Places {
+    /// Poses [M] of positions [M, 2] and headings [M], each in the scene of its number [M].
+    fn new(
+        py: Python<'_>,
+        scenes: &[PyRef<'_, PyScene>],
+        world: &PyReadonlyArray1<'_, i64>,
+        position: &F32<'_>,
+        heading: &PyReadonlyArray1<'_, f32>,
+    ) -> PyResult<Self> {
+        let n = position.shape()[0];
+        if position.shape() != [n, 2] || world.len() != n || heading.len() != n {
+            let got = (position.shape(), heading.shape(), world.shape());
+            let message =
+                format!("position_m, heading_rad, world have shapes {got:?}, expected [M, 2], [M], [M]");
+            return Err(ShapeError::new_err(message));
+        }
+        let known = |w: &i64| usize::try_from(*w).ok().filter(|w| *w < scenes.len());
+        let numbers = world.as_array().into_iter().map(|w| {
+            let message = || format!("world {w}, expected 0 to {}", scenes.len().saturating_sub(1));
+            known(w).ok_or_else(|| UnknownNameError::new_err(message()))
+        });
+        let (position, heading) = (position.as_array(), heading.as_array());
+        let poses = position.rows().into_iter().zip(heading).enumerate().map(|(i, (at, heading))| {
+            let numbers = [at[0], at[1], *heading];
+            match numbers.iter().all(|v| v.abs() < FARTHEST_M) {
+                true => Ok(Pose2::new(at[0], at[1], *heading)),
+                false => Err(ConfigError::new_err(format!(
+                    "place {i} is at {numbers:?} (x, y, heading), expected finite numbers below 1e6"
+                ))),
+            }
+        });
+        let (world, poses) = (numbers.collect::<PyResult<_>>()?, poses.collect::<PyResult<_>>()?);
+        let scenes: Vec<&PyScene> = scenes.iter().map(|scene| &**scene).collect();
+        let scenes = enter(py, || Ok(scenes.into_iter().map(PyScene::prepared).collect()))?;
+        Ok(Self { scenes, world, poses })
+    }
+
+    fn each(&self) -> impl Iterator<Item = (&PreparedScene, &Pose2)> {
+        self.world.iter().zip(&self.poses).map(|(w, pose)| (&*self.scenes[*w], pose))
+    }
+}
+
+/// Ends [M, K, 2, 2], kinds, distances and whether there are so many [M, K].
+type Pieces<'py> = (
+    Bound<'py, PyArray4<f32>>,
+    Bound<'py, PyArray2<u8>>,
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray2<bool>>,
+);
+
+/// The pieces of lines nearest to poses, in their frames.
+#[pyfunction]
+fn map_near_pieces<'py>(
+    py: Python<'py>,
+    scenes: Vec<PyRef<'py, PyScene>>,
+    world: PyReadonlyArray1<'py, i64>,
+    position: F32<'py>,
+    heading: PyReadonlyArray1<'py, f32>,
+    count: usize,
+    kinds: Vec<u8>,
+) -> PyResult<Pieces<'py>> {
+    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+    let (m, wanted) = (places.poses.len(), |kind: SegmentKind| kinds.contains(&(kind as u8)));
+    let (mut ends, mut kind) = (vec![0.0; m * count * 4], vec![0; m * count]);
+    let (mut distance_m, mut valid) = (vec![0.0; m * count], vec![false; m * count]);
+    enter(py, || {
+        for (row, (scene, pose)) in places.each().enumerate() {
+            for (k, piece) in (row * count..).zip(scene.near_pieces(pose, count, wanted)) {
+                let [from, to] = piece.ends;
+                ends[4 * k..4 * k + 4].copy_from_slice(&[from.x, from.y, to.x, to.y]);
+                (kind[k], distance_m[k], valid[k]) = (piece.kind as u8, piece.distance_m, true);
+            }
+        }
+        Ok(())
+    })?;
+    Ok((
+        PyArray1::from_vec(py, ends).reshape([m, count, 2, 2])?,
+        PyArray1::from_vec(py, kind).reshape([m, count])?,
+        PyArray1::from_vec(py, distance_m).reshape([m, count])?,
+        PyArray1::from_vec(py, valid).reshape([m, count])?,
+    ))
+}
+
+/// Distances [M] to the edge of the road, negative off it.
+#[pyfunction]
+fn map_road_distance<'py>(
+    py: Python<'py>,
+    scenes: Vec<PyRef<'py, PyScene>>,
+    world: PyReadonlyArray1<'py, i64>,
+    position: F32<'py>,
+    heading: PyReadonlyArray1<'py, f32>,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+    let distances = enter(py, || {
+        let of = |(scene, pose): (&PreparedScene, &Pose2)| {
+            let message = || {
+                let name = &scene.scene.name;
+                format!("scene {name:?}: no road: its map has neither a drivable area nor surfaces of lanes")
+            };
+            scene.road_distance_m(pose.position).ok_or_else(|| SceneError::new_err(message()))
+        };
+        places.each().map(of).collect::<PyResult<Vec<f32>>>()
+    })?;
+    Ok(PyArray1::from_vec(py, distances))
+}
+
+/// Ways [M, P, 2] and whether they go so far [M, P]; index of the lane (-1: none), offset from it, and the heading's
+/// difference from it [M].
+type Ways<'py> = (
+    Bound<'py, PyArray3<f32>>,
+    Bound<'py, PyArray2<bool>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<f32>>,
+    Bound<'py, PyArray1<f32>>,
+);
+
+/// The ways along lanes ahead of poses, in their frames.
+#[pyfunction]
+fn map_lane_ahead<'py>(
+    py: Python<'py>,
+    scenes: Vec<PyRef<'py, PyScene>>,
+    world: PyReadonlyArray1<'py, i64>,
+    position: F32<'py>,
+    heading: PyReadonlyArray1<'py, f32>,
+    num_points: usize,
+    spacing_m: f32,
+    reach_m: f32,
+) -> PyResult<Ways<'py>> {
+    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+    let (m, length_m) = (places.poses.len(), spacing_m * num_points as f32);
+    let (mut points, mut valid) = (vec![0.0; m * num_points * 2], vec![false; m * num_points]);
+    let (mut lane, mut lateral_m, mut heading_error_rad) = (vec![-1; m], vec![0.0; m], vec![0.0; m]);
+    enter(py, || {
+        for (row, (scene, pose)) in places.each().enumerate() {
+            let Some(ahead) = scene.lane_ahead(pose, reach_m, length_m) else { continue };
+            lane[row] = i64::from(ahead.lane.lane_idx);
+            (lateral_m[row], heading_error_rad[row]) = (ahead.lane.lateral_m, ahead.lane.heading_error_rad);
+            for (k, i) in (row * num_points..).zip(0..num_points) {
+                if let Some(at) = ahead.at(i as f32 * spacing_m) {
+                    let Point2 { coords: at } = pose.to_local(at);
+                    points[2 * k..2 * k + 2].copy_from_slice(at.as_slice());
+                    valid[k] = true;
+                }
+            }
+        }
+        Ok(())
+    })?;
+    Ok((
+        PyArray1::from_vec(py, points).reshape([m, num_points, 2])?,
+        PyArray1::from_vec(py, valid).reshape([m, num_points])?,
+        PyArray1::from_vec(py, lane),
+        PyArray1::from_vec(py, lateral_m),
+        PyArray1::from_vec(py, heading_error_rad),
+    ))
+}

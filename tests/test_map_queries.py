@@ -1,0 +1,322 @@
+"""What maps say of places, against shapely and brute force."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+from shapely.ops import unary_union
+
+import ccdiff_env
+from ccdiff_env import map_queries
+from ccdiff_env.errors import ConfigError, SceneError, ShapeError, UnknownNameError
+from ccdiff_env.map_queries import LINE_KINDS
+from ccdiff_env.scenes import with_tracks
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return list(ccdiff_env.embedded_scenes("val"))[:5]
+
+
+@pytest.fixture(scope="module")
+def real_scenes(data_root):
+    return list(ccdiff_env.load_nuscenes(data_root / "nuscenes", scenes=REAL))
+
+
+REAL = ["scene-0103", "scene-0916"]
+
+
+def places(scene, count, seed=0):
+    """Poses about the logged ones, 30 m off at most."""
+    draw = np.random.default_rng(seed)
+    log = scene.tracks()
+    rows = np.argwhere(log["valid"])
+    agent, step = rows[draw.integers(len(rows), size=count)].T
+    position = log["position"][agent, step] + draw.normal(0.0, 8.0, (count, 2)).clip(-30, 30)
+    return position.astype(np.float32), draw.uniform(-4, 4, count).astype(np.float32)
+
+
+def polygons(layer):
+    found = [shapely.Polygon(p["exterior"], p["holes"]) for p in layer if len(p["exterior"]) > 2]
+    # parts of a polygon that was cut out are joined by edges without an area
+    mended = [p if p.is_valid else p.buffer(0) for p in found]
+    assert all(abs(p.area - q.area) < 1e-2 for p, q in zip(found, mended, strict=True))
+    return mended
+
+
+def road(scene):
+    layers = scene.map_layers()
+    own = polygons(layers["drivable_area"])
+    return unary_union(own or polygons([lane["polygon"] for lane in layers["lanes"]]))
+
+
+def lines_of(scene):
+    """All lines of a map by kind, rings closed."""
+    layers = scene.map_layers()
+    found = {kind: [] for kind in LINE_KINDS}
+    for lane in layers["lanes"]:
+        found["lane" if lane["kind"] == "lane" else "connector"].append(lane["centreline"])
+    found["road_divider"] = layers["road_dividers"]
+    found["lane_divider"] = layers["lane_dividers"]
+    for kind, name in (
+        ("road_edge", "drivable_area"),
+        ("crossing", "ped_crossings"),
+        ("stop_line", "stop_lines"),
+        ("walkway", "walkways"),
+    ):
+        for polygon in layers[name]:
+            for ring in (polygon["exterior"], *polygon["holes"]):
+                found[kind].append(np.concatenate([ring, ring[:1]]))
+    return found
+
+
+def check_road(scene):
+    area = road(scene)
+    points, _ = places(scene, 400)
+    found = map_queries.road_distance(scene, points)
+    assert found.dtype == np.float32
+    assert (found > 0.5).any()
+    assert (found < -0.5).any()
+    # cracks of less than two millimetres are none
+    area = area.buffer(1e-3).buffer(-1e-3)
+    for at, distance in zip(points, found, strict=True):
+        point = shapely.Point(at)
+        expected = area.boundary.distance(point) * (1.0 if area.covers(point) else -1.0)
+        assert abs(distance - expected) < 5e-3, (at, distance, expected)
+
+
+def test_the_distance_to_the_roads_edge_is_that_of_shapely(scenes):
+    for scene in scenes:
+        check_road(scene)
+
+
+@pytest.mark.nuscenes
+def test_the_distance_to_the_roads_edge_is_that_of_shapely_on_real_maps(real_scenes):
+    for scene in real_scenes:
+        check_road(scene)
+
+
+def test_the_road_is_that_of_off_road(scenes):
+    scene = scenes[0]
+    env = ccdiff_env.EgoEnv(scenes=scene, traffic="replay", driver="replay")
+    env.reset(seed=0)
+    states, (_, centre) = env.worlds.native.states(0), env.worlds.native.off_road(0)
+    active = states["active"]
+    distance = map_queries.road_distance(scene, states["position"][active])
+    np.testing.assert_array_equal(distance < 0.0, centre[active])
+
+
+def test_shapes_and_several_scenes(scenes):
+    points = np.stack([places(scene, 12, 3)[0].reshape(3, 4, 2) for scene in scenes])
+    together = map_queries.road_distance(scenes, points, world=np.arange(len(scenes)))
+    assert together.shape == (len(scenes), 3, 4)
+    for scene, own, expected in zip(scenes, points, together, strict=True):
+        np.testing.assert_array_equal(map_queries.road_distance(scene, own), expected)
+    assert map_queries.road_distance(scenes[0], points[0, 0, 0]).shape == ()
+    assert map_queries.road_distance(scenes[0], np.zeros((0, 2))).shape == (0,)
+
+
+def check_lines(scene):
+    """The pieces are the map's lines, and the nearest of them are found."""
+    whole = map_queries.nearest_lines(scene, [[0.0, 0.0]], [0.0], count=10_000)
+    assert not whole.valid.all()
+    kept = whole.valid[0]
+    start, end, kind = whole.start_m[0, kept], whole.end_m[0, kept], whole.kind[0, kept]
+    assert np.linalg.norm(end - start, axis=1).max() < 5.02
+    lines = lines_of(scene)
+    for number, name in enumerate(LINE_KINDS):
+        drawn = shapely.MultiLineString(lines[name]) if lines[name] else shapely.MultiLineString()
+        pieces = shapely.MultiLineString(
+            np.stack([start[kind == number], end[kind == number]], axis=1).tolist()
+        )
+        if drawn.is_empty:
+            assert pieces.is_empty
+            continue
+        assert pieces.difference(drawn.buffer(0.5)).is_empty, name
+        if name in ("lane", "connector", "road_divider", "lane_divider"):
+            assert drawn.difference(pieces.buffer(0.5)).is_empty, name
+    position, heading = places(scene, 50, 1)
+    found = map_queries.nearest_lines(scene, position, heading, count=32)
+    for row, (at, turn) in enumerate(zip(position, heading, strict=True)):
+        both = np.stack([start, end], axis=1)
+        away = shapely.distance(shapely.linestrings(both), shapely.Point(at))
+        order = np.argsort(away, kind="stable")[:32]
+        np.testing.assert_allclose(found.distance_m[row], away[order], atol=1e-3)
+        # every piece is one of the map's, in the agent's frame
+        moved = affinity.rotate(
+            shapely.MultiLineString(both.tolist()), -turn, origin=tuple(at), use_radians=True
+        )
+        ends = np.array([np.array(line.coords) for line in moved.geoms]) - at
+        mine = np.stack([found.start_m[row], found.end_m[row]], axis=1)
+        gap = np.abs(ends[None] - mine[:, None]).max(axis=(2, 3))
+        assert (gap.min(axis=1) < 2e-3).all()
+        np.testing.assert_array_equal(kind[gap.argmin(axis=1)], found.kind[row])
+
+
+def test_the_nearest_lines_are_those_of_brute_force(scenes):
+    for scene in scenes[:2]:
+        check_lines(scene)
+
+
+@pytest.mark.nuscenes
+def test_the_nearest_lines_are_those_of_brute_force_on_real_maps(real_scenes):
+    check_lines(real_scenes[0])
+
+
+def test_kinds_are_chosen_and_what_is_not_there_is_masked(scenes):
+    position, heading = places(scenes[0], 4)
+    found = map_queries.nearest_lines(
+        scenes[0], position, heading, count=5000, kinds=("crossing", "road_edge")
+    )
+    names = {LINE_KINDS[k] for k in found.kind[found.valid]}
+    assert names <= {"crossing", "road_edge"}
+    assert "road_edge" in names
+    for array in (found.start_m, found.end_m, found.kind, found.distance_m):
+        assert not array[~found.valid].any()
+    far = np.where(found.valid, found.distance_m, np.inf)
+    assert (np.sort(far, axis=1) == far).all()
+
+
+def check_lane(scene):
+    lanes = scene.map_layers()["lanes"]
+    position, heading = places(scene, 120, 2)
+    found = map_queries.lane_ahead(scene, position, heading, points=30, spacing_m=1.5, reach_m=4.0)
+    lines = [shapely.LineString(lane["centreline"]) for lane in lanes]
+    cos, sin = np.cos(heading), np.sin(heading)
+    hits = 0
+    for row, at in enumerate(position):
+        point = shapely.Point(at)
+        candidates = []
+        for index, line in enumerate(lines):
+            coords = np.array(line.coords)
+            for a, b in itertools.pairwise(coords):
+                along = np.dot(b - a, (cos[row], sin[row]))
+                if along >= 0:
+                    candidates.append((shapely.LineString([a, b]).distance(point), index))
+        least = min(candidates, default=(np.inf, -1))[0]
+        lane = int(found.lane[row])
+        if abs(least - 4.0) < 0.02:
+            continue
+        assert (lane >= 0) == (least < 4.0)
+        if lane < 0:
+            assert not found.valid[row].any()
+            continue
+        hits += 1
+        assert min(d for d, index in candidates if index == lane) < least + 0.02
+        # the way: along the lane, then its first successors
+        way = list(lines[lane].coords)
+        start, follower = lines[lane].project(point), lane
+        while shapely.LineString(way).length < start + 60.0 and lanes[follower]["successors"]:
+            follower = lanes[follower]["successors"][0]
+            way += list(lines[follower].coords)
+        way = shapely.LineString(way)
+        turn = np.array([[cos[row], -sin[row]], [sin[row], cos[row]]])
+        scene_m = found.position_m[row] @ turn.T + at
+        if abs(found.heading_error_rad[row]) > 1.4 or least > 3.0:
+            continue  # the nearest place of the lane may be another one by its direction
+        for k in range(30):
+            s_m = start + 1.5 * k
+            if abs(s_m - way.length) > 0.1:
+                assert found.valid[row, k] == (s_m < way.length)
+            if found.valid[row, k] and s_m < way.length:
+                expected = np.array(way.interpolate(s_m).coords[0])
+                assert np.linalg.norm(scene_m[k] - expected) < 0.05
+    return hits
+
+
+def test_the_lane_ahead_is_that_of_brute_force(scenes):
+    assert sum(check_lane(scene) for scene in scenes) > 100
+
+
+def road_scene(lanes, drivable=()):
+    steps = 20
+    position = np.zeros((1, steps, 2), np.float32)
+    return ccdiff_env.Scene.from_arrays(
+        "bare", agent_ids=["ego"], agent_types=["vehicle"],
+        sizes=np.ones((1, 3), np.float32), position=position,
+        heading=np.zeros((1, steps), np.float32), velocity=np.zeros_like(position),
+        valid=np.ones((1, steps), bool),
+        map_layers={"lanes": list(lanes), "drivable_area": list(drivable)},
+    )  # fmt: skip
+
+
+def lane(points, successors=()):
+    empty = {"exterior": np.zeros((0, 2), np.float32), "holes": []}
+    return {
+        "id": f"{points}", "kind": "lane", "centreline": np.array(points, np.float32),
+        "polygon": empty, "successors": list(successors), "predecessors": [],
+        "speed_limit_mps": None,
+    }  # fmt: skip
+
+
+def test_lanes_in_a_circle_come_to_an_end():
+    # no length at all, and round and round
+    scene = road_scene([lane([(0, 0), (8, 0)], [1]), lane([(8, 0), (8, 0)], [1])])
+    found = map_queries.lane_ahead(scene, [[1.0, 0.5]], [0.0], points=10, spacing_m=1.0)
+    assert found.valid[0].sum() == 8
+    assert found.lateral_m[0] == pytest.approx(0.5)
+    env = ccdiff_env.EgoEnv(scenes=scene, history_steps=2)
+    env.reset(seed=0)
+    ring = road_scene([lane([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)], [0])])
+    found = map_queries.lane_ahead(ring, [[1.0, 0.0]], [0.0], points=100, spacing_m=1.0)
+    assert found.valid.all()
+    np.testing.assert_allclose(found.position_m[0, 36], found.position_m[0, 0], atol=1e-3)
+
+
+def test_maps_without_lanes_or_road_say_so():
+    scene = road_scene([])
+    assert not map_queries.nearest_lines(scene, [[0.0, 0.0]], [0.0]).valid.any()
+    assert map_queries.lane_ahead(scene, [[0.0, 0.0]], [0.0]).lane.tolist() == [-1]
+    with pytest.raises(SceneError, match=r"bare.*no road"):
+        map_queries.road_distance(scene, [[0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (lambda s: map_queries.road_distance(s, [1.0, 2.0, 3.0]), ShapeError, r"\[\.\.\., 2\]"),
+        (lambda s: map_queries.road_distance(s, [[np.nan, 0.0]]), ConfigError, "finite"),
+        (lambda s: map_queries.road_distance(s, [[1e7, 0.0]]), ConfigError, "below 1e6"),
+        (lambda s: map_queries.road_distance([s, s], [[0.0, 0.0]]), ConfigError, "world is None"),
+        (lambda s: map_queries.road_distance([], [[0.0, 0.0]]), ConfigError, "scenes"),
+        (lambda s: map_queries.road_distance(s, "here"), ShapeError, "position_m"),
+        (
+            lambda s: map_queries.road_distance(s, [[0.0, 0.0]], world=[1]),
+            UnknownNameError,
+            "world 1, expected 0 to 0",
+        ),
+        (
+            lambda s: map_queries.road_distance(s, [[0.0, 0.0]], world=[0.0]),
+            ShapeError,
+            "1 integers",
+        ),
+        (lambda s: map_queries.nearest_lines(s, [[0, 0]], [0, 0]), ShapeError, "heading_rad"),
+        (lambda s: map_queries.nearest_lines(s, [[0, 0]], [0], count=0), ConfigError, "count"),
+        (
+            lambda s: map_queries.nearest_lines(s, [[0, 0]], [0], kinds=["kerb"]),
+            UnknownNameError,
+            "kerb",
+        ),
+        (lambda s: map_queries.lane_ahead(s, [[0, 0]], [0], reach_m=11), ConfigError, "reach_m"),
+        (lambda s: map_queries.lane_ahead(s, [[0, 0]], [0], points=1.5), ConfigError, "points"),
+        (lambda s: map_queries.in_frame([[0, 0]], [[0, 0], [1, 1]], [0, 0]), ShapeError, "points"),
+    ],
+)
+def test_wrong_arguments_are_refused(scenes, call, error, match):
+    with pytest.raises(error, match=match):
+        call(scenes[0])
+
+
+def test_answers_are_the_scenes_own_however_it_came(scenes):
+    position, heading = places(scenes[0], 40)
+    copy = with_tracks(scenes[0], scenes[0].tracks())
+    for first, second in zip(
+        map_queries.nearest_lines(scenes[0], position, heading).__dict__.values(),
+        map_queries.nearest_lines(copy, position, heading).__dict__.values(),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(first, second)
