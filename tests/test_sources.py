@@ -338,7 +338,7 @@ def test_a_load_without_roads_warns_once(tmp_path):
         made["map_features"] = {}
         made["id"] = made["metadata"]["scenario_id"] = name
         (tmp_path / f"{name}.pkl").write_bytes(pickle.dumps(made))
-    with pytest.warns(UserWarning, match="2 of 2 scenes have no drivable area") as caught:
+    with pytest.warns(UserWarning, match="2 of 2 scenes have no road") as caught:
         ccdiff_env.load(f"scenarionet:{tmp_path}")
     assert len([w for w in caught if w.category is UserWarning]) == 1
 
