@@ -195,4 +195,9 @@ proptest! {
     fn damaged_scenes_never_panic(input in prop::collection::vec(any::<u8>(), 4..25)) {
         damage::decode_damaged(&input);
     }
+
+    #[test]
+    fn damaged_snapshots_never_panic(input in prop::collection::vec(any::<u8>(), 4..25)) {
+        damage::restore_damaged(&input);
+    }
 }

@@ -4,7 +4,7 @@ use super::world::Batch;
 use super::{DataSet, VERSION};
 use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::{Controlled, WorldConfig};
+use ccdiff_sim::world::{Controlled, SceneOrder, TrafficCollision, WorldConfig};
 use std::sync::{Arc, OnceLock};
 
 /// Edits bytes as the input says, four bytes an edit: what to do, with which byte, and where (two bytes).
@@ -62,6 +62,44 @@ pub(crate) fn decode_damaged(input: &[u8]) {
     edit(&mut bytes, input);
     if let Ok(scene) = decode_scene(&bytes) {
         play(Arc::new(scene.validated().unwrap()));
+    }
+}
+
+/// Restores a world of the tiny data set from damaged bytes, plays on, and begins anew.
+pub(crate) fn restore_damaged(input: &[u8]) {
+    static SCENES: OnceLock<Vec<Arc<Scene>>> = OnceLock::new();
+    let scenes = SCENES.get_or_init(|| {
+        let folder = DataSet::new().written();
+        load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes
+    });
+    let config = WorldConfig {
+        history_steps: 2,
+        controlled: Controlled::Vehicles,
+        num_slots: 4,
+        traffic: "idm".into(),
+        scene_order: SceneOrder::Sequential,
+        on_traffic_collision: TrafficCollision::Stop,
+        ..WorldConfig::default()
+    };
+    let mut batch = Batch::of(scenes.clone(), config, 1, 1, Vec::new()).unwrap();
+    batch.reset_all(0);
+    let step = |batch: &mut Batch| {
+        batch.step(&[0.5, 0.1].repeat(4)).unwrap();
+        let reals = batch.obs.iter().chain(&batch.columns).chain(&batch.reward);
+        assert!(reals.into_iter().all(|x| x.is_finite()));
+    };
+    step(&mut batch);
+    let mut bytes = batch.world.snapshot(0).unwrap();
+    edit(&mut bytes, input);
+    if batch.world.restore(0, &bytes).is_ok() {
+        for _ in 0..3 {
+            if batch.step(&[0.5, 0.1].repeat(4)).is_err() {
+                break;
+            }
+        }
+        assert!(batch.world.metrics(0).unwrap().iter().flatten().all(|x| x.is_finite()));
+        batch.reset(&[None], &[None]).unwrap();
+        step(&mut batch);
     }
 }
 

@@ -45,6 +45,12 @@ pub fn pow(x: Real, y: Real) -> Real {
     libm::powf(x, y)
 }
 
+/// Whether a number of a world is finite, and so small that its square is, too.
+#[inline]
+pub(crate) fn is_sound(x: Real) -> bool {
+    x.abs() <= 1e9
+}
+
 /// Wraps an angle to (−π, π].
 #[inline]
 pub fn wrap_angle(angle_rad: Real) -> Real {

@@ -1,5 +1,6 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
+use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
 use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
@@ -14,6 +15,9 @@ use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
 pub(crate) const STATIONARY_M: Real = 2.0;
+
+/// Steps of an episode are far fewer.
+const MOST_STEPS: usize = 1 << 30;
 
 /// Where a world is in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -299,8 +303,13 @@ impl Episode {
         self.phase != Phase::NeverReset
     }
 
-    /// Whether all arrays have the lengths that a scene, a number of slots and a table of policies ask for.
+    /// Whether this may be a world of a batch: all arrays have the lengths that a scene, a number of slots and a table
+    /// of policies ask for, indices are in range, and numbers are such that a world can go on with them.
     pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize, policies: &Policies) -> bool {
+        if !self.begun() {
+            let (rng, seed, next_scene_idx) = (self.rng, self.seed, self.next_scene_idx);
+            return *self == Self { rng, seed, next_scene_idx, ..Self::new(0, 1) };
+        }
         let n = scene.scene.num_agents();
         let s = &self.states;
         let reals = [
@@ -317,20 +326,25 @@ impl Episode {
             &self.route_s_m,
         ];
         let in_range = |i: usize| i < n;
-        reals.iter().all(|v| v.len() == n && v.iter().all(|x| x.is_finite()))
+        let contacts = self.initial_contacts.iter().chain(&self.given_contacts);
+        reals.iter().all(|v| v.len() == n && v.iter().all(|x| is_sound(*x)))
+            && self.elapsed_steps <= self.step_idx
+            && self.step_idx < MOST_STEPS
+            && self.number < u64::MAX
             && s.active.len() == n
             && self.drivers.len() == n
             && self.drivers.iter().all(|d| policies.has(*d))
             && self.entered.len() == n
             && self.halted.len() == n
             && self.slots.len() == num_slots
-            && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range))
-            && self.initial_contacts.iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
+            && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range) && slot.is_sound())
+            && contacts.into_iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
             && self.history.as_ref().map_or(0, History::len) == policies.history_states
             && self.history.as_ref().is_none_or(|h| h.fits(n))
             && self.plans.len() == policies.len()
-            && self.plans.iter().flatten().all(|p| p.fits(n))
+            && self.plans.iter().flatten().all(|p| p.fits(n) && p.record.made_at <= self.elapsed_steps)
             && self.plan_override.guided.iter().flatten().all(|a| in_range(*a))
+            && self.plan_override.criticality.is_none_or(|level| level >= 0.0 && is_sound(level))
     }
 
     /// A number that depends on the seed, the episode and the step alone.
@@ -340,6 +354,16 @@ impl Episode {
 }
 
 impl Slot {
+    /// Whether all numbers are such that an episode can go on with them.
+    fn is_sound(&self) -> bool {
+        let ways =
+            [self.start_s_m, self.goal_s_m, self.best_s_m, self.acceleration_mps2, self.speed_limit_mps];
+        let found =
+            [self.route_distance_m, self.route_heading_error_rad, self.lane_distance_m.unwrap_or(0.0)];
+        let reals = ways.iter().chain(&found).chain(&self.last_action);
+        reals.into_iter().all(|x| is_sound(*x)) && self.statistics.is_finite()
+    }
+
     /// Share of the way to the goal, 0 to 1; 1 where the log stands still.
     pub(crate) fn completion(&self) -> Real {
         let way = self.goal_s_m - self.start_s_m;

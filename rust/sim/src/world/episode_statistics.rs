@@ -86,7 +86,7 @@ impl EpisodeStatistics {
     /// Adds a step.
     pub(crate) fn add(&mut self, reward: Real, columns: &[Real]) {
         debug_assert_eq!(columns.len(), NUM_COLUMNS);
-        self.steps += 1;
+        self.steps = self.steps.saturating_add(1);
         self.total += f64::from(reward);
         for (sum, value) in self.components.iter_mut().zip(columns) {
             *sum += f64::from(*value);
@@ -99,6 +99,13 @@ impl EpisodeStatistics {
         }
         self.last = LAST.map(|column| columns[column as usize]);
         self.min_ttc_s = self.min_ttc_s.min(columns[Col::Ttc as usize]);
+    }
+
+    /// Whether all sums are finite.
+    pub(crate) fn is_finite(&self) -> bool {
+        let sums = self.components.iter().chain(&self.means).chain([&self.total]);
+        sums.into_iter().all(|x| x.is_finite())
+            && self.last.iter().chain([&self.min_ttc_s]).all(|x| x.is_finite())
     }
 
     /// The metrics so far.

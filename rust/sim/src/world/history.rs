@@ -1,5 +1,6 @@
 //! The last H states of every agent of a world, for policies that look back.
 
+use crate::geom::math::is_sound;
 use crate::geom::{Point2, Real};
 use crate::scene::Scene;
 use crate::state::AgentStates;
@@ -71,11 +72,14 @@ impl History {
         self.len == 0
     }
 
-    /// Whether the arrays have the lengths that a number of agents asks for.
+    /// Whether the arrays have the lengths that a number of agents asks for, and hold numbers.
     pub(crate) fn fits(&self, num_agents: usize) -> bool {
-        let n = self.num_agents * self.len;
+        let n = num_agents.saturating_mul(self.len);
+        let reals = self.position.iter().flat_map(|p| [p.x, p.y]);
+        let reals = reals.chain(self.heading_rad.iter().copied()).chain(self.speed_mps.iter().copied());
         self.num_agents == num_agents
             && self.head < self.len
+            && reals.into_iter().all(is_sound)
             && [self.position.len(), self.heading_rad.len(), self.speed_mps.len(), self.valid.len()] == [n; 4]
     }
 

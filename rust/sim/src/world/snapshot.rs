@@ -59,9 +59,12 @@ impl VecWorld {
         if name.as_deref() != Some(&snapshot.scene) {
             return refuse(format!("scene {:?} is not number {} here", snapshot.scene, episode.scene_idx));
         }
+        if episode.next_scene_idx >= self.num_scenes() {
+            return refuse(format!("its next scene is number {}", episode.next_scene_idx));
+        }
         let scene = self.prepared(episode.scene_idx)?;
-        if episode.begun() && !episode.fits(&scene, self.config.num_slots, &self.policies) {
-            return refuse("its arrays do not fit the scene".into());
+        if !episode.fits(&scene, self.config.num_slots, &self.policies) {
+            return refuse("its arrays or numbers do not fit the scene".into());
         }
         let world = &mut self.worlds[world_idx];
         world.enter(Arc::clone(&scene));
