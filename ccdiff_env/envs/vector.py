@@ -112,10 +112,11 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
 
     Notes
     -----
-    World i of ``reset(seed=n)`` gets the seed n + i and then runs exactly as
-    ``EgoEnv.reset(seed=n + i)`` would, but for rounding in traffic of networks, which torch does by
-    the size of the batch. ``reset(options={"scene": ...})`` chooses scenes by name or
-    index, one for all worlds or a list with one entry per world (``None``: no choice).
+    World i of ``reset(seed=n)`` gets the seed n + i. With scenes in random order it then runs
+    exactly as ``EgoEnv.reset(seed=n + i)`` would, but for rounding in traffic of networks, which
+    torch does by the size of the batch. In sequential order its next scene is E further on:
+    together the worlds play each scene once. ``reset(options={"scene": ...})`` chooses scenes by
+    name or index, one for all worlds or a list with one entry per world (``None``: no choice).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
@@ -406,7 +407,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         shape = (self.num_envs,)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
             raise ShapeError(f"{name} is {mask!r}, expected a bool array of shape {shape}")
-        return mask.copy()
+        return mask.view(np.uint8) != 0  # a byte of an array of bool may be any
 
     def _reset_mask(self, given: Any) -> Bool:
         mask = self._mask("reset_mask", given)

@@ -1,7 +1,7 @@
 //! `VecWorld`: many worlds stepped as one batch, writing into the caller's arrays.
 
 use crate::drivers;
-use crate::enter::{ProcessGuard, enter};
+use crate::enter::{ProcessGuard, enter, flags};
 use crate::render::{CentreArg, theme_of};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
@@ -213,9 +213,7 @@ impl PyVecWorld {
         self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let actions = &self.actions;
         let active = match active {
-            Some(mask) => {
-                Some(typed::<bool>("active", mask, &shape[..1])?.try_readonly()?.as_slice()?.to_vec())
-            }
+            Some(mask) => Some(flags(&typed::<bool>("active", mask, &shape[..1])?.try_readonly()?)?),
             None => None,
         };
         let active = active.as_deref();
