@@ -2,14 +2,15 @@
 //!
 //! A scene's key is a hash of the contents of all tables, of its location's map, of the options and of this format's
 //! version, so a changed file or option simply leads to another name. Files are written aside and renamed, carry a
-//! checksum, and can be deleted at any time. To find out whether a table has changed without reading it, its hash is
+//! checksum of their name and contents, and can be deleted at any time. The checksum finds damage, not forgers. To find out whether a table has changed without reading it, its hash is
 //! kept under its path, size and times.
 
 use crate::error::{NuscenesError, Result};
+use crate::file;
 use crate::report::CacheReport;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::fs::{self, File, Metadata};
-use std::io::Read;
+use std::fs::{self, Metadata, OpenOptions};
+use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -142,8 +143,11 @@ impl Cache {
     /// The value of that name; `None` where there is none or where it is damaged (noted).
     pub(crate) fn get<T: DeserializeOwned>(&self, kind: &str, name: Hash) -> Option<T> {
         let path = self.file(kind, name)?;
-        let bytes = fs::read(&path).ok()?;
-        let value = unframed(&bytes).and_then(|payload| postcard::from_bytes(payload).ok());
+        let bytes = match file::read(&path) {
+            Err(e) if e.kind() == ErrorKind::NotFound => return None,
+            found => found.unwrap_or_default(),
+        };
+        let value = unframed(&bytes, kind, name).and_then(|payload| postcard::from_bytes(payload).ok());
         if value.is_none() {
             self.note(format!("damaged file built again: {}", path.display()));
         }
@@ -153,7 +157,7 @@ impl Cache {
     /// Writes a value under a name. A cache that cannot be written is noted, never an error.
     pub(crate) fn put<T: Serialize>(&self, kind: &str, name: Hash, value: &T) {
         let Some(path) = self.file(kind, name) else { return };
-        if let Err(reason) = write_aside(&path, value) {
+        if let Err(reason) = write_aside(&path, kind, name, value) {
             let folder = path.parent().unwrap_or(&path).display();
             self.note(format!("cannot write to {folder}: {reason}"));
         }
@@ -161,7 +165,7 @@ impl Cache {
 }
 
 fn hash_contents(path: &Path) -> std::io::Result<Hash> {
-    let mut file = File::open(path)?;
+    let mut file = file::open(path)?;
     let mut hasher = Xxh3::new();
     let mut block = vec![0; 1 << 20];
     loop {
@@ -172,24 +176,39 @@ fn hash_contents(path: &Path) -> std::io::Result<Hash> {
     }
 }
 
-/// The payload of a cache file whose checksum holds.
-fn unframed(bytes: &[u8]) -> Option<&[u8]> {
-    let (checksum, payload) = bytes.strip_prefix(MAGIC)?.split_at_checked(CHECKSUM_BYTES)?;
-    (checksum == xxh3_128(payload).to_le_bytes()).then_some(payload)
+/// Checksum of what a file holds under its kind and name: under another name it is none of the cache's.
+fn checksum(kind: &str, name: Hash, payload: &[u8]) -> [u8; CHECKSUM_BYTES] {
+    let mut hasher = Xxh3::new();
+    for part in [kind.as_bytes(), &name.0.to_le_bytes(), payload] {
+        hasher.update(part);
+    }
+    hasher.digest128().to_le_bytes()
 }
 
-fn write_aside<T: Serialize>(path: &Path, value: &T) -> std::result::Result<(), String> {
+/// The payload of a cache file whose checksum holds.
+fn unframed<'a>(bytes: &'a [u8], kind: &str, name: Hash) -> Option<&'a [u8]> {
+    let (found, payload) = bytes.strip_prefix(MAGIC)?.split_at_checked(CHECKSUM_BYTES)?;
+    (found == checksum(kind, name, payload)).then_some(payload)
+}
+
+fn write_aside<T: Serialize>(
+    path: &Path,
+    kind: &str,
+    name: Hash,
+    value: &T,
+) -> std::result::Result<(), String> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let payload = postcard::to_stdvec(value).map_err(|e| e.to_string())?;
     let mut bytes = Vec::with_capacity(MAGIC.len() + CHECKSUM_BYTES + payload.len());
     bytes.extend_from_slice(MAGIC);
-    bytes.extend_from_slice(&xxh3_128(&payload).to_le_bytes());
+    bytes.extend_from_slice(&checksum(kind, name, &payload));
     bytes.extend_from_slice(&payload);
     let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
     let aside = path.with_extension(format!("{}-{unique}.part", std::process::id()));
     let folder = path.parent().ok_or("no folder")?;
     let written = fs::create_dir_all(folder)
-        .and_then(|()| fs::write(&aside, &bytes))
+        // a file of that name, or a link, is none of ours
+        .and_then(|()| OpenOptions::new().write(true).create_new(true).open(&aside)?.write_all(&bytes))
         .and_then(|()| fs::rename(&aside, path));
     written.map_err(|e| {
         // best effort: what is left of a failed write is never read

@@ -12,6 +12,7 @@
 //! - `resample`: key frames to steps, `spline`: smooth curves through them
 //! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
 //! - `build`: one scene
+//! - `file`: regular files of a bounded size
 //! - `category`: categories as kinds of agents
 //! - `cache`: built scenes on disk
 //! - `load`: all of it
@@ -24,6 +25,7 @@ mod category;
 mod codec;
 mod crop;
 mod error;
+mod file;
 mod gpudrive;
 mod index;
 mod load;

@@ -2,6 +2,7 @@
 
 use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
+use crate::file;
 use crate::index::TokenIndex;
 use crate::record::{Members, Record, Source, Text, elements, plain_string};
 use crate::report::MapReport;
@@ -123,7 +124,7 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
 /// # Errors
 /// Unreadable files, invalid JSON, references to nodes, polygons or lines that do not exist, damaged centre lines.
 pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
-    let bytes = std::fs::read(path).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
+    let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
     let file = MapText::new(&bytes, path)?;
     let assembler = Assembler::new(&file, path)?;
     let mut report = MapReport { location: location.to_owned(), ..MapReport::default() };

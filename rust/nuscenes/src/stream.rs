@@ -4,10 +4,10 @@
 //! before. Layout does not matter: pretty-printed or on one line, fields in any order.
 
 use crate::error::{NuscenesError, Result};
+use crate::file;
 use crate::record::{Record, Source};
 use crate::scan::Nesting;
 use rayon::prelude::*;
-use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
@@ -37,7 +37,7 @@ where
     Kept: Send,
     F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
-    let file = File::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
+    let file = file::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
     read_records(file, path, BLOCK_BYTES, names, &keep)
 }
 

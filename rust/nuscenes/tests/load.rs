@@ -294,6 +294,21 @@ fn damaged_or_deleted_cache_files_are_built_again() {
 }
 
 #[test]
+fn cache_files_are_not_believed_under_another_name() {
+    let (folder, cache) = (DataSet::new().written(), Folder::new());
+    let options = cached(&cache);
+    let scenes = load(&folder.0, VERSION, &options).unwrap().scenes;
+    let kept: Vec<_> =
+        files(&cache.0).into_iter().filter(|p| p.parent().unwrap().ends_with("scene")).collect();
+    assert_eq!(kept.len(), 2);
+    std::fs::copy(&kept[0], &kept[1]).unwrap();
+    let again = load(&folder.0, VERSION, &options).unwrap();
+    assert_eq!(again.scenes, scenes);
+    assert_eq!((again.report.cache.built, again.report.cache.hits), (1, 1));
+    assert!(again.report.cache.notes[0].contains("damaged"), "{:?}", again.report.cache.notes);
+}
+
+#[test]
 fn concurrent_loads_share_a_cache() {
     let (folder, cache) = (DataSet::new().written(), Folder::new());
     let options = cached(&cache);
