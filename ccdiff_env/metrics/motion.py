@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError, renamed, takes_former_names
+from ccdiff_env.errors import SceneError, ShapeError, renamed, takes_former_names
 
 Variant = Literal["all", "controlled", "new", "controlled_new"]
 
@@ -114,6 +114,8 @@ class Motion:
     ------
     ShapeError
         Where shapes do not agree.
+    SceneError
+        Where an agent that is there has a size that is negative or not finite.
 
     Examples
     --------
@@ -147,6 +149,9 @@ class Motion:
             if given.shape != shape:
                 raise ShapeError(f"valid has shape {given.shape}, expected {shape}")
             there &= given
+        sizes = _states("size", size, (shape[0], 2))
+        if not ((sizes >= 0.0) & np.isfinite(sizes))[there.any(axis=1)].all():
+            raise SceneError("size has negative or unknown lengths, expected metres")
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
         self._native = _native.Trajectories(
@@ -155,7 +160,7 @@ class Motion:
             np.ascontiguousarray(points[..., 1]),
             headings,
             np.ascontiguousarray(there),
-            _states("size", size, (shape[0], 2)),
+            sizes,
         )
 
     def _mask(self, name: str, mask: npt.ArrayLike | None, default: bool) -> npt.NDArray[np.bool_]:

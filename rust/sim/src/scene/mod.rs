@@ -131,8 +131,13 @@ impl Scene {
         if num_steps == 0 {
             return fail("num_steps".into(), "0".into(), "at least one step");
         }
-        if !(self.dt_s.is_finite() && self.dt_s > 0.0) {
-            return fail("dt_s".into(), self.dt_s.to_string(), "a positive number of seconds");
+        if !(1e-3..=10.0).contains(&self.dt_s) {
+            return fail("dt_s".into(), self.dt_s.to_string(), "0.001 to 10 seconds");
+        }
+        let texts = [&self.name, &self.token, &self.location, &self.source];
+        let texts = texts.into_iter().chain(self.agents.iter().flat_map(|a| [&a.id, &a.category]));
+        if let Some(text) = texts.into_iter().find(|text| text.contains(char::is_control)) {
+            return fail("name".into(), format!("{text:?}"), "text without control characters");
         }
         if !self.origin.iter().all(|v| v.is_finite()) {
             return fail("origin".into(), format!("{:?}", self.origin), "finite numbers");
@@ -160,9 +165,10 @@ impl Scene {
             );
         }
         for (i, a) in self.agents.iter().enumerate() {
-            if ![a.length_m, a.width_m].iter().all(|side| *side > 0.0 && *side <= LARGEST_M) {
-                let got = format!("{} x {} m", a.length_m, a.width_m);
-                let expected = "a positive length and width of at most 1000 m";
+            let sides_hold = [a.length_m, a.width_m].iter().all(|side| *side > 0.0 && *side <= LARGEST_M);
+            if !(sides_hold && (0.0..=LARGEST_M).contains(&a.height_m)) {
+                let got = format!("{} x {} x {} m", a.length_m, a.width_m, a.height_m);
+                let expected = "a positive length and width, and a height, of at most 1000 m";
                 return fail(format!("agents[{i}] {:?} size", a.id), got, expected);
             }
         }
