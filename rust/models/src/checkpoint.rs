@@ -3,6 +3,7 @@
 use crate::error::{ModelError, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::Path;
 use tch::{Kind, Tensor};
 use xxhash_rust::xxh3::Xxh3;
@@ -25,6 +26,8 @@ fn broken(path: &Path, entry: &str, got: impl Into<String>, expected: impl Into<
     }
 }
 
+/// Weight files are far smaller.
+const MOST_BYTES: u64 = 1 << 30;
 /// Version of the header's fields.
 const FORMAT: u64 = 1;
 
@@ -65,8 +68,27 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
     let bytes = serialize(views, &metadata)
         .map_err(|e| broken(path, "tensors", e.to_string(), "serialisable tensors"))?;
     let temporary = path.with_extension("safetensors.part");
-    std::fs::write(&temporary, bytes).map_err(io(path, "cannot write"))?;
-    std::fs::rename(&temporary, path).map_err(io(path, "cannot rename into place"))
+    let written = std::fs::write(&temporary, bytes)
+        .map_err(io(path, "cannot write"))
+        .and_then(|()| std::fs::rename(&temporary, path).map_err(io(path, "cannot rename into place")));
+    if written.is_err() {
+        // best effort: half a file is never read
+        let _ = std::fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// The bytes of a regular file of a bounded size: what else a folder may hold blocks its reader, or has no end.
+fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+    let found = std::fs::metadata(path).map_err(io(path, "cannot read"))?;
+    if !found.is_file() || found.len() > MOST_BYTES {
+        let got = format!("{} bytes, a regular file: {}", found.len(), found.is_file());
+        return Err(broken(path, "file", got, "a regular file of at most 1 GiB"));
+    }
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(io(path, "cannot read"))?;
+    file.take(MOST_BYTES).read_to_end(&mut bytes).map_err(io(path, "cannot read"))?;
+    Ok(bytes)
 }
 
 /// Reads the header and all tensors of a file.
@@ -74,7 +96,7 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
 /// # Errors
 /// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
 pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)> {
-    let bytes = std::fs::read(path).map_err(io(path, "cannot read"))?;
+    let bytes = bytes_of(path)?;
     let foreign = |e: safetensors::SafeTensorError| {
         broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
     };
@@ -107,6 +129,9 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)
             view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         if let Some(value) = values.iter().find(|v| !v.is_finite()) {
             return Err(broken(path, &name, value.to_string(), "finite numbers"));
+        }
+        if view.shape().iter().any(|size| *size > values.len()) {
+            return Err(broken(path, &name, format!("of shape {:?}", view.shape()), "a number at least"));
         }
         let shape: Vec<i64> = view.shape().iter().map(|s| *s as i64).collect();
         tensors.insert(name, Tensor::from_slice(&values).view(shape.as_slice()));
