@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
+from ccdiff_env.files import read_bytes, read_text, write_aside
 from ccdiff_env.view.page import plain_html
 
 __all__ = ["markdown_html", "write_report_page"]
@@ -81,7 +82,7 @@ def write_report_page(
     )
     style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
     page = plain_html(title, line, style=style.read_text(encoding="utf-8"), body=body)
-    path.write_text(page, encoding="utf-8")
+    write_aside(path, page)
 
 
 def _split_lead(section: str) -> tuple[str, str]:
@@ -96,8 +97,8 @@ def _anchor(head: str) -> str:
 
 def _plot(path: Path) -> str:
     drawn = path.with_suffix(".svg")
-    if drawn.exists():
-        text = drawn.read_text(encoding="utf-8")
+    text = read_text(drawn) if drawn.exists() else ""
+    if "<svg" in text:
         text = text[text.index("<svg") :]
         return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(path.stem)}" ', 1)
     return f'<img src="{_data(path)}" alt="{html.escape(path.stem)}">'
@@ -105,12 +106,12 @@ def _plot(path: Path) -> str:
 
 def _card(title: str, address: str, path: Path) -> str:
     image = f'<img src="{_data(path)}" alt="">' if path.exists() else ""
-    href = html.escape(address, quote=True)
-    return f'<a class="card" href="{href}">{image}<span>{html.escape(title)}</span></a>'
+    href = f' href="{html.escape(address)}"' if re.fullmatch(ADDRESS, address) else ""
+    return f'<a class="card"{href}>{image}<span>{html.escape(title)}</span></a>'
 
 
 def _data(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return f"data:image/png;base64,{base64.b64encode(read_bytes(path)).decode()}"
 
 
 def _terms(text: str) -> str:
@@ -172,8 +173,10 @@ def _cell(text: str, column: int, heat: str | None) -> str:
     return f"<td{tint}>{inner}</td>"
 
 
-#: A link of Markdown to a web page or a file beside this one: names may hold others.
-LINK = re.compile(r"\[([^\]]*)\]\(((?:https?://|(?![^)/#?]*:))[^)\s]*)\)")
+#: Address of a web page, or of a file beside this one: what comes from files may hold others.
+ADDRESS = r"(?:https?://|(?![^)/#?]*:))[^)\s]*"
+#: A link of Markdown.
+LINK = re.compile(rf"\[([^\]]*)\]\(({ADDRESS})\)")
 
 
 def _inline(text: str) -> str:

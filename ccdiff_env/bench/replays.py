@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
-from ccdiff_env.errors import MissingFeatureError
-from ccdiff_env.files import file_name
+from ccdiff_env.errors import DatasetError, MissingFeatureError
+from ccdiff_env.files import file_name, reading
 from ccdiff_env.render import save
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view import address, write_page
@@ -65,13 +65,22 @@ def make_replays(
     pages, changed = {}, []
     for key, (job, scene) in wanted.items():
         entry = found[again[job.name].name]
-        pages[key] = str(entry["pages"][scene])
+        pages[key] = _page_of(entry, job.name, scene, folder)
         now, then = (
             [r for r in rows if r["scene"] == scene] for rows in (entry["rows"], before[job.name])
         )
         if now != then:
             changed.append(key)
     return pages, changed
+
+
+def _page_of(entry: Any, prefix: str, scene: str, folder: Path) -> str:
+    """Address of a page in a result; that of another file would lead elsewhere."""
+    with reading("pages of replays", folder / "raw"):
+        page = str(entry["pages"][scene])
+        if page.partition("#")[0] != f"{FOLDER}/{file_name(f'{prefix}-{scene}', '.html')}":
+            raise DatasetError(f"the page of {scene!r} is {page[:80]!r}")
+        return page
 
 
 def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:

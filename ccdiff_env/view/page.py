@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 import re
@@ -12,6 +14,7 @@ from urllib.parse import quote, urlencode
 
 from ccdiff_env import _native, render
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.files import write_aside
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.captions import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
@@ -86,7 +89,7 @@ def page_html(
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
-    return _filled("page.html", parts)
+    return _page("page.html", parts)
 
 
 def _letters(runs: Sequence[Rollout]) -> list[str]:
@@ -111,7 +114,7 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     """
     texts = {"title": html.escape(title), "line": html.escape(line)}
     script = part("plain.js")
-    return _filled("plain.html", {**texts, "style": style, "body": body, "script": script})
+    return _page("plain.html", {**texts, "style": style, "body": body, "script": script})
 
 
 def local_html(name: str, parts: Mapping[str, str]) -> str:
@@ -125,7 +128,7 @@ def local_html(name: str, parts: Mapping[str, str]) -> str:
         HTML of the holes in its body.
     """
     plain = part("plain.html")
-    return _filled(
+    return _page(
         "local.html",
         {
             "title": f"ccdiff-env {name}",
@@ -135,6 +138,13 @@ def local_html(name: str, parts: Mapping[str, str]) -> str:
             "script": part(f"{name}.js"),
         },
     )
+
+
+def _page(template: str, parts: Mapping[str, str]) -> str:
+    """A filled template whose own script is the only one that a browser runs."""
+    script = f'\n(() => {{\n"use strict";\n{parts["script"]}\n}})();\n'
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return _filled(template, {**parts, "script": script, "policy": f"'sha256-{digest}'"})
 
 
 def _filled(template: str, parts: Mapping[str, str]) -> str:
@@ -193,5 +203,6 @@ def write_page(
     home: tuple[str, str] | None = None,
 ) -> int:
     """Write :func:`page_html` to a file; returns its size in bytes."""
-    text = page_html(rollout, compare=compare, titles=titles, home=home)
-    return Path(path).write_text(text, encoding="utf-8")
+    data = page_html(rollout, compare=compare, titles=titles, home=home).encode()
+    write_aside(Path(path), data)
+    return len(data)
