@@ -7,6 +7,7 @@ what a verb needs when that verb is called: help comes at once.
 from __future__ import annotations
 
 import argparse
+import codecs
 import os
 import sys
 import warnings
@@ -55,6 +56,17 @@ def _show_defaults(parser: argparse.ArgumentParser) -> None:
                 _show_defaults(verb)
 
 
+#: What stands on a terminal of ASCII for letters that it has not.
+PLAIN = {"─": "-", "−": "-", "·": "-", "±": "+-", "…": "...", "²": "2", "°": " deg"}
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Letters of ASCII for those that cannot be written."""
+    assert isinstance(error, UnicodeEncodeError)
+    letters = error.object[error.start : error.end]
+    return "".join(PLAIN.get(letter, "?") for letter in letters), error.end
+
+
 def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of a command line; of its verb alone it has the arguments."""
     parser = argparse.ArgumentParser(
@@ -79,6 +91,9 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
+    codecs.register_error("ccdiff_env_plain", _plain)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="ccdiff_env_plain")
     args = parse(sys.argv[1:] if argv is None else argv)
     from ccdiff_env.errors import CcdiffError
 

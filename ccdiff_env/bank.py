@@ -24,7 +24,7 @@ from ccdiff_env.bench.scenario_sets import OPTIONS, as_scene
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.envs.worlds import Scenes, scene_set
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.files import parsed_object, read_bytes, read_text, reading, write_aside
 from ccdiff_env.models import weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 
@@ -36,6 +36,9 @@ SETTINGS = "bank.json"
 PIECE = 12
 #: A scene in a file is not larger.
 MAX_BYTES = 64 << 20
+#: Bytes of all scenes of a bank: so many, and so many times those of its files. Recorded scenes
+#: take three times as many.
+LEAST_BYTES, MOST_RATIO = 128 << 20, 30
 
 
 def record_bank(
@@ -97,7 +100,7 @@ def record_bank(
         "seed": seed,
         "avoidable_only": avoidable_only,
         "scenes": hashlib.sha256("".join(s.hash for s in chosen).encode()).hexdigest(),
-        "weights": hashlib.sha256(Path(weights_path("fast")).read_bytes()).hexdigest(),
+        "weights": hashlib.sha256(read_bytes(weights_path("fast"))).hexdigest(),
     }
     _settle(root, settings)
     tag = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:6]
@@ -128,23 +131,21 @@ def _ego_digest(ego: str) -> str:
     """Return the name of an ego, with the hash of its file where it has one."""
     if not Path(ego).is_file():
         return ego
-    return f"{Path(ego).name} {hashlib.sha256(Path(ego).read_bytes()).hexdigest()}"
+    return f"{Path(ego).name} {hashlib.sha256(read_bytes(ego)).hexdigest()}"
 
 
 def _settle(root: Path, settings: dict[str, Any]) -> None:
     root.mkdir(parents=True, exist_ok=True)
     path = root / SETTINGS
-    try:
-        known = parsed_object(path.read_bytes()) if path.exists() else settings
-    except ValueError as error:
-        raise DatasetError(f"bank: damaged ({error}), {path}") from None
+    with reading("bank", path):
+        known = parsed_object(read_text(path)) if path.exists() else settings
     for name, value in settings.items():
         if known.get(name) != value:
             raise ConfigError(
                 f"{path}: a bank with {name} {known.get(name)!r}, now {value!r}; "
                 "choose another folder"
             )
-    path.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+    write_aside(path, json.dumps(settings, indent=1))
 
 
 def _record(
@@ -171,9 +172,7 @@ def _record(
             continue
         data = zlib.compress(as_scene(rollout, f"{name} {tag}").to_bytes(), 3)
         parts.append(struct.pack("<I", len(data)) + data)
-    half = path.with_suffix(".tmp")
-    half.write_bytes(b"".join(parts))
-    half.replace(path)
+    write_aside(path, b"".join(parts))
 
 
 def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
@@ -189,21 +188,28 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
     root = Path(folder)
     if not (root / SETTINGS).is_file():
         raise DatasetNotFoundError(f"no bank in {root}")
-    return SceneSet([scene for path in sorted(root.glob("*.scenes")) for scene in _scenes(path)])
+    scenes: list[Scene] = []
+    spare = LEAST_BYTES
+    for path in sorted(root.glob("*.scenes")):
+        with reading("bank", path):
+            data = read_bytes(path)
+            spare += MOST_RATIO * len(data)
+            for plain in _unpacked(data):
+                spare -= len(plain)
+                if spare < 0:
+                    raise DatasetError("unpacks to far more bytes than it has")
+                scenes.append(Scene.from_bytes(plain))
+    return SceneSet(scenes)
 
 
-def _scenes(path: Path) -> Iterator[Scene]:
-    if not path.is_file():
-        raise DatasetError(f"bank: damaged (no file of scenes), {path}")
-    data, at = path.read_bytes(), 0
+def _unpacked(data: bytes) -> Iterator[bytes]:
+    """Scenes of a file, one after the other."""
+    at = 0
     while at < len(data):
-        try:
-            (length,) = struct.unpack_from("<I", data, at)
-            packed, at = data[at + 4 : at + 4 + length], at + 4 + length
-            reader = zlib.decompressobj()
-            plain = reader.decompress(packed, MAX_BYTES)
-            if not reader.eof:
-                raise DatasetError(f"bank: damaged (a scene is cut off), {path}")
-        except (struct.error, zlib.error) as error:
-            raise DatasetError(f"bank: damaged ({error}), {path}") from None
-        yield Scene.from_bytes(plain)
+        (length,) = struct.unpack_from("<I", data, at)
+        packed, at = data[at + 4 : at + 4 + length], at + 4 + length
+        reader = zlib.decompressobj()
+        plain = reader.decompress(packed, MAX_BYTES)
+        if not reader.eof:
+            raise DatasetError("a scene is cut off or too large")
+        yield plain

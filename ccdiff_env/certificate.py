@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.version import __version__
 
 if TYPE_CHECKING:
@@ -156,13 +156,16 @@ class Certificate:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the certificate to a file."""
-        Path(path).write_text(self.to_json(), encoding="utf-8")
+        write_aside(Path(path), self.to_json())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Certificate:
-        """Read a file that :meth:`save` wrote."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except UnicodeDecodeError as error:
-            raise SnapshotError(f"certificate: damaged ({error}), {path}") from None
-        return cls.from_json(text)
+        """Read a file that :meth:`save` wrote.
+
+        Raises
+        ------
+        DatasetNotFoundError, SnapshotError
+            If there is no such file, or it is damaged or of another format.
+        """
+        with reading("certificate", path, SnapshotError):
+            return cls.from_json(read_text(path))

@@ -6,6 +6,8 @@ import csv
 from pathlib import Path
 from typing import Protocol
 
+from ccdiff_env.files import read_text, write_aside
+
 __all__ = ["Curves", "Progress", "progress_bar"]
 
 
@@ -88,6 +90,6 @@ def _truncate_after(path: Path, step: int) -> None:
     """Drop rows past a step, which a killed run wrote after its last checkpoint."""
     if not path.exists():
         return
-    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = read_text(path).splitlines(keepends=True)
     kept = [r for r in rows if not r.split(",")[0].isdigit() or int(r.split(",")[0]) <= step]
-    path.write_text("".join(kept), encoding="utf-8")
+    write_aside(path, "".join(kept))

@@ -1,15 +1,115 @@
-"""Files that come from others or go to them: names, JSON, and writing that is never half done."""
+"""Files that come from others or go to them: names, safe reading, writing never half done."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import math
 import os
 import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-__all__ = ["file_name", "parsed_object", "write_aside"]
+from ccdiff_env.errors import (
+    CcdiffError,
+    DatasetError,
+    DatasetNotFoundError,
+    SceneError,
+    ShapeError,
+)
+
+__all__ = [
+    "MOST_BYTES",
+    "file_name",
+    "parsed_object",
+    "read_bytes",
+    "read_text",
+    "reading",
+    "write_aside",
+    "writing",
+]
+
+#: Bytes that a file may have, and what is unpacked of files.
+MOST_BYTES = 1 << 30
+#: Bytes of a text: settings, tables, manifests.
+MOST_TEXT_BYTES = 64 << 20
+
+#: The half of a pair of UTF-16 in JSON: such text cannot be written again.
+_HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+@contextmanager
+def reading(
+    what: str, path: str | os.PathLike[str], error: type[CcdiffError] = DatasetError
+) -> Iterator[None]:
+    """Let a loader raise exceptions of the package only, which name the file.
+
+    Parameters
+    ----------
+    what
+        What the file holds, for messages.
+    path
+        The file.
+    error
+        Raised for whatever else goes wrong in the block.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there is no such file.
+    """
+    place = os.fspath(path)
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError) as found:
+        if isinstance(found, CcdiffError):
+            raise
+        raise DatasetNotFoundError(f"no {what} at {place}") from None
+    except CcdiffError as found:
+        kind = error if isinstance(found, (ShapeError, SceneError)) else type(found)
+        if kind is type(found) and place in str(found):
+            raise
+        raise kind(f"{what}: {found}: {place}") from None
+    except Exception as found:
+        raise error(f"{_fault(what, found)}: {place}") from found
+
+
+def _fault(what: str, found: Exception) -> str:
+    if isinstance(found, OSError):
+        return f"unreadable {what} ({found.strerror or found})"
+    said = str(found) if type(found) is ValueError else f"{type(found).__name__}: {found}"
+    return f"damaged {what} ({said[:300]})"
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
+    """Return the bytes of a regular file; a link may lead to one.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OSError
+        If it is a pipe, device or folder, has more than ``most`` bytes, or cannot be read.
+    """
+    # not blocking: to open a pipe waits for its writer
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as file:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError("it is not a regular file")
+        data = file.read(most + 1) if status.st_size <= most else None
+    if data is None or len(data) > most:
+        raise OSError(f"it has more than {most} bytes")
+    return data
+
+
+def read_text(path: str | os.PathLike[str], most: int = MOST_TEXT_BYTES) -> str:
+    """Return the text of a file in UTF-8; raises as :func:`read_bytes`, and ``ValueError``."""
+    return read_bytes(path, most).decode().replace("\r\n", "\n")
 
 
 def parsed_object(text: str | bytes) -> dict[str, Any]:
@@ -18,25 +118,57 @@ def parsed_object(text: str | bytes) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is no JSON, nested too deep, or no object.
+        If it is no JSON, nested too deep, no object, or holds what cannot be computed with or
+        written again: numbers that are not finite, integers beyond 64 bits, half letters.
     """
+    plain = text if isinstance(text, str) else text.decode("utf-8-sig")
+    kinds = {"parse_constant": _constant, "parse_float": _finite, "parse_int": _integer}
     try:
-        value = json.loads(text)
+        value = json.loads(plain, **kinds)
     except RecursionError:
         raise ValueError("nested too deep") from None
     if not isinstance(value, dict):
         raise ValueError(f"a JSON {type(value).__name__}, expected an object")
+    if _HALF_LETTER.search(plain):
+        json.dumps(value, ensure_ascii=False).encode()
     return value
 
 
-def write_aside(path: Path, text: str) -> None:
+def _constant(text: str) -> NoReturn:
+    raise ValueError(f"the number {text}, expected finite ones")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:40]}, expected finite ones")
+    return value
+
+
+def _integer(text: str) -> int:
+    if len(text) > 20 or not -(2**63) <= int(text) < 2**64:
+        raise ValueError(f"the number {text[:40]}, expected 64 bits")
+    return int(text)
+
+
+def write_aside(path: Path, data: str | bytes) -> None:
     """Write a file under another name first: a run that ends in the middle leaves no half of it."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    aside = path.with_name(f".{path.name[:200]}.{os.getpid()}")
     try:
-        aside.write_text(text, encoding="utf-8")
+        aside.unlink(missing_ok=True)
+        with aside.open("xb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[io.StringIO]:
+    """Give a text to write into, which becomes the file at the end, as by :func:`write_aside`."""
+    text = io.StringIO(newline="")
+    yield text
+    write_aside(path, text.getvalue())
 
 
 def file_name(name: str, suffix: str = "") -> str:

@@ -14,7 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.curves import Curves
-from ccdiff_env.errors import ConfigError, MissingFeatureError, renamed, takes_former_names
+from ccdiff_env.errors import (
+    CheckpointError,
+    ConfigError,
+    DatasetNotFoundError,
+    MissingFeatureError,
+    renamed,
+    takes_former_names,
+)
+from ccdiff_env.files import reading
 from ccdiff_env.scenes import Scene
 from ccdiff_env.training_loop import run_training
 
@@ -105,12 +113,12 @@ def weights_path(
 
     Raises
     ------
-    FileNotFoundError
+    DatasetNotFoundError
         There is no such file.
     """
     if weights != "fast":
         if not Path(weights).is_file():
-            raise FileNotFoundError(f'weights: no file {weights}; "fast" is the shipped network')
+            raise DatasetNotFoundError(f'weights: no file {weights}; "fast" is the shipped network')
         return Path(weights)
     if model != "ccdiff":
         return shipped_weights(model)
@@ -182,17 +190,17 @@ class TrajectoryModel:
     ------
     MissingFeatureError
         Torch is not there, see :func:`require_networks`.
+    DatasetNotFoundError
+        There is no such file.
     CheckpointError
         The file is damaged or does not fit; the message names the tensor or field.
-    OSError
-        The file cannot be read.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
         require_networks()
         from ccdiff_env import _models
 
-        with _own_generator(0):
+        with reading("weights", path, CheckpointError), _own_generator(0):
             self._native = _models.TrajectoryModel(os.fspath(path), device)
 
     @property
@@ -377,11 +385,12 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     state = folder / STATE
     resumed = state.exists()
-    config, training = (
-        _models.training_settings(os.fspath(state))
-        if resumed
-        else _models.model_preset(preset, model)
-    )
+    with reading("training state", state, CheckpointError):
+        config, training = (
+            _models.training_settings(os.fspath(state))
+            if resumed
+            else _models.model_preset(preset, model)
+        )
     if resumed and json.loads(config)["kind"] != model:
         raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
     if not resumed:
@@ -405,7 +414,10 @@ def train(
             start=None if resumed or start is None else os.fspath(start),
         )
     if resumed:
-        run.resume(os.fspath(state))
+        with reading("training state", state, CheckpointError):
+            run.resume(os.fspath(state))
+            if run.step >= 2**63:
+                raise CheckpointError(f"step is {run.step}")
     notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
     curves = Curves(folder, run.step)
     try:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import io
 import json
 import os
 import zipfile
@@ -20,13 +21,8 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import (
-    ConfigError,
-    DatasetError,
-    DatasetNotFoundError,
-    MissingFeatureError,
-    ShapeError,
-)
+from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError, ShapeError
+from ccdiff_env.files import read_bytes, reading
 from ccdiff_env.named_objects import named_object
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.traffic import driver_names
@@ -69,6 +65,8 @@ class _Predicts(Protocol):
 Ego: TypeAlias = str | os.PathLike[str] | Act | _Predicts
 
 _WORLD_DRIVERS = driver_names()
+#: Bytes of the description in a file of stable-baselines3.
+_MOST_DATA_BYTES = 64 << 20
 #: Part of a policy class's module; package and algorithm that loads it.
 _ALGORITHMS = {
     "recurrent": ("sb3_contrib", "RecurrentPPO"),
@@ -246,21 +244,19 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
     MissingFeatureError
         If stable-baselines3 is not installed.
     """
-    if not Path(path).is_file():
-        raise DatasetNotFoundError(f"no policy at {os.fspath(path)}")
     name = Path(path).name
-    try:
-        with zipfile.ZipFile(path) as file:
+    with reading("policy of stable-baselines3", path):
+        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as file:
+            if file.getinfo("data").file_size > _MOST_DATA_BYTES:
+                raise DatasetError(f"data of more than {_MOST_DATA_BYTES} bytes")
             data = json.loads(file.read("data"))
         module = str(data["policy_class"]["__module__"])
-        package, algorithm = next(how for part, how in _ALGORITHMS.items() if part in module)
-        space = data["observation_space"]
-        Fit.read(space.get(ATTRIBUTE), name)
-    except ConfigError:
-        raise
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, StopIteration) as error:
-        message = f"no policy of stable-baselines3 ({error}): {os.fspath(path)}"
-        raise DatasetError(message) from None
+        known = [how for part, how in _ALGORITHMS.items() if part in module]
+        if not known:
+            raise DatasetError(f"a policy of {module[:80]!r}")
+        package, algorithm = known[0]
+        said = data["observation_space"].get(ATTRIBUTE)
+    Fit.read(said, name)
     try:
         learners = importlib.import_module(package)
     except ImportError as error:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import math
 import os
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,14 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import (
-    DatasetError,
-    DatasetNotFoundError,
-    ShapeError,
-    expect_shape,
-    takes_former_names,
-)
-from ccdiff_env.files import parsed_object
+from ccdiff_env.errors import DatasetError, ShapeError, expect_shape, takes_former_names
+from ccdiff_env.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.traffic import NETWORKS, TrafficPlan
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
@@ -49,13 +42,6 @@ EVENT_KINDS = (
 FORMAT = "ccdiff-env rollout 2"
 #: What earlier releases of the package wrote, which is read, too.
 _FORMER_FORMAT = "ccdiff-env rollout 1"
-#: Bytes that the arrays of a file may have unpacked.
-_MOST_BYTES = 1 << 30
-#: What a damaged archive, array header or text raises.
-_DAMAGE = (
-    *(ValueError, KeyError, TypeError, AttributeError, OSError, EOFError, RuntimeError),
-    *(MemoryError, SyntaxError, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
-)
 #: Names of arrays of plans in files of before.
 _FORMER = {"selected_sample": "chosen", "follows_plan": "executed"}
 
@@ -270,8 +256,9 @@ class Rollout:
             "meta": dict(self.meta),
         }
         arrays["head"] = np.frombuffer(json.dumps(head, allow_nan=False).encode(), np.uint8)
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, **arrays)
+        packed = io.BytesIO()
+        np.savez_compressed(packed, **arrays)
+        write_aside(Path(path), packed.getvalue())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
@@ -284,17 +271,14 @@ class Rollout:
         DatasetError
             If it is damaged or of another format.
         """
-        try:
-            with zipfile.ZipFile(path) as archive:
+        with reading("rollout", path):
+            data = read_bytes(path)
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 size = sum(member.file_size for member in archive.infolist())
-            if size > _MOST_BYTES:
-                raise DatasetError(f"{size} bytes unpacked, expected at most {_MOST_BYTES}")
-            with np.load(path, allow_pickle=False) as file:
+            if size > MOST_BYTES:
+                raise DatasetError(f"{size} bytes unpacked, expected at most {MOST_BYTES}")
+            with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 return cls._from_arrays(file)
-        except FileNotFoundError:
-            raise DatasetNotFoundError(f"no rollout at {os.fspath(path)}") from None
-        except _DAMAGE as error:
-            raise DatasetError(f"damaged rollout ({error}): {os.fspath(path)}") from None
 
     @classmethod
     def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:

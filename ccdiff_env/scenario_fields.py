@@ -20,6 +20,8 @@ F64 = npt.NDArray[np.float64]
 #: Numbers that one scenario may hold. A list that many fields share counts each time, and so does
 #: a point that resampling adds.
 _MOST_NUMBERS = 20_000_000
+#: What an item of a list counts as: lanes that share a list make a link of each of its items.
+_NUMBERS_OF_AN_ITEM = 20
 _MOST_COLUMNS = 16
 _NUMBERS = (int, float, np.number, np.bool_)
 _LONGEST_TEXT = 1000
@@ -64,7 +66,7 @@ class ScenarioFields:
             value = value.tolist()
         if not isinstance(value, (list, tuple)):
             raise self.fault(name, type(value).__name__, "a list")
-        self.spend(len(value), name)
+        self.spend(_NUMBERS_OF_AN_ITEM * len(value), name)
         return value
 
     def text(self, value: object, name: str) -> str:

@@ -13,19 +13,21 @@ import pickle
 import re
 from collections.abc import Callable
 from math import prod
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import DatasetError
+from ccdiff_env.files import read_bytes, reading
 
 __all__ = ["load_scenario_dict"]
 
 #: Kinds and sizes, in bytes, of numbers in arrays; the size of text is in characters.
 _DTYPE = re.compile(r"b1|[iu][1248]|f[248]|[US]\d{1,4}")
 _KEYS = (str, int, float, bytes, np.generic, type(None))
+#: Keys and members of sets that are no text, in a file.
+_MOST_NUMBERS = 10_000
 
 
 def _refusal(what: str) -> DatasetError:
@@ -93,23 +95,10 @@ def _scalar(dtype: Any, data: Any = b"") -> Any:
     return dtype.dtype.type() if empty else _array(data, dtype, (), "C")[()]
 
 
-def _members(values: Any = ()) -> set[Any]:
-    if not isinstance(values, (list, tuple)):
-        raise _refusal(f"a set of {type(values).__name__}")
-    return {_key(value) for value in values}
-
-
 def _encoded(text: Any, codec: Any) -> bytes:
     if not (isinstance(text, str) and codec == "latin1"):
         raise _refusal(f"_codecs.encode of {type(text).__name__} to {_shown(codec)}")
     return text.encode("latin1")
-
-
-def _key(value: Any) -> Any:
-    """Return a key: no tuple, as the time of a hash grows with 2 to the depth of nested ones."""
-    if not isinstance(value, _KEYS):
-        raise _refusal(f"a {type(value).__name__} as a key")
-    return value
 
 
 def _dict(*_: object) -> dict[Any, Any]:
@@ -126,9 +115,7 @@ _GLOBALS: dict[str, Callable[..., Any] | None] = {
     "_codecs.encode": _encoded,
     "collections.OrderedDict": _dict,
     "collections.defaultdict": _dict,
-    "builtins.set": _members,
-    "builtins.frozenset": _members,
-    **dict.fromkeys(f"builtins.{name}" for name in ("dict", "float", "int", "list", "set", "str")),
+    **dict.fromkeys(f"builtins.{name}" for name in ("dict", "float", "int", "list", "str")),
 }
 
 
@@ -162,10 +149,30 @@ class _Unpickler(pickle._Unpickler):
     def __init__(self, data: bytes) -> None:
         super().__init__(io.BytesIO(data))
         self.memo = _Memo()
+        self._num_numbers = 0
+
+    def _key(self, value: Any) -> Any:
+        """Return a key: no tuple, as the time of a hash grows with 2 to the depth of nested ones,
+        and few numbers, as there are numbers without end that share a hash.
+        """
+        if not isinstance(value, _KEYS):
+            raise _refusal(f"a {type(value).__name__} as a key")
+        if not isinstance(value, (str, bytes)):
+            self._num_numbers += 1
+            if self._num_numbers > _MOST_NUMBERS:
+                raise _refusal(f"more than {_MOST_NUMBERS} numbers as keys")
+        return value
+
+    def _members(self, values: Any = ()) -> set[Any]:
+        if not isinstance(values, (list, tuple)):
+            raise _refusal(f"a set of {type(values).__name__}")
+        return {self._key(value) for value in values}
 
     def find_class(self, module: str, name: str) -> Any:
         """Return what stands for an allowed global."""
         known = f"{module}.{name}".replace("numpy._core", "numpy.core")
+        if known in ("builtins.set", "builtins.frozenset"):
+            return _Maker(self._members)
         if known not in _GLOBALS:
             raise _refusal(f"{module}.{name}"[:80])
         make = _GLOBALS[known]
@@ -216,7 +223,7 @@ class _Unpickler(pickle._Unpickler):
         if type(self.stack[-1]) is not dict:
             raise _refusal(f"entries of {type(self.stack[-1]).__name__}")
         for key, value in zip(items[::2], items[1::2], strict=True):
-            self.stack[-1][_key(key)] = value
+            self.stack[-1][self._key(key)] = value
 
     def load_dict(self) -> None:
         """Build a dictionary."""
@@ -229,11 +236,12 @@ class _Unpickler(pickle._Unpickler):
         items = self.pop_mark()
         if type(self.stack[-1]) is not set:
             raise _refusal(f"members of {type(self.stack[-1]).__name__}")
-        self.stack[-1].update(_members(items))
+        self.stack[-1].update(self._members(items))
 
     def load_frozenset(self) -> None:
         """Build a set."""
-        self.append(_members(self.pop_mark()))
+        items = self.pop_mark()
+        self.append(self._members(items))
 
     dispatch: ClassVar[dict[int, Any]] = {
         code: step
@@ -266,18 +274,8 @@ def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
     DatasetError
         The file is damaged, or its pickle asks for anything but numpy arrays and plain containers.
     """
-    try:
-        data = Path(path).read_bytes()
-    except FileNotFoundError as error:
-        raise DatasetNotFoundError(f"no scenario file at {path}") from error
-    try:
-        scenario = _Unpickler(data).load()
-    except DatasetError as error:
-        raise DatasetError(f"{error}: {path}") from None
-    except Exception as error:
-        raise DatasetError(
-            f"not a readable pickle ({type(error).__name__}: {error}): {path}"
-        ) from error
-    if not isinstance(scenario, dict):
-        raise DatasetError(f"a {type(scenario).__name__}, expected a dictionary: {path}")
-    return scenario
+    with reading("scenario", path):
+        scenario = _Unpickler(read_bytes(path)).load()
+        if not isinstance(scenario, dict):
+            raise DatasetError(f"a {type(scenario).__name__}, expected a dictionary")
+        return scenario

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from ccdiff_env._native import Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.files import reading
 from ccdiff_env.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
 from ccdiff_env.scenario_fields import F64, ScenarioFields
 from ccdiff_env.scenario_pickle import load_scenario_dict
@@ -71,7 +72,8 @@ def _states(
 ) -> _Track | None:
     """One track, or ``None`` (counted) where there is nothing to show."""
     state = source.mapping(track.get("state"), f"tracks[{key!r}].state")
-    metadata = source.mapping(track.get("metadata") or {}, f"tracks[{key!r}].metadata")
+    own = track.get("metadata")
+    metadata = source.mapping({} if own is None else own, f"tracks[{key!r}].metadata")
     type_name = source.text(track.get("type"), f"tracks[{key!r}].type") or "None"
     category = source.text(metadata.get("type"), f"tracks[{key!r}].metadata.type") or type_name
     kind = _kind_of(type_name, category, metadata.get("kind"))
@@ -342,7 +344,7 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
     source = ScenarioFields(path, load_scenario_dict(path))
     metadata = source.part("metadata")
     num_steps = source.data.get("length")
-    if not (isinstance(num_steps, (int, np.integer)) and num_steps > 0):
+    if not (isinstance(num_steps, (int, np.integer)) and 0 < num_steps < 2**31):
         raise source.fault("length", num_steps, "a positive number of steps")
     num_steps = int(num_steps)
     name = source.name(("metadata.scenario_id", "id"), path.stem)
@@ -425,7 +427,8 @@ def read_scenarios(path: str | os.PathLike[str]) -> tuple[list[Scene], LoadRepor
     empty: list[str] = []
     taken: set[str] = set()
     for file in _files(Path(path)):
-        scene, report = _scene(file, taken)
+        with reading("scenario", file):
+            scene, report = _scene(file, taken)
         if scene is None:
             empty.append(report.name)
             continue

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.files import write_aside
 from ccdiff_env.scene_types import Lane, Polygon
 from ccdiff_env.scenes import Scene
 
@@ -145,4 +146,4 @@ def scenario_dict(scene: Scene) -> dict[str, Any]:
 def write_scenario(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write a scene as a scenario description file."""
     # protocol 4: what ScenarioNet's own files have, and every Python since 3.4 reads
-    Path(path).write_bytes(pickle.dumps(scenario_dict(scene), protocol=4))
+    write_aside(Path(path), pickle.dumps(scenario_dict(scene), protocol=4))

@@ -15,7 +15,8 @@ __all__ = ["EGO_HELP", "align", "say_page"]
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
     f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
-    "module:name?option=value with options, the file of a policy (.zip, .safetensors)"
+    "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
+    "runs the code in it: trust whoever made it)"
 )
 
 

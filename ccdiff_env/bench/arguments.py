@@ -18,7 +18,7 @@ from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object, write_aside
+from ccdiff_env.files import parsed_object, read_bytes, read_text, reading, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.sources import coverage
@@ -84,8 +84,8 @@ class Former(argparse.Action):
 METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, replay, pdm, ccdiff, ego, ego_replay, module:name of a class or "
-    "function, module:name?option=value with options, files of stable-baselines3 "
-    "(.zip) or of this package (.safetensors)"
+    "function, module:name?option=value with options, files of this package (.safetensors) or of "
+    "stable-baselines3 (.zip, which runs the code in it: trust whoever made it)"
 )
 
 
@@ -196,7 +196,7 @@ class Run:
         given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
         given["coverage"] = self.coverage
         given["own_weights"] = {
-            network: hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            network: hashlib.sha256(read_bytes(file)).hexdigest()
             for network, file in self.own_weights.items()
         }
         self._settle({**given, "weights": self.weights})
@@ -204,10 +204,8 @@ class Run:
     def _settle(self, settings: dict[str, Any]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "run.json"
-        try:
-            known = parsed_object(path.read_text(encoding="utf-8")) if path.exists() else {}
-        except ValueError as error:
-            raise DatasetError(f"damaged settings of a run ({error}): {path}") from None
+        with reading("settings of a run", path):
+            known = parsed_object(read_text(path)) if path.exists() else {}
         if known:
             known.setdefault("own_weights", {})
         changed = [k for k in settings if k in known and known[k] != settings[k]]
@@ -233,9 +231,11 @@ class Run:
         found: dict[tuple[Any, ...], list[Any]] = {}
         by_name = self.results(jobs)
         for job in jobs:
-            found.setdefault(tuple(job.arguments.get(k) for k in keys), []).extend(
-                by_name[job.name]
-            )
+            rows = by_name[job.name]
+            with reading("result", self.folder / "raw" / f"{job.name}.json"):
+                if not (rows and all(row.keys() for row in rows)):
+                    raise DatasetError("no rows of figures")
+            found.setdefault(tuple(job.arguments.get(k) for k in keys), []).extend(rows)
         return found
 
     def replays(
@@ -254,7 +254,7 @@ class Run:
 
     def write(self, file: str, text: str) -> None:
         """Write a text of the run."""
-        (self.folder / file).write_text(text, encoding="utf-8")
+        write_aside(self.folder / file, text)
 
     def report(self, title: str, *, plots: Sequence[str], parts: Mapping[str, str]) -> int:
         """Write the report page, say what there is, and return the exit status.
@@ -277,15 +277,13 @@ class Run:
                 time.strftime("%Y-%m-%d"),
             ]
         )
-        texts = {
-            head: (self.folder / file).read_text(encoding="utf-8") for head, file in parts.items()
-        }
+        texts = {head: read_text(self.folder / file) for head, file in parts.items()}
         page = self.folder / "report.html"
         images = [self.folder / name for name in plots]
         write_report_page(
             page, title=title, line=line, plots=images, parts=texts, images=self._images
         )
-        print(align((self.folder / "table.md").read_text(encoding="utf-8")))
+        print(align(read_text(self.folder / "table.md")))
         if self._num_changed:
             print(
                 f"{self._num_changed} replays differ from what was measured "

@@ -21,7 +21,7 @@ from ccdiff_env.bench.arguments import (
     replan_steps,
 )
 from ccdiff_env.errors import renamed
-from ccdiff_env.files import file_name
+from ccdiff_env.files import file_name, read_text
 from ccdiff_env.scene_arguments import (
     add_other_scenes,
     add_scene_arguments,
@@ -410,7 +410,7 @@ def _speed(args: argparse.Namespace) -> int:
         device=args.device,
     )
     write_speed(timings, args.out)
-    print(align((args.out / "table.md").read_text(encoding="utf-8")))
+    print(align(read_text(args.out / "table.md")))
     return 0
 
 

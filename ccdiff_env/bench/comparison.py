@@ -19,6 +19,7 @@ from ccdiff_env.bench.tables import (
     of_few,
     with_scores,
 )
+from ccdiff_env.files import write_aside
 from ccdiff_env.metrics import generational_distance
 
 __all__ = ["PAPER", "Difference", "difference", "paper_pairs", "write_comparison"]
@@ -241,4 +242,4 @@ def write_comparison(
     if not of_few(table):
         parts += [_distances(table), _beside(table, base)]
     text = "\n".join(part for part in parts if part)
-    (folder / "comparison.md").write_text(text or "One method alone.\n", encoding="utf-8")
+    write_aside(folder / "comparison.md", text or "One method alone.\n")

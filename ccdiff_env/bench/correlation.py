@@ -12,6 +12,7 @@ import numpy as np
 from ccdiff_env.bench.intervals import LEAST_SCENES
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
+from ccdiff_env.files import write_aside, writing
 from ccdiff_env.metrics import pearson
 
 __all__ = ["Correlation", "correlations", "write_correlations"]
@@ -68,7 +69,7 @@ def write_correlations(by_condition: Mapping[Condition, Rows], folder: Path) -> 
     found = {c: correlations(rows) for c, rows in by_condition.items() if c.num_controlled != 0}
     lines = ["| method | K | a plan every s | " + " | ".join(FEATURES.values()) + " |"]
     lines.append("|---|---|---|" + "---|" * len(FEATURES))
-    with (folder / "correlation.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "correlation.csv") as file:
         writer = csv.writer(file)
         writer.writerow(["method", "K", "replan_s", "feature", "count", "r", "p"])
         for c, by_feature in found.items():
@@ -85,7 +86,7 @@ def write_correlations(by_condition: Mapping[Condition, Rows], folder: Path) -> 
         "Pearson's r of the feature with new collisions, and its p value, which says nothing of "
         f"fewer than {LEAST_SCENES} scenes and is left out there. No cell: one never varies.",
     ]
-    (folder / "correlation.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "correlation.md", "\n".join(lines) + "\n")
 
 
 def _cell(found: Correlation, some: bool) -> str:

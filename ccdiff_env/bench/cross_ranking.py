@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ccdiff_env.bench.planner_report import short_name
+from ccdiff_env.files import read_text, reading
 
 __all__ = ["ranking"]
 
@@ -31,11 +32,11 @@ def ranking(folders: Mapping[str, Path]) -> str:
     """
     made, tested = [], []
     for traffic, folder in folders.items():
-        with (folder / "sets.csv").open(encoding="utf-8") as file:
-            made += [{**row, "traffic": traffic} for row in csv.DictReader(file)]
-        with (folder / "cross.csv").open(encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["scenarios"] == "all"]
-            tested += [{**row, "traffic": traffic} for row in rows]
+        with reading("scores of a run", folder):
+            rows = csv.DictReader(read_text(folder / "sets.csv").splitlines())
+            made += [{**row, "traffic": traffic} for row in rows]
+            rows = csv.DictReader(read_text(folder / "cross.csv").splitlines())
+            tested += [{**row, "traffic": traffic} for row in rows if row["scenarios"] == "all"]
     planners = list(dict.fromkeys(row["planner"] for row in tested))
 
     def share(row: Mapping[str, str], count: str) -> float:

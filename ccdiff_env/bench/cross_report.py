@@ -16,7 +16,7 @@ from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
-from ccdiff_env.files import file_name
+from ccdiff_env.files import file_name, write_aside, writing
 
 __all__ = ["avoidable_rows", "write_collisions", "write_cross"]
 
@@ -78,7 +78,7 @@ def write_cross(
         "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios, none of "
         f"fewer than {LEAST_SCENES}.",
     ]
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(lines) + "\n")
     _write_csv(sets, realism, parts, folder)
     _plot(parts, list(sets), planners, folder / "cross.png")
 
@@ -160,7 +160,7 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
                 f"{_number(cost, 2)} | {_number(shift, 2)} | {_number(fde, 1)} |"
             )
         lines.append("")
-    (folder / "collisions.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "collisions.md", "\n".join(lines) + "\n")
 
 
 def _number(value: float, digits: int) -> str:
@@ -233,7 +233,7 @@ def _write_csv(
     parts: Mapping[str, Cells],
     folder: Path,
 ) -> None:
-    with (folder / "sets.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "sets.csv") as file:
         writer = csv.writer(file)
         head = ["generator", "scenarios", "collision", "at_fault", "avoidable"]
         writer.writerow([*head, "realism_cost", "shift_sigmas", "fde_m", "cfd", "seconds"])
@@ -241,7 +241,7 @@ def _write_csv(
             real = realism[generator]
             figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds)
             writer.writerow([generator, *_sets_figures(made), *figures])
-    with (folder / "cross.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "cross.csv") as file:
         writer = csv.writer(file)
         ends = [f"{name}{end}" for name in _FIGURES for end in ("", "_low", "_high")]
         writer.writerow(["generator", "planner", "scenarios", "count", *ends])

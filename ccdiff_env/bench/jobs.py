@@ -16,8 +16,8 @@ from threading import Thread
 from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
-from ccdiff_env.errors import ConfigError, DatasetError
-from ccdiff_env.files import parsed_object, write_aside
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.files import parsed_object, read_text, reading, write_aside
 
 __all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
 
@@ -180,7 +180,5 @@ def processor_seconds(jobs: Sequence[Job], folder: Path) -> dict[str, float]:
 
 def _entry(job: Job, folder: Path, field: str) -> Any:
     path = folder / f"{job.name}.json"
-    try:
-        return parsed_object(path.read_text(encoding="utf-8"))[field]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"no result ({error}): {path}") from None
+    with reading("result", path):
+        return parsed_object(read_text(path))[field]

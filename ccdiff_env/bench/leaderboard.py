@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from ccdiff_env.bench.planner_report import summary, verdict
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.files import parsed_object, read_text, reading
 
 __all__ = ["leaderboard", "write_leaderboard"]
 
@@ -69,10 +70,8 @@ def _settings(folder: Path) -> dict[str, Any]:
     for name in ("run.json", "scores.csv"):
         if not (folder / name).is_file():
             raise DatasetNotFoundError(f"no finished run of `bench planners`: no {folder / name}")
-    try:
-        settings = parsed_object((folder / "run.json").read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise DatasetError(f"damaged settings of a run ({error}): {folder / 'run.json'}") from None
+    with reading("settings of a run", folder / "run.json"):
+        settings = parsed_object(read_text(folder / "run.json"))
     if settings.get("benchmark") != "planners":
         raise ConfigError(f"{folder} is a run of {settings.get('benchmark')!r}, expected planners")
     try:
@@ -108,19 +107,16 @@ def _table(members: Sequence[tuple[Path, dict[str, Any]]]) -> tuple[str, str]:
 def _scores(path: Path) -> dict[tuple[str, str], list[dict[str, Any]]]:
     """Rows of each planner in each traffic: a dictionary per scene."""
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file, restval=""):
-                key = row["planner"], row["traffic"]
-                value = float(row["score"])
-                if not 0.0 <= value <= 1.0:
-                    raise ValueError(f"score {value}, expected 0 to 1")
-                if "|" in key[0] or not key[0].isprintable():
-                    raise ValueError(f"planner {key[0]!r}")
-                score = {"scene": row["scene"], "score": value}
-                found.setdefault(key, []).append(score)
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise DatasetError(f"damaged scores of a run ({error!r}): {path}") from None
+    with reading("scores of a run", path):
+        for row in csv.DictReader(io.StringIO(read_text(path)), restval=""):
+            key = row["planner"], row["traffic"]
+            value = float(row["score"])
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"score {value}, expected 0 to 1")
+            if "|" in key[0] or not key[0].isprintable():
+                raise ValueError(f"planner {key[0]!r}")
+            score = {"scene": row["scene"], "score": value}
+            found.setdefault(key, []).append(score)
     unknown = {traffic for _, traffic in found if traffic not in TRAFFIC}
     if not found or unknown:
         raise DatasetError(f"damaged scores of a run (traffic {sorted(unknown)}): {path}")

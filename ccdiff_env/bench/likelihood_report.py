@@ -13,6 +13,7 @@ from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interv
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
+from ccdiff_env.files import write_aside, writing
 
 __all__ = ["write_likelihoods"]
 
@@ -38,7 +39,7 @@ def write_likelihoods(
         method: {name: mean_interval(rows, name) for name in _COLUMNS}
         for method, rows in found.items()
     }
-    with (folder / "likelihoods.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "likelihoods.csv") as file:
         writer = csv.writer(file)
         ends = [f"{name}{end}" for name in _COLUMNS for end in ("", "_low", "_high")]
         writer.writerow(["method", "scenes", *ends])
@@ -61,7 +62,7 @@ def write_likelihoods(
     )
     few = any(map(are_few, found.values()))
     text = [FEW if few else _verdict(figures), "", *groups, "", *parts, "", note]
-    (folder / "table.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(text) + "\n")
     _plot(figures, folder / "likelihoods.png")
 
 

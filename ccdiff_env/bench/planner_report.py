@@ -12,6 +12,7 @@ import numpy as np
 from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interval
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
+from ccdiff_env.files import write_aside, writing
 
 __all__ = [
     "short_name",
@@ -68,7 +69,7 @@ def write_report(
     """
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = list(dict.fromkeys(t for _, t in found))
-    with (folder / "scores.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "scores.csv") as file:
         writer = csv.writer(file)
         writer.writerow(["planner", "traffic", "scene", *_PARTS, "min_ttc_s"])
         for (planner, name), rows in found.items():
@@ -90,8 +91,8 @@ def write_report(
         lines.append("")
     best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
     lines.append(f"Means over scenes. {brackets(found.values())}{best}")
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "worst.md").write_text(worst_table(found, worst, pages or {}), encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+    write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
     _plot(found, planners, traffic, folder / "robustness.png")
 
 

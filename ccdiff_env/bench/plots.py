@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition, Figures
+from ccdiff_env.files import read_text, write_aside
 from ccdiff_env.metrics import scores
 
 if TYPE_CHECKING:
@@ -63,8 +64,8 @@ def save_plot(figure: Figure, path: Path) -> None:
     drawn = path.with_suffix(".svg")
     figure.savefig(drawn, transparent=True, metadata={"Date": None})
     plt.close(figure)
-    text = drawn.read_text(encoding="utf-8")
-    drawn.write_text(text.replace("#000000", "currentColor"), encoding="utf-8")
+    text = read_text(drawn)
+    write_aside(drawn, text.replace("#000000", "currentColor"))
 
 
 def plot_scores(table: Mapping[Condition, Figures], path: Path) -> None:

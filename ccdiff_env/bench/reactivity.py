@@ -27,7 +27,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.files import file_name
+from ccdiff_env.files import file_name, write_aside
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
@@ -231,4 +231,4 @@ def write_reactivity(
         label = TRAFFIC[traffic].label
         lines.append(f"| {label} | {way} | {len(rows)} | " + " | ".join(cells) + " |")
     lines += ["", f"Shares of scenes. {brackets(found.values())} Low: below 0.95 s."]
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(lines) + "\n")

@@ -24,7 +24,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.files import file_name, parsed_object
+from ccdiff_env.files import file_name, parsed_object, read_bytes, read_text, reading, write_aside
 from ccdiff_env.metrics import Motion
 from ccdiff_env.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
@@ -311,7 +311,7 @@ def write_manifest(
     }
     path = folder / MANIFEST
     manifest = {**head, "scenarios": [dict(scenario) for scenario in scenarios]}
-    path.write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_aside(path, json.dumps(manifest, indent=1, allow_nan=False) + "\n")
     return path
 
 
@@ -332,16 +332,13 @@ def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
     """
     place = Path(path)
     manifest = place / MANIFEST if place.is_dir() else place
-    try:
-        fields = parsed_object(manifest.read_text(encoding="utf-8"))
+    if not manifest.exists():
+        raise DatasetNotFoundError(f"no scenario set at {manifest}")
+    with reading("manifest", manifest):
+        fields = parsed_object(read_text(manifest))
         known = fields.pop("format", None)
-    except (FileNotFoundError, NotADirectoryError):
-        raise DatasetNotFoundError(f"no scenario set at {manifest}") from None
-    except ValueError as error:
-        raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
-    if known != FORMAT:
-        raise DatasetError(f"format {known!r}, this release reads {FORMAT!r}: {manifest}")
-    try:
+        if known != FORMAT:
+            raise DatasetError(f"format {known!r}, this release reads {FORMAT!r}")
         scenarios = tuple(Scenario(**entry) for entry in fields.pop("scenarios"))
         found = ScenarioSet(folder=manifest.parent, scenarios=scenarios, **fields)
         for scenario in scenarios:
@@ -350,8 +347,6 @@ def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
         source_title(found.source)
         if len({scenario.scene for scenario in scenarios}) != len(scenarios):
             raise ValueError("two scenarios of one scene")
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"damaged manifest ({error}): {manifest}") from None
     for scenario in scenarios:
         _check(found.folder, scenario)
     return found
@@ -385,4 +380,4 @@ def _check(folder: Path, scenario: Scenario) -> None:
 
 
 def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(path)).hexdigest()

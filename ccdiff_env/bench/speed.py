@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.files import write_aside, writing
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
 
@@ -113,7 +114,7 @@ def fit(timings: Sequence[Timing], kind: str) -> tuple[float, float]:
 def write_speed(timings: Sequence[Timing], folder: Path) -> None:
     """Write ``speed.csv``, ``table.md`` and ``speed.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "speed.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "speed.csv") as file:
         writer = csv.writer(file)
         writer.writerow(["kind", "agents", "seconds", "processor_s"])
         writer.writerows([t.kind, t.num_agents, t.seconds, t.processor_s] for t in timings)
@@ -130,7 +131,7 @@ def write_speed(timings: Sequence[Timing], folder: Path) -> None:
     for kind in kinds:
         start, slope = fit(timings, kind)
         lines.append(f"{kind}: {1e3 * start:.1f} ms + {1e3 * slope:.2f} ms per vehicle.")
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(lines) + "\n")
     _plot(timings, kinds, folder / "speed.png")
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, column
 from ccdiff_env.bench.intervals import cell as interval_cell
 from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.files import write_aside, writing
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
 
 __all__ = [
@@ -201,7 +202,7 @@ def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
     """Write ``figures.csv``, and ``table.md`` and ``table.tex`` in the paper's layout."""
     folder.mkdir(parents=True, exist_ok=True)
     relative, paper = with_scores(table, False), with_scores(table, True)
-    with (folder / "figures.csv").open("w", newline="", encoding="utf-8") as file:
+    with writing(folder / "figures.csv") as file:
         writer = csv.writer(file)
         ends = [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
         writer.writerow(
@@ -211,8 +212,8 @@ def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
             row = [v for n in FIGURES for v in (f.value[n], f.low[n], f.high[n])]
             both = [*relative.get(c, ("", "")), *paper.get(c, ("", ""))]
             writer.writerow([c.method, c.k, c.replan_steps / 10, f.num_scenes, *row, *both])
-    (folder / "table.md").write_text(_markdown(table, relative), encoding="utf-8")
-    (folder / "table.tex").write_text(_latex(table, relative), encoding="utf-8")
+    write_aside(folder / "table.md", _markdown(table, relative))
+    write_aside(folder / "table.tex", _latex(table, relative))
 
 
 def _by_number(k: str) -> tuple[bool, int]:

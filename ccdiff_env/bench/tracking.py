@@ -22,6 +22,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.files import write_aside
 from ccdiff_env.scenes import Scene, SceneSet
 
 __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
@@ -139,4 +140,4 @@ def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Pat
         lines.append(f"| {model} | {len(rows)} | " + " | ".join(cells) + " |")
     what = "Shares of vehicles, less what the replayed log has."
     lines += ["", f"{what} {brackets(found.values())}"]
-    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_aside(folder / "table.md", "\n".join(lines) + "\n")

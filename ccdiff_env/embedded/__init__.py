@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ccdiff_env.errors import DatasetError, UnknownNameError
+from ccdiff_env.files import write_aside
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 
 __all__ = ["SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
@@ -81,4 +82,4 @@ def unpack(folder: Path) -> None:
     for name, data in shipped().items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        write_aside(path, data)

@@ -7,7 +7,6 @@ import json
 import operator
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
@@ -19,7 +18,13 @@ from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.curriculum import Criticality, Curriculum
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.fit import Fit
-from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.errors import (
+    ActionError,
+    CheckpointError,
+    ConfigError,
+    ShapeError,
+    UnknownNameError,
+)
 from ccdiff_env.models import require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.sources import SOURCES, load
@@ -460,7 +465,7 @@ def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) ->
     ------
     MissingFeatureError
         See :func:`~ccdiff_env.models.require_networks`.
-    ConfigError, CheckpointError, SceneError, OSError
+    ConfigError, CheckpointError, SceneError, DatasetNotFoundError
         Settings, weights or scenes do not fit; the message says which.
     """
     wanted = _native.networks_wanted(config.to_json())
@@ -469,21 +474,16 @@ def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) ->
     require_networks()
     from ccdiff_env import _models
 
-    def weights(kind: str, options: str) -> Path:
+    def made(name: str, kind: str, options: str) -> Any:
         settings = json.loads(options)
-        return weights_path(
+        weights = weights_path(
             settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
         )
+        try:
+            return _models.traffic_policy(
+                name, kind, options, weights, config.dt_s, num_threads, list(scenes)
+            )
+        except OSError as error:
+            raise CheckpointError(str(error)) from None
 
-    return {
-        name: _models.traffic_policy(
-            name,
-            kind,
-            options,
-            weights(kind, options),
-            config.dt_s,
-            num_threads,
-            list(scenes),
-        )
-        for name, kind, options in wanted
-    }
+    return {name: made(name, kind, options) for name, kind, options in wanted}

@@ -14,8 +14,8 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs.fit import fitting_fields, schema_digest
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, ShapeError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
+from ccdiff_env.files import parsed_object, reading
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 
 __all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
@@ -270,16 +270,12 @@ def load_ego(path: str | os.PathLike[str]) -> EgoPolicy:
         If the observations that this version makes are not those that it was trained on.
     """
     tensors, metadata = read_tensors(path)
-    if metadata.get("format") != FORMAT:
-        found = metadata.get("format")
-        raise DatasetError(f"policy: format {found!r}, expected {FORMAT!r}, {os.fspath(path)}")
-    try:
+    with reading("policy", path):
+        if metadata.get("format") != FORMAT:
+            found = metadata.get("format")
+            raise DatasetError(f"format {found!r}, expected {FORMAT!r}")
         options, about = (parsed_object(metadata[name]) for name in ("options", "about"))
         # others do not belong to a policy, and some name files, or modules to import
         if others := set(options) - set(FITTING):
             raise ValueError(f"options {sorted(others)}, expected some of {', '.join(FITTING)}")
         return EgoPolicy(tensors, options, metadata["schema"], about)
-    except (KeyError, ValueError, TypeError) as error:
-        if isinstance(error, CcdiffError):
-            raise
-        raise DatasetError(f"policy: damaged ({error}), {os.fspath(path)}") from None

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.files import parsed_object, read_bytes, reading, write_aside
 
 F32 = npt.NDArray[np.float32]
 
@@ -36,10 +35,7 @@ def write_tensors(
     text += b" " * (-len(text) % 8)
     parts = [struct.pack("<Q", len(text)), text]
     parts += [np.ascontiguousarray(array, "<f4").tobytes() for array in tensors.values()]
-    target = Path(path)
-    half = target.with_name(target.name + ".tmp")
-    half.write_bytes(b"".join(parts))
-    half.replace(target)
+    write_aside(Path(path), b"".join(parts))
 
 
 def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str, str]]:
@@ -52,21 +48,15 @@ def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str
     DatasetError
         If it is damaged, too large, or holds anything else than finite float32.
     """
-    if not Path(path).is_file():
-        raise DatasetNotFoundError(f"no policy at {os.fspath(path)}")
-    if Path(path).stat().st_size > MAX_BYTES:
-        raise DatasetError(f"policy: more than {MAX_BYTES} bytes, {os.fspath(path)}")
-    data = Path(path).read_bytes()
-    try:
+    with reading("policy", path):
+        data = read_bytes(path, MAX_BYTES)
         (length,) = struct.unpack_from("<Q", data)
         if 8 + length > len(data):
             raise ValueError("the header reaches beyond the end")
         header = parsed_object(data[8 : 8 + length])
         metadata = {str(k): str(v) for k, v in header.pop("__metadata__", {}).items()}
         tensors = _arrays(header, data[8 + length :])
-    except (struct.error, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DatasetError(f"policy: damaged ({error}), {os.fspath(path)}") from None
-    return tensors, metadata
+        return tensors, metadata
 
 
 def _arrays(entries: Mapping[str, Any], body: bytes) -> dict[str, F32]:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import (
     DatasetError,
-    DatasetNotFoundError,
     ShapeError,
     expect_shape,
     takes_former_names,
 )
-from ccdiff_env.files import parsed_object
+from ccdiff_env.files import parsed_object, read_text, reading
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
 
 __all__ = [
@@ -110,12 +108,8 @@ def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     DatasetError
         If it holds anything else, naming the scene.
     """
-    try:
-        found = parsed_object(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DatasetNotFoundError(f"no ranking at {os.fspath(path)}") from None
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"no ranking in JSON ({error}): {os.fspath(path)}") from None
+    with reading("ranking", path):
+        found = parsed_object(read_text(path))
     for scene, ids in found.items():
         if not isinstance(ids, list) or not all(isinstance(i, str) for i in ids):
             raise DatasetError(f"{os.fspath(path)}: {scene}: {ids!r}, expected a list of agent ids")

@@ -129,8 +129,9 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
     config = rollout.meta.get("config")
     if isinstance(config, dict):
         drivers = {*rollout.driver_names, *rollout.driver_kinds}
-        policies = config.get("policies", {})
-        used = {name: options for name, options in policies.items() if name in drivers}
+        policies = config.get("policies")
+        known = policies if isinstance(policies, dict) else {}
+        used = {name: options for name, options in known.items() if name in drivers}
         config = {**config, "policies": used}
         captions.extend(_changes(config, json.loads(_native.default_world_config())))
     return [(name, value) for name, value in captions if value]

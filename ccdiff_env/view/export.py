@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.files import write_aside
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.captions import driver_of
 from ccdiff_env.view.page import colours
@@ -95,16 +97,17 @@ def _mcap(rollout: Rollout, path: Path) -> None:
     from mcap.writer import Writer
 
     _, rgba = _boxes(rollout)
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(library="ccdiff-env")
-        schema = writer.register_schema(SCHEMA, "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel("/agents", "json", schema)
-        for step in range(rollout.num_steps):
-            nanoseconds = round(step * rollout.dt_s * 1e9)
-            message = json.dumps(_scene_update(rollout, step, nanoseconds, rgba)).encode()
-            writer.add_message(channel, nanoseconds, message, nanoseconds)
-        writer.finish()
+    made = io.BytesIO()
+    writer = Writer(made)
+    writer.start(library="ccdiff-env")
+    schema = writer.register_schema(SCHEMA, "jsonschema", b'{"type": "object"}')
+    channel = writer.register_channel("/agents", "json", schema)
+    for step in range(rollout.num_steps):
+        nanoseconds = round(step * rollout.dt_s * 1e9)
+        message = json.dumps(_scene_update(rollout, step, nanoseconds, rgba)).encode()
+        writer.add_message(channel, nanoseconds, message, nanoseconds)
+    writer.finish()
+    write_aside(path, made.getvalue())
 
 
 def _scene_update(

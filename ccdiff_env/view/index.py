@@ -5,11 +5,12 @@ from __future__ import annotations
 import base64
 import html
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from ccdiff_env.errors import DatasetNotFoundError
-from ccdiff_env.files import file_name
+from ccdiff_env.errors import DatasetError, DatasetNotFoundError
+from ccdiff_env.files import file_name, write_aside
 from ccdiff_env.render import THEMES, Image
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.view.captions import subtitle
@@ -57,8 +58,9 @@ def write_pages(
 
     Raises
     ------
-    DatasetNotFoundError
-        If there are no rollouts below the folder.
+    DatasetNotFoundError, DatasetError
+        If there are no rollouts below the folder, or none that can be read. Others are left out
+        with a warning.
     """
     files = rollout_files(folder)
     if not files:
@@ -66,7 +68,11 @@ def write_pages(
     out.mkdir(parents=True, exist_ok=True)
     entries, pages = [], []
     for file in files:
-        rollout = Rollout.load(file)
+        try:
+            rollout = Rollout.load(file)
+        except DatasetError as error:
+            warnings.warn(f"left out: {error}", stacklevel=2)
+            continue
         parts = file.relative_to(folder).with_suffix("").parts
         name = "-".join(parts)
         page = out / file_name(name, ".html")
@@ -77,8 +83,10 @@ def write_pages(
         write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
         entries.append(entry(rollout, name, page.name, image=thumbnails))
         pages.append(page)
+    if not pages:
+        raise DatasetError(f"no rollout (.npz) below {folder} can be read")
     index = out / "index.html"
-    index.write_text(index_page(folder.name or "replays", entries), encoding="utf-8")
+    write_aside(index, index_page(folder.name or "replays", entries))
     return [index, *pages]
 
 

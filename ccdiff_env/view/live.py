@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import html
+import io
 import math
 import time
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import DatasetNotFoundError
+from ccdiff_env.files import read_text
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes import Scene
@@ -111,7 +113,7 @@ class LiveRun:
 
     def _newest(self) -> Path | None:
         found = [*self.folder.rglob("*.npz"), *self.folder.rglob("*.safetensors")]
-        kept = [path for path in found if path.name != "state.safetensors"]
+        kept = [path for path in found if path.name != "state.safetensors" and path.is_file()]
         return max(kept, key=_changed, default=None)
 
 
@@ -163,10 +165,7 @@ def _rank(name: str) -> tuple[int, str]:
 def _columns(path: Path) -> dict[str, list[float]]:
     """Columns of a CSV file as numbers; NaN for what is none. A last line may be incomplete."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            return {}
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
+        rows = list(csv.reader(io.StringIO(read_text(path, MAX_BYTES))))
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
     if not rows:

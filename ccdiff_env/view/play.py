@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import html
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.files import parsed_object
 from ccdiff_env.rollout import Rollout
 from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
@@ -137,8 +137,8 @@ def moved_scene(scene: Scene, moves: Mapping[str, tuple[float, float]]) -> Scene
 
 def _moves(text: str) -> dict[str, tuple[float, float]]:
     try:
-        found = {str(name): (float(x), float(y)) for name, (x, y) in json.loads(text).items()}
-    except (ValueError, TypeError, AttributeError):
+        found = {name: (float(x), float(y)) for name, (x, y) in parsed_object(text).items()}
+    except (ValueError, TypeError):
         raise ConfigError(f"moves is {text!r}, expected metres by agent id in JSON") from None
     for name, move in found.items():
         if not all(abs(value) <= MAX_MOVE_M for value in move):
