@@ -221,6 +221,12 @@ mod tests {
         assert!(read(&path).is_ok());
         std::fs::write(&path, b"not a tensor file").unwrap();
         assert!(matches!(read(&path), Err(ModelError::Checkpoint { .. })));
+        // what is no file is not read, and what cannot be put in place leaves nothing
+        let folder = dir.join("folder.safetensors");
+        std::fs::create_dir(&folder).unwrap();
+        assert!(matches!(read(&folder), Err(ModelError::Checkpoint { .. })));
+        assert!(write(&folder, &serde_json::json!({}), &variables(1.0)).is_err());
+        assert!(!dir.join("folder.safetensors.part").exists());
         std::fs::remove_dir_all(&dir).unwrap();
         assert!(matches!(read(&path), Err(ModelError::Io { .. })));
     }
