@@ -122,7 +122,11 @@ def parsed_object(text: str | bytes) -> dict[str, Any]:
         written again: numbers that are not finite, integers beyond 64 bits, half letters.
     """
     plain = text if isinstance(text, str) else text.decode("utf-8-sig")
-    kinds = {"parse_constant": _constant, "parse_float": _finite, "parse_int": _integer}
+    kinds: dict[str, Any] = {
+        "parse_constant": _constant,
+        "parse_float": _finite,
+        "parse_int": _integer,
+    }
     try:
         value = json.loads(plain, **kinds)
     except RecursionError:

@@ -407,7 +407,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         shape = (self.num_envs,)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
             raise ShapeError(f"{name} is {mask!r}, expected a bool array of shape {shape}")
-        return mask.view(np.uint8) != 0  # a byte of an array of bool may be any
+        given: Bool = mask.view(np.uint8) != 0  # a byte of an array of bool may be any
+        return given
 
     def _reset_mask(self, given: Any) -> Bool:
         mask = self._mask("reset_mask", given)
