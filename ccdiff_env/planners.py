@@ -21,7 +21,13 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError, ShapeError
+from ccdiff_env.envs.worlds_view import worlds_view
+from ccdiff_env.errors import (
+    ConfigError,
+    DatasetError,
+    MissingFeatureError,
+    ShapeError,
+)
 from ccdiff_env.files import read_bytes, reading
 from ccdiff_env.named_objects import named_object
 from ccdiff_env.policies import SHIPPED, find_policy
@@ -38,9 +44,11 @@ Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 class Planner(Protocol):
     """What drives egos, one in each of E worlds.
 
-    Two attributes are optional: ``observation`` (``"flat"``, the default, or ``"dict"``) is the
-    form in which observations come, ``env_options`` are fields of
-    :class:`~ccdiff_env.WorldConfig` that the planner needs (columns, dynamics, decision steps).
+    Attributes are optional: ``observation`` (``"flat"``, the default, or ``"dict"``) is the form in
+    which observations come, ``env_options`` are fields of :class:`~ccdiff_env.WorldConfig` that the
+    planner needs; benchmarks take actions, observations, dynamics and decision steps, nothing
+    else. ``files`` are paths that it reads: a benchmark plays anew where one of them has changed.
+    ``privileged = True`` says that it uses what a vehicle cannot know, as the log or forks.
     """
 
     def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
@@ -100,6 +108,8 @@ class Seat:
         options = dict(wanted)
         #: Configuration of worlds that fit.
         self.config = (options.pop("config", None) or WorldConfig()).with_options(**options)
+        #: Whether the planner says that it uses what a vehicle cannot know.
+        self.privileged = bool(getattr(planner, "privileged", False))
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
@@ -107,24 +117,33 @@ class Seat:
         if self._form not in ("flat", "dict"):
             raise ConfigError(f"{name}: observation is {self._form!r}, expected 'flat' or 'dict'")
 
+    def trained_in(self, dt_s: float) -> bool:
+        """Return whether the planner's file says that it was trained in steps of so long."""
+        fit = getattr(self._planner, "fit", None)
+        return isinstance(fit, Fit) and bool(fit.options["dt_s"] == dt_s)
+
     def begin(self, worlds: Worlds) -> None:
         """Take the seats of worlds, all of which begin an episode.
+
+        The planner reads the worlds alone, see :mod:`ccdiff_env.envs.worlds_view`, unless it is
+        privileged.
 
         Raises
         ------
         ConfigError
             If the worlds are not what the planner needs.
         """
+        given_worlds = worlds if self.privileged else worlds_view(worlds, self.name)
         if isinstance(self._planner, type):
             given = inspect.signature(self._planner).parameters.values()
             takes = any(p.default is p.empty and p.kind < p.VAR_POSITIONAL for p in given)
-            self._act = self._planner(worlds) if takes else self._planner()
+            self._act = self._planner(given_worlds) if takes else self._planner()
         if not (callable(self._act) or hasattr(self._act, "drive")):
             raise ConfigError(f"{self.name}: a {type(self._act).__name__} cannot be called")
         fit = getattr(self._act, "fit", None)
         if isinstance(fit, Fit):
             fit.check(worlds.config, worlds.native.layout_json, self.name)
-        self._worlds = worlds
+        self._worlds, self._given_worlds = worlds, given_worlds
         width, discrete = worlds.native.action_width, worlds.native.num_actions is not None
         self._shape = (worlds.num_worlds,) if discrete else (worlds.num_worlds, width)
         drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
@@ -139,7 +158,7 @@ class Seat:
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
         """Tell the planner that episodes begin in some worlds."""
         if self._worlds is not None and hasattr(self._act, "reset"):
-            self._act.reset(self._worlds, np.asarray(indices, np.int64))
+            self._act.reset(self._given_worlds, np.asarray(indices, np.int64))
 
     def __call__(self, obs: F32, active: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[Any]:
         """Return actions for rows [E, D].

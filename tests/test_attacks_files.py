@@ -11,6 +11,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+import planner_run
 import pytest
 
 import ccdiff_env
@@ -158,31 +159,30 @@ def test_episodes_are_of_the_scene_that_the_manifest_names(made):
         manifest(made, lambda fields: fields["scenarios"].append(fields["scenarios"][0]))
 
 
-SCORES = "planner,traffic,scene,score\nidm,idm,a,0.5\nidm,idm,b,0.7\n"
-SETTINGS = {"benchmark": "planners", "source": "embedded/val", "seed": 0, "weights": "a"}
-
-
 @pytest.mark.parametrize(
-    ("settings", "scores"),
+    "change",
     [
-        ({"source": None}, SCORES),
-        ({"source": {}}, SCORES),
-        ({"source": []}, SCORES),
-        ({"seed": "<script>"}, SCORES),
-        ({"seed": None}, SCORES),
-        ({}, SCORES.replace("0.5", "nan")),
-        ({}, SCORES.replace("0.5", "1e308")),
-        ({}, SCORES.replace("idm,idm,a", "a|b,idm,a")),
-        ({}, SCORES.replace("idm,idm,a", "\x1b[2J,idm,a")),
-        ({}, "score,scene,planner,traffic\n0.5,a,idm\n"),
+        lambda raw: raw["arguments"].update(source=None),
+        lambda raw: raw["arguments"].update(source={"embedded": "val"}),
+        lambda raw: raw["arguments"].update(seed="<script>"),
+        lambda raw: raw["arguments"].update(planner="a|b"),
+        lambda raw: raw["arguments"].update(planner="\x1b[2J"),
+        lambda raw: raw["arguments"].update(names=["other"]),
+        lambda raw: raw["arguments"].update(options={"horizon_steps": 5}),
+        lambda raw: raw.update(made_from=[]),
+        lambda raw: raw.update(function="os:system"),
+        lambda raw: raw["result"][0].update(score=float("nan")),
+        lambda raw: raw["result"][0].update(progress=1e308),
+        lambda raw: raw["result"][0].update(scene=[]),
+        lambda raw: raw["result"].pop(),
     ],
-    ids=str,
 )
-def test_runs_of_others_in_a_leaderboard(tmp_path, settings, scores):
-    (tmp_path / "run.json").write_text(json.dumps(SETTINGS | settings))
-    (tmp_path / "scores.csv").write_text(scores)
-    with pytest.raises(errors.DatasetError, match=r"run\.json|scores\.csv"):
-        write_leaderboard([tmp_path], tmp_path / "page.html")
+def test_runs_of_others_in_a_leaderboard(tmp_path, change):
+    made = planner_run.raw("idm", "replay", [0.5, 0.7])
+    change(made)
+    folder = planner_run.write_run(tmp_path / "run", made)
+    with pytest.raises(errors.DatasetError, match=r"0\.json"):
+        write_leaderboard([folder], tmp_path / "page.html")
 
 
 @pytest.mark.parametrize(

@@ -1,77 +1,147 @@
-"""Planners of several runs in one page, from their files alone."""
+"""Planners of several runs in one page, recomputed from their raw results alone."""
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 
 import pytest
+from planner_run import raw, write_run
 
-from ccdiff_env.bench.leaderboard import leaderboard
+from ccdiff_env.bench import leaderboard as module
+from ccdiff_env.bench.intervals import FEW
+from ccdiff_env.bench.record import Record
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env_cli import main
 
+TEN = [0.0, 1.0] * 5
+IDM = "IDM, log's path and speed"
 
-@pytest.fixture
-def run(tmp_path):
-    """Make a run folder: scores by planner and traffic."""
 
-    def make(name, scores, seed=0, benchmark="planners"):
-        folder = tmp_path / name
-        folder.mkdir()
-        settings = {"benchmark": benchmark, "source": "embedded/val", "seed": seed}
-        (folder / "run.json").write_text(json.dumps({**settings, "weights": "abc"}))
-        (folder / "report.html").write_text("")
-        with (folder / "scores.csv").open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(["planner", "traffic", "scene", "score"])
-            for (planner, traffic), values in scores.items():
-                for i, value in enumerate(5 * values):  # verdicts are of ten scenes and more
-                    writer.writerow([planner, traffic, f"scene-{i}", value])
-        return folder
-
-    return make
+def leaderboard(*folders):
+    return module.leaderboard([Record.read(folder) for folder in folders])
 
 
 def order(table):
     """Planners of a table from the top, and its heads."""
-    rows = [re.findall(r"[^|]+", line) for line in table.splitlines() if line.startswith("|")]
+    table = table.partition("\n\n|")[2].partition("\n\n")[0]
+    rows = [re.findall(r"[^|]+", line) for line in table.splitlines()]
     return [row[0].strip() for row in rows[2:]], [cell.strip() for cell in rows[0]]
 
 
-def test_the_better_mean_stands_higher_in_the_traffic_that_all_runs_have(run, tmp_path, capsys):
-    a = run("a", {("idm", "replay"): [1, 0.5], ("idm", "idm"): [0, 0]})
-    b = run("b", {("pdm", "replay"): [1, 0.7], ("pdm", "ccdiff-1"): [0.1, 0.1]})
-    ((heading, table),) = leaderboard([a, b]).items()
+def test_the_better_mean_stands_higher(tmp_path, capsys):
+    a = write_run(tmp_path / "a", raw("idm", "replay", [0.75] * 10), raw("idm", "idm", TEN))
+    b = write_run(tmp_path / "b", raw("pdm", "replay", [0.85] * 10), raw("pdm", "idm", TEN))
+    ((heading, table),) = leaderboard(a, b).items()
     assert "seed 0" in heading
-    assert order(table) == (["pdm", "idm"], ["score", "Log replay", "mean"])
+    assert order(table) == (["pdm", IDM], ["score", "Log replay", "IDM", "mean", "worst"])
     assert "0.85" in table
     assert "0.75" in table
+    assert f"| pdm | {IDM} | +0.050 [" in table
     page = tmp_path / "pages.html"
     assert main(["bench", "leaderboard", str(a), str(b), "--out", str(page)]) == 0
     assert 'href="b/report.html"' in page.read_text()
-    assert "pdm is best over all (0.85)" in capsys.readouterr().out
+    assert "pdm is best over all (0.68)" in capsys.readouterr().out
 
 
-def test_other_seeds_are_other_tables_and_equal_names_get_their_folder(run):
-    a = run("a", {("idm", "replay"): [1]})
-    b = run("b", {("idm", "replay"): [0]})
-    c = run("c", {("idm", "replay"): [0.5]}, seed=1)
-    first, second = leaderboard([a, b, c]).values()
-    assert order(first)[0] == ["idm (a)", "idm (b)"]
-    assert order(second)[0] == ["idm"]
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"seed": 1},
+        {"scenes": "other "},
+        {"weights": "other"},
+        {"version": "2"},
+        {"package": "other"},
+        {"protocol": "other"},
+        {"traffic": "idm"},
+        {"values": [0.5] * 11},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_runs_that_do_not_agree_stand_apart_and_none_is_lost(tmp_path, other):
+    given = {"planner": "idm", "traffic": "replay", "values": TEN}
+    a = write_run(tmp_path / "a", raw(**given))
+    b = write_run(tmp_path / "b", raw(**given | other))
+    tables = leaderboard(a, b)
+    assert len(tables) == 2
+    assert all(order(table)[0] == [IDM] for table in tables.values())
 
 
-def test_what_is_no_run_of_planners_is_refused(run, tmp_path):
+def test_runs_of_one_name_or_of_one_folder_name_are_all_there(tmp_path):
+    made = raw("idm", "replay", TEN)
+    runs = [write_run(tmp_path / parent / "run", made) for parent in "abc"]
+    (table,) = leaderboard(*runs).values()
+    assert order(table)[0] == [f"{IDM} (run)", f"{IDM} (run) #2", f"{IDM} (run) #3"]
+
+
+def test_where_the_data_lies_does_not_matter(tmp_path):
+    runs = []
+    for name in "ab":
+        made = raw("idm", "replay", TEN)
+        made["arguments"]["source"] = f"nuscenes:/{name}@v1.0-mini/all"
+        runs.append(write_run(tmp_path / name, made))
+    (table,) = leaderboard(*runs).values()
+    assert order(table)[0] == [f"{IDM} (a)", f"{IDM} (b)"]
+
+
+def test_planners_without_code_are_marked(tmp_path):
+    made = [raw("idm", "replay", TEN), raw("mine:Ego", "replay", TEN, source="abc")]
+    (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
+    assert set(order(table)[0]) == {IDM, "mine:Ego (no code)"}
+
+
+def test_privileged_planners_are_marked_and_scenes_that_the_log_fails_left_out_beside(tmp_path):
+    hard = [raw("mine:Ego", "replay", [0.0] + [0.5] * 10, privileged=True)]
+    hard[0]["result"][0]["log_fails"] = True
+    (table,) = leaderboard(write_run(tmp_path / "a", *hard)).values()
+    assert order(table)[0] == ["mine:Ego †"]
+    assert order(table)[1][-3:] == ["mean", "worst", "mean, log can"]
+    row = next(line for line in table.splitlines() if line.startswith("| mine:Ego"))
+    assert [cell.split()[0] for cell in row.split("|")[3:6]] == ["0.45", "0.45", "0.50"]
+    assert "scores 0 (scene-00)" in table
+
+
+def test_two_states_of_a_planner_are_not_mixed(tmp_path):
+    old = raw("mine:Ego", "replay", [0.2] * 10, source="old")
+    new = raw("mine:Ego", "idm", [0.9] * 10, source="new")
+    tables = leaderboard(write_run(tmp_path / "a", old, new))
+    assert [order(table)[1][1:-2] for table in tables.values()] == [["Log replay"], ["IDM"]]
+
+
+def test_tables_of_a_run_are_not_read(tmp_path):
+    a = write_run(tmp_path / "a", raw("idm", "replay", [0.25] * 10))
+    (a / "scores.csv").write_text("planner,traffic,scene,score\nidm,replay,scene-00,1.0\n")
+    ((_, table),) = leaderboard(a).items()
+    assert "0.25" in table
+
+
+def test_a_score_is_what_its_parts_make(tmp_path):
+    made = raw("idm", "replay", [0.25] * 10)
+    made["result"][3]["score"] = 1.0
+    with pytest.raises(DatasetError, match=r"score of scene-03 is 1\.0, its parts make 0\.25"):
+        leaderboard(write_run(tmp_path / "a", made))
+
+
+def test_below_ten_scenes_there_is_no_interval_and_no_verdict(tmp_path):
+    made = [raw("idm", "replay", [0.5] * 9), raw("pdm", "replay", [1.0] * 9)]
+    (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
+    assert FEW in table
+    assert "[" not in table
+    assert "best" not in table
+
+
+def test_what_is_no_run_of_planners_is_refused(tmp_path):
     with pytest.raises(DatasetNotFoundError, match=r"run\.json"):
-        leaderboard([tmp_path])
+        leaderboard(tmp_path)
+    with pytest.raises(DatasetNotFoundError, match="no raw results"):
+        leaderboard(write_run(tmp_path / "e"))
     with pytest.raises(ConfigError, match="traffic"):
-        leaderboard([run("t", {("idm", "replay"): [1]}, benchmark="traffic")])
-    with pytest.raises(DatasetError, match="damaged"):
-        leaderboard([run("d", {("idm", "replay"): ["x"]})])
+        leaderboard(write_run(tmp_path / "t", benchmark="traffic"))
     with pytest.raises(DatasetError, match="nonsense"):
-        leaderboard([run("n", {("idm", "nonsense"): [1]})])
-    apart = [run("e", {("idm", "replay"): [1]}), run("f", {("pdm", "idm"): [1]})]
-    with pytest.raises(ConfigError, match="no traffic is in all"):
-        leaderboard(apart)
+        leaderboard(write_run(tmp_path / "n", raw("idm", "nonsense", [1])))
+    unfinished = [raw("idm", "replay", TEN), raw("idm", "idm", TEN, seed=1)]
+    with pytest.raises(DatasetError, match="10 of 20 episodes; finish the run"):
+        leaderboard(write_run(tmp_path / "u", *unfinished))
+    (tmp_path / "u" / "raw" / "0.json").write_text(json.dumps({"result": [], "seconds": 1.0}))
+    with pytest.raises(DatasetError, match=r"0\.json"):
+        leaderboard(tmp_path / "u")

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import importlib
 import json
 import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from importlib import metadata
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
+from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.sources import coverage
 from ccdiff_env.terminal import align, say_page
 from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.version import __version__
 
 __all__ = [
     "Run",
@@ -34,9 +35,12 @@ __all__ = [
     "add_weights",
     "counts",
     "replan_steps",
+    "seeds_of",
 ]
 
 K = TypeVar("K", bound=Hashable)
+#: Arguments of jobs that name who drives, perhaps by a file.
+_DRIVE = ("planner", "generator", "ego", "method", "traffic", "adversary_policy", "start")
 #: Replays that a report shows with images.
 MAX_IMAGES = 8
 
@@ -89,11 +93,14 @@ PLANNERS = (
 )
 
 
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what every resumable benchmark takes: scenes, run folder, backend."""
+def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = False) -> None:
+    """Add what every resumable benchmark takes: scenes, run folder, seed or seeds, backend."""
     add_scene_arguments(parser, "test")
     parser.add_argument("--out", required=True, type=Path, help="run folder; a run goes on there")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
+    if several_seeds:
+        parser.add_argument("--seeds", help="of the episodes, comma-separated (default: 0,1,2)")
+    else:
+        parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
     parser.add_argument(
         "--backend", choices=["local", "ray"], default="local", help="where jobs run"
     )
@@ -102,9 +109,11 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="store_true", help="open the report in the browser")
 
 
-def add_traffic(parser: argparse.ArgumentParser, default: str, what: str = "the others") -> None:
-    """Add who drives the others, kinds of traffic by name."""
-    parser.add_argument(
+def add_traffic(
+    parser: argparse.ArgumentParser, default: str | None, what: str = "the others"
+) -> argparse.Action:
+    """Add who drives the others, kinds of traffic by name; returns the argument."""
+    return parser.add_argument(
         "--traffic",
         action=Listed,
         names=TRAFFIC,
@@ -163,8 +172,9 @@ class Run:
     benchmark
         Its name.
     **settings
-        What else decides the results; a folder belongs to one choice of all of it, and to the
-        scenes, the seed, and the weights.
+        What else decides the results, ``seeds`` where there are several; a folder belongs to one
+        choice of all of it, and to the scenes, the seed, and weights of one's own. What changes
+        with the package, its weights or a planner's file is done again.
 
     Raises
     ------
@@ -180,9 +190,9 @@ class Run:
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
         files = sorted(shipped_weights().parent.glob("*_fast.safetensors"))
-        shipped = b"".join(file.read_bytes() for file in files)
-        self.weights = hashlib.sha256(shipped).hexdigest()
-        self._seed = args.seed
+        self.weights = sha256_of(*files)
+        seeds = {"seed": args.seed} if hasattr(args, "seed") else {"seeds": settings.pop("seeds")}
+        self._line = f"seed {', '.join(str(s) for s in seeds.get('seeds', [seeds.get('seed')]))}"
         self._options = {
             "backend": args.backend,
             "workers": args.workers,
@@ -193,15 +203,15 @@ class Run:
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
         #: Weight files by network, in place of the shipped ones.
         self.own_weights = _weights_from(getattr(args, "weights", None) or [])
-        given = {"benchmark": benchmark, "source": self.source, "seed": args.seed, **settings}
+        given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
         given["coverage"] = self.coverage
-        given["own_weights"] = {
-            network: hashlib.sha256(read_bytes(file)).hexdigest()
-            for network, file in self.own_weights.items()
-        }
-        self._settle({**given, "weights": self.weights})
+        given["own_weights"] = {name: sha256_of(Path(f)) for name, f in self.own_weights.items()}
+        self._made_with = made_with()
+        self._digests: dict[str, str | None] = {}
+        self._settle(given, {"weights": self.weights, "made_with": self._made_with})
 
-    def _settle(self, settings: dict[str, Any]) -> None:
+    def _settle(self, settings: dict[str, Any], facts: dict[str, Any]) -> None:
+        """Refuse other settings than those of the folder; write them, and facts beside them."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "run.json"
         with reading("settings of a run", path):
@@ -214,17 +224,42 @@ class Run:
                 f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
                 f"{settings[changed[0]]!r}; choose another folder"
             )
-        write_aside(path, json.dumps({**known, **settings}, indent=1))
+        write_aside(path, json.dumps({**known, **settings, **facts}, indent=1))
+
+    def note(self, **facts: Any) -> None:
+        """Write into ``run.json`` what the results were made from; refuses nothing."""
+        self._settle({}, facts)
+
+    def _dated(self, job: Job) -> Job:
+        """Return a job that knows what its result follows from beside its arguments."""
+        made_from: dict[str, Any] = {
+            "version": self._made_with["version"],
+            "package": self._made_with["package"],
+            "weights": self.weights,
+        }
+        given = job.arguments
+        if "source" in given:
+            made_from["scenes"] = scene_hashes(given["source"], given.get("names"))
+        if "sources" not in given:
+            found = {given[name]: self._digest(given[name]) for name in _DRIVE if given.get(name)}
+            made_from["files"] = {name: digest for name, digest in found.items() if digest}
+        return replace(job, made_from={**made_from, **job.made_from})
+
+    def _digest(self, name: str) -> str | None:
+        if name not in self._digests:
+            self._digests[name] = source_digest(name)
+        return self._digests[name]
 
     def results(self, jobs: Sequence[Job], folder: str = "raw") -> dict[str, Any]:
         """Do the jobs whose results are not there yet; return the results of all by name."""
+        jobs = [self._dated(job) for job in jobs]
         run_jobs(jobs, self.folder / folder, **self._options)
         self._num_jobs += len(jobs)
         return results(jobs, self.folder / folder)
 
     def processor_seconds(self, jobs: Sequence[Job]) -> dict[str, float]:
         """Return the time of a processor that each finished job took, by name."""
-        return processor_seconds(jobs, self.folder / "raw")
+        return processor_seconds([self._dated(job) for job in jobs], self.folder / "raw")
 
     def rows(self, jobs: Sequence[Job], *keys: str) -> dict[tuple[Any, ...], list[Any]]:
         """Do the jobs, whose results are lists; join those whose arguments agree in some keys."""
@@ -245,7 +280,8 @@ class Run:
 
         The report shows the first ones with their titles.
         """
-        pages, changed = make_replays(wanted, self.folder, **self._options)
+        dated = {key: (self._dated(job), scene) for key, (job, scene) in wanted.items()}
+        pages, changed = make_replays(dated, self.folder, **self._options)
         self._num_changed += len(changed)
         for key, address in list(pages.items())[:MAX_IMAGES]:
             image = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
@@ -271,9 +307,9 @@ class Run:
         line = " · ".join(
             [
                 source_title(self.source, self.coverage),
-                f"seed {self._seed}",
+                self._line,
                 f"weights {self.weights[:12]}",
-                f"ccdiff-env {metadata.version('ccdiff-env')}",
+                f"ccdiff-env {__version__}",
                 time.strftime("%Y-%m-%d"),
             ]
         )
@@ -293,6 +329,14 @@ class Run:
         print(f"{self._num_jobs} jobs in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
         return 0
+
+
+def seeds_of(text: str) -> list[int]:
+    """Return seeds, each once."""
+    try:
+        return list(dict.fromkeys(int(part) for part in text.split(",")))
+    except ValueError:
+        raise ConfigError(f"--seeds is {text!r}, expected integers, comma-separated") from None
 
 
 def counts(text: str) -> list[int | None]:

@@ -20,6 +20,7 @@ from ccdiff_env.bench.arguments import (
     counts,
     replan_steps,
 )
+from ccdiff_env.bench.planner_cli import add_planner_benchmark
 from ccdiff_env.errors import renamed
 from ccdiff_env.files import file_name, read_text
 from ccdiff_env.scene_arguments import (
@@ -28,7 +29,7 @@ from ccdiff_env.scene_arguments import (
     other_place,
     scenes_from,
 )
-from ccdiff_env.terminal import EGO_HELP, align, say_page
+from ccdiff_env.terminal import EGO_HELP, align
 
 __all__ = ["add_arguments"]
 
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks to the verb ``bench``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
-    _add_planners(kinds)
+    add_planner_benchmark(kinds)
     _add_scenarios(kinds)
     _add_learning(kinds)
     _add_speed(kinds)
@@ -45,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_selection(kinds)
     _add_reactivity(kinds)
     _add_tracking(kinds)
-    _add_leaderboard(kinds)
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -132,48 +132,6 @@ def _traffic(args: argparse.Namespace) -> int:
             "Cliques and collisions": "correlation.md",
             "Examples of guided traffic": "examples.md",
         },
-    )
-
-
-def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("planners", help="planners x traffic, scored as nuPlan does")
-    add_run_arguments(parser)
-    parser.add_argument(
-        "--planners",
-        default="constant_velocity,idm,pdm,replay",
-        help=f"comma-separated, of: {PLANNERS}",
-    )
-    add_traffic(parser, "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1")
-    add_replays(parser, "worst scenes of every planner")
-    parser.set_defaults(run=_planners)
-
-
-def _planners(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.planner_report import short_name, worst_scenes, write_report
-    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
-
-    planners = args.planners.split(",")
-    run = Run(args, "planners", planners=planners)
-    jobs = planner_jobs(run.source, planners, args.traffic.split(","), seed=args.seed)
-    rows = run.rows(jobs, "planner", "traffic")
-    job_of = {
-        (job.arguments["planner"], job.arguments["traffic"], scene): job
-        for job in jobs
-        for scene in job.arguments["names"]
-    }
-    pages = run.replays(
-        {
-            (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
-            for planner in planners
-            for name, row in worst_scenes(rows, planner, args.replays)
-        },
-        lambda key: f"{short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
-    )
-    write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages)
-    return run.report(
-        "Planners in traffic",
-        plots=["robustness.png"],
-        parts={"Scores": "table.md", "Worst scenes": "worst.md"},
     )
 
 
@@ -478,20 +436,3 @@ def _tracking(args: argparse.Namespace) -> int:
     rows = run.rows(tracking_jobs(run.source, args.dynamics.split(",")), "model")
     write_tracking({model: found for (model,), found in rows.items()}, run.folder)
     return run.report("Tracking", plots=[], parts={"The log through models of motion": "table.md"})
-
-
-def _add_leaderboard(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("leaderboard", help="planners of several runs in one page")
-    parser.add_argument("runs", nargs="+", type=Path, help="run folders of bench planners")
-    parser.add_argument("--out", type=Path, default=Path("leaderboard.html"), help="page to write")
-    parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    parser.set_defaults(run=_leaderboard)
-
-
-def _leaderboard(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.leaderboard import write_leaderboard
-
-    for heading, text in write_leaderboard(args.runs, args.out).items():
-        print(f"{heading}\n\n{align(text)}")
-    say_page(args.out, open_it=args.open)
-    return 0

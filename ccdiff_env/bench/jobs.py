@@ -9,14 +9,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
 from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.files import parsed_object, read_text, reading, write_aside
 
 __all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
@@ -37,11 +37,23 @@ class Job:
         nothing else.
     arguments
         What JSON can hold.
+    made_from
+        What else the result follows from, as hashes by name: a result that was made from something
+        else is done again.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any]
+    made_from: Mapping[str, Any] = field(default_factory=dict)
+
+    def description(self) -> dict[str, Any]:
+        """Return all that decides the result, as JSON has it."""
+        whole = {
+            "function": self.function, "arguments": self.arguments, "made_from": self.made_from,
+        }  # fmt: skip
+        found: dict[str, Any] = json.loads(json.dumps(whole, default=dict))
+        return found
 
     def run(self) -> Any:
         """Do the work."""
@@ -70,10 +82,11 @@ def run_jobs(
     workers: int = 1,
     progress: bool = True,
 ) -> None:
-    """Do the jobs whose results are not in the folder yet.
+    """Do the jobs whose results are not in the folder yet, or were made from something else.
 
     Each result is written when it is there, so that a run that was killed goes on where it stopped.
-    The results do not depend on the backend or the number of workers.
+    The results do not depend on the backend or the number of workers. One line on stderr says what
+    has changed since results were made.
 
     Parameters
     ----------
@@ -94,11 +107,17 @@ def run_jobs(
     if len({job.name for job in jobs}) != len(jobs):
         raise ConfigError("jobs: two of the same name")
     folder.mkdir(parents=True, exist_ok=True)
-    open_jobs = [job for job in jobs if not (folder / f"{job.name}.json").exists()]
+    stale = {job.name: changed for job in jobs if (changed := _changed(job, folder))}
+    if stale:
+        first, changed = next(iter(stale.items()))
+        print(f"{len(stale)} results are made anew, as of {first}: {changed}", file=sys.stderr)
+    done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
+    open_jobs = [job for job in jobs if job.name not in done]
+    by_name = {job.name: job for job in jobs}
     found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
     for name, result, seconds in _shown(found, len(jobs), len(jobs) - len(open_jobs), progress):
-        entry = json.dumps({"result": result, "seconds": round(seconds, 3)}, allow_nan=False)
-        write_aside(folder / f"{name}.json", entry)
+        entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
+        write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
 
 
 def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]]:
@@ -168,7 +187,7 @@ def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
     Raises
     ------
     DatasetError
-        If one is missing or damaged.
+        If one is missing or damaged, or was made from something else.
     """
     return {job.name: _entry(job, folder, "result") for job in jobs}
 
@@ -179,6 +198,41 @@ def processor_seconds(jobs: Sequence[Job], folder: Path) -> dict[str, float]:
 
 
 def _entry(job: Job, folder: Path, field: str) -> Any:
+    changed = _changed(job, folder)
+    if changed:
+        raise DatasetError(f"the result is of something else ({changed}): {folder / job.name}.json")
     path = folder / f"{job.name}.json"
     with reading("result", path):
         return parsed_object(read_text(path))[field]
+
+
+def _changed(job: Job, folder: Path) -> str | None:
+    """Say what has changed since the result of a job was made, if there is one."""
+    path = folder / f"{job.name}.json"
+    if not path.exists():
+        return None
+    with reading("result", path):
+        known = parsed_object(read_text(path))
+    there = {name: known.get(name) for name in ("function", "arguments", "made_from")}
+    return _difference("", there, job.description())
+
+
+def _difference(path: str, then: Any, now: Any) -> str | None:
+    """Say in words where two JSON values first differ."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for name in dict.fromkeys([*now, *then]):
+            found = _difference(f"{path} {name}", then.get(name), now.get(name))
+            if found:
+                return found
+        return None
+    if then == now:
+        return None
+    words = path.removeprefix(" arguments").removeprefix(" made_from").strip()
+    return f"{words} was {_short(then)}, now {_short(now)}"
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    if len(text) in (32, 64) and not set(text) - set("0123456789abcdef"):
+        return text[:12]
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interval
+from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, cell, mean_interval
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
+from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.files import write_aside, writing
 
 __all__ = [
+    "comparison",
+    "headlines",
+    "over_seeds",
     "short_name",
     "summary",
+    "title_of",
     "verdict",
     "worst_scenes",
     "worst_table",
@@ -45,6 +51,130 @@ _REASONS = {
     "right_way": "wrong way",
     "ttc": "close call",
 }
+#: What built-in planners are, where the name alone does not say it.
+_TITLES = {"idm": "IDM, log's path and speed", "replay": "Log replay"}
+_STATISTICS = PROTOCOL.fields["statistics"]
+
+
+def over_seeds(found: Results) -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """Return rows that are means over the seeds of each scene: scenes are what is resampled."""
+    means: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for key, rows in found.items():
+        by_scene: dict[str, list[Row]] = {}
+        for row in rows:
+            by_scene.setdefault(row["scene"], []).append(row)
+        means[key] = [
+            {
+                "scene": scene,
+                "log_fails": several[0].get("log_fails", False),
+                **{part: _mean([row[part] for row in several]) for part in _PARTS},
+            }
+            for scene, several in sorted(by_scene.items())
+        ]
+    return means
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Mean over seeds; ``None`` for what the scene does not have."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def headlines(
+    found: Results, planner: str, traffic: Sequence[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Return scores of a planner over traffic, with 95 % intervals.
+
+    Parameters
+    ----------
+    found
+        One row per scene, the same scenes in all traffic.
+    planner, traffic
+        Which.
+
+    Returns
+    -------
+    dict
+        ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the
+        logged driver scores 0, where there are such.
+    """
+    table = _table(found, planner, traffic)
+    kept = [not row["log_fails"] for row in found[planner, traffic[0]]]
+    count = table.shape[1]
+    resamples = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
+    drawn = table[:, resamples].mean(axis=2)
+    few = are_few(found[planner, traffic[0]])
+    low, high = (np.nan, np.nan) if few else np.percentile(drawn.min(axis=0), [2.5, 97.5])
+    means = _by_scene(table.mean(axis=0))
+    heads = {
+        "mean": mean_interval(means, "score"),
+        "worst": (float(table.mean(axis=1).min()), float(low), float(high)),
+    }
+    if any(kept) and not all(kept):
+        rest = [row for row, keep in zip(means, kept, strict=True) if keep]
+        heads["rest"] = mean_interval(rest, "score")
+    return heads
+
+
+def _by_scene(values: npt.NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Rows of scores by scene [S]."""
+    return [{"scene": i, "score": value} for i, value in enumerate(values)]
+
+
+def _table(found: Results, planner: str, traffic: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Scores of a planner [traffic, S]."""
+    return np.array([[row["score"] for row in found[planner, name]] for name in traffic])
+
+
+def comparison(
+    found: Results, planners: Sequence[str], traffic: Sequence[str], base: str = "idm"
+) -> str:
+    """Return paired differences of planners in Markdown: against IDM, and the best other one.
+
+    Parameters
+    ----------
+    found
+        One row per scene, the same scenes in all traffic.
+    planners, traffic
+        Which.
+    base
+        IDM, by its name among the planners.
+    """
+    count = len(next(iter(found.values())))
+    if len(planners) < 2:
+        return "One planner alone.\n"
+    if any(map(are_few, found.values())):
+        return f"{FEW}\n"
+    scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], count))
+    lines = [
+        f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
+        "bootstrap over scenes, p of the permutation test of signs.",
+        "",
+        "| planner | against | difference | p | |",
+        "|---|---|---:|---:|---|",
+    ]
+    for planner in planners:
+        best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
+        for other in dict.fromkeys([base, best]):
+            if other not in scores or other == planner:
+                continue
+            pairs = scores[planner] - scores[other]
+            mean, low, high = mean_interval(_by_scene(pairs), "score")
+            p = _permutation_p(pairs, signs)
+            same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
+            lines.append(
+                f"| {title_of(planner)} | {title_of(other)} | {mean:+.3f} [{low:+.3f}, "
+                f"{high:+.3f}] | {p:.4f} | {same} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _permutation_p(pairs: npt.NDArray[np.float64], signs: npt.NDArray[np.float64]) -> float:
+    """Two-sided p of a mean difference [S] under signs [N, S] that chance has drawn."""
+    drawn = np.abs(signs @ pairs)
+    return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
 
 
 def write_report(
@@ -53,30 +183,37 @@ def write_report(
     *,
     worst: int = 10,
     pages: Mapping[tuple[str, str, str], str] | None = None,
+    privileged: Collection[str] = (),
 ) -> None:
-    """Write ``scores.csv``, ``table.md``, ``robustness.png`` and ``worst.md``.
+    """Write ``scores.csv``, ``table.md``, ``comparison.md``, ``robustness.png`` and ``worst.md``.
 
     Parameters
     ----------
     found
-        Rows per scene of every planner in every traffic.
+        Rows per scene and seed of every planner in every traffic.
     folder
         Where to.
     worst
         Scenes to list per planner.
     pages
         Addresses of replays by planner, traffic and scene.
+    privileged
+        Planners that use what a vehicle cannot know.
     """
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = list(dict.fromkeys(t for _, t in found))
     with writing(folder / "scores.csv") as file:
         writer = csv.writer(file)
-        writer.writerow(["planner", "traffic", "scene", *_PARTS, "min_ttc_s"])
+        writer.writerow(["planner", "traffic", "seed", "scene", *_PARTS, "min_ttc_s"])
         for (planner, name), rows in found.items():
             for row in rows:
-                parts = [row[part] for part in (*_PARTS, "min_ttc_s")]
-                writer.writerow([planner, name, row["scene"], *parts])
-    lines = [verdict(found, planners, traffic), "", *summary(found, planners, traffic), ""]
+                parts = [row[part] for part in ("seed", "scene", *_PARTS, "min_ttc_s")]
+                writer.writerow([planner, name, *parts])
+    write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
+    found = over_seeds(found)
+    write_aside(folder / "comparison.md", comparison(found, planners, traffic))
+    lines = [verdict(found, planners, traffic), ""]
+    lines += [*summary(found, planners, traffic, privileged), ""]
     for name in traffic:
         lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
         lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
@@ -87,18 +224,22 @@ def write_report(
                 mean, *bounds = mean_interval(found[planner, name], part)
                 low, high = bounds if part == "score" else (np.nan, np.nan)
                 cells.append(cell((mean, low, high)))
-            lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
+            lines.append(f"| {title_of(planner)} | " + " | ".join(cells) + " |")
         lines.append("")
     best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
-    lines.append(f"Means over scenes. {brackets(found.values())}{best}")
+    lines.append(f"Means over scenes and seeds. {brackets(found.values())}{best}")
     write_aside(folder / "table.md", "\n".join(lines) + "\n")
-    write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
     _plot(found, planners, traffic, folder / "robustness.png")
 
 
 def short_name(planner: str) -> str:
     """Return the name of a planner in tables: of a file, its name without the suffix."""
     return Path(planner).stem if planner.endswith(".zip") else planner
+
+
+def title_of(planner: str) -> str:
+    """Return the title of a planner in the tables of its benchmark."""
+    return _TITLES.get(planner, short_name(planner))
 
 
 def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:
@@ -207,20 +348,47 @@ def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
     return ". ".join([*sentences, f"{count} scenes"]) + "."
 
 
-def summary(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> list[str]:
-    """Return the lines of a matrix of planners and traffic, the best of each emphasised."""
-    mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
-    lines = ["| score | " + " | ".join(TRAFFIC[t].label for t in traffic) + " | mean |"]
-    lines.append("|---|" + "---:|" * (len(traffic) + 1))
-    top = {t: max(round(mean[p, t][0], 2) for p in planners) for t in traffic}
+def summary(
+    found: Results,
+    planners: Sequence[str],
+    traffic: Sequence[str],
+    privileged: Collection[str] = (),
+) -> list[str]:
+    """Return the lines of a matrix of planners and traffic, the best of each emphasised.
+
+    Parameters
+    ----------
+    found
+        One row per scene, the same scenes in all traffic.
+    planners, traffic
+        Which.
+    privileged
+        Planners that use what a vehicle cannot know; they are marked.
+    """
+    rows = next(iter(found.values()))
+    heads = {planner: headlines(found, planner, traffic) for planner in planners}
+    ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}
+    ends = {name: title for name, title in ends.items() if name in heads[planners[0]]}
+    titles = [*(TRAFFIC[t].label for t in traffic), *ends.values()]
+    lines = ["| score | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
     some = not any(map(are_few, found.values()))
-    order = sorted(planners, key=lambda p: -float(np.mean([mean[p, t][0] for t in traffic])))
-    for planner in order:
+    means = {key: round(mean_interval(rows, "score")[0], 2) for key, rows in found.items()}
+    top = {t: max(means[p, t] for p in planners) for t in traffic}
+    for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
         cells = []
         for name in traffic:
-            text = cell(mean[planner, name])
-            best = some and len(planners) > 1 and round(mean[planner, name][0], 2) == top[name]
+            text = cell(mean_interval(found[planner, name], "score"))
+            best = some and len(planners) > 1 and means[planner, name] == top[name]
             cells.append(f"**{text}**" if best else text)
-        cells.append(f"{np.mean([mean[planner, t][0] for t in traffic]):.2f}")
-        lines.append(f"| {short_name(planner)} | " + " | ".join(cells) + " |")
+        cells += [cell(heads[planner][name]) for name in ends]
+        mark = " †" if planner in privileged else ""
+        lines.append(f"| {title_of(planner)}{mark} | " + " | ".join(cells) + " |")
+    if privileged:
+        lines += ["", "† privileged: uses what a vehicle cannot know, as the log."]
+    if "rest" in ends:
+        fails = ", ".join(row["scene"] for row in rows if row["log_fails"])
+        lines += [
+            "",
+            f"*log can*: without the scenes in which the logged driver scores 0 ({fails}).",
+        ]
     return lines

@@ -6,6 +6,9 @@ closed-loop non-reactive and reactive challenges):
     score = no_at_fault_collision x on_road x makes_progress x right_way
             x (5 ttc + 5 progress + 4 speed_limit + 2 comfort) / 16
 
+Weights, bounds, the world and the panel of traffic stand in the file of the protocol, see
+:mod:`ccdiff_env.bench.protocol`.
+
 Differs from nuPlan: progress is measured along the logged route up to its goal, comfort is the
 share of steps within the limits, a collision with a static obstacle counts as any other, and half
 points are not given.
@@ -14,7 +17,8 @@ points are not given.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +29,12 @@ from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers
 from ccdiff_env.bench.pdm import PdmPlanner
+from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
-from ccdiff_env.config import WorldConfig
+from ccdiff_env.bench.tape import Tape
 from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.errors import UnknownNameError, renamed
+from ccdiff_env.errors import ConfigError, UnknownNameError, renamed
 from ccdiff_env.files import file_name
 from ccdiff_env.planners import Ego, Seat, ego_driver
 from ccdiff_env.recorder import Recorder
@@ -38,18 +44,15 @@ from ccdiff_env.traffic import NETWORKS, driver_titles
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
 
-HISTORY_STEPS = 30
+_SCORE = PROTOCOL.fields["score"]
+HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
 #: Scenes that share a batch of the network.
-CHUNK = 12
+CHUNK: int = PROTOCOL.fields["batch"]
 #: Limits of comfort: acceleration forwards, braking, sideways (m/s²), jerk (m/s³), as nuPlan's.
-COMFORT = {
-    "acceleration": (-4.05, 2.40),
-    "lateral_acceleration": (-4.89, 4.89),
-    "jerk": (-8.37, 8.37),
-}
-#: Least share of the route for "makes progress".
-LEAST_PROGRESS = 0.2
-TTC_BOUND_S = 0.95
+COMFORT: Mapping[str, tuple[float, float]] = {k: (a, b) for k, (a, b) in _SCORE["comfort"].items()}
+TTC_BOUND_S: float = _SCORE["least_ttc_s"]
+#: Drivers of the world that know where the log goes, and how fast.
+READ_THE_LOG = ("replay", "idm")
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class Traffic:
 
     ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
     else it is drawn once. ``adversary_policy``: file of a policy that says who is turned on the
-    ego, see :class:`~ccdiff_env.bench.adversary_policy.AdversaryPolicy`.
+    ego, see :class:`~ccdiff_env.bench.adversary_policy.AdversaryPolicy`. ``policies``: drivers of
+    its own, see :class:`~ccdiff_env.WorldConfig`.
     """
 
     label: str
@@ -66,6 +70,7 @@ class Traffic:
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     draws: int = 1
     adversary_policy: str | None = None
+    policies: Mapping[str, Any] = field(default_factory=dict)
 
 
 _TITLES = driver_titles()
@@ -91,7 +96,9 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
     _named,
     {
         "replay": Traffic("Log replay", "replay"),
+        "idm-calm": Traffic("IDM, calm", "calm"),
         "idm": Traffic("IDM", "idm"),
+        "idm-hasty": Traffic("IDM, hasty", "hasty"),
         **{
             name: Traffic(f"{_TITLES[name]}, no guidance", name, {"num_samples": 1})
             for name in NETWORKS
@@ -119,6 +126,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         ),
     },
 )
+TRAFFIC.update({n: replace(TRAFFIC[n], **own) for n, own in PROTOCOL.fields["traffic"].items()})
 
 
 def planner_jobs(
@@ -151,10 +159,16 @@ def planner_jobs(
     for name in traffic:
         if name not in TRAFFIC:
             raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
+    privileged = {}
+    for planner in planners:
+        driver, seat = _seat(planner)
+        PROTOCOL.world(seat, planner, scenes_of(source)[0].dt)
+        privileged[planner] = driver in READ_THE_LOG if seat is None else seat.privileged
     parts = chunks(scene_names(source), CHUNK)
+    drives = {(p, t): _sources(p, t) for p in planners for t in traffic}
     return [
         Job(
-            f"{p:02d}-{file_name(name, '')}-{seed}-{i:03d}",
+            f"{file_name(planner)}-{file_name(name)}-{seed}-{i:03d}",
             f"{__name__}:evaluate",
             {
                 "source": source,
@@ -162,13 +176,24 @@ def planner_jobs(
                 "planner": planner,
                 "traffic": name,
                 "seed": seed,
+                "sources": drives[planner, name],
                 **({"options": dict(options)} if options else {}),
             },
+            {
+                "protocol": PROTOCOL.sha256,
+                "scenes": scene_hashes(source, names),
+                "privileged": privileged[planner],
+            },
         )
-        for p, planner in enumerate(planners)
+        for planner in planners
         for name in traffic
         for i, names in enumerate(parts)
     ]
+
+
+def _sources(planner: str, traffic: str) -> dict[str, str | None]:
+    """Digests of what drives, where it is no part of the package."""
+    return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
 
 
 def evaluate(
@@ -178,10 +203,34 @@ def evaluate(
     planner: str,
     traffic: str,
     seed: int,
+    sources: Mapping[str, str | None] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Drive scenes with a planner: one dictionary of metrics and the score per scene."""
-    return play(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, options=options)
+    """Drive scenes with a planner: one dictionary of metrics and the score per scene.
+
+    Raises
+    ------
+    ConfigError
+        If the planner, or the model of traffic, is no more what ``sources`` are digests of.
+    """
+    _check_sources(planner, traffic, sources)
+    scenes = scenes_of(source, names)
+    rows = play(scenes, planner, TRAFFIC[traffic], seed=seed, options=options)
+    return with_log(rows, source, names)
+
+
+def with_log(
+    rows: Sequence[dict[str, Any]], source: str, names: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Return rows that say whether the logged driver scores 0 in the scene: ``log_fails``."""
+    fails = _log_fails(source, tuple(names))
+    return [{**row, "log_fails": row["scene"] in fails} for row in rows]
+
+
+@lru_cache(maxsize=64)
+def _log_fails(source: str, names: tuple[str, ...]) -> frozenset[str]:
+    rows = play(scenes_of(source, names), "replay", TRAFFIC["replay"])
+    return frozenset(row["scene"] for row in rows if row["score"] == 0.0)
 
 
 def evaluate_recorded(
@@ -192,9 +241,21 @@ def evaluate_recorded(
     traffic: str,
     seed: int,
     record: Collection[str],
+    sources: Mapping[str, str | None] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate`, and record some scenes."""
-    return drive(scenes_of(source, names), planner, TRAFFIC[traffic], seed=seed, record=record)
+    """Do the same as :func:`evaluate`, and record some scenes; raises as it does."""
+    _check_sources(planner, traffic, sources)
+    scenes = scenes_of(source, names)
+    rows, rollouts = drive(
+        scenes, planner, TRAFFIC[traffic], seed=seed, options=options, record=record
+    )
+    return with_log(rows, source, names), rollouts
+
+
+def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:
+    if sources is not None and dict(sources) != _sources(planner, traffic):
+        raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
 
 
 def _seat(planner: Ego) -> tuple[str, Seat | None]:
@@ -246,23 +307,19 @@ def drive(
     Returns
     -------
     list of dict
-        Figures and score of each scene, see :func:`planner_score`.
+        Figures and score of each scene, see :func:`planner_score`; its actions and its digest, see
+        :class:`~ccdiff_env.bench.tape.Tape`.
     dict
         The recorded episodes by name of the scene.
     """
     driver, seat = _seat(planner)
-    config = WorldConfig() if seat is None else seat.config
-    config = config.with_options(**(options or {}))
-    config = config.with_options(
-        decision_steps=1,
-        history_steps=HISTORY_STEPS,
+    who = driver if seat is None else seat.name
+    config = PROTOCOL.world(seat, who, scenes[0].dt).with_options(
+        **(options or {}),
+        policies=dict(traffic.policies),
         traffic=traffic.driver,
         driver=driver,
         ccdiff=dict(traffic.ccdiff),
-        autoreset="disabled",
-        on_collision="stop",
-        on_off_road="ignore",
-        dt_s=scenes[0].dt,
     )
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
     native, out = worlds.native, worlds.arrays()
@@ -274,12 +331,13 @@ def drive(
     adversary_policy = None if path is None else AdversaryPolicy(worlds, path)
     names = worlds.column_names
     recorders = {
-        i: Recorder(worlds, world_idx=i, planner=driver if seat is None else seat.name)
+        i: Recorder(worlds, world_idx=i, planner=who)
         for i, scene in enumerate(scenes)
         if scene.name in record
     }
     for recorder in recorders.values():
         recorder.start()
+    tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
     columns: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
     running = np.ones(len(scenes), np.bool_)
@@ -287,30 +345,34 @@ def drive(
         actions = nothing if seat is None else seat(out.obs[:, 0], running)
         if adversary_policy is not None:
             adversary_policy.choose(running)
-        native.step(actions.astype(np.float32).reshape(len(scenes), 1, -1), out, running)
+        rows = actions.astype(np.float32).reshape(len(scenes), 1, -1)
+        native.step(rows, out, running)
         if adversary_policy is not None:
             adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
             columns[i].append(out.columns[i, 0].copy())
+            tapes[i].step(rows[i, 0], columns[i][-1])
             if i in recorders:
                 recorders[i].step()
             if out.done[i]:
                 metrics[i] = native.ended_metrics([i])[0, 0]
         running &= ~out.done
-    rows = [
+    found = [
         {
             "scene": scene.name,
+            "seed": seed,
             **planner_score(
                 dict(zip(worlds.metric_names, m.tolist(), strict=True)),
                 {name: np.array([row[i] for row in f]) for i, name in enumerate(names)},
                 config.speed_limit_mps,
                 road=scene.has_road,
             ),
+            **tape.entries(),
         }
-        for scene, m, f in zip(scenes, metrics, columns, strict=True)
+        for scene, m, f, tape in zip(scenes, metrics, columns, tapes, strict=True)
         if m is not None
     ]
-    return rows, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
+    return found, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
 
 
 def planner_score(
@@ -342,22 +404,25 @@ def planner_score(
     parts: dict[str, float | None] = {
         "no_at_fault_collision": 1.0 - metrics["at_fault"],
         "on_road": 1.0 - metrics["off_road"] if road else None,
-        "makes_progress": float(metrics["route_completion"] >= LEAST_PROGRESS),
+        "makes_progress": float(metrics["route_completion"] >= _SCORE["least_progress"]),
         "right_way": 1.0 - metrics["wrong_way"],
         "ttc": float(np.min(columns["ttc"]) >= TTC_BOUND_S),
         "progress": metrics["route_completion"],
-        "speed_limit": float(max(0.0, 1.0 - over.mean() / 2.23)),
+        "speed_limit": float(max(0.0, 1.0 - over.mean() / _SCORE["excess_mps"])),
         "comfort": float(calm.mean()),
     }
-    musts = ("no_at_fault_collision", "on_road", "makes_progress", "right_way")
-    weights = {"ttc": 5, "progress": 5, "speed_limit": 4, "comfort": 2}
-    known = {name: value for name, value in parts.items() if value is not None}
-    product = float(np.prod([known.get(m, 1.0) for m in musts]))
-    mean = sum(w * known[name] for name, w in weights.items()) / sum(weights.values())
     return {
         **parts,
         "collision": metrics["collision"],
         "success": metrics["is_success"],
         "min_ttc_s": metrics["min_ttc"],
-        "score": product * mean,
+        "score": score_of(parts),
     }
+
+
+def score_of(parts: Mapping[str, float | None]) -> float:
+    """Return the score that the parts of an episode make; a gate that is not known stays open."""
+    weights: Mapping[str, float] = _SCORE["weights"]
+    known = {name: value for name, value in parts.items() if value is not None}
+    product = float(np.prod([known.get(gate, 1.0) for gate in _SCORE["gates"]]))
+    return product * (sum(w * known[name] for name, w in weights.items()) / sum(weights.values()))

@@ -92,7 +92,8 @@ def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
         "folder": str((folder / FOLDER).resolve()),
         "prefix": job.name,
     }
-    return Job(f"replay-{job.name}-{digest}", f"{__name__}:play_again", arguments)
+    name = f"replay-{job.name}-{digest}"
+    return Job(name, f"{__name__}:play_again", arguments, job.made_from)
 
 
 def play_again(

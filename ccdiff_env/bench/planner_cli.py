@@ -1,0 +1,168 @@
+"""``ccdiff-env bench planners``, and what is done with its runs: leaderboard, verify, submit."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ccdiff_env.bench.arguments import (
+    PLANNERS,
+    Run,
+    add_replays,
+    add_run_arguments,
+    add_traffic,
+    seeds_of,
+)
+from ccdiff_env.scene_arguments import place_from
+from ccdiff_env.terminal import align, say_page
+
+__all__ = ["add_planner_benchmark"]
+
+#: Traffic of ``bench planners`` without a protocol.
+_USUAL_TRAFFIC = "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1"
+
+
+def add_planner_benchmark(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the benchmark of planners, and what is done with its runs."""
+    _add_planners(kinds)
+    _add_leaderboard(kinds)
+    _add_verify(kinds)
+    _add_submit(kinds)
+
+
+def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("planners", help="planners x traffic, scored as nuPlan does")
+    add_run_arguments(parser, several_seeds=True)
+    parser.add_argument(
+        "--planners",
+        default="constant_velocity,idm,pdm,replay",
+        help=f"comma-separated, of: {PLANNERS}",
+    )
+    traffic = add_traffic(parser, None)  # the protocol can tell whether it was given
+    traffic.help = f"{traffic.help} (default: {_USUAL_TRAFFIC})"
+    parser.add_argument(
+        "--protocol",
+        help="what fixes scenes, traffic and seeds, planner-1.0 (default: the options choose them)",
+    )
+    parser.add_argument("--level", help="scenes of the protocol: smoke, mini, val (default: smoke)")
+    add_replays(parser, "worst scenes of every planner")
+    parser.set_defaults(run=_planners)
+
+
+def _planners(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.planner_report import short_name, worst_scenes, write_report
+    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
+    from ccdiff_env.bench.protocol import PROTOCOL
+
+    fixed = PROTOCOL.fix(args)
+    planners = list(dict.fromkeys(args.planners.split(",")))
+    traffic = (args.traffic or _USUAL_TRAFFIC).split(",")
+    seeds = seeds_of(args.seeds or "0,1,2")
+    jobs = [
+        job
+        for seed in seeds
+        for job in planner_jobs(str(place_from(args)), planners, traffic, seed=seed)
+    ]
+    scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
+    if fixed:
+        PROTOCOL.check(args.level, scenes)
+    run = Run(args, "planners", seeds=seeds, **fixed)
+    run.note(
+        planners={job.arguments["planner"]: job.arguments["sources"]["planner"] for job in jobs},
+        traffic={job.arguments["traffic"]: job.arguments["sources"]["traffic"] for job in jobs},
+        scenes=scenes,
+        protocol_sha256=PROTOCOL.sha256,
+    )
+    rows = run.rows(jobs, "planner", "traffic")
+    job_of = {
+        (job.arguments["planner"], job.arguments["traffic"], job.arguments["seed"], scene): job
+        for job in jobs
+        for scene in job.arguments["names"]
+    }
+    pages = run.replays(
+        {
+            (planner, name, row["scene"]): (
+                job_of[planner, name, row["seed"], row["scene"]],
+                row["scene"],
+            )
+            for planner in planners
+            for name, row in worst_scenes(rows, planner, args.replays)
+        },
+        lambda key: f"{short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
+    )
+    privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
+    write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages, privileged=privileged)
+    return run.report(
+        f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic",
+        plots=["robustness.png"],
+        parts={
+            "Scores": "table.md",
+            "Planners against one another": "comparison.md",
+            "Worst scenes": "worst.md",
+        },
+    )
+
+
+def _add_leaderboard(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("leaderboard", help="planners of several runs in one page")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, help="run folders of bench planners, and submissions"
+    )
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.html"), help="page to write")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+    parser.set_defaults(run=_leaderboard)
+
+
+def _leaderboard(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.leaderboard import write_leaderboard
+
+    for heading, text in write_leaderboard(args.runs, args.out).items():
+        print(f"{heading}\n\n{align(text)}")
+    say_page(args.out, open_it=args.open)
+    return 0
+
+
+def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("verify", help="play episodes of a run again, and compare every bit")
+    parser.add_argument("record", type=Path, help="run folder of bench planners, or submission")
+    parser.add_argument("--episodes", type=int, help="only so many, by chance (default: all)")
+    parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
+    parser.set_defaults(run=_verify)
+
+
+def _verify(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.leaderboard import leaderboard
+    from ccdiff_env.bench.provenance import processor
+    from ccdiff_env.bench.record import Record
+    from ccdiff_env.bench.verify import verify
+
+    record = Record.read(args.record)
+    for heading, text in leaderboard([record]).items():
+        print(f"{heading}\n\n{align(text)}")
+    count, differing = verify(record, episodes=args.episodes, dataroot=args.dataroot)
+    for line in differing:
+        print(line)
+    print(f"{count - len(differing)} of {count} episodes come out the same, bit for bit")
+    there = record.settings.get("made_with", {}).get("processor")
+    if differing and there != processor():
+        print(f"made on {there}, this is {processor()}: networks may round differently")
+    return 1 if differing else 0
+
+
+def _add_submit(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("submit", help="write the raw results of a run into one file")
+    parser.add_argument("folder", type=Path, help="run folder of bench planners")
+    parser.add_argument("--out", type=Path, default=Path("submission.zip"), help="file to write")
+    parser.add_argument("--code", help="address of the planner's code (default: none, marked so)")
+    parser.add_argument(
+        "--training-data", help="what it was trained on, in words (default: not said)"
+    )
+    parser.set_defaults(run=_submit)
+
+
+def _submit(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.record import submit
+
+    submit(args.folder, args.out, code=args.code, training_data=args.training_data)
+    print(args.out)
+    return 0

@@ -1,0 +1,199 @@
+"""The protocol of planners: what a file of the package fixes, so that numbers can be compared."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
+from ccdiff_env.files import read_bytes
+from ccdiff_env.models import shipped_weights
+from ccdiff_env.planners import Seat
+from ccdiff_env.scenes import splits
+
+__all__ = ["PROTOCOL", "Protocol"]
+
+_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.0.json"
+#: Options that a planner may choose; the protocol fixes all others.
+CHOICES = ("action", "observation", "decision_steps")
+#: Arguments that the protocol fixes, beside the version of the tables.
+_FIXED = ("traffic", "seeds", "scenes", "split", "limit")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What the file of a protocol says.
+
+    Parameters
+    ----------
+    fields
+        Levels (scenes and seeds), size of a batch of scenes, panel of traffic, hashes of weights,
+        options of the world, score, statistics.
+    sha256
+        Hash of the file.
+    """
+
+    fields: Mapping[str, Any]
+    sha256: str
+
+    @classmethod
+    def read(cls, path: Path) -> Protocol:
+        """Read a file of the package."""
+        data = read_bytes(path)
+        return cls(json.loads(data), hashlib.sha256(data).hexdigest())
+
+    @property
+    def name(self) -> str:
+        """Name with version, as ``--protocol`` takes it."""
+        return str(self.fields["name"])
+
+    @property
+    def panel(self) -> tuple[str, ...]:
+        """Names of the traffic that planners are tested in."""
+        return tuple(self.fields["traffic"])
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """Names of the choices of scenes."""
+        return tuple(self.fields["levels"])
+
+    def world(self, seat: Seat | None, who: str, dt_s: float) -> WorldConfig:
+        """Return the world of an episode: what is fixed, and what a planner chooses.
+
+        Parameters
+        ----------
+        seat
+            The planner; ``None`` for a driver of the world.
+        who
+            What errors call it.
+        dt_s
+            Seconds of a step of the scenes.
+
+        Raises
+        ------
+        ConfigError
+            If the planner asks for anything else; names it.
+        """
+        world = WorldConfig.from_json(json.dumps(self.fields["world"])).with_options(dt_s=dt_s)
+        if seat is None:
+            return world
+        usual, asked = (json.loads(c.to_json()) for c in (WorldConfig(), seat.config))
+        free = (*CHOICES, "dt_s") if seat.trained_in(dt_s) else CHOICES
+        changed = [name for name in asked if asked[name] != usual[name] and name not in free]
+        if changed:
+            name = changed[0]
+            raise ConfigError(
+                f"{who}: env_options changes {name} to {asked[name]!r}, which {self.name} fixes at "
+                f"{json.loads(world.to_json())[name]!r}; a planner may choose action, "
+                "observation, decision_steps and dynamics"
+            )
+        return world.with_options(action=seat.config.action, observation=seat.config.observation)
+
+    def fix(self, args: argparse.Namespace) -> dict[str, Any]:
+        """Fill in the arguments that a level fixes, where ``--protocol`` is given.
+
+        Parameters
+        ----------
+        args
+            Arguments of ``bench planners``.
+
+        Returns
+        -------
+        dict
+            Settings of the run: ``protocol``, its name, and ``level``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such protocol or level.
+        ConfigError
+            If an argument was given that is fixed, or the data is another.
+        """
+        if args.protocol is None:
+            if args.level is not None:
+                raise ConfigError(f"--level is for --protocol {self.name}")
+            return {}
+        args.level = args.level or self.levels[0]
+        for what, name, known in (
+            ("protocol", args.protocol, (self.name,)),
+            ("level", args.level, self.levels),
+        ):
+            if name not in known:
+                raise UnknownNameError(f"no {what} {name!r}, there is {', '.join(known)}")
+        level = self.fields["levels"][args.level]
+        given = [name for name in _FIXED if getattr(args, name) is not None]
+        given += [] if args.version in (None, level.get("version")) else ["version"]
+        if given:
+            raise ConfigError(f"--{given[0]}: {self.name} fixes it, leave it out")
+        if ("embedded" in level) != (args.dataroot is None):
+            wants = "no --dataroot" if "embedded" in level else "--dataroot, a folder of nuScenes"
+            raise ConfigError(f"--level {args.level} of {self.name} takes {wants}")
+        args.version = level.get("version")
+        args.split = level.get("embedded", level.get("split"))
+        args.traffic = ",".join(self.panel)
+        args.seeds = ",".join(str(seed) for seed in level["seeds"])
+        return {"protocol": self.name, "level": args.level}
+
+    def check(self, level: str, hashes: Mapping[str, str]) -> None:
+        """Refuse scenes or weights that are not those of a level.
+
+        Parameters
+        ----------
+        level
+            Its name.
+        hashes
+            Content hashes of the scenes by name.
+
+        Raises
+        ------
+        DatasetError
+            Names the scene or the network.
+        """
+        expected = self.fields["levels"][level].get("hashes")
+        if expected is not None:
+            for name in dict.fromkeys([*expected, *hashes]):
+                if hashes.get(name) != expected.get(name):
+                    raise DatasetError(
+                        f"scene {name!r} has hash {hashes.get(name)}, {self.name} fixes "
+                        f"{expected.get(name)}"
+                    )
+        for network, fixed in self.fields["weights"].items():
+            found = hashlib.sha256(read_bytes(shipped_weights(network))).hexdigest()
+            if found != fixed:
+                raise DatasetError(
+                    f"weights of {network} have SHA-256 {found}, {self.name} fixes {fixed}"
+                )
+
+    def level_of(
+        self, sha256: str, scenes: Mapping[str, str], traffic: Iterable[str], seeds: Sequence[int]
+    ) -> str | None:
+        """Return the level that results are of in words, with what is missing of its scenes.
+
+        ``None`` where they are of no level: figures compare with a protocol's only where all that
+        it fixes is the same.
+        """
+        if sha256 != self.sha256 or set(traffic) != set(self.panel):
+            return None
+        for name, level in self.fields["levels"].items():
+            if list(seeds) != level["seeds"]:
+                continue
+            if "hashes" in level:
+                if dict(scenes) == level["hashes"]:
+                    return f"{self.name} {name}"
+                continue
+            listed = [scene for part in level["split"].split("+") for scene in splits()[part]]
+            if scenes and set(scenes) <= set(listed):
+                few = "" if len(scenes) == len(listed) else f", {len(scenes)} of {len(listed)}"
+                return f"{self.name} {name}{few} scenes"
+        return None
+
+
+#: The protocol of this release: also runs that choose scenes, traffic or seeds of their own keep
+#: its world and its score.
+PROTOCOL = Protocol.read(_FILE)

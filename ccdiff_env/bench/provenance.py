@@ -1,0 +1,206 @@
+"""What results follow from: hashes of the package, of planners and of scenes, and the machine."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import platform
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.files import read_bytes, read_text
+from ccdiff_env.named_objects import named_object
+from ccdiff_env.version import __version__
+
+__all__ = [
+    "commit",
+    "made_with",
+    "package_digest",
+    "processor",
+    "scene_hashes",
+    "sha256_of",
+    "source_digest",
+]
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+#: Files of the package that show results and decide none.
+_SHOW = (
+    "view",
+    "render.py",
+    "terminal.py",
+    "progress.py",
+    "page.py",
+    "plots.py",
+    "tables.py",
+    "cli.py",
+    "planner_cli.py",
+)
+#: Digest of each planner's source when this process first saw it.
+_SEEN: dict[str, str] = {}
+
+
+def sha256_of(*files: Path) -> str:
+    """Return the SHA-256 of the bytes of files, one after another."""
+    found = hashlib.sha256()
+    for file in files:
+        found.update(read_bytes(file))
+    return found.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def package_digest() -> str:
+    """Return the SHA-256 of all that decides results in the package: code, networks, protocols."""
+    endings = (".py", ".so", ".safetensors", ".json", ".zip")
+    files = sorted(file for file in _PACKAGE.rglob("*") if file.suffix in endings)
+    shows = [
+        file.name.endswith("_report.py") or any(part in _SHOW for part in file.parts)
+        for file in files
+    ]
+    return sha256_of(*(file for file, show in zip(files, shows, strict=True) if not show))
+
+
+def commit() -> str | None:
+    """Return the commit of the source that the package runs from, if it is a clone of it."""
+    folder = _PACKAGE.parent
+    if not (folder / ".git").exists():
+        return None
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True)
+        return done.stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "HEAD") + (" with changes" if changed else "") or None
+    except OSError:  # no git here
+        return None
+
+
+@lru_cache(maxsize=1)
+def processor() -> str:
+    """Return the name of the processor: networks round differently on other kinds."""
+    try:
+        lines = read_text("/proc/cpuinfo").splitlines()
+    except (OSError, DatasetError):
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
+
+
+def made_with() -> dict[str, Any]:
+    """Return what a run is made with: version, commit, package, processor, libraries."""
+    libraries = {"python": platform.python_version()}
+    for name in ("numpy", "gymnasium", "torch", "stable_baselines3"):
+        try:
+            libraries[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "version": __version__,
+        "commit": commit(),
+        "package": package_digest(),
+        "processor": processor(),
+        "libraries": libraries,
+    }
+
+
+def scene_hashes(source: str, names: Sequence[str] | None = None) -> dict[str, str]:
+    """Return the content hashes of scenes by name."""
+    return {scene.name: scene.hash for scene in scenes_of(source, names)}
+
+
+def source_digest(name: str) -> str | None:
+    """Return the SHA-256 of what a planner, or a model of traffic, is made of.
+
+    Of a file that is its bytes. Of ``module:name`` it is the source of the module, of all that it
+    imports from outside of installed packages, and the bytes of the files that its optional
+    attribute ``files``, or an option, names.
+
+    Parameters
+    ----------
+    name
+        As ``--planners`` and ``--traffic`` take them.
+
+    Returns
+    -------
+    str or None
+        ``None`` for what is part of the package.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If a file is missing.
+    ConfigError
+        If the source has changed since this process first saw it: what is imported stays as it was.
+    """
+    kind, _, rest = name.partition(":")
+    if kind in ("adversary", "chooser") and rest:
+        name = rest
+    elif rest:
+        return _of_module(name)
+    if not name.endswith((".zip", ".safetensors")) and name == kind:
+        return None
+    if not Path(name).is_file():
+        raise DatasetNotFoundError(f"no policy at {name}")
+    return sha256_of(Path(name))
+
+
+def _of_module(name: str) -> str:
+    target = named_object(name, "planner")
+    sources: dict[str, Path] = {}
+    _add_sources(name.partition(":")[0], name.partition(":")[0].partition(".")[0], sources)
+    files = [Path(file) for file in getattr(target, "files", ())]
+    given = (part.partition("=")[2] for part in name.partition("?")[2].split("&"))
+    files += [Path(value) for value in given if value and Path(value).is_file()]
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise DatasetNotFoundError(f"{name}: files names {missing[0]}, which is not there")
+    digest = sha256_of(*(sources[module] for module in sorted(sources)), *files)
+    if _SEEN.setdefault(name, digest) != digest:
+        raise ConfigError(f"{name} has changed since it was imported: start a new process")
+    return digest
+
+
+def _add_sources(module: str, top: str, found: dict[str, Path]) -> None:
+    """Add the files of a module and of what it imports."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, AttributeError, ValueError):
+        return
+    path = Path(spec.origin) if spec is not None and spec.origin else None
+    if module in found or path is None or path.suffix != ".py" or not path.is_file():
+        return
+    if module.partition(".")[0] != top and _is_installed(path):
+        return
+    found[module] = path
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for used in _imports(path, package):
+        _add_sources(used, top, found)
+
+
+def _is_installed(path: Path) -> bool:
+    folders = {sysconfig.get_path(n) for n in ("stdlib", "platstdlib", "purelib", "platlib")}
+    return _PACKAGE in path.parents or any(Path(folder) in path.parents for folder in folders)
+
+
+def _imports(path: Path, package: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(read_bytes(path), str(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.rsplit(".", node.level - 1)[0]
+                base = f"{above}.{base}".strip(".")
+            if base and base not in sys.builtin_module_names:
+                yield base
+                yield from (f"{base}.{alias.name}" for alias in node.names)

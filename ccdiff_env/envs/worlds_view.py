@@ -1,0 +1,93 @@
+"""Worlds as a planner sees them: what a vehicle can know, and nothing that changes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.errors import ConfigError
+
+__all__ = ["worlds_view"]
+
+#: What can be read, of each kind of object; a mapping says what its own parts show.
+_SCENE = dict.fromkeys(
+    ("name", "token", "dt", "location", "agent_ids", "agent_types", "sizes", "map_layers", "hash")
+)
+_NATIVE = dict.fromkeys(
+    (
+        "action_bounds",
+        "action_width",
+        "begun",
+        "config_json",
+        "contacts",
+        "layout_json",
+        "metrics",
+        "num_actions",
+        "num_worlds",
+        "off_road",
+        "route",
+        "slot_agents",
+        "slot_alive",
+        "states",
+        "status",
+    )
+)
+_WORLDS: dict[str, Any] = {
+    **dict.fromkeys(
+        (
+            "action_space",
+            "column_names",
+            "columns",
+            "config",
+            "layout",
+            "metric_names",
+            "num_slots",
+            "num_worlds",
+            "observation",
+            "observation_space",
+            "observe",
+        )
+    ),
+    "native": _NATIVE,
+    "scenes": _SCENE,
+}
+
+
+class _View:
+    """Shows some attributes of an object and refuses the others by name."""
+
+    def __init__(self, target: Any, shown: Mapping[str, Any], path: str) -> None:
+        self._target, self._shown, self._path = target, shown, path
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name not in self._shown:
+            raise ConfigError(
+                f"{self._path}.{name} is for planners that say privileged = True; others read "
+                + ", ".join(self._shown)
+            )
+        found, parts = getattr(self._target, name), self._shown[name]
+        return found if parts is None else _View(found, parts, f"{self._path}.{name}")
+
+    def __getitem__(self, index: Any) -> _View:
+        return _View(self._target[index], self._shown, f"{self._path}[{index}]")
+
+    def __len__(self) -> int:
+        return len(self._target)
+
+
+def worlds_view(worlds: Worlds, who: str) -> Any:
+    """Return worlds that can only be read, without the log, snapshots and plans of others.
+
+    It is a rule that is kept, not a wall: code that digs through private names gets through.
+
+    Parameters
+    ----------
+    worlds
+        The worlds.
+    who
+        The planner, for errors.
+    """
+    return _View(worlds, _WORLDS, f"{who}: worlds")
