@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pickle
+import warnings
 
 import gpudrive_scene
 import numpy as np
@@ -13,6 +14,7 @@ from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene, vehicle
 
 import ccdiff_env
 from ccdiff_env import errors
+from ccdiff_env.cli import main
 
 
 @pytest.fixture
@@ -113,6 +115,56 @@ def test_folders_and_patterns_are_read_when_looked_at(tmp_path):
         ccdiff_env.load_gpudrive(tmp_path / "none")
 
 
+@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench", "rollout"])
+def test_files_open_everywhere(tmp_path, verb):
+    save(tmp_path / "waymo_1.json")
+    save(tmp_path / "waymo_2.json")
+    out = str(tmp_path / "out")
+    words = {
+        "scenes": [],
+        "view": ["waymo_1", "--traffic", "idm", "-o", f"{out}.html"],
+        "train": ["--steps", "1", "--batch-scenes", "1", "--quiet", "--out", out],
+        "bench": [
+            "planners",
+            "--planners",
+            "idm,replay",
+            "--traffic",
+            "idm",
+            "--seeds",
+            "0",
+            "--quiet",
+        ],
+        "rollout": ["waymo_2", "--traffic", "ccdiff", "--out", out],
+    }[verb]
+    words = [*words, "--out", out] if verb == "bench" else words
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # such as one of a scene without a road
+        assert main([verb, *words, "--scenes", f"gpudrive:{tmp_path}/waymo_?.json"]) == 0
+    if verb == "bench":
+        table = (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
+        assert "n/a" not in table, "the road bounds planners"
+
+
+def test_networks_and_images_see_the_road(loaded):
+    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=20, traffic="ccdiff")
+    env.reset(seed=0)
+    states = [env.step(env.action_space.sample() * 0)[0] for _ in range(10)]
+    assert np.isfinite(np.stack(states)).all()
+    image = loaded[0].render(10, size=(300, 300), span_m=100.0)
+    bare = loaded[0].map_layers() | {"drivable_area": []}
+    tracks = loaded[0].tracks()
+    without = ccdiff_env.Scene.from_arrays(
+        "bare",
+        agent_ids=loaded[0].agent_ids,
+        agent_types=loaded[0].agent_types,
+        sizes=loaded[0].sizes,
+        **tracks,
+        map_layers=bare,
+    )
+    shown = (image != without.render(10, size=(300, 300), span_m=100.0)).any(axis=-1).mean()
+    assert shown > 0.05, "the road's surface is drawn"
+
+
 def test_built_scenes_are_kept(tmp_path):
     file, cache = save(tmp_path / "a.json"), tmp_path / "cache"
     first = ccdiff_env.load_gpudrive(file, cache=cache)
@@ -120,6 +172,8 @@ def test_built_scenes_are_kept(tmp_path):
     again = ccdiff_env.load_gpudrive(file, cache=cache)
     assert (again.report.cache.built, again.report.cache.hits) == (0, 1)
     assert again[0] == first[0]
+    twin = save(tmp_path / "b.json")
+    assert ccdiff_env.load_gpudrive(twin, cache=cache)[0].name == "b"
     data = scene()
     data["objects"][0]["length"] = 5.0
     save(file, data)

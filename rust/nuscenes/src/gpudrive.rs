@@ -6,6 +6,7 @@
 use crate::build::count_layers;
 use crate::cache::{Cache, Hash};
 use crate::error::{NuscenesError, Result};
+use crate::file;
 use crate::load::Loaded;
 use crate::report::{CacheReport, LoadReport, Road, SceneReport};
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
@@ -16,7 +17,6 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -92,7 +92,9 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
         let key = match cache.is_on() {
             true => {
                 check_file(path)?;
-                Some(Hash::of(&("gpudrive", cache.file_hash(path, "scene")?))?)
+                // files of the same contents are scenes of other names
+                let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+                Some(Hash::of(&("gpudrive", name, cache.file_hash(path, "scene")?))?)
             }
             false => None,
         };
@@ -137,14 +139,7 @@ fn fault<T>(path: &Path, place: &str, field: &'static str, got: String, expected
 
 fn read_scene(path: &Path) -> Result<(Scene, SceneReport)> {
     check_file(path)?;
-    let file = fs::File::open(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
-    let mut bytes = Vec::new();
-    // one byte more than a file may have: it may have grown
-    let mut limited = file.take(MAX_FILE_BYTES + 1);
-    limited.read_to_end(&mut bytes).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        return fault(path, "", "file", format!("{} bytes long", bytes.len()), "at most 64 MiB");
-    }
+    let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
     let file: File = serde_json::from_slice(&bytes).map_err(|error| {
         let lines = bytes.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
         let offset = lines.map(<[u8]>::len).sum::<usize>() + error.column().saturating_sub(1);

@@ -182,6 +182,17 @@ fn damaged_maps_are_refused() {
     assert_names(&words, &["town.json", "byte"]);
 }
 
+#[test]
+fn the_waymo_scene_that_is_damaged_is_sound() {
+    let folder = DataSet::new().written();
+    let path = folder.0.join("waymo.json");
+    std::fs::write(&path, damage::gpudrive_scene()).unwrap();
+    let scene = &ccdiff_nuscenes::load_gpudrive(&[path], None).unwrap().scenes[0];
+    assert_eq!((scene.agents.len(), scene.map.lanes.len()), (2, 2));
+    assert_eq!(scene.map.lanes[0].successors, [1]);
+    assert!(scene.map.has_road());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
@@ -189,6 +200,11 @@ proptest! {
     #[test]
     fn damaged_files_never_panic(input in prop::collection::vec(any::<u8>(), 5..25)) {
         damage::load_damaged(&input);
+    }
+
+    #[test]
+    fn damaged_waymo_scenes_never_panic(input in prop::collection::vec(any::<u8>(), 4..25)) {
+        damage::load_damaged_gpudrive(&input);
     }
 
     #[test]

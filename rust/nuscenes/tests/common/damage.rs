@@ -2,9 +2,10 @@
 
 use super::world::Batch;
 use super::{DataSet, VERSION};
-use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load};
+use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load, load_gpudrive};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{Controlled, SceneOrder, TrafficCollision, WorldConfig};
+use serde_json::json;
 use std::sync::{Arc, OnceLock};
 
 /// Edits bytes as the input says, four bytes an edit: what to do, with which byte, and where (two bytes).
@@ -47,6 +48,47 @@ pub(crate) fn load_damaged(input: &[u8]) {
             scene.as_ref().clone().validated().unwrap();
         }
     }
+}
+
+/// Loads a tiny scene of GPUDrive's JSON from damaged bytes.
+pub(crate) fn load_damaged_gpudrive(input: &[u8]) {
+    let folder = DataSet::new().written();
+    let path = folder.0.join("waymo.json");
+    let mut bytes = gpudrive_scene().into_bytes();
+    edit(&mut bytes, input);
+    std::fs::write(&path, bytes).unwrap();
+    if let Ok(loaded) = load_gpudrive(&[path], None) {
+        play(Arc::clone(&loaded.scenes[0]));
+    }
+}
+
+/// Two vehicles for two seconds on a straight road of two lanes with edges, a driveway and a crosswalk.
+pub(crate) fn gpudrive_scene() -> String {
+    let object = |id: u32, y: f64| {
+        let steps = (0..20).map(f64::from);
+        let position: Vec<_> = steps.map(|i| json!({"x": 100.0 + i * 0.7, "y": y, "z": 0.0})).collect();
+        json!({
+            "id": id, "type": "vehicle", "length": 4.5, "width": 2.0, "height": 1.5, "position": position,
+            "heading": vec![0.0; 20], "velocity": vec![json!({"x": 7.0, "y": 0.0}); 20], "valid": vec![true; 20],
+        })
+    };
+    let road = |kind: &str, element: u32, points: &[(f64, f64)]| {
+        let geometry: Vec<_> = points.iter().map(|(x, y)| json!({"x": x, "y": y, "z": 0.0})).collect();
+        json!({"type": kind, "map_element_id": element, "id": element, "geometry": geometry})
+    };
+    json!({
+        "name": "file", "scenario_id": "s", "tl_states": {}, "metadata": {"sdc_track_index": 1},
+        "objects": [object(1, 3.5), object(2, 0.0)],
+        "roads": [
+            road("lane", 2, &[(90.0, 0.0), (120.0, 0.0)]),
+            road("lane", 2, &[(120.0, 0.0), (150.0, 0.0)]),
+            road("road_edge", 15, &[(90.0, -2.0), (150.0, -2.0)]),
+            road("road_edge", 15, &[(150.0, 6.0), (90.0, 6.0)]),
+            road("driveway", 20, &[(100.0, 5.0), (104.0, 5.0), (104.0, 9.0), (100.0, 9.0)]),
+            road("crosswalk", 18, &[(110.0, -2.0), (112.0, -2.0), (112.0, 6.0)]),
+        ],
+    })
+    .to_string()
 }
 
 /// Decodes a scene of the tiny data set from damaged bytes.
