@@ -2,7 +2,7 @@
 
 use crate::config::{MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
-use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures};
+use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use tch::{Device, Kind, Tensor};
 
@@ -40,18 +40,6 @@ pub struct Targets {
     pub states: Tensor,
     /// Whether logged [R, T], as 0 or 1.
     pub valid: Tensor,
-}
-
-/// Rows of each scene of a list, counted from the first.
-pub(crate) fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
-    scene_sizes
-        .iter()
-        .scan(0, |next, size| {
-            let start = *next;
-            *next += size;
-            Some(start)
-        })
-        .collect()
 }
 
 impl Batch {

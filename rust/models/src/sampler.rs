@@ -1,8 +1,9 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
-use crate::batch::{Batch, row_offsets};
+use crate::batch::Batch;
 use crate::diffusion::Denoiser;
 use crate::error::{ModelError, Result};
+use crate::features::row_offsets;
 use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;

@@ -1,10 +1,10 @@
 //! Plans for the agents of many worlds at once: the network behind the background policy.
 
-use crate::batch::{Batch, row_offsets};
+use crate::batch::Batch;
 use crate::checkpoint;
 use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
-use crate::features::{self, SceneFeatures, Window};
+use crate::features::{self, SceneFeatures, Window, row_offsets};
 use crate::grad::guarded;
 use crate::guidance::{Clip, Guidance, GuidanceConfig, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::optimiser::variables;

@@ -9,9 +9,10 @@
 
 use super::moved;
 use super::simnet::HIDDEN;
-use crate::batch::{Batch, row_offsets};
+use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};
 use crate::error::{ModelError, Result};
+use crate::features::row_offsets;
 use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;

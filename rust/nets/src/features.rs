@@ -75,6 +75,18 @@ pub struct Futures {
     pub valid: Vec<bool>,
 }
 
+/// Rows of each scene of a list, counted from the first.
+pub fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
+    scene_sizes
+        .iter()
+        .scan(0, |next, size| {
+            let start = *next;
+            *next += size;
+            Some(start)
+        })
+        .collect()
+}
+
 /// Builds the inputs of one scene.
 ///
 /// # Errors
