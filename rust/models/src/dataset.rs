@@ -3,7 +3,7 @@
 use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
-use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
+use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::lateral_perturbation::LateralPerturbation;
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
@@ -14,9 +14,6 @@ use ccdiff_sim::world::Route;
 use rayon::prelude::*;
 use std::sync::Arc;
 use tch::Device;
-
-/// Samples start no earlier than this step, so that there is some history.
-pub(crate) const FIRST_STEP: usize = 5;
 
 /// A scene with what is computed once about it.
 #[derive(Debug)]

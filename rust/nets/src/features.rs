@@ -23,6 +23,8 @@ pub const HISTORY_FEATURES: usize = 8;
 /// Numbers per edge and history step: relative x, y; cos, sin of the relative heading; relative velocity x, y;
 /// relative distance of the bodies and time to contact, both 1 for "now" and 0 for 20 m or 20 s; availability.
 pub const EDGE_FEATURES: usize = 9;
+/// Samples of training start no earlier than this step, so that there is some history.
+pub const FIRST_STEP: usize = 5;
 /// Distance (m) and time to contact (s) at which their edge features reach zero.
 const EDGE_RANGE: f32 = 20.0;
 /// An agent this far beside one's body, metres, is still ahead in one's corridor.

@@ -7,6 +7,7 @@ use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{GuidanceConfig, GuidanceReport, WorldGuidance};
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_models::{ModelError, device_named};
@@ -213,7 +214,7 @@ impl PyTrajectoryModel {
     #[new]
     fn new(py: Python<'_>, path: PathBuf, device: &str) -> PyResult<Self> {
         let device = device_named(device).map_err(from_model)?;
-        let model = py.detach(|| TrajectoryModel::load(&path, device)).map_err(from_model)?;
+        let model = py.detach(|| torch_model::load(&path, device)).map_err(from_model)?;
         Ok(Self(Mutex::new(model)))
     }
 

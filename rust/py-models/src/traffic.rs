@@ -4,7 +4,8 @@ use crate::models::from_model;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_bridge::{Handed, contained, policy_capsule};
 use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_models::torch_model::planned_traffic;
+use ccdiff_models::traffic::CcdiffConfig;
 use ccdiff_models::train::TrainConfig;
 use ccdiff_models::{ModelKind, config, guidance};
 use ccdiff_sim::options::{Table, read};
@@ -56,7 +57,7 @@ fn traffic_policy<'py>(
     let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
     let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
     let policy = py.detach(|| {
-        let policy = PlannedTraffic::new(config, &weights, num_threads)?;
+        let policy = planned_traffic(config, &weights, num_threads)?;
         policy.check(dt_s, &scenes).map(|()| policy)
     });
     let policy = policy.map_err(from_model)?;
