@@ -16,7 +16,8 @@ CRATES = ("sim", "nuscenes", "render", "nets", "models", "bridge", "py", "py-mod
 #: Crates that may use others beside the simulator.
 USERS = {
     "models": {"sim", "nets"},
-    "py": {"sim", "nuscenes", "render", "bridge"},
+    "bridge": {"sim", "nets"},
+    "py": {"sim", "nuscenes", "render", "nets", "bridge"},
     "py-models": {"sim", "models", "bridge"},
     "wasm": {"sim", "nuscenes"},
 }

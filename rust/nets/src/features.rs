@@ -15,7 +15,7 @@ use crate::segments;
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use std::cmp::Ordering;
 
 /// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
@@ -75,6 +75,15 @@ pub struct Futures {
     pub states: Vec<f32>,
     /// Whether the step is logged, [M, T].
     pub valid: Vec<bool>,
+}
+
+/// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
+pub fn vehicles(scene: &Scene) -> Vec<usize> {
+    let mut list: Vec<usize> = (0..scene.num_agents())
+        .filter(|a| scene.agents[*a].kind == AgentKind::Vehicle || scene.agents[*a].id == EGO_ID)
+        .collect();
+    list.sort_by_key(|a| scene.agents[*a].id != EGO_ID);
+    list
 }
 
 /// Rows of each scene of a list, counted from the first.
