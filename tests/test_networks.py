@@ -17,6 +17,7 @@ import ccdiff_env
 from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models import require_networks, shipped_weights
+from ccdiff_env.scenes import load_nuscenes
 
 DATA = Path(ccdiff_env.__file__).parent / "data"
 GOLDEN = Path(__file__).parent / "golden" / "plans.json"
@@ -32,10 +33,12 @@ OWN = (
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
 
 
-def plans(model, name: str, *, scenes=SCENES, samples: int = 1, weight: float = 1.0, steps=5):
-    """Plans of embedded scenes at two moments, with attention and, where it is known, routes."""
-    found = [embedded_scenes("val")[scene] for scene in scenes for _ in range(2)]
-    moments = [40, 90] * len(scenes)
+def plans(model, name: str, *, found=None, samples: int = 1, weight: float = 1.0, steps=5):
+    """Plans of scenes at two moments, with attention and, where it is known, routes."""
+    if found is None:
+        found = [embedded_scenes("val")[scene] for scene in SCENES]
+    moments = [40, 90] * len(found)
+    found = [scene for scene in found for _ in range(2)]
     return model.plan_scenes(
         found,
         moments,
@@ -80,6 +83,22 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
     assert many > 1
 
 
+@pytest.mark.nuscenes
+@pytest.mark.parametrize("name", OWN)
+def test_so_they_are_on_real_scenes(name, data_root):
+    require_networks()
+    from ccdiff_env import _models
+
+    scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
+    torch = _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu")
+    farthest = 0.0
+    for a, b in zip(
+        *(plans(model, name, found=scenes) for model in (own(name), torch)), strict=True
+    ):
+        farthest = max(farthest, np.abs(a["states"][..., :2] - b["states"][..., :2]).max())
+    assert 0.0 < farthest < 1e-4
+
+
 def digest(found) -> str:
     hasher = hashlib.blake2b(digest_size=8)
     for plan in found:
@@ -97,7 +116,7 @@ def test_plans_have_the_bits_that_they_have_on_every_machine(name):
 @pytest.mark.parametrize("name", OWN)
 def test_a_scene_has_the_same_plan_alone_and_among_others(name):
     together = plans(own(name), name)
-    alone = plans(own(name), name, scenes=SCENES[:1])
+    alone = plans(own(name), name, found=[embedded_scenes("val")[SCENES[0]]])
     for a, b in zip(alone, together, strict=False):
         assert a["states"].tobytes() == b["states"].tobytes()
 
