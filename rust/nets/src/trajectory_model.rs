@@ -125,6 +125,11 @@ impl TrajectoryModel {
         Self { planner, header, num_parameters, inputs: config.clone(), config }
     }
 
+    /// What plans are drawn from.
+    pub fn planner(&self) -> &dyn Planner {
+        self.planner.as_ref()
+    }
+
     /// Whether the network was taught to plan in one denoising step.
     pub fn plans_in_one_step(&self) -> bool {
         self.header["training"]["teacher_steps"].as_u64().is_some_and(|steps| steps > 0)
