@@ -75,7 +75,7 @@ playground: $(SO)  ## the page in which one drives the ego by keys: docs/site/pl
 bench: $(SO)  ## speed of the world, from Rust and Python, and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
 	cargo bench --locked -p ccdiff-sim --bench world
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/steps.py
-	cargo bench --locked -p ccdiff-models --bench guidance
+	cargo bench --locked -p ccdiff-models --bench guidance --bench networks
 	$(BIN)/python benchmarks/traffic.py $(if $(DATAROOT),--dataroot $(DATAROOT))
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 

@@ -1,9 +1,9 @@
 """The compiled extension of networks: loaded after torch, by ``models.require_networks``."""
 
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
-from ccdiff_env._native import Scene
+from ccdiff_env._native import Scene, TrajectoryModel
 
 @final
 class Trainer:
@@ -37,31 +37,7 @@ class Trainer:
     @property
     def num_samples(self) -> int: ...
 
-@final
-class TrajectoryModel:
-    def __new__(cls, path: str, device: str) -> TrajectoryModel: ...
-    @property
-    def header(self) -> str: ...
-    @property
-    def num_parameters(self) -> int: ...
-    def plan_scenes(
-        self,
-        scenes: list[Scene],
-        steps: list[int],
-        seeds: list[int],
-        *,
-        solver_steps: int | None,
-        num_samples: int,
-        guidance_weight: float,
-        guidance: str | None,
-        guided: list[list[int]] | None,
-        collision_targets: list[list[int]] | None,
-        attention: bool,
-        gradient_statistics: bool,
-        follow_route: bool,
-    ) -> list[dict[str, Any]]: ...
-
-def guidance_preset(name: str) -> str: ...
+def load_network(path: str, device: str) -> TrajectoryModel: ...
 def model_preset(name: str, model: str = "ccdiff") -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
 def config_tables() -> str: ...

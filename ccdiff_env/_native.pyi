@@ -1,6 +1,7 @@
 """The compiled extension; arrays are C-contiguous."""
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -516,6 +517,29 @@ class VecWorld:
     ) -> U8:
         """Return an image [H, W, 3]."""
 
+@final
+class TrajectoryModel:
+    @property
+    def header(self) -> str: ...
+    @property
+    def num_parameters(self) -> int: ...
+    def plan_scenes(
+        self,
+        scenes: list[Scene],
+        steps: list[int],
+        seeds: list[int],
+        *,
+        solver_steps: int | None,
+        num_samples: int,
+        guidance_weight: float,
+        guidance: str | None,
+        guided: list[list[int]] | None,
+        collision_targets: list[list[int]] | None,
+        attention: bool,
+        gradient_statistics: bool,
+        follow_route: bool,
+    ) -> list[dict[str, Any]]: ...
+
 def build_mark() -> int: ...
 def networks_wanted(config: str) -> list[tuple[str, str, str]]: ...
 def config_tables() -> str: ...
@@ -525,3 +549,15 @@ def columns_json() -> str: ...
 def metrics_json() -> str: ...
 def plan_fields_json() -> str: ...
 def candidate_features_json() -> str: ...
+def needs_torch(path: str) -> bool: ...
+def load_network(path: str) -> TrajectoryModel: ...
+def guidance_preset(name: str) -> str: ...
+def traffic_policy(
+    name: str,
+    kind: str,
+    options: str,
+    weights: Path,
+    dt_s: float,
+    num_threads: int,
+    scenes: list[Scene],
+) -> object: ...

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env import _native
 from ccdiff_env.curves import Curves
 from ccdiff_env.errors import (
     CheckpointError,
@@ -75,6 +76,23 @@ def require_networks() -> None:
         ) from error
 
 
+def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
+    """Whether a network is computed by torch: on a graphics card, or one without own kernels.
+
+    CCDiff and CTG++ on the processor need no torch, and have the same bits on every machine, in
+    every batch and on any number of threads.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        There is no such file.
+    CheckpointError
+        The file is damaged or does not fit; the message names the tensor or field.
+    """
+    with reading("weights", weights, CheckpointError):
+        return device != "cpu" or _native.needs_torch(os.fspath(weights))
+
+
 def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bool = False) -> Path:
     """Return the weight file of the shipped ``fast`` network of a kind.
 
@@ -94,10 +112,7 @@ def guidance_preset(name: str) -> dict[str, Any]:
 
     docs/method.md says what they mean; every one of them may be changed.
     """
-    require_networks()
-    from ccdiff_env import _models
-
-    settings: dict[str, Any] = json.loads(_models.guidance_preset(name))
+    settings: dict[str, Any] = json.loads(_native.guidance_preset(name))
     return settings
 
 
@@ -189,7 +204,7 @@ class TrajectoryModel:
     Raises
     ------
     MissingFeatureError
-        Torch is not there, see :func:`require_networks`.
+        The network needs torch (:func:`needs_torch`), which is not there.
     DatasetNotFoundError
         There is no such file.
     CheckpointError
@@ -197,11 +212,15 @@ class TrajectoryModel:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
+        if not needs_torch(path, device):
+            with reading("weights", path, CheckpointError):
+                self._native = _native.load_network(os.fspath(path))
+            return
         require_networks()
         from ccdiff_env import _models
 
         with reading("weights", path, CheckpointError), _own_generator(0):
-            self._native = _models.TrajectoryModel(os.fspath(path), device)
+            self._native = _models.load_network(os.fspath(path), device)
 
     @property
     def header(self) -> dict[str, Any]:

@@ -39,13 +39,19 @@ while not done:
     done = terminated or truncated
 print("an episode:", info["is_success"], env.render().shape)
 
+planned = ccdiff_env.EgoEnv(traffic="ccdiff", criticality=1.0)
+planned.reset(seed=1)
+for _ in range(10):
+    planned.step(planned.action_space.sample())
+print("CCDiff without torch:", planned.explain().agents.shape)
+
 try:
-    ccdiff_env.EgoEnv(traffic="ccdiff")
+    ccdiff_env.EgoEnv(traffic="simnet")
 except ccdiff_env.errors.MissingFeatureError as error:
-    print("CCDiff without torch:", error)
+    print("SimNet without torch:", error)
     assert "ccdiff-env[models]" in str(error)
 else:
-    raise AssertionError("CCDiff traffic without torch")
+    raise AssertionError("SimNet traffic without torch")
 """
 
 WITH_TORCH = """

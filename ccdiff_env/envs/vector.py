@@ -113,10 +113,11 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     Notes
     -----
     World i of ``reset(seed=n)`` gets the seed n + i. With scenes in random order it then runs
-    exactly as ``EgoEnv.reset(seed=n + i)`` would, but for rounding in traffic of networks, which
-    torch does by the size of the batch. In sequential order its next scene is E further on:
-    together the worlds play each scene once. ``reset(options={"scene": ...})`` chooses scenes by
-    name or index, one for all worlds or a list with one entry per world (``None``: no choice).
+    exactly as ``EgoEnv.reset(seed=n + i)`` would; torch, which computes some networks
+    (:func:`~ccdiff_env.models.needs_torch`), rounds by the size of the batch. In sequential order
+    its next scene is E further on: together the worlds play each scene once.
+    ``reset(options={"scene": ...})`` chooses scenes by name or index, one for all worlds or a list
+    with one entry per world (``None``: no choice).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)

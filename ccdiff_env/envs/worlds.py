@@ -25,7 +25,7 @@ from ccdiff_env.errors import (
     ShapeError,
     UnknownNameError,
 )
-from ccdiff_env.models import require_networks, weights_path
+from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.sources import SOURCES, load
 from ccdiff_env.spaces import Form, Layout, action_space, read_columns
@@ -464,26 +464,26 @@ def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) ->
     Raises
     ------
     MissingFeatureError
-        See :func:`~ccdiff_env.models.require_networks`.
+        A network needs torch, see :func:`~ccdiff_env.models.needs_torch`.
     ConfigError, CheckpointError, SceneError, DatasetNotFoundError
         Settings, weights or scenes do not fit; the message says which.
     """
-    wanted = _native.networks_wanted(config.to_json())
-    if not wanted:
-        return {}
-    require_networks()
-    from ccdiff_env import _models
 
-    def made(name: str, kind: str, options: str) -> Any:
+    def made(name: str, kind: str, options: str) -> object:
         settings = json.loads(options)
         weights = weights_path(
             settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
         )
+        make = _native.traffic_policy
+        if needs_torch(weights, settings["device"]):
+            require_networks()
+            from ccdiff_env import _models
+
+            make = _models.traffic_policy
         try:
-            return _models.traffic_policy(
-                name, kind, options, weights, config.dt_s, num_threads, list(scenes)
-            )
+            return make(name, kind, options, weights, config.dt_s, num_threads, list(scenes))
         except OSError as error:
             raise CheckpointError(str(error)) from None
 
+    wanted = _native.networks_wanted(config.to_json())
     return {name: made(name, kind, options) for name, kind, options in wanted}

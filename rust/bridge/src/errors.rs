@@ -1,6 +1,8 @@
 //! From Rust errors to the exception tree of `ccdiff_env.errors`.
 
+use ccdiff_nets::ModelError;
 use ccdiff_sim::SimError;
+use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 
 /// The classes, as Python defines them.
@@ -33,6 +35,19 @@ pub fn from_sim(error: SimError) -> PyErr {
         SimError::Snapshot(_) => py::SnapshotError::new_err(message),
         SimError::Policy { .. } => policy_failed(message),
         _ => py::ConfigError::new_err(message),
+    }
+}
+
+/// The Python exception for an error of the model crate.
+pub fn from_model(error: ModelError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        ModelError::Config { .. } | ModelError::NoSamples { .. } => py::ConfigError::new_err(message),
+        ModelError::Shape { .. } => py::ShapeError::new_err(message),
+        ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
+        ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
+        ModelError::Sim(source) => from_sim(source),
+        _ => policy_failed(message),
     }
 }
 

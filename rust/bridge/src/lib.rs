@@ -7,6 +7,8 @@
 mod contained;
 pub mod errors;
 mod handed;
+mod networks;
 
 pub use contained::contained;
 pub use handed::{Handed, Policy, check_build, policy_capsule, scene_capsule, taken_policy};
+pub use networks::{AskedDriver, PyTrajectoryModel};

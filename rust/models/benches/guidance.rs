@@ -5,13 +5,14 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs, reason = "a benchmark")]
 
 use ccdiff_models::batch::Batch;
-use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::guidance::{
     Guidance, GuidanceConfig, GuidanceContext, GuidanceStep, KnotMap, Objective, WorldGuidance,
 };
 use ccdiff_models::noise::Noise;
+use ccdiff_models::torch::Torch;
+use ccdiff_nets::ccdiff::Network;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;
 use tch::{Device, Kind, Tensor, nn};
@@ -57,7 +58,7 @@ fn main() {
     let exterior = vec![corner(-99.0, -3.7), corner(99.0, -3.7), corner(99.0, 3.7), corner(-99.0, 3.7)];
     let road = Region::new(&[Polygon { exterior, holes: Vec::new() }]).unwrap();
     let store = nn::VarStore::new(Device::Cpu);
-    let network = Network::new(&store.root(), &model);
+    let network = Network::<Torch>::new(&store.root(), &model);
     let scenes: Vec<&SceneFeatures> = features.iter().collect();
     let batch = Batch::new(&scenes, &model, Device::Cpu).unwrap();
     let rows = batch.num_rows();

@@ -2,7 +2,8 @@
 
 use crate::config::{MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
-use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures};
+use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
+use crate::sampler::Rows;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use tch::{Device, Kind, Tensor};
 
@@ -27,8 +28,8 @@ pub struct Batch {
     pub image: Option<Tensor>,
     /// Routes ahead [R, 1 + 2 P], see [`SceneFeatures::route`]; `None` for a network that knows none.
     pub route: Option<Tensor>,
-    /// Physical first knots [R, 2] and whether a row's plan starts with it [R, 1] (bool); `None` where no plan does.
-    pub first_knots: Option<(Tensor, Tensor)>,
+    /// Physical first knots of plans that start with one, [R].
+    pub first_knots: Vec<Option<[f32; 2]>>,
     /// Seed of each row's own noise, [R]; `None`: noise of the world's seed.
     pub noise_seeds: Vec<Option<u64>>,
 }
@@ -40,18 +41,6 @@ pub struct Targets {
     pub states: Tensor,
     /// Whether logged [R, T], as 0 or 1.
     pub valid: Tensor,
-}
-
-/// Rows of each scene of a list, counted from the first.
-pub(crate) fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
-    scene_sizes
-        .iter()
-        .scan(0, |next, size| {
-            let start = *next;
-            *next += size;
-            Some(start)
-        })
-        .collect()
 }
 
 impl Batch {
@@ -111,16 +100,9 @@ impl Batch {
             let size = [r, map.num_channels(config.history_steps) as i64, side, side];
             put(Tensor::from_slice(&image), &size)
         });
-        let first: Vec<Option<[f32; 2]>> =
-            scenes.iter().flat_map(|s| s.first_action.iter().copied()).collect();
-        let first_knots = first.iter().any(Option::is_some).then(|| {
-            let values: Vec<f32> = first.iter().flat_map(|f| f.unwrap_or_default()).collect();
-            let tied: Vec<bool> = first.iter().map(Option::is_some).collect();
-            (put(Tensor::from_slice(&values), &[r, 2]), put(Tensor::from_slice(&tied), &[r, 1]))
-        });
         Ok(Self {
             scene_sizes,
-            first_knots,
+            first_knots: scenes.iter().flat_map(|s| s.first_action.iter().copied()).collect(),
             route: (!route.is_empty()).then(|| put(Tensor::from_slice(&route), &[r, -1])),
             noise_seeds: scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect(),
             history: put(
@@ -141,6 +123,11 @@ impl Batch {
         self.speed_mps.size()[0]
     }
 
+    /// The rows as plans are drawn for them.
+    pub fn rows(&self) -> Rows<'_> {
+        Rows { scene_sizes: &self.scene_sizes, noise_seeds: &self.noise_seeds }
+    }
+
     /// The same rows with G replaced by the identity where `dropped` [R] (bool) says so: those rows see themselves
     /// alone, in every social layer and in the raster.
     #[must_use]
@@ -158,7 +145,7 @@ impl Batch {
         });
         Self {
             scene_sizes: self.scene_sizes.clone(),
-            first_knots: self.first_knots.as_ref().map(|(v, t)| (v.shallow_clone(), t.shallow_clone())),
+            first_knots: self.first_knots.clone(),
             route: self.route.as_ref().map(Tensor::shallow_clone),
             noise_seeds: self.noise_seeds.clone(),
             history: self.history.shallow_clone(),

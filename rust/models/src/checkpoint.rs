@@ -1,45 +1,13 @@
-//! Weight files: safetensors with one JSON header string. Nothing is unpickled, every name and shape is checked.
+//! Weight files and the variables of networks on torch; what the files hold is in [`ccdiff_nets::weights`].
 
-use crate::error::{ModelError, Result};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+pub use ccdiff_nets::weights::field;
+
+use crate::error::Result;
+use ccdiff_nets::weights::{self, CHECKSUM, Entry, FORMAT, HEADER, broken, checksum, io};
+use safetensors::tensor::{Dtype, TensorView, serialize};
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::Path;
 use tch::{Kind, Tensor};
-use xxhash_rust::xxh3::Xxh3;
-
-/// Key of the JSON string in the file's metadata.
-const HEADER: &str = "ccdiff_env";
-/// Key in the header of what [`checksum`] gives; files without it are older.
-const CHECKSUM: &str = "checksum";
-
-fn io(path: &Path, action: &'static str) -> impl FnOnce(std::io::Error) -> ModelError {
-    move |source| ModelError::Io { path: path.to_path_buf(), action, source }
-}
-
-fn broken(path: &Path, entry: &str, got: impl Into<String>, expected: impl Into<String>) -> ModelError {
-    ModelError::Checkpoint {
-        path: path.to_path_buf(),
-        entry: entry.to_string(),
-        got: got.into(),
-        expected: expected.into(),
-    }
-}
-
-/// Weight files are far smaller.
-const MOST_BYTES: u64 = 1 << 30;
-/// Version of the header's fields.
-const FORMAT: u64 = 1;
-
-/// A hash of names and values, against damage, not against forgers.
-fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
-    let mut hash = Xxh3::new();
-    for (name, bytes) in tensors {
-        hash.update(name.as_bytes());
-        hash.update(bytes);
-    }
-    format!("{:032x}", hash.digest128())
-}
 
 /// Writes f32 tensors and a header, an object. The file appears whole or not at all.
 ///
@@ -78,78 +46,22 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
     written
 }
 
-/// The bytes of a regular file of a bounded size: what else a folder may hold blocks its reader, or has no end.
-fn bytes_of(path: &Path) -> Result<Vec<u8>> {
-    let found = std::fs::metadata(path).map_err(io(path, "cannot read"))?;
-    if !found.is_file() || found.len() > MOST_BYTES {
-        let got = format!("{} bytes, a regular file: {}", found.len(), found.is_file());
-        return Err(broken(path, "file", got, "a regular file of at most 1 GiB"));
-    }
-    let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(io(path, "cannot read"))?;
-    file.take(MOST_BYTES).read_to_end(&mut bytes).map_err(io(path, "cannot read"))?;
-    Ok(bytes)
-}
-
 /// Reads the header and all tensors of a file.
 ///
 /// # Errors
-/// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
+/// As [`weights::read`].
 pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Tensor>)> {
-    let bytes = bytes_of(path)?;
-    let foreign = |e: safetensors::SafeTensorError| {
-        broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
-    };
-    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(foreign)?;
-    let text = metadata
-        .metadata()
-        .as_ref()
-        .and_then(|m| m.get(HEADER))
-        .ok_or_else(|| broken(path, "header", "missing", format!("metadata key {HEADER:?}")))?;
-    let header: serde_json::Value =
-        serde_json::from_str(text).map_err(|e| broken(path, "header", e.to_string(), "a JSON object"))?;
-    if header["format"] != FORMAT {
-        return Err(broken(path, "format", header["format"].to_string(), FORMAT.to_string()));
-    }
-    let file = SafeTensors::deserialize(&bytes).map_err(foreign)?;
-    let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
-    let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));
-    match header.get(CHECKSUM) {
-        Some(expected) if *expected != found => {
-            return Err(broken(path, CHECKSUM, found, expected.to_string()));
-        }
-        _ => {}
-    }
-    let mut tensors = BTreeMap::new();
-    for (name, view) in views {
-        if view.dtype() != Dtype::F32 {
-            return Err(broken(path, &name, format!("{:?}", view.dtype()), "F32"));
-        }
-        let values: Vec<f32> =
-            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-        if let Some(value) = values.iter().find(|v| !v.is_finite()) {
-            return Err(broken(path, &name, value.to_string(), "finite numbers"));
-        }
-        if view.shape().iter().any(|size| *size > values.len()) {
-            return Err(broken(path, &name, format!("of shape {:?}", view.shape()), "a number at least"));
-        }
-        let shape: Vec<i64> = view.shape().iter().map(|s| *s as i64).collect();
-        tensors.insert(name, Tensor::from_slice(&values).view(shape.as_slice()));
-    }
-    Ok((header, tensors))
+    let (header, entries) = weights::read(path)?;
+    Ok((header, tensors(&entries)))
 }
 
-/// A field of the header.
-///
-/// # Errors
-/// [`ModelError::Checkpoint`] where it is missing or of another kind.
-pub fn field<T: serde::de::DeserializeOwned>(
-    path: &Path,
-    header: &serde_json::Value,
-    name: &str,
-) -> Result<T> {
-    let value = header.get(name).cloned().unwrap_or_default();
-    serde_json::from_value(value).map_err(|e| broken(path, name, e.to_string(), "as written by this code"))
+/// The tensors of a file.
+pub(crate) fn tensors(entries: &BTreeMap<String, Entry>) -> BTreeMap<String, Tensor> {
+    let tensor = |(name, (shape, numbers)): (&String, &Entry)| {
+        let shape: Vec<i64> = shape.iter().map(|s| *s as i64).collect();
+        (name.clone(), Tensor::from_slice(numbers).view(shape.as_slice()))
+    };
+    entries.iter().map(tensor).collect()
 }
 
 /// Copies `prefix`-named tensors into variables; both sides must have the same names and shapes.
@@ -181,6 +93,7 @@ pub fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::ModelError;
 
     fn variables(value: f64) -> BTreeMap<String, Tensor> {
         let full = |size: &[i64]| Tensor::full(size, value, (Kind::Float, tch::Device::Cpu));

@@ -1,22 +1,21 @@
 //! Training samples from scenes: (scene, step) pairs whose features are built on demand, in parallel.
 
+pub use ccdiff_nets::features::vehicles;
+
 use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
-use crate::features::{self, EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, Window};
+use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::lateral_perturbation::LateralPerturbation;
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
 use crate::raster::MapBitmap;
 use ccdiff_sim::geom::Pose2;
-use ccdiff_sim::scene::{AgentKind, EGO_ID, LaneIndex, Scene};
+use ccdiff_sim::scene::{LaneIndex, Scene};
 use ccdiff_sim::world::Route;
 use rayon::prelude::*;
 use std::sync::Arc;
 use tch::Device;
-
-/// Samples start no earlier than this step, so that there is some history.
-pub(crate) const FIRST_STEP: usize = 5;
 
 /// A scene with what is computed once about it.
 #[derive(Debug)]
@@ -72,15 +71,6 @@ impl Move {
         }
         Some(self)
     }
-}
-
-/// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
-pub fn vehicles(scene: &Scene) -> Vec<usize> {
-    let mut list: Vec<usize> = (0..scene.num_agents())
-        .filter(|a| scene.agents[*a].kind == AgentKind::Vehicle || scene.agents[*a].id == EGO_ID)
-        .collect();
-    list.sort_by_key(|a| scene.agents[*a].id != EGO_ID);
-    list
 }
 
 impl Dataset {

@@ -52,7 +52,7 @@ impl<D: Denoiser> Diffusion<D> {
     /// The distance of the plan made of the first noise in one step from the one that the teacher makes of it.
     fn distillation_loss(&self, batch: &Batch, taught: &Taught) -> Tensor {
         let (space, last) = (self.space(), self.schedule.len());
-        let numbers = sampler::noise(batch, &taught.seeds, last as u64, 1, space.config().num_knots() * 2);
+        let numbers = batch.rows().noise(&taught.seeds, last as u64, 1, space.config().num_knots() * 2);
         let noise = Tensor::from_slice(&numbers).view_as(&taught.knots).to_device(taught.knots.device());
         let steps = Tensor::full([batch.num_rows()], last as i64 - 1, (Kind::Int64, noise.device()));
         let context = self.denoiser.encode(batch, true);

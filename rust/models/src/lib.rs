@@ -1,42 +1,37 @@
-//! Policies on libtorch: the one crate that links it.
+//! Networks on libtorch: the one crate that links it. What needs no tensor stands in `ccdiff-nets`.
 //!
 //! ```text
 //! scene::Scene / world states ─► features::Window ─► features::build (rayon) ─► batch::Batch ─► PlanModel
-//!                                                    dataset, train ◄── losses       │ (ccdiff, baselines)
-//!                                                    sampler, trajectory_model ◄──────────────┘ clean action knots
+//!                                                    dataset, train ◄── losses       │ (CCDiff, baselines)
+//!                                                    sampler, torch_model ◄──────────┘ clean action knots
 //! ```
 //! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour
 //! slots. Tensor code runs inside [`grad::guarded`], so libtorch's exceptions come back as [`ModelError`].
 
 pub mod baselines;
 pub mod batch;
-pub mod ccdiff;
 pub mod checkpoint;
 mod collision;
-pub mod config;
 pub mod dataset;
 pub mod diffusion;
-pub mod error;
-pub mod features;
 pub mod grad;
-pub mod guidance;
 mod lateral_perturbation;
 mod layers;
 mod longitudinal_perturbation;
 mod losses;
-pub mod noise;
 mod optimiser;
 pub mod plan_model;
 pub mod plan_space;
-pub mod raster;
 pub mod sampler;
-pub mod schedule;
-mod segments;
-pub mod traffic;
+pub mod torch;
+pub mod torch_model;
 pub mod train;
-pub mod trajectory_model;
 mod trunk;
 pub mod unicycle;
+
+pub use ccdiff_nets::{
+    config, error, features, guidance, noise, raster, schedule, segments, traffic, trajectory_model,
+};
 
 pub use config::{ModelConfig, ModelKind};
 pub use error::{ModelError, Result};

@@ -2,7 +2,6 @@
 
 use crate::baselines::{Bits, Cvae, HalfUnet, Simnet};
 use crate::batch::{Batch, Targets};
-use crate::ccdiff::Network;
 use crate::config::{ModelConfig, ModelKind};
 use crate::diffusion::Diffusion;
 use crate::error::Result;
@@ -10,7 +9,9 @@ use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
+use crate::torch::Torch;
 use crate::train::TrainConfig;
+use ccdiff_nets::ccdiff::Network;
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 
@@ -106,7 +107,7 @@ pub(crate) fn pushes(config: &TrainConfig, step: u64) -> Noise {
 /// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
 pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
     Ok(match config.kind {
-        ModelKind::Ccdiff | ModelKind::Ctgpp => Box::new(Diffusion::new(Network::new(p, config))?),
+        ModelKind::Ccdiff | ModelKind::Ctgpp => Box::new(Diffusion::new(Network::<Torch>::new(p, config))?),
         ModelKind::Ctg => Box::new(Diffusion::new(HalfUnet::new(p, config))?),
         ModelKind::Simnet => Box::new(Simnet::new(p, config)),
         ModelKind::Bits => Box::new(Bits::new(p, config)?),

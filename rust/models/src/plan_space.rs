@@ -1,7 +1,7 @@
 //! The space that every planning network plans in: normalised action knots, and what they say of actions and states.
 
 use crate::config::ModelConfig;
-use crate::layers::embed::standardise;
+use crate::layers::inputs::standardise;
 use crate::unicycle::{self, Knots};
 use tch::{Device, Kind, Tensor};
 

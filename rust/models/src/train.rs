@@ -11,7 +11,7 @@ use crate::grad::guarded;
 use crate::optimiser::{Adam, MovingAverage, variables};
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
 use crate::sampler::SampleOptions;
-use crate::trajectory_model::TrajectoryModel;
+use crate::torch_model::TorchModel;
 use ccdiff_sim::options;
 use ccdiff_sim::options::{above, at_least, within};
 use serde::{Deserialize, Serialize};
@@ -129,7 +129,7 @@ pub struct Trainer {
     network: Box<dyn PlanModel>,
     average: MovingAverage,
     adam: Adam,
-    teacher: Option<TrajectoryModel>,
+    teacher: Option<TorchModel>,
     step: u64,
     cooldown: Option<Cooldown>,
 }
@@ -163,13 +163,13 @@ impl Trainer {
     /// The run with a teacher, from whose weights it begins.
     ///
     /// # Errors
-    /// What [`TrajectoryModel::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
+    /// What [`TorchModel::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
     pub fn taught_by(mut self, path: &Path) -> Result<Self> {
-        let teacher = TrajectoryModel::load(path, self.store.device())?;
+        let teacher = TorchModel::load(path, self.store.device())?;
         let fail = |got: &str, expected: &'static str| {
             Err(ModelError::Config { field: "teacher", got: got.into(), expected })
         };
-        if *teacher.config() != self.model {
+        if *teacher.network().space().config() != self.model {
             return fail("another network", "weights of the network that is trained");
         }
         if !self.model.kind.denoises() {

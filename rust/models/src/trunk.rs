@@ -2,21 +2,24 @@
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;
-use crate::layers::attention::Attention;
-use crate::layers::edge::{self, EdgeEncoder};
-use crate::layers::embed::{self, HistoryEmbedding};
-use crate::layers::map::MapNetwork;
-use crate::layers::social::{EdgeAwareLayer, Slots};
+use crate::layers::inputs;
+use crate::layers::social::Slots;
+use crate::torch::Torch;
+use ccdiff_nets::layers::attention::Attention;
+use ccdiff_nets::layers::edge::EdgeEncoder;
+use ccdiff_nets::layers::embed::HistoryEmbedding;
+use ccdiff_nets::layers::map::MapNetwork;
+use ccdiff_nets::layers::social::EdgeAwareLayer;
 use tch::{Tensor, nn};
 
 /// One token per agent: history, then attention to the map, then to the neighbours at their edges now.
 #[derive(Debug)]
 pub(crate) struct Trunk {
     config: ModelConfig,
-    history: HistoryEmbedding,
-    map: Option<(MapNetwork, Attention)>,
-    edges: EdgeEncoder,
-    social: EdgeAwareLayer,
+    history: HistoryEmbedding<Torch>,
+    map: Option<(MapNetwork<Torch>, Attention<Torch>)>,
+    edges: EdgeEncoder<Torch>,
+    social: EdgeAwareLayer<Torch>,
     norm: nn::LayerNorm,
 }
 
@@ -67,16 +70,15 @@ impl Trunk {
     }
 
     pub(crate) fn forward(&self, batch: &Batch, train: bool) -> Encoded {
-        let history = embed::standardised_history(&batch.history, &self.config);
+        let history = inputs::standardised_history(&batch.history, &self.config);
         let mut x = self.history.forward(&history);
-        let parts = self.map.as_ref().zip(batch.image.as_ref());
-        let map = parts.map(|((network, attention), image)| {
-            let tokens = network.forward(image, train);
+        let map = self.map.as_ref().and_then(|(network, attention)| {
+            let tokens = network.forward(batch, train)?;
             x = &x + attention.forward(&x, &attention.memory(&tokens), None);
-            tokens
+            Some(tokens)
         });
         // the first token's edges are those of now
-        let (edges, available) = edge::at_tokens(&batch.edges, &self.config);
+        let (edges, available) = inputs::at_tokens(&batch.edges, &self.config);
         let edges = self.edges.forward(&edges.narrow(2, 0, 1));
         let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);

@@ -13,6 +13,7 @@ use ccdiff_models::guidance::{
 };
 use ccdiff_models::plan_model::build;
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::scene::Scene;
@@ -46,7 +47,7 @@ fn trained(kind: ModelKind, steps: usize) -> TrajectoryModel {
     run.run(steps).unwrap();
     let path = temporary(&format!("{}-{steps}.safetensors", kind.name()));
     run.export(&path, &serde_json::json!({})).unwrap();
-    TrajectoryModel::load(&path, Device::Cpu).unwrap()
+    torch_model::load(&path, Device::Cpu).unwrap()
 }
 
 /// Plans of worlds at steps of a scene, by seed; `guided` vehicles of each are guided.
@@ -128,7 +129,7 @@ fn a_resumed_run_continues_bit_for_bit_and_its_weights_plan() {
         whole.export(&files[0], &serde_json::json!({})).unwrap();
         again.export(&files[1], &serde_json::json!({})).unwrap();
         assert_eq!(std::fs::read(&files[0]).unwrap(), std::fs::read(&files[1]).unwrap(), "{kind:?}");
-        let mut model = TrajectoryModel::load(&files[0], Device::Cpu).unwrap();
+        let mut model = torch_model::load(&files[0], Device::Cpu).unwrap();
         assert_eq!(model.header()["kind"], kind.name());
         let plan =
             plans(&mut model, &[(&common::closing_pair(), 40, 1)], &samples(2), None).unwrap().remove(0);

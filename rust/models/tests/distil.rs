@@ -10,8 +10,9 @@ use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
-use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use std::path::{Path, PathBuf};
 use tch::{Device, Kind};
 
@@ -49,7 +50,7 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
     let window = Window::from_scene(&scene, 43, &vehicles(&scene), 31);
     let plans = |path: &Path, steps: usize| -> Vec<f32> {
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
-        let mut model = TrajectoryModel::load(path, Device::Cpu).unwrap();
+        let mut model = torch_model::load(path, Device::Cpu).unwrap();
         let of_seed = |seed| {
             let view = PlanInput { window: &window, bitmap: None, seed, guide: None };
             model.plan(&[view], &options.into()).unwrap().remove(0).states
@@ -76,10 +77,9 @@ fn one_step_of_the_student_comes_near_to_five_of_its_teacher() {
     student.export(&path, &serde_json::json!({})).unwrap();
     let after = distance_m(&path, &teacher);
     assert!(after < 0.6 * before, "{before} m before, {after} m after");
-    assert!(TrajectoryModel::load(&path, Device::Cpu).unwrap().plans_in_one_step());
-    assert!(!TrajectoryModel::load(&teacher, Device::Cpu).unwrap().plans_in_one_step());
-    let more =
-        TrajectoryModel::load(&path, Device::Cpu).unwrap().plan(&[], &PlanOptions::default()).unwrap_err();
+    assert!(torch_model::load(&path, Device::Cpu).unwrap().plans_in_one_step());
+    assert!(!torch_model::load(&teacher, Device::Cpu).unwrap().plans_in_one_step());
+    let more = torch_model::load(&path, Device::Cpu).unwrap().plan(&[], &PlanOptions::default()).unwrap_err();
     assert!(more.to_string().contains("one step"), "{more}");
 }
 

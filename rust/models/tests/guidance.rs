@@ -13,6 +13,7 @@ use ccdiff_models::guidance::{
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::torch_model;
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
@@ -246,7 +247,7 @@ fn gradient_statistics_say_who_pulls_which_way() {
 
 fn shipped(name: &str) -> TrajectoryModel {
     let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ccdiff_env/data");
-    TrajectoryModel::load(&data.join(format!("ccdiff_{name}.safetensors")), tch::Device::Cpu).unwrap()
+    torch_model::load(&data.join(format!("ccdiff_{name}.safetensors")), tch::Device::Cpu).unwrap()
 }
 
 /// Plans of a shipped network for a follower, its leader and a third vehicle far off.

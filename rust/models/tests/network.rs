@@ -5,21 +5,24 @@
 mod common;
 
 use ccdiff_models::batch::Batch;
-use ccdiff_models::ccdiff::Network;
 use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::{self, SampleOptions};
 use ccdiff_models::schedule::Schedule;
+use ccdiff_models::torch::Torch;
+use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
-use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_models::{ModelError, raster::MapBitmap};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{Map, Scene};
 use std::path::PathBuf;
 use std::sync::Arc;
 use tch::{Device, Kind, Tensor, nn};
+
+type Network = ccdiff_nets::ccdiff::Network<Torch>;
 
 fn blind(config: ModelConfig) -> ModelConfig {
     ModelConfig { map: None, ..config }
@@ -73,7 +76,7 @@ fn denoised(network: &Network, batch: &Batch) -> Tensor {
     let values = Noise::new(5, 5).normals((rows * knots * 2) as usize);
     let noisy = Tensor::from_slice(&values).view([rows, knots, 2]);
     let steps = Tensor::full([rows], 40, (Kind::Int64, Device::Cpu));
-    tch::no_grad(|| network.denoise(&network.encode(batch, false), &noisy, &steps))
+    tch::no_grad(|| network.denoise(&network.encode(batch, false), &noisy, &steps).0)
 }
 
 #[test]
@@ -199,7 +202,7 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     assert!(losses[7] < 0.7 * losses[0], "{losses:?}");
     let path = temporary("paper.safetensors");
     run.export(&path, &serde_json::json!({})).unwrap();
-    let mut model = TrajectoryModel::load(&path, Device::Cpu).unwrap();
+    let mut model = torch_model::load(&path, Device::Cpu).unwrap();
     let scene = common::closing_pair();
     let bitmap = model.bitmap(&scene).unwrap();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
@@ -265,7 +268,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let run = trainer(&config, quick(1));
     let path = temporary("weights.safetensors");
     run.export(&path, &serde_json::json!({"licence": "test"})).unwrap();
-    let mut model = TrajectoryModel::load(&path, Device::Cpu).unwrap();
+    let mut model = torch_model::load(&path, Device::Cpu).unwrap();
     assert_eq!(model.header()["notes"]["licence"], "test");
     let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
     let view = PlanInput { window: &window, bitmap: None, seed: 0, guide: None };
@@ -285,13 +288,13 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let mut bytes = std::fs::read(&path).unwrap();
     bytes.truncate(bytes.len() - 40);
     std::fs::write(&path, bytes).unwrap();
-    assert!(matches!(TrajectoryModel::load(&path, Device::Cpu), Err(ModelError::Checkpoint { .. })));
+    assert!(matches!(torch_model::load(&path, Device::Cpu), Err(ModelError::Checkpoint { .. })));
     let state = temporary("state.safetensors");
     run.save(&state).unwrap();
-    let text = TrajectoryModel::load(&state, Device::Cpu).unwrap_err().to_string();
+    let text = torch_model::load(&state, Device::Cpu).unwrap_err().to_string();
     assert!(text.contains("ccdiff-training"), "{text}");
     let missing = temporary("missing.safetensors");
-    assert!(matches!(TrajectoryModel::load(&missing, Device::Cpu), Err(ModelError::Io { .. })));
+    assert!(matches!(torch_model::load(&missing, Device::Cpu), Err(ModelError::Io { .. })));
 }
 
 #[test]

@@ -7,8 +7,9 @@ mod common;
 use ccdiff_models::config::{ModelConfig, ModelKind};
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::features::{self, Window, route_ahead};
+use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
-use ccdiff_models::trajectory_model::{PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::Route;
@@ -69,7 +70,7 @@ fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
 
 /// Planned states of 16 seeds.
 fn planned(weights: &Path, window: &Window) -> Vec<f32> {
-    let mut model = TrajectoryModel::load(weights, Device::Cpu).unwrap();
+    let mut model = torch_model::load(weights, Device::Cpu).unwrap();
     let plan = |seed| {
         let view = PlanInput { window, bitmap: None, seed, guide: None };
         model.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states

@@ -1,13 +1,13 @@
 //! Networks as drivers of traffic, made here and handed to the worlds of `_native`.
 
-use crate::models::from_model;
-use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_bridge::{Handed, contained, policy_capsule};
+use ccdiff_bridge::errors::py;
+use ccdiff_bridge::{AskedDriver, Handed};
 use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_models::torch_model::planned_traffic;
+use ccdiff_models::traffic::CcdiffConfig;
 use ccdiff_models::train::TrainConfig;
 use ccdiff_models::{ModelKind, config, guidance};
-use ccdiff_sim::options::{Table, read};
+use ccdiff_sim::options::Table;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::collections::BTreeMap;
@@ -37,7 +37,7 @@ fn default_policies() -> String {
     serde_json::json!(kinds).to_string()
 }
 
-/// A policy of worlds with this step over these scenes, which plans on this many threads; `options` is a
+/// A policy of worlds with this step over these scenes, on torch, which plans on this many threads; `options` is a
 /// `CcdiffConfig` as JSON.
 #[pyfunction]
 fn traffic_policy<'py>(
@@ -50,18 +50,6 @@ fn traffic_policy<'py>(
     num_threads: usize,
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
-    let fail = |what: String| py::ConfigError::new_err(format!("config: policies: {name}: {what}"));
-    // as the user has written it
-    let path = if name == kind { name.to_owned() } else { format!("policies.{name}.{kind}") };
-    let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
-    let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
-    let policy = py.detach(|| {
-        let policy = PlannedTraffic::new(config, &weights, num_threads)?;
-        policy.check(dt_s, &scenes).map(|()| policy)
-    });
-    let policy = policy.map_err(from_model)?;
-    if policy.kind() != kind {
-        return Err(fail(format!("weights of {:?}, expected those of {kind:?}", policy.kind())));
-    }
-    policy_capsule(py, contained(Box::new(policy)))
+    let asked = AskedDriver { name, kind, options, dt_s, scenes };
+    asked.policy(py, |config| planned_traffic(config, &weights, num_threads))
 }

@@ -6,6 +6,7 @@ mod enter;
 mod logged_batch;
 mod map_queries;
 mod metrics;
+mod networks;
 mod python_policy;
 mod render;
 mod scene;
@@ -31,6 +32,7 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     logged_batch::register(m)?;
     map_queries::register(m)?;
     metrics::register(m)?;
+    networks::register(m)?;
     drivers::register(m)?;
     render::register(m)?;
     scene::register(m)?;

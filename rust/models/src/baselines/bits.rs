@@ -9,9 +9,10 @@
 
 use super::moved;
 use super::simnet::HIDDEN;
-use crate::batch::{Batch, row_offsets};
+use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};
 use crate::error::{ModelError, Result};
+use crate::features::row_offsets;
 use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
@@ -19,7 +20,7 @@ use crate::noise::Noise;
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
-use crate::sampler::{SampleOptions, Samples, check_seeds, to_vec};
+use crate::sampler::{SampleOptions, Samples, to_vec};
 use crate::trunk::{Encoded, Trunk};
 use tch::{Kind, Tensor, nn};
 
@@ -208,7 +209,7 @@ impl PlanModel for Bits {
         options: SampleOptions,
         mut guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
-        check_seeds(batch, seeds)?;
+        batch.rows().check_seeds(seeds)?;
         let n = options.num_samples;
         let seen = self.trunk.forward(batch, false);
         let maps = self.maps(&seen);

@@ -11,9 +11,10 @@
 use crate::batch::Batch;
 use crate::config::ModelConfig;
 use crate::diffusion::Denoiser;
-use crate::layers::embed::StepEmbedding;
 use crate::plan_space::PlanSpace;
+use crate::torch::Torch;
 use crate::trunk::Trunk;
+use ccdiff_nets::layers::embed::StepEmbedding;
 use tch::{Tensor, nn};
 
 /// Channels after the rolled-out states' six.
@@ -76,7 +77,7 @@ impl Residual {
 pub struct HalfUnet {
     space: PlanSpace,
     trunk: Trunk,
-    step: StepEmbedding,
+    step: StepEmbedding<Torch>,
     down: Vec<(Residual, nn::Conv1D)>,
     middle: Vec<Residual>,
     last: ConvBlock,

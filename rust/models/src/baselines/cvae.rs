@@ -17,12 +17,13 @@ use crate::config::{ModelConfig, ModelKind};
 use crate::error::Result;
 use crate::guidance::{Guidance, MOVING_MPS};
 use crate::layers::perceptron::Perceptron;
-use crate::layers::social::EdgeAwareLayer;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
-use crate::sampler::{SampleOptions, Samples, check_seeds, noise};
+use crate::sampler::{SampleOptions, Samples};
+use crate::torch::Torch;
 use crate::trunk::{Encoded, Trunk};
+use ccdiff_nets::layers::social::EdgeAwareLayer;
 use tch::{Kind, Reduction, Tensor, nn};
 
 /// Weight of the divergence of learned priors.
@@ -55,7 +56,7 @@ pub struct Cvae {
     /// `None`: N(0, I).
     prior: Option<Perceptron>,
     /// Mixes the latents of neighbours; `None`: each agent is decoded for itself.
-    joint: Option<(nn::Linear, EdgeAwareLayer)>,
+    joint: Option<(nn::Linear, EdgeAwareLayer<Torch>)>,
     decoder: Perceptron,
     latent: i64,
 }
@@ -198,11 +199,11 @@ impl PlanModel for Cvae {
         options: SampleOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
-        check_seeds(batch, seeds)?;
+        batch.rows().check_seeds(seeds)?;
         let n = options.num_samples as i64;
         let seen = self.trunk.forward(batch, false);
         let (prior, seen) = (self.prior(&seen).repeated(n), seen.repeated(n));
-        let numbers = noise(batch, seeds, 0, options.num_samples, self.latent as usize);
+        let numbers = batch.rows().noise(seeds, 0, options.num_samples, self.latent as usize);
         let normals = Tensor::from_slice(&numbers).view_as(&prior.mean).to_device(prior.mean.device());
         if self.form == Form::Strive {
             let _ = normals.narrow(0, 0, batch.num_rows()).zero_();

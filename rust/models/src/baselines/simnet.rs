@@ -12,7 +12,7 @@ use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
-use crate::sampler::{SampleOptions, Samples, check_seeds};
+use crate::sampler::{SampleOptions, Samples};
 use crate::trunk::Trunk;
 use tch::{Kind, Tensor, nn};
 
@@ -63,7 +63,7 @@ impl PlanModel for Simnet {
         options: SampleOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
-        check_seeds(batch, seeds)?;
+        batch.rows().check_seeds(seeds)?;
         let knots = self.plan(batch, false).repeat([options.num_samples as i64, 1, 1]);
         Ok(Samples { knots: moved(&knots, guide)?, attention: None })
     }

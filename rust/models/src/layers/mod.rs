@@ -1,9 +1,7 @@
-//! Parts that several networks are made of.
+//! Parts of networks that are made of tensors; the others stand in [`ccdiff_nets::layers`].
 
-pub(crate) mod attention;
-pub(crate) mod edge;
-pub(crate) mod embed;
-pub(crate) mod map;
+pub(crate) mod inputs;
 pub(crate) mod perceptron;
+pub(crate) mod raster;
 mod resnet;
 pub(crate) mod social;

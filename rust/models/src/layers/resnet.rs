@@ -40,7 +40,7 @@ impl Block {
 
 /// The trunk and its last linear layer: [R, channels, H, W] → [R, outputs].
 #[derive(Debug)]
-pub(crate) struct ResNet18 {
+pub struct ResNet18 {
     stem: nn::Conv2D,
     stem_norm: nn::BatchNorm,
     blocks: Vec<Block>,

@@ -89,7 +89,7 @@ impl MapBitmap {
     ///
     /// # Errors
     /// As [`Self::from_scene`].
-    pub(crate) fn frame(scene: &Scene, config: &MapConfig) -> Result<([Point2; 2], f32, [usize; 2])> {
+    pub fn frame(scene: &Scene, config: &MapConfig) -> Result<([Point2; 2], f32, [usize; 2])> {
         let margin = config.reach_m() + 50.0;
         let valid = scene.tracks.position.iter().zip(&scene.tracks.valid).filter(|(_, ok)| **ok);
         let (mut min, mut max) = (Point2::new(f32::MAX, f32::MAX), Point2::new(f32::MIN, f32::MIN));

@@ -10,10 +10,10 @@ use ccdiff_sim::observe::{MapSegments, Segment, SegmentKind};
 use ccdiff_sim::scene::Map;
 
 /// Segments that an agent sees.
-pub(crate) const NUM_SEGMENTS: usize = 64;
+pub const NUM_SEGMENTS: usize = 64;
 /// Numbers per segment: both ends x, y, 1 for 20 m; middle x, y and the agent's place along and beside the segment's line, 1 for
 /// 5 m and more; cosine and sine of the direction; nearness of the middle; availability; the kind, one of 8.
-pub(crate) const SEGMENT_FEATURES: usize = 20;
+pub const SEGMENT_FEATURES: usize = 20;
 /// The straight way ahead of an agent: so long, metres,
 const WAY_M: f32 = 10.0;
 /// longer by so many seconds of its speed,

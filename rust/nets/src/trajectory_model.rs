@@ -1,20 +1,17 @@
 //! Plans for the agents of many worlds at once: the network behind the background policy.
 
-use crate::batch::{Batch, row_offsets};
-use crate::checkpoint;
-use crate::config::{ModelConfig, ModelKind};
+pub use crate::planner::{Drawn, PlanOptions, Planner};
+
+use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::features::{self, SceneFeatures, Window};
-use crate::grad::guarded;
-use crate::guidance::{Clip, Guidance, GuidanceConfig, GuidanceContext, GuidanceReport, WorldGuidance};
-use crate::optimiser::variables;
-use crate::plan_model::{self, PlanModel};
+use crate::features::{self, SceneFeatures, Window, row_offsets};
+use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
+use crate::own_planner::OwnPlanner;
 use crate::raster::MapBitmap;
-use crate::sampler::{SampleOptions, Samples, to_vec};
+use crate::weights::{self, Entry};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
-use tch::{Device, Kind, Tensor, nn};
 
 /// What a model sees of one world.
 #[derive(Debug, Clone, Copy)]
@@ -27,71 +24,6 @@ pub struct PlanInput<'a> {
     pub seed: u64,
     /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
     pub guide: Option<WorldGuidance<'a>>,
-}
-
-/// How plans are drawn.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct PlanOptions {
-    /// The reverse process.
-    pub sampling: SampleOptions,
-    /// Guidance of the worlds that have a guide; `None`: of none.
-    pub guidance: Option<GuidanceConfig>,
-    /// Whether plans come with the attention between agents.
-    pub attention: bool,
-    /// Whether guided plans come with the statistics of gradients, at the cost of one gradient per objective and step.
-    pub gradient_statistics: bool,
-}
-
-impl From<SampleOptions> for PlanOptions {
-    /// Unguided.
-    fn from(sampling: SampleOptions) -> Self {
-        Self { sampling, ..Self::default() }
-    }
-}
-
-impl PlanOptions {
-    /// Checks ranges.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] names the field.
-    pub fn validated(self) -> Result<Self> {
-        let sampling = self.sampling.validated()?;
-        let guidance = self.guidance.map(GuidanceConfig::validated).transpose()?;
-        Ok(Self { sampling, guidance, ..self })
-    }
-}
-
-impl PlanOptions {
-    /// The options as a kind of network takes them: what means nothing to it is refused, or not reported.
-    ///
-    /// Networks that do not denoise, or in one step alone, are guided at once on their plan, with as many gradient steps as
-    /// the guided denoising steps of the default sampler take together.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] names the option.
-    pub(crate) fn of_kind(mut self, kind: ModelKind) -> Result<Self> {
-        if self.sampling.guidance_weight > 1.0 && kind != ModelKind::Ccdiff {
-            let (got, expected) =
-                (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
-            return Err(ModelError::Config { field: "guidance_weight", got, expected });
-        }
-        if kind.denoises() && self.sampling.solver_steps != Some(1) {
-            return Ok(self);
-        }
-        let default = SampleOptions::default().solver_steps;
-        if !kind.denoises() && self.sampling.solver_steps != default {
-            let (got, expected) =
-                (format!("{:?}", self.sampling.solver_steps), "the default: this model does not denoise");
-            return Err(ModelError::Config { field: "solver_steps", got, expected });
-        }
-        self.gradient_statistics &= kind.denoises();
-        if let (Some(guidance), Some(steps)) = (&mut self.guidance, default) {
-            guidance.gradient_steps *= steps - 1;
-            guidance.clip = Clip::Sigma;
-            guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
-        }
-        Ok(self)
-    }
 }
 
 /// Plans of the agents of one world.
@@ -132,51 +64,70 @@ impl Plan {
     }
 }
 
+/// What a weight file says of its network: header and configuration, checked.
+///
+/// # Errors
+/// [`ModelError::Checkpoint`], [`ModelError::Config`].
+pub fn described(path: &Path, header: &serde_json::Value) -> Result<ModelConfig> {
+    let config = weights::field::<ModelConfig>(path, header, "model")?.validated()?;
+    let kind: String = weights::field(path, header, "kind")?;
+    if kind != config.kind.name() {
+        let expected = format!("weights of {:?}", config.kind.name());
+        return Err(weights::broken(path, "kind", format!("{kind:?}"), expected));
+    }
+    Ok(config)
+}
+
 /// A loaded network.
 #[derive(Debug)]
 pub struct TrajectoryModel {
-    network: Box<dyn PlanModel>,
+    planner: Box<dyn Planner>,
     header: serde_json::Value,
-    store: nn::VarStore,
-    device: Device,
+    num_parameters: usize,
+    config: ModelConfig,
     /// The network's configuration as features are built from it.
     inputs: ModelConfig,
 }
 
 impl TrajectoryModel {
-    /// Loads a weight file, checking every name and shape.
+    /// Loads a weight file for the kernels of this crate, checking every name and shape.
     ///
     /// # Errors
-    /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
-    pub fn load(path: &Path, device: Device) -> Result<Self> {
-        guarded(false, "loading weights", || {
-            let (header, tensors) = checkpoint::read(path)?;
-            let config = checkpoint::field::<ModelConfig>(path, &header, "model")?.validated()?;
-            let kind: String = checkpoint::field(path, &header, "kind")?;
-            if kind != config.kind.name() {
-                return Err(ModelError::Checkpoint {
-                    path: path.to_path_buf(),
-                    entry: "kind".into(),
-                    got: format!("{kind:?}"),
-                    expected: format!("weights of {:?}", config.kind.name()),
-                });
-            }
-            let mut store = nn::VarStore::new(device);
-            let network = plan_model::build(&store.root(), &config)?;
-            store.freeze();
-            checkpoint::fill(path, &tensors, "", &mut variables(&store))?;
-            Ok(Self { network, header, store, device, inputs: config })
-        })
+    /// [`ModelError::Io`], [`ModelError::Checkpoint`]; [`ModelError::Config`] for a network that needs torch.
+    pub fn load(path: &Path) -> Result<Self> {
+        let (header, tensors) = weights::read(path)?;
+        let config = described(path, &header)?;
+        Self::own(path, header, config, tensors)
     }
 
-    /// The network.
-    pub(crate) fn network(&self) -> &dyn PlanModel {
-        self.network.as_ref()
+    /// What [`weights::read`] has read, on the kernels of this crate.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn own(
+        path: &Path,
+        header: serde_json::Value,
+        config: ModelConfig,
+        tensors: BTreeMap<String, Entry>,
+    ) -> Result<Self> {
+        let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
+        let planner = OwnPlanner::new(path, &config, tensors)?;
+        Ok(Self::of(Box::new(planner), header, config, num_parameters))
     }
 
-    /// All numbers of the network by name.
-    pub(crate) fn variables(&self) -> BTreeMap<String, Tensor> {
-        variables(&self.store)
+    /// A network that plans are drawn from in whatever way.
+    pub fn of(
+        planner: Box<dyn Planner>,
+        header: serde_json::Value,
+        config: ModelConfig,
+        num_parameters: usize,
+    ) -> Self {
+        Self { planner, header, num_parameters, inputs: config.clone(), config }
+    }
+
+    /// What plans are drawn from.
+    pub fn planner(&self) -> &dyn Planner {
+        self.planner.as_ref()
     }
 
     /// Whether the network was taught to plan in one denoising step.
@@ -198,7 +149,7 @@ impl TrajectoryModel {
 
     /// The network's configuration.
     pub fn config(&self) -> &ModelConfig {
-        self.network.space().config()
+        &self.config
     }
 
     /// The file's JSON header.
@@ -214,7 +165,7 @@ impl TrajectoryModel {
 
     /// Numbers in the network.
     pub fn num_parameters(&self) -> usize {
-        variables(&self.store).values().map(Tensor::numel).sum()
+        self.num_parameters
     }
 
     /// Draws a scene's map as this network wants it; `None` for a map-blind network.
@@ -232,7 +183,7 @@ impl TrajectoryModel {
     pub fn plan(&mut self, worlds: &[PlanInput<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
         let options = options.clone().validated()?.of_kind(self.config().kind)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
-        let config = self.network.space().config();
+        let config = &self.config;
         let build = |w: &PlanInput<'_>| features::build(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
@@ -246,7 +197,8 @@ impl TrajectoryModel {
             Drawn::default()
         } else {
             let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
-            guarded(false, "planning", || self.draw(&built, &seeds, &options, guide.as_mut()))?
+            let scenes: Vec<&SceneFeatures> = built.iter().collect();
+            self.planner.draw(&scenes, &seeds, &options, guide.as_mut())?
         };
         let mut reports = match &guide {
             Some(guide) => guide.report(&drawn.knots)?,
@@ -281,44 +233,6 @@ impl TrajectoryModel {
             })
             .collect())
     }
-
-    /// Samples plans for all rows.
-    fn draw(
-        &self,
-        features: &[SceneFeatures],
-        seeds: &[u64],
-        options: &PlanOptions,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Drawn> {
-        let (space, n) = (self.network.space(), options.sampling.num_samples as i64);
-        let features: Vec<&SceneFeatures> = features.iter().collect();
-        let batch = Batch::new(&features, space.config(), self.device)?;
-        let Samples { knots, attention } = self.network.propose(&batch, seeds, options.sampling, guide)?;
-        let attention = attention.filter(|_| options.attention).map(|attention| {
-            let (config, size) = (space.config(), attention.size());
-            let history = config.history_token_steps().len() as i64;
-            let executed = options.guidance.as_ref().and_then(|g| g.executed_steps);
-            let tokens = executed.map_or(config.num_knots(), |s| s.div_ceil(config.knot_stride));
-            let tokens = tokens.min(config.num_knots()) as i64;
-            let plan = attention.narrow(2, history, tokens).view([n, size[0] / n, size[1], tokens]);
-            to_vec(&plan.mean_dim([0i64, 3].as_slice(), false, Kind::Float))
-        });
-        Ok(Drawn {
-            actions: to_vec(&space.actions(&knots)),
-            states: to_vec(&space.states(&knots, &batch.speed_mps.repeat([n]))),
-            knots: to_vec(&knots),
-            attention,
-        })
-    }
-}
-
-/// Plans of all rows as numbers, sample by sample; empty without rows.
-#[derive(Debug, Default)]
-struct Drawn {
-    knots: Vec<f32>,
-    actions: Vec<f32>,
-    states: Vec<f32>,
-    attention: Option<Vec<f32>>,
 }
 
 /// Guidance of the worlds that have a guide; `None` without a configuration or any guide.

@@ -1,42 +1,41 @@
 //! From agent-centred rasters to map tokens.
 
-use super::perceptron::Perceptron;
 use super::resnet::ResNet18;
 use crate::config::{MapConfig, MapEncoder};
-use crate::segments::SEGMENT_FEATURES;
 use tch::{Kind, Tensor, nn};
 
 /// Raster [R, channels, size, size] (bytes) → tokens [R, S, feature width].
 #[derive(Debug)]
-pub(crate) enum MapNetwork {
+pub enum RasterEncoder {
+    /// As in the paper.
     ResNet(Box<ResNet18>),
+    /// Three convolutions.
     Light(Box<LightEncoder>),
-    Polylines(Box<PolylineEncoder>),
 }
 
-impl MapNetwork {
+impl RasterEncoder {
     pub(crate) fn new(p: &nn::Path, config: &MapConfig, history_steps: usize) -> Self {
         let channels = config.num_channels(history_steps) as i64;
         match config.encoder {
             MapEncoder::ResNet18 => Self::ResNet(Box::new(ResNet18::new(p, channels, config.feature_width))),
-            MapEncoder::Polylines => Self::Polylines(Box::new(PolylineEncoder::new(p, config.feature_width))),
-            MapEncoder::Light => Self::Light(Box::new(LightEncoder::new(p, config, channels))),
+            MapEncoder::Light | MapEncoder::Polylines => {
+                Self::Light(Box::new(LightEncoder::new(p, config, channels)))
+            }
         }
     }
 
     pub(crate) fn forward(&self, image: &Tensor, train: bool) -> Tensor {
-        let numbers = || (image.to_kind(Kind::Float) - f64::from(crate::raster::ZERO)) * (1.0 / 127.0);
+        let numbers = (image.to_kind(Kind::Float) - f64::from(crate::raster::ZERO)) * (1.0 / 127.0);
         match self {
-            Self::ResNet(net) => net.forward(&numbers(), train).unsqueeze(1),
-            Self::Light(net) => net.forward(&numbers()),
-            Self::Polylines(net) => net.forward(image),
+            Self::ResNet(net) => net.forward(&numbers, train).unsqueeze(1),
+            Self::Light(net) => net.forward(&numbers),
         }
     }
 }
 
 /// Three strided convolutions; every pixel of the last is a token with a learned position.
 #[derive(Debug)]
-pub(crate) struct LightEncoder {
+pub struct LightEncoder {
     convolutions: Vec<nn::Conv2D>,
     norm: nn::LayerNorm,
     place: Tensor,
@@ -64,29 +63,5 @@ impl LightEncoder {
     fn forward(&self, image: &Tensor) -> Tensor {
         let x = self.convolutions.iter().fold(image.shallow_clone(), |x, c| x.apply(c).relu());
         x.flatten(2, 3).transpose(1, 2).apply(&self.norm) + &self.place
-    }
-}
-
-/// A perceptron for each line, then one that also sees what stands out among all of them.
-#[derive(Debug)]
-pub(crate) struct PolylineEncoder {
-    line: Perceptron,
-    among_all: Perceptron,
-    norm: nn::LayerNorm,
-}
-
-impl PolylineEncoder {
-    fn new(p: &nn::Path, width: i64) -> Self {
-        Self {
-            line: Perceptron::new(&(p / "line"), &[SEGMENT_FEATURES as i64, width, width]),
-            among_all: Perceptron::new(&(p / "among_all"), &[2 * width, width]),
-            norm: nn::layer_norm(p / "norm", vec![width], Default::default()),
-        }
-    }
-
-    fn forward(&self, lines: &Tensor) -> Tensor {
-        let x = self.line.forward(lines).relu();
-        let most = x.amax([1i64].as_slice(), true).expand_as(&x);
-        self.among_all.forward(&Tensor::cat(&[&x, &most], 2)).apply(&self.norm)
     }
 }

@@ -111,7 +111,7 @@ impl Window {
     }
 
     /// Distances of all agents at every step, metres, [H, A, A].
-    pub(crate) fn distance_m(&self) -> Result<Vec<f32>> {
+    pub fn distance_m(&self) -> Result<Vec<f32>> {
         let agents: Vec<usize> = (0..self.num_agents()).collect();
         self.at_every_step(|step| distance_at(self, &agents, step))
     }
@@ -131,18 +131,18 @@ impl Window {
     }
 
     /// Pose of an agent at a step.
-    pub(crate) fn pose(&self, agent: usize, step: usize) -> Pose2 {
+    pub fn pose(&self, agent: usize, step: usize) -> Pose2 {
         let at = agent * self.num_steps + step;
         Pose2::new(self.x_m[at], self.y_m[at], self.heading_rad[at])
     }
 
     /// Speed of an agent now.
-    pub(crate) fn speed_now_mps(&self, agent: usize) -> f32 {
+    pub fn speed_now_mps(&self, agent: usize) -> f32 {
         self.speed_mps[(agent + 1) * self.num_steps - 1]
     }
 
     /// Whether an agent's body touches another's now.
-    pub(crate) fn touches_now(&self, agent: usize) -> bool {
+    pub fn touches_now(&self, agent: usize) -> bool {
         let now = self.num_steps - 1;
         let body = |a: usize| OrientedBox {
             centre: self.pose(a, now).position,

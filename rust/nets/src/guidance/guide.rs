@@ -240,7 +240,7 @@ impl<'a> Guidance<'a> {
             let (got, expected) = (knots.len().to_string(), (self.num_samples * rows * width).to_string());
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
-        let offsets = crate::batch::row_offsets(&self.sizes);
+        let offsets = crate::features::row_offsets(&self.sizes);
         let jobs: Vec<(usize, usize)> = (0..self.num_samples)
             .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
             .collect();
@@ -290,7 +290,7 @@ impl<'a> Guidance<'a> {
             let (got, expected) = (knots.len().to_string(), (self.shift_sq.len() * width).to_string());
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
-        let offsets: Vec<usize> = crate::batch::row_offsets(&self.sizes);
+        let offsets: Vec<usize> = crate::features::row_offsets(&self.sizes);
         let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
             let context = context.as_ref()?;
             let (m, n) = (self.sizes[world], self.num_samples);

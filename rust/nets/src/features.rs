@@ -15,7 +15,7 @@ use crate::segments;
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use std::cmp::Ordering;
 
 /// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
@@ -23,6 +23,8 @@ pub const HISTORY_FEATURES: usize = 8;
 /// Numbers per edge and history step: relative x, y; cos, sin of the relative heading; relative velocity x, y;
 /// relative distance of the bodies and time to contact, both 1 for "now" and 0 for 20 m or 20 s; availability.
 pub const EDGE_FEATURES: usize = 9;
+/// Samples of training start no earlier than this step, so that there is some history.
+pub const FIRST_STEP: usize = 5;
 /// Distance (m) and time to contact (s) at which their edge features reach zero.
 const EDGE_RANGE: f32 = 20.0;
 /// An agent this far beside one's body, metres, is still ahead in one's corridor.
@@ -73,6 +75,27 @@ pub struct Futures {
     pub states: Vec<f32>,
     /// Whether the step is logged, [M, T].
     pub valid: Vec<bool>,
+}
+
+/// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
+pub fn vehicles(scene: &Scene) -> Vec<usize> {
+    let mut list: Vec<usize> = (0..scene.num_agents())
+        .filter(|a| scene.agents[*a].kind == AgentKind::Vehicle || scene.agents[*a].id == EGO_ID)
+        .collect();
+    list.sort_by_key(|a| scene.agents[*a].id != EGO_ID);
+    list
+}
+
+/// Rows of each scene of a list, counted from the first.
+pub fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
+    scene_sizes
+        .iter()
+        .scan(0, |next, size| {
+            let start = *next;
+            *next += size;
+            Some(start)
+        })
+        .collect()
 }
 
 /// Builds the inputs of one scene.

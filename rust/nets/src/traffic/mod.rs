@@ -37,8 +37,7 @@ use sync_wrapper::SyncWrapper;
 pub struct PlannedTraffic {
     /// A network for each thread of the pool; used by `plan` alone, which nobody else can enter meanwhile.
     copies: SyncWrapper<Vec<TrajectoryModel>>,
-    /// Threads that plan, in each of which torch uses one thread: operations of torch never wait for one another.
-    /// `None` on another device than the processor: the caller's thread plans.
+    /// Threads that plan. `None`: the caller's thread plans.
     pool: Option<ThreadPool>,
     /// Step and history of the weights.
     model: ModelConfig,
@@ -51,22 +50,38 @@ pub struct PlannedTraffic {
 }
 
 impl PlannedTraffic {
-    /// Loads a weight file, of whatever kind of network; the name of the weights in the configuration is for the reader.
-    /// Worlds are planned for on `num_threads` threads; results do not depend on their number.
+    /// Traffic on the kernels of this crate; the name of the weights in the configuration is for the reader. Worlds are planned for
+    /// on `num_threads` threads; results do not depend on their number.
     ///
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
     pub fn new(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<Self> {
-        let device = crate::device_named(config.device.name())?;
-        let num_threads = (device == tch::Device::Cpu).then_some(num_threads.max(1));
-        let load = |_| {
-            let mut model = TrajectoryModel::load(weights, device)?;
-            if config.graph == GraphMode::Full {
-                model.set_graph_thresholds(f32::INFINITY, f32::INFINITY);
-            }
-            Ok(model)
-        };
-        let copies = (0..num_threads.unwrap_or(1)).map(load).collect::<Result<Vec<_>>>()?;
+        if config.device != DeviceName::Cpu {
+            let expected = "\"cpu\" without torch";
+            return Err(ModelError::Config {
+                field: "ccdiff.device",
+                got: config.device.name().into(),
+                expected,
+            });
+        }
+        let pool = planning_pool(num_threads)?;
+        let copies =
+            (0..num_threads.max(1)).map(|_| TrajectoryModel::load(weights)).collect::<Result<_>>()?;
+        Self::of(config, copies, Some(pool))
+    }
+
+    /// Traffic of a network that is there once for each thread of a pool, or once without one.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] for options that do not fit the network.
+    pub fn of(
+        config: CcdiffConfig,
+        mut copies: Vec<TrajectoryModel>,
+        pool: Option<ThreadPool>,
+    ) -> Result<Self> {
+        if config.graph == GraphMode::Full {
+            copies.iter_mut().for_each(|c| c.set_graph_thresholds(f32::INFINITY, f32::INFINITY));
+        }
         let model = copies[0].config().clone();
         config.validate(model.horizon_steps)?;
         config.check_kind(model.kind)?;
@@ -77,7 +92,6 @@ impl PlannedTraffic {
         copies[0].check_solver_steps(config.sampling().solver_steps)?;
         let (guided, unguided) = (config.guided()?, config.unguided());
         let copies = SyncWrapper::new(copies);
-        let pool = num_threads.map(planning_pool).transpose()?;
         Ok(Self { copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }
 
@@ -143,22 +157,16 @@ impl PlannedTraffic {
     }
 }
 
-/// Threads whose torch operations stay on the thread. The caller's own setting of torch is as before.
-fn planning_pool(num_threads: usize) -> Result<ThreadPool> {
-    let callers = tch::get_num_threads();
-    let pool = ThreadPoolBuilder::new()
-        .num_threads(num_threads)
+/// Threads that plan.
+///
+/// # Errors
+/// [`ModelError::Config`] where the system has no more of them.
+pub fn planning_pool(num_threads: usize) -> Result<ThreadPool> {
+    ThreadPoolBuilder::new()
+        .num_threads(num_threads.max(1))
         .thread_name(|i| format!("ccdiff-plan-{i}"))
         .build()
-        .map_err(|e| ModelError::Config { field: "num_threads", got: e.to_string(), expected: "threads" })?;
-    // torch keeps this by thread. A thread that it does not know yet takes the number of the process at its first
-    // operation, whatever was set before: asking for the number makes it known.
-    pool.broadcast(|_| {
-        tch::get_num_threads();
-        tch::set_num_threads(1);
-    });
-    tch::set_num_threads(callers);
-    Ok(pool)
+        .map_err(|e| ModelError::Config { field: "num_threads", got: e.to_string(), expected: "threads" })
 }
 
 /// The error of this crate as the simulator passes it on.
@@ -180,7 +188,7 @@ impl TrafficPolicy for PlannedTraffic {
 
     /// Shorter histories than the weights' own are masked; training has none that are shorter still.
     fn least_history_states(&self) -> usize {
-        self.model.history_steps.min(crate::dataset::FIRST_STEP + 1)
+        self.model.history_steps.min(crate::features::FIRST_STEP + 1)
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {

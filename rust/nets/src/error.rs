@@ -84,7 +84,7 @@ pub type Result<T> = std::result::Result<T, ModelError>;
 
 impl ModelError {
     /// A libtorch failure, its message cut before the C++ stack.
-    pub(crate) fn torch(operation: &'static str, message: &str) -> Self {
+    pub fn torch(operation: &'static str, message: &str) -> Self {
         let end = message.find("Exception raised from").unwrap_or(message.len());
         Self::Torch {
             operation,

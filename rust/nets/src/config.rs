@@ -230,7 +230,7 @@ options! {
 }
 
 /// The error for a preset that there is not.
-pub(crate) fn unknown_preset(name: &str) -> ModelError {
+pub fn unknown_preset(name: &str) -> ModelError {
     ModelError::Config { field: "preset", got: format!("{name:?}"), expected: "\"paper\" or \"fast\"" }
 }
 

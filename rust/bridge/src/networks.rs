@@ -1,0 +1,252 @@
+//! Networks as both modules hand them to Python: plans of scenes, and drivers of worlds.
+
+use crate::contained;
+use crate::errors::{from_model, from_sim, py};
+use crate::handed::{Handed, policy_capsule};
+use ccdiff_nets::ModelError;
+use ccdiff_nets::features::{Window, vehicles};
+use ccdiff_nets::guidance::{GuidanceReport, WorldGuidance};
+use ccdiff_nets::sampler::SampleOptions;
+use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_nets::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_sim::geom::Region;
+use ccdiff_sim::options::read;
+use ccdiff_sim::scene::{LaneIndex, Scene};
+use ccdiff_sim::world::Route;
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyCapsule, PyDict};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A driver of worlds that is asked for: its name and kind, options as JSON, step of the worlds, their scenes.
+pub struct AskedDriver<'a> {
+    /// Name in the batch.
+    pub name: &'a str,
+    /// Kind of the network.
+    pub kind: &'a str,
+    /// A `CcdiffConfig` as JSON.
+    pub options: &'a str,
+    /// Step of the worlds, seconds.
+    pub dt_s: f32,
+    /// Their scenes.
+    pub scenes: Vec<Handed>,
+}
+
+impl AskedDriver<'_> {
+    /// The policy, of a network that `load` makes, in a capsule.
+    ///
+    /// # Errors
+    /// What options, weights and scenes do not fit.
+    pub fn policy<'py>(
+        self,
+        py: Python<'py>,
+        load: impl FnOnce(CcdiffConfig) -> ccdiff_nets::Result<PlannedTraffic> + Send,
+    ) -> PyResult<Bound<'py, PyCapsule>> {
+        let Self { name, kind, options, dt_s, scenes } = self;
+        // as the user has written it
+        let path = if name == kind { name.to_owned() } else { format!("policies.{name}.{kind}") };
+        let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
+        let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
+        let policy = py.detach(|| {
+            let policy = load(config)?;
+            policy.check(dt_s, &scenes).map(|()| policy)
+        });
+        let policy = policy.map_err(from_model)?;
+        if policy.kind() != kind {
+            let message = format!(
+                "config: policies: {name}: weights of {:?}, expected those of {kind:?}",
+                policy.kind()
+            );
+            return Err(py::ConfigError::new_err(message));
+        }
+        policy_capsule(py, contained(Box::new(policy)))
+    }
+}
+
+/// A loaded network that plans for scenes.
+#[pyclass(frozen, name = "TrajectoryModel", module = "ccdiff_env._native")]
+#[derive(Debug)]
+pub struct PyTrajectoryModel(Mutex<TrajectoryModel>);
+
+impl PyTrajectoryModel {
+    /// A network of whichever module.
+    pub fn new(model: TrajectoryModel) -> Self {
+        Self(Mutex::new(model))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, TrajectoryModel> {
+        // a failed call leaves weights that are whole, so a poisoned lock is still good
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl PyTrajectoryModel {
+    /// The file's header as JSON.
+    #[getter]
+    fn header(&self) -> String {
+        self.lock().header().to_string()
+    }
+
+    #[getter]
+    fn num_parameters(&self) -> usize {
+        self.lock().num_parameters()
+    }
+
+    /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` and
+    /// `collision_targets` list agents of each scene.
+    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, collision_targets,
+        attention, gradient_statistics, follow_route))]
+    fn plan_scenes<'py>(
+        &self,
+        py: Python<'py>,
+        scenes: Vec<Handed>,
+        steps: Vec<usize>,
+        seeds: Vec<u64>,
+        solver_steps: Option<usize>,
+        num_samples: usize,
+        guidance_weight: f64,
+        guidance: Option<&str>,
+        guided: Option<Vec<Vec<usize>>>,
+        collision_targets: Option<Vec<Vec<usize>>>,
+        attention: bool,
+        gradient_statistics: bool,
+        follow_route: bool,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let scenes: Vec<_> = scenes.into_iter().map(|s| s.0).collect();
+        let lists = [&guided, &collision_targets].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
+        if [steps.len(), seeds.len(), lists[0], lists[1]].iter().any(|got| *got != scenes.len()) {
+            let got = format!("{} steps, {} seeds, {lists:?} lists of agents", steps.len(), seeds.len());
+            return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
+        }
+        let options = PlanOptions {
+            sampling: SampleOptions { solver_steps, num_samples, guidance_weight },
+            guidance: guidance.map(|text| read("guidance", text)).transpose().map_err(from_sim)?,
+            attention,
+            gradient_statistics,
+        };
+        let logged =
+            Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, collision_targets, follow_route };
+        let plans = py.detach(|| plan_logged(&mut self.lock(), &logged, &options));
+        let plans = plans.map_err(from_model)?;
+        scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
+    }
+}
+
+/// What is planned for: scenes at steps, who is guided, and contacts with whom count.
+struct Logged<'a> {
+    scenes: &'a [Arc<Scene>],
+    steps: &'a [usize],
+    seeds: &'a [u64],
+    guided: Option<Vec<Vec<usize>>>,
+    collision_targets: Option<Vec<Vec<usize>>>,
+    follow_route: bool,
+}
+
+impl Logged<'_> {
+    /// Whether each vehicle of each scene is on a list; `None` without lists.
+    fn listed(&self, lists: Option<&Vec<Vec<usize>>>) -> Option<Vec<Vec<bool>>> {
+        let flags = |(scene, list): (&Arc<Scene>, &Vec<usize>)| {
+            vehicles(scene).iter().map(|agent| list.contains(agent)).collect()
+        };
+        lists.map(|lists| self.scenes.iter().zip(lists).map(flags).collect())
+    }
+}
+
+fn plan_logged(
+    model: &mut TrajectoryModel,
+    logged: &Logged<'_>,
+    options: &PlanOptions,
+) -> ccdiff_nets::Result<Vec<Plan>> {
+    let (history, points_m) = (model.config().history_steps, model.config().route_points_m.clone());
+    if logged.follow_route && points_m.is_empty() {
+        let expected = "False: these weights were trained without routes";
+        return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
+    }
+    let bitmaps: Vec<_> =
+        logged.scenes.iter().map(|s| model.bitmap(s)).collect::<ccdiff_nets::Result<_>>()?;
+    let windows: Vec<Window> = logged
+        .scenes
+        .iter()
+        .zip(logged.steps)
+        .map(|(scene, step)| {
+            let agents = vehicles(scene);
+            let mut window = Window::from_scene(scene, *step, &agents, history);
+            if logged.follow_route {
+                let lanes = LaneIndex::new(&scene.map);
+                let routes: Vec<Route> =
+                    agents.iter().map(|a| Route::new(scene, *a, lanes.as_ref())).collect();
+                window.tell_routes(&routes, &points_m);
+            }
+            window
+        })
+        .collect();
+    let guided = logged.listed(logged.guided.as_ref());
+    let collision_targets = logged.listed(logged.collision_targets.as_ref());
+    let guides = guided.is_some();
+    let roads: Vec<Option<Region>> =
+        logged.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
+    let worlds: Vec<PlanInput<'_>> = windows
+        .iter()
+        .enumerate()
+        .map(|(k, window)| PlanInput {
+            window,
+            bitmap: bitmaps[k].as_ref(),
+            seed: logged.seeds[k],
+            guide: guided.as_ref().map(|flags| WorldGuidance {
+                road: roads[k].as_ref(),
+                collision_targets: collision_targets.as_ref().map(|p| p[k].as_slice()),
+                ..WorldGuidance::new(&flags[k])
+            }),
+        })
+        .collect();
+    model.plan(&worlds, options)
+}
+
+/// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`
+/// [M, M], `attention` [M, M] or `None`, `selected_sample` [M], `guidance` or `None`.
+fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<'py, PyDict>> {
+    let (n, m) = (plan.num_samples, plan.agents.len());
+    let list = vehicles(scene);
+    let agents: Vec<i64> = plan.agents.iter().map(|a| list[*a] as i64).collect();
+    let steps = plan.actions.len() / (n * m * 2).max(1);
+    let poses: Vec<f32> =
+        plan.features.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]).collect();
+    let dict = PyDict::new(py);
+    let attention = plan.attention_matrix().map(|a| a.into_pyarray(py).reshape([m, m])).transpose()?;
+    dict.set_item("attention", attention)?;
+    let selected: Vec<i64> = plan.selected_sample().iter().map(|c| *c as i64).collect();
+    dict.set_item("selected_sample", PyArray1::from_vec(py, selected))?;
+    dict.set_item("guidance", plan.guidance.map(|g| guidance_dict(py, n, m, g)).transpose()?)?;
+    dict.set_item("agents", PyArray1::from_vec(py, agents))?;
+    dict.set_item("actions", plan.actions.into_pyarray(py).reshape([n, m, steps, 2])?)?;
+    dict.set_item("states", plan.states.into_pyarray(py).reshape([n, m, steps, 6])?)?;
+    dict.set_item("poses", poses.into_pyarray(py).reshape([m, 3])?)?;
+    dict.set_item("graph", plan.features.graph.as_slice().to_vec().into_pyarray(py).reshape([m, m])?)?;
+    dict.set_item("ttc", plan.features.ttc_s.into_pyarray(py).reshape([m, m])?)?;
+    Ok(dict)
+}
+
+/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
+/// `conflict_share` [M], `objective_cosine` [J, J].
+fn guidance_dict(
+    py: Python<'_>,
+    num_samples: usize,
+    num_agents: usize,
+    report: GuidanceReport,
+) -> PyResult<Bound<'_, PyDict>> {
+    let dict = PyDict::new(py);
+    let objectives = report.losses.len() / (num_samples * num_agents).max(1);
+    let losses = report.losses.into_pyarray(py).reshape([objectives, num_samples, num_agents])?;
+    dict.set_item("losses", losses)?;
+    dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
+    dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
+    if let Some(found) = report.conflict {
+        let cosines = found.objective_cosine.into_pyarray(py).reshape([objectives, objectives])?;
+        dict.set_item("alignment", found.alignment.into_pyarray(py))?;
+        dict.set_item("gradient_cosine", found.cosine.into_pyarray(py))?;
+        dict.set_item("conflict_share", found.conflict_share.into_pyarray(py))?;
+        dict.set_item("objective_cosine", cosines)?;
+    }
+    Ok(dict)
+}

@@ -1,0 +1,250 @@
+//! The backend on libtorch: with gradients, on any device. What [`ccdiff_nets::ccdiff`] is trained with.
+
+use crate::batch::Batch;
+use crate::config::{MapConfig, ModelConfig};
+use crate::diffusion::Denoiser;
+use crate::layers::inputs;
+use crate::layers::raster::RasterEncoder;
+use crate::layers::social::{Slots, mix, weights};
+use crate::plan_space::PlanSpace;
+use ccdiff_nets::backend::{Backend, KeyValue};
+use ccdiff_nets::ccdiff::{Context, Network};
+use ccdiff_nets::layers::embed::ROUTE_SCALE_M;
+use tch::{Kind, Tensor, nn};
+
+/// Layers on libtorch.
+#[derive(Debug)]
+pub struct Torch;
+
+/// A linear layer over [token, edge] and the width of a token.
+#[derive(Debug)]
+pub struct Joint(pub(crate) nn::Linear, i64);
+
+/// Tokens [R, T, d] by heads, [R, h, T, d/h].
+fn split(x: &Tensor, heads: i64) -> Tensor {
+    let size = x.size();
+    x.view([size[0], size[1], heads, -1]).transpose(1, 2)
+}
+
+impl Backend for Torch {
+    type Tensor = Tensor;
+    type Linear = nn::Linear;
+    type Joint = Joint;
+    type Norm = nn::LayerNorm;
+    type Raster = RasterEncoder;
+    type Space = PlanSpace;
+    type Batch<'a> = Batch;
+    type Slots = Slots;
+    type Mask = Tensor;
+    type Attention = Tensor;
+    type Steps = Tensor;
+    type Path<'a> = nn::Path<'a>;
+
+    fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
+        p / name
+    }
+
+    fn linear(p: &nn::Path<'_>, inputs: i64, outputs: i64) -> nn::Linear {
+        nn::linear(p, inputs, outputs, Default::default())
+    }
+
+    fn zero_linear(p: &nn::Path<'_>, inputs: i64, outputs: i64) -> nn::Linear {
+        let zero = nn::Init::Const(0.0);
+        nn::linear(p, inputs, outputs, nn::LinearConfig { ws_init: zero, bs_init: Some(zero), bias: true })
+    }
+
+    fn joint(p: &nn::Path<'_>, token: i64, edge: i64, outputs: i64) -> Joint {
+        Joint(Self::linear(p, token + edge, outputs), token)
+    }
+
+    fn norm(p: &nn::Path<'_>, width: i64) -> nn::LayerNorm {
+        nn::layer_norm(p, vec![width], Default::default())
+    }
+
+    fn raster(p: &nn::Path<'_>, config: &MapConfig, history_steps: usize) -> RasterEncoder {
+        RasterEncoder::new(p, config, history_steps)
+    }
+
+    fn space(p: &nn::Path<'_>, config: &ModelConfig) -> PlanSpace {
+        PlanSpace::new(config, p.device())
+    }
+
+    fn table(p: &nn::Path<'_>, numbers: &[f32], width: i64) -> Tensor {
+        Tensor::from_slice(numbers).view([-1, width]).to_device(p.device())
+    }
+
+    fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
+        inputs::standardised_history(&batch.history, config)
+    }
+
+    fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
+        let past = batch.history.narrow(2, 7, 1).squeeze_dim(2).gt(0.5);
+        let future = past.narrow(1, config.history_steps as i64 - 1, 1);
+        let future = future.expand([-1, config.num_knots() as i64], false);
+        Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
+    }
+
+    fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
+        let route = batch.route.as_ref()?;
+        let told = route.narrow(1, 0, 1);
+        let places = route.narrow(1, 1, route.size()[1] - 1) / ROUTE_SCALE_M;
+        Some((Tensor::cat(&[&told, &places], 1), told))
+    }
+
+    fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
+        let (edges, available) = inputs::at_tokens(&batch.edges, config);
+        (edges, Slots::new(&batch.neighbours, &batch.is_edge, &available))
+    }
+
+    fn speed(batch: &Batch) -> Tensor {
+        batch.speed_mps.shallow_clone()
+    }
+
+    fn lines(batch: &Batch) -> Option<Tensor> {
+        batch.image.as_ref().map(Tensor::shallow_clone)
+    }
+
+    fn raster_tokens(raster: &RasterEncoder, batch: &Batch, train: bool) -> Option<Tensor> {
+        batch.image.as_ref().map(|image| raster.forward(image, train))
+    }
+
+    fn apply(layer: &nn::Linear, x: &Tensor) -> Tensor {
+        x.apply(layer)
+    }
+
+    fn apply_relu(layer: &nn::Linear, x: &Tensor) -> Tensor {
+        x.apply(layer).relu()
+    }
+
+    fn apply_joint(Joint(layer, width): &Joint, tokens: &Tensor, edges: &Tensor) -> KeyValue<Self> {
+        let edge_width = layer.ws.size()[1] - width;
+        let of_token = tokens.linear(&layer.ws.narrow(1, 0, *width), layer.bs.as_ref());
+        let of_edge = edges.linear(&layer.ws.narrow(1, *width, edge_width), None::<&Tensor>);
+        (of_token, of_edge)
+    }
+
+    fn normed(norm: &nn::LayerNorm, x: &Tensor) -> Tensor {
+        x.apply(norm)
+    }
+
+    fn normed_relu(norm: &nn::LayerNorm, x: Tensor) -> Tensor {
+        x.apply(norm).relu()
+    }
+
+    fn sum_normed(norm: &nn::LayerNorm, x: &Tensor, y: Tensor) -> Tensor {
+        (x + y).apply(norm)
+    }
+
+    fn sum(x: &Tensor, y: Tensor) -> Tensor {
+        x + y
+    }
+
+    fn sum_table(x: Tensor, table: &Tensor) -> Tensor {
+        x + table
+    }
+
+    fn columns(x: &Tensor, from: i64, count: i64) -> Tensor {
+        x.narrow(-1, from, count)
+    }
+
+    fn joined(x: &Tensor) -> Tensor {
+        x.flatten(1, 2)
+    }
+
+    fn token(x: Tensor) -> Tensor {
+        x.unsqueeze(1)
+    }
+
+    fn scaled(x: &Tensor, factor: &Tensor) -> Tensor {
+        x * factor
+    }
+
+    fn with_greatest(x: &Tensor) -> Tensor {
+        let greatest = x.amax([1i64].as_slice(), true).expand_as(x);
+        Tensor::cat(&[x, &greatest], 2)
+    }
+
+    fn rows_of(table: &Tensor, steps: &Tensor) -> Tensor {
+        table.index_select(0, steps)
+    }
+
+    fn mish(x: &Tensor) -> Tensor {
+        x.mish()
+    }
+
+    fn attend(q: &Tensor, (k, v): &KeyValue<Self>, heads: i64, mask: Option<&Tensor>) -> Tensor {
+        let [q, k, v] = [q, k, v].map(|x| split(x, heads));
+        let y = Tensor::scaled_dot_product_attention(&q, &k, &v, mask, 0.0, false, None, false);
+        y.transpose(1, 2).flatten(2, 3)
+    }
+
+    fn attend_others(
+        q: &Tensor,
+        (k, v): &KeyValue<Self>,
+        (k_edge, v_edge): &KeyValue<Self>,
+        slots: &Slots,
+        heads: i64,
+    ) -> (Tensor, Tensor) {
+        let (k, v) = (slots.gather(k) + k_edge, slots.gather(v) + v_edge);
+        let attention = weights(q, &k, &slots.others_or_self, heads);
+        (mix(&attention, &v), attention)
+    }
+
+    fn attend_all(q: &Tensor, (k, v): &KeyValue<Self>, slots: &Slots, heads: i64) -> Tensor {
+        let (k, v) = (slots.gather(k), slots.gather(v));
+        mix(&weights(q, &k, &slots.with_self, heads), &v)
+    }
+
+    fn gated(a: &Tensor, g: &Tensor, h: &Tensor, own: Tensor) -> Tensor {
+        let gate = (g + h).sigmoid();
+        a + gate * (own - a)
+    }
+
+    fn plan(space: &PlanSpace, noisy: &Tensor, speed: &Tensor) -> Tensor {
+        let config = space.config();
+        let plan = space.standardised_states(&space.states(noisy, speed));
+        plan.reshape([-1, config.num_knots() as i64, 6 * config.knot_stride as i64])
+    }
+
+    fn stream(history: &Tensor, plan: Tensor, carried: bool, steps: Tensor) -> Tensor {
+        let plan = if carried { plan + history } else { plan };
+        Tensor::cat(&[history, &plan], 1) + steps
+    }
+
+    fn last(x: &Tensor, count: i64) -> Tensor {
+        x.narrow(1, x.size()[1] - count, count)
+    }
+}
+
+impl Denoiser for Network<Torch> {
+    type Context = Context<Torch>;
+
+    fn space(&self) -> &PlanSpace {
+        Self::space(self)
+    }
+
+    fn encode(&self, batch: &Batch, train: bool) -> Context<Torch> {
+        Self::encode(self, batch, train)
+    }
+
+    fn repeated(context: &Context<Torch>, samples: i64) -> Context<Torch> {
+        let repeat = |t: &Tensor| {
+            let mut times = vec![1; t.dim()];
+            times[0] = samples;
+            t.repeat(times)
+        };
+        Context {
+            history: repeat(&context.history),
+            edges: repeat(&context.edges),
+            slots: context.slots.repeated(samples),
+            map: context.map.iter().map(|m| m.as_ref().map(|(k, v)| (repeat(k), repeat(v)))).collect(),
+            mask: context.mask.as_ref().map(repeat),
+            speed: repeat(&context.speed),
+        }
+    }
+
+    fn predict(&self, context: &Context<Torch>, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>) {
+        let (clean, attention) = self.denoise(context, noisy, steps);
+        (clean, attention.map(|a| a.mean_dim([3i64].as_slice(), false, Kind::Float)))
+    }
+}

@@ -1,0 +1,139 @@
+//! Networks of weight files on torch.
+
+use crate::batch::Batch;
+use crate::checkpoint;
+use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::features::SceneFeatures;
+use crate::grad::guarded;
+use crate::guidance::Guidance;
+use crate::optimiser::variables;
+use crate::plan_model::{self, PlanModel};
+use crate::sampler::{Samples, to_vec};
+use crate::traffic::{CcdiffConfig, PlannedTraffic};
+use crate::trajectory_model::{Drawn, PlanOptions, Planner, TrajectoryModel, described};
+use ccdiff_nets::traffic::planning_pool;
+use ccdiff_nets::weights::{self, Entry};
+use std::collections::BTreeMap;
+use std::path::Path;
+use tch::{Device, Kind, Tensor, nn};
+
+/// A network on torch with the weights of a file.
+#[derive(Debug)]
+pub struct TorchModel {
+    network: Box<dyn PlanModel>,
+    store: nn::VarStore,
+    device: Device,
+}
+
+impl TorchModel {
+    /// Loads a weight file, checking every name and shape.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`].
+    pub fn load(path: &Path, device: Device) -> Result<Self> {
+        let (header, entries) = weights::read(path)?;
+        Self::of(path, &described(path, &header)?, &entries, device)
+    }
+
+    fn of(
+        path: &Path,
+        config: &ModelConfig,
+        entries: &BTreeMap<String, Entry>,
+        device: Device,
+    ) -> Result<Self> {
+        guarded(false, "loading weights", || {
+            let mut store = nn::VarStore::new(device);
+            let network = plan_model::build(&store.root(), config)?;
+            store.freeze();
+            checkpoint::fill(path, &checkpoint::tensors(entries), "", &mut variables(&store))?;
+            Ok(Self { network, store, device })
+        })
+    }
+
+    /// The network.
+    pub(crate) fn network(&self) -> &dyn PlanModel {
+        self.network.as_ref()
+    }
+
+    /// All numbers of the network by name.
+    pub(crate) fn variables(&self) -> BTreeMap<String, Tensor> {
+        variables(&self.store)
+    }
+}
+
+impl Planner for TorchModel {
+    fn draw(
+        &self,
+        scenes: &[&SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Drawn> {
+        guarded(false, "planning", || {
+            let (space, n) = (self.network.space(), options.sampling.num_samples as i64);
+            let config = space.config();
+            let batch = Batch::new(scenes, config, self.device)?;
+            let Samples { knots, attention } =
+                self.network.propose(&batch, seeds, options.sampling, guide)?;
+            let attention = attention.filter(|_| options.attention).map(|attention| {
+                let size = attention.size();
+                let history = config.history_token_steps().len() as i64;
+                let tokens = options.executed_tokens(config) as i64;
+                let plan = attention.narrow(2, history, tokens).view([n, size[0] / n, size[1], tokens]);
+                to_vec(&plan.mean_dim([0i64, 3].as_slice(), false, Kind::Float))
+            });
+            Ok(Drawn {
+                actions: to_vec(&space.actions(&knots)),
+                states: to_vec(&space.states(&knots, &batch.speed_mps.repeat([n]))),
+                knots: to_vec(&knots),
+                attention,
+            })
+        })
+    }
+}
+
+/// Loads a weight file on torch, on any device.
+///
+/// # Errors
+/// As [`TorchModel::load`].
+pub fn load(path: &Path, device: Device) -> Result<TrajectoryModel> {
+    let (header, entries) = weights::read(path)?;
+    let config = described(path, &header)?;
+    on_torch(path, header, config, &entries, device)
+}
+
+fn on_torch(
+    path: &Path,
+    header: serde_json::Value,
+    config: ModelConfig,
+    entries: &BTreeMap<String, Entry>,
+    device: Device,
+) -> Result<TrajectoryModel> {
+    let model = TorchModel::of(path, &config, entries, device)?;
+    let num_parameters = entries.values().map(|(_, numbers)| numbers.len()).sum();
+    Ok(TrajectoryModel::of(Box::new(model), header, config, num_parameters))
+}
+
+/// Traffic of a weight file, of whatever kind of network. On the processor worlds are planned for on `num_threads` threads, in
+/// each of which torch uses one: operations of torch never wait for one another. Results do not depend on their number.
+///
+/// # Errors
+/// As [`load`]; [`crate::ModelError::Config`] for options that do not fit the network.
+pub fn planned_traffic(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<PlannedTraffic> {
+    let device = crate::device_named(config.device.name())?;
+    if device != Device::Cpu {
+        return PlannedTraffic::of(config, vec![load(weights, device)?], None);
+    }
+    let copies = (0..num_threads.max(1)).map(|_| load(weights, device)).collect::<Result<_>>()?;
+    let pool = planning_pool(num_threads)?;
+    // torch keeps this by thread. A thread that it does not know yet takes the number of the process at its first
+    // operation, whatever was set before: asking for the number makes it known. The caller's own setting is as before.
+    let callers = tch::get_num_threads();
+    pool.broadcast(|_| {
+        tch::get_num_threads();
+        tch::set_num_threads(1);
+    });
+    tch::set_num_threads(callers);
+    PlannedTraffic::of(config, copies, Some(pool))
+}

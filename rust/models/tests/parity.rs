@@ -1,0 +1,113 @@
+//! Networks of every form have the same plans on own kernels and on torch, but for rounding.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod common;
+
+use ccdiff_models::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig, ModelKind};
+use ccdiff_models::dataset::{Dataset, vehicles};
+use ccdiff_models::features::Window;
+use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::torch_model;
+use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_sim::geom::Point2;
+use ccdiff_sim::scene::{Map, Scene};
+use std::path::PathBuf;
+use std::sync::Arc;
+use tch::Device;
+
+fn exported(name: &str, model: &ModelConfig) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ccdiff-parity-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join(format!("{name}.safetensors"));
+    let data = Dataset::new(vec![common::closing_pair()], model, 10).unwrap();
+    let preset = TrainConfig::preset("fast", model.kind).unwrap();
+    let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ..preset };
+    let mut run = common::seeded(|| Trainer::new(model.clone(), training, data, Device::Cpu).unwrap());
+    // routes begin silent
+    run.run(2).unwrap();
+    run.export(&path, &serde_json::json!({})).unwrap();
+    path
+}
+
+/// Two lanes with lines on the map, and a vehicle far off.
+fn town() -> Scene {
+    let row = |k: usize| [11.0 * (k / 2) as f32, 3.5 * (k % 2) as f32 - 2.0, 0.05, 7.0 - 0.5 * k as f32, 0.2];
+    let mut rows: Vec<[f32; 5]> = (0..7).map(row).collect();
+    rows.push([250.0, 0.0, 3.1, 6.0, 0.0]);
+    let scene = common::scene(&rows, 110);
+    let mut map = Map::clone(&scene.map);
+    map.lane_dividers.push(vec![Point2::new(-90.0, 0.0), Point2::new(290.0, 0.0)]);
+    map.road_dividers.push(vec![Point2::new(-90.0, 4.0), Point2::new(100.0, 9.0)]);
+    Scene { map: Arc::new(map), ..Scene::clone(&scene) }
+}
+
+fn plan(model: &mut TrajectoryModel, scene: &Scene, sampling: SampleOptions) -> Plan {
+    let mut window = Window::from_scene(scene, 40, &vehicles(scene), 31);
+    if !model.config().route_points_m.is_empty() {
+        let told = |k: usize| vec![Point2::new(20.0 + k as f32, 3.0), Point2::new(40.0, -2.0 * k as f32)];
+        // one is not told
+        window.routes = (0..8).map(|k| if k == 3 { Vec::new() } else { told(k) }).collect();
+    }
+    window.first_action = (0..8).map(|k| (k % 3 == 0).then_some([0.5 * k as f32, 0.02])).collect();
+    let bitmap = model.bitmap(scene).unwrap();
+    let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 5, guide: None };
+    let options = PlanOptions { attention: true, ..sampling.into() };
+    model.plan(&[view], &options).unwrap().remove(0)
+}
+
+#[test]
+fn every_form_has_the_same_plans_on_both() {
+    let fast = ModelConfig::fast;
+    let map = |map: MapConfig| ModelConfig { map: Some(map), ..fast() };
+    let light = || fast().map.unwrap();
+    let forms = [
+        ("fast", fast()),
+        ("blind", ModelConfig { map: None, ..fast() }),
+        ("lines", map(MapConfig { encoder: MapEncoder::Polylines, ..light() })),
+        ("pixels", map(MapConfig { history_channels: true, rounds: vec![1], ..light() })),
+        ("wide", map(MapConfig { feature_width: 128, size_px: 32, ..light() })),
+        ("routes", ModelConfig { route_points_m: vec![5.0, 10.0], ..fast() }),
+        ("odd", ModelConfig { width: 50, heads: 5, edge_width: 21, feed_forward: 33, ..fast() }),
+        ("deep", ModelConfig { temporal_layers: 2, edge_layers: 3, knot_stride: 2, ..fast() }),
+        ("ctgpp", ModelConfig::of(ModelKind::Ctgpp, "fast").unwrap()),
+    ];
+    let scene = town();
+    for (name, model) in forms {
+        let path = exported(name, &model);
+        let mut own = TrajectoryModel::load(&path).unwrap();
+        let mut torch = torch_model::load(&path, Device::Cpu).unwrap();
+        let guidance_weight = if model.kind == ModelKind::Ccdiff { 1.4 } else { 1.0 };
+        for (solver_steps, num_samples) in [(Some(1), 1), (Some(4), 3)] {
+            let sampling = SampleOptions { solver_steps, num_samples, guidance_weight };
+            let (a, b) = (plan(&mut own, &scene, sampling), plan(&mut torch, &scene, sampling));
+            let far = |a: &[f32], b: &[f32]| {
+                assert_eq!(a.len(), b.len());
+                a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+            };
+            let states = far(&a.states, &b.states);
+            let attention = far(&a.attention_matrix().unwrap(), &b.attention_matrix().unwrap());
+            assert!(states < 1e-4 && attention < 1e-5, "{name}: {states} {attention}");
+            assert!(a.features.is_edge.iter().filter(|e| **e).count() > 7, "{name}: nobody sees anybody");
+        }
+    }
+}
+
+#[test]
+fn what_own_kernels_lack_is_named() {
+    let paper = ModelConfig::paper();
+    let per_step = ModelConfig { history: HistoryTokens::PerStep, ..ModelConfig::fast() };
+    let res_net = ModelConfig { history: HistoryTokens::Summary, ..paper.clone() };
+    let narrow = MapConfig { feature_width: 32, ..ModelConfig::fast().map.unwrap() };
+    for (config, field) in [
+        (paper, "model.history is per_step"),
+        (per_step, "model.history is per_step"),
+        (res_net, "model.map.encoder is res_net18"),
+        (ModelConfig { map: Some(narrow), ..ModelConfig::fast() }, "model.map.feature_width is 32"),
+        (ModelConfig::of(ModelKind::Strive, "fast").unwrap(), "model.kind is strive"),
+    ] {
+        let text = ccdiff_nets::own::check(&config).unwrap_err().to_string();
+        assert!(text.contains(field) && text.contains("without torch"), "{text}");
+    }
+}

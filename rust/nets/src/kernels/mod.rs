@@ -1,0 +1,15 @@
+//! The arithmetic of layers. A number is one chain of sums over its inputs in their order, never fused with products, so it has
+//! the same bits whatever the batch, the threads and the instructions are.
+
+mod product;
+mod rows;
+mod shape;
+mod simd;
+
+pub use product::Packed;
+pub(crate) use product::{Strided, convolve, linear, matmul};
+pub(crate) use rows::{
+    Seen, add, add_cycle, add_norm, gate, mix, most, norm, pixels, softmax_columns, transpose,
+};
+pub(crate) use shape::PANEL;
+pub use simd::{Checked, Level, with_level};

@@ -1,0 +1,187 @@
+//! Products of rows with packed weights: what linear layers, convolutions and attention come down to.
+
+use super::shape::{PANEL, Product, Rows};
+use super::simd::{self, Checked};
+
+/// Weights [columns, inputs] in panels of 16 columns, [columns / 16][inputs][16], zeros beyond the last, with the bias.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Packed {
+    pub(crate) inputs: usize,
+    pub(crate) columns: usize,
+    weights: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl Packed {
+    /// From rows of columns [columns, inputs], as weight files have them; no bias is one of zeros.
+    pub(crate) fn new(rows: &[f32], bias: &[f32], columns: usize, inputs: usize) -> Self {
+        let panels = columns.div_ceil(PANEL);
+        let mut weights = vec![0.0; panels * inputs * PANEL];
+        for (column, row) in rows.chunks_exact(inputs.max(1)).enumerate().take(columns) {
+            for (input, weight) in row.iter().enumerate() {
+                weights[(column / PANEL * inputs + input) * PANEL + column % PANEL] = *weight;
+            }
+        }
+        let mut padded = vec![0.0; panels * PANEL];
+        padded[..bias.len()].copy_from_slice(bias);
+        Self { inputs, columns, weights, bias: padded }
+    }
+
+    fn panels(&self) -> usize {
+        self.columns.div_ceil(PANEL)
+    }
+}
+
+/// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
+pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
+    let rows = x.len() / weights.inputs.max(1);
+    let wide = weights.panels() * PANEL;
+    let p = Product {
+        rows,
+        runs: 1,
+        length: weights.inputs,
+        run_step: 0,
+        input_step: 1,
+        panels: weights.panels(),
+        panel_step: weights.inputs * PANEL,
+        weight_step: PANEL,
+        from: Rows::apart(weights.inputs),
+        to: Rows::apart(wide),
+        relu,
+    };
+    out.clear();
+    out.resize(rows * wide, 0.0);
+    simd::multiply(level, &p, x, &weights.weights, Some(&weights.bias), out);
+    if wide != weights.columns {
+        for row in 0..rows {
+            out.copy_within(row * wide..row * wide + weights.columns, row * weights.columns);
+        }
+        out.truncate(rows * weights.columns);
+    }
+}
+
+/// Numbers in memory as one side of a product: row i and step j at i · `row` + j · `step`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Strided<'a> {
+    pub(crate) numbers: &'a [f32],
+    pub(crate) row: usize,
+    pub(crate) step: usize,
+}
+
+/// a [rows, length] times b [length, columns], whose steps are `b_step` apart: [rows, `out_row`]. Columns are a multiple of 16.
+pub(crate) fn matmul(
+    level: Checked,
+    a: Strided<'_>,
+    (rows, length, columns): (usize, usize, usize),
+    (b, b_step): (&[f32], usize),
+    out: &mut [f32],
+    out_row: usize,
+) {
+    let p = Product {
+        rows,
+        runs: 1,
+        length,
+        run_step: 0,
+        input_step: a.step,
+        panels: columns / PANEL,
+        panel_step: PANEL,
+        weight_step: b_step,
+        from: Rows::apart(a.row),
+        to: Rows::apart(out_row),
+        relu: false,
+    };
+    simd::multiply(level, &p, a.numbers, b, None, out);
+}
+
+/// A convolution of 4 x 4 with stride 2 and ReLU: pixels [2 side + 2, 2 side + 2, channels] with a border of zeros to
+/// [side, side, columns], a line of them every `out_line` numbers. Weights take their inputs line by line, channels last.
+pub(crate) fn convolve(
+    level: Checked,
+    pixels: &[f32],
+    channels: usize,
+    side: usize,
+    weights: &Packed,
+    out: &mut [f32],
+    out_line: usize,
+) {
+    let line = (2 * side + 2) * channels;
+    let p = Product {
+        rows: side * side,
+        runs: 4,
+        length: 4 * channels,
+        run_step: line,
+        input_step: 1,
+        panels: weights.panels(),
+        panel_step: weights.inputs * PANEL,
+        weight_step: PANEL,
+        from: Rows { per: side, outer: 2 * line, inner: 2 * channels },
+        to: Rows { per: side, outer: out_line, inner: weights.columns },
+        relu: true,
+    };
+    simd::multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::Level;
+    use crate::noise::Noise;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn linear_layers_are_their_sums_at_every_level(rows in 1usize..30, inputs in 1usize..70, columns in 1usize..70, relu: bool) {
+            let x = Noise::new(3, 1).normals(rows * inputs);
+            let w = Noise::new(4, 1).normals(columns * inputs);
+            let bias = Noise::new(5, 1).normals(columns);
+            let packed = Packed::new(&w, &bias, columns, inputs);
+            let mut found = Vec::new();
+            for level in Level::available() {
+                let mut out = vec![9.0; 3];
+                linear(Checked::at_most(level), &x, &packed, relu, &mut out);
+                found.push(out);
+            }
+            prop_assert!(found.iter().all(|f| f == &found[0]));
+            for row in 0..rows {
+                for column in 0..columns {
+                    let products = (0..inputs).map(|k| f64::from(x[row * inputs + k]) * f64::from(w[column * inputs + k]));
+                    let sum = f64::from(bias[column]) + products.sum::<f64>();
+                    let sum = if relu { sum.max(0.0) } else { sum };
+                    prop_assert!((f64::from(found[0][row * columns + column]) - sum).abs() < 1e-4);
+                }
+            }
+            // a row alone has the bits that it has among others
+            let mut alone = Vec::new();
+            linear(Checked::now(), &x[..inputs], &packed, relu, &mut alone);
+            prop_assert_eq!(&alone, &found[0][..columns]);
+        }
+
+        #[test]
+        fn convolutions_are_their_sums(channels in 1usize..6, side in 1usize..6, columns in prop::sample::select(vec![16usize, 32])) {
+            let edge = 2 * side + 2;
+            let mut pixels = Noise::new(6, 1).normals(edge * edge * channels);
+            for (at, pixel) in pixels.iter_mut().enumerate() {
+                let (y, x) = (at / channels / edge, at / channels % edge);
+                if y == 0 || x == 0 || y == edge - 1 || x == edge - 1 {
+                    *pixel = 0.0;
+                }
+            }
+            let w = Noise::new(7, 1).normals(columns * 16 * channels);
+            let bias = Noise::new(8, 1).normals(columns);
+            let packed = Packed::new(&w, &bias, columns, 16 * channels);
+            let line = side * columns + 3;
+            for level in Level::available() {
+                let mut out = vec![0.0; side * line];
+                convolve(Checked::at_most(level), &pixels, channels, side, &packed, &mut out, line);
+                for (y, x, column) in (0..side).flat_map(|y| (0..side).flat_map(move |x| (0..columns).map(move |c| (y, x, c)))) {
+                    let mut sum = f64::from(bias[column]);
+                    for (dy, dx, c) in (0..4).flat_map(|dy| (0..4).flat_map(move |dx| (0..channels).map(move |c| (dy, dx, c)))) {
+                        let pixel = pixels[((2 * y + dy) * edge + 2 * x + dx) * channels + c];
+                        sum += f64::from(pixel) * f64::from(w[column * 16 * channels + (dy * 4 + dx) * channels + c]);
+                    }
+                    prop_assert!((f64::from(out[y * line + x * columns + column]) - sum.max(0.0)).abs() < 1e-4);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,506 @@
+//! Loops over rows of numbers, which the compiler turns into vectors of each level.
+
+use super::shape::PANEL;
+use super::simd::{Checked, Work, at_level};
+
+/// Functions that are compiled once per level; what they call must be `#[inline(always)]`.
+macro_rules! at_levels {
+    ($($(#[$doc:meta])* fn $name:ident<'a>($($arg:ident: $ty:ty),* $(,)?) $body:block)+) => {$(
+        $(#[$doc])*
+        #[allow(clippy::needless_lifetimes, reason = "the work has the same fields")]
+        pub(crate) fn $name<'a>(level: Checked, $($arg: $ty),*) {
+            struct Call<'a> { $($arg: $ty,)* lives: std::marker::PhantomData<&'a ()> }
+            impl<'a> Work for Call<'a> {
+                type Out = ();
+                #[inline(always)]
+                fn run(self) {
+                    let Self { $($arg,)* lives: _ } = self;
+                    $body
+                }
+            }
+            at_level(level, Call { $($arg,)* lives: std::marker::PhantomData });
+        }
+    )+};
+}
+
+/// The sum of numbers of a row, by sixteen lanes, then halves of them.
+#[inline(always)]
+fn sum(row: &[f32], of: impl Fn(f32) -> f32) -> f32 {
+    let mut lanes = [0f32; PANEL];
+    let (whole, rest) = row.as_chunks::<PANEL>();
+    for part in whole {
+        for j in 0..PANEL {
+            lanes[j] += of(part[j]);
+        }
+    }
+    for (lane, x) in lanes.iter_mut().zip(rest) {
+        *lane += of(*x);
+    }
+    halves(&mut lanes)
+}
+
+#[inline(always)]
+fn halves(lanes: &mut [f32; PANEL]) -> f32 {
+    for j in 0..8 {
+        lanes[j] += lanes[j + 8];
+    }
+    for j in 0..4 {
+        lanes[j] += lanes[j + 4];
+    }
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
+}
+
+#[inline(always)]
+fn norm_row(row: &mut [f32], weight: &[f32], bias: &[f32], relu: bool) {
+    let share = 1.0 / row.len() as f32;
+    let mean = sum(row, |x| x) * share;
+    let variance = sum(row, |x| (x - mean) * (x - mean)) * share;
+    let scale = 1.0 / (variance + 1e-5).sqrt();
+    for ((x, w), b) in row.iter_mut().zip(weight).zip(bias) {
+        let y = (*x - mean) * scale * w + b;
+        *x = if relu && y <= 0.0 { 0.0 } else { y };
+    }
+}
+
+/// e to the power x, for x up to 88. Below -50 it is zero: nothing beside a one, and no denormal numbers behind it.
+#[inline(always)]
+fn exp(x: f32) -> f32 {
+    let small = x < -50.0;
+    let x = if small { -50.0 } else { x };
+    // the nearest whole power of two, in the last bits of a large number
+    let shifted = x * std::f32::consts::LOG2_E + 12_582_912.0;
+    let n = shifted - 12_582_912.0;
+    let r = x - n * 0.693_359_4 - n * -2.121_944_4e-4;
+    let mut p = 1.987_569_1e-4;
+    p = p * r + 1.398_199_9e-3;
+    p = p * r + 8.333_452e-3;
+    p = p * r + 4.166_579_6e-2;
+    p = p * r + 1.666_666_5e-1;
+    p = p * r + 0.5;
+    let y = p * (r * r) + r + 1.0;
+    let y = f32::from_bits(y.to_bits().wrapping_add(shifted.to_bits() << 23));
+    if small { 0.0 } else { y }
+}
+
+/// Whom the rows see: pairs of a row follow each other.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Seen {
+    /// First pair of each row, and one past the last of all, [R + 1].
+    pub(crate) start: Vec<usize>,
+    /// Row that is seen, [pairs].
+    pub(crate) other: Vec<usize>,
+    /// Its slot, [pairs].
+    pub(crate) slot: Vec<usize>,
+}
+
+impl Seen {
+    /// Nobody yet.
+    pub(crate) fn empty() -> Self {
+        Self { start: vec![0], ..Self::default() }
+    }
+
+    /// Whom the next row sees: rows and slots.
+    pub(crate) fn push(&mut self, pairs: impl Iterator<Item = (usize, usize)>) {
+        for (other, slot) in pairs {
+            self.other.push(other);
+            self.slot.push(slot);
+        }
+        self.start.push(self.other.len());
+    }
+}
+
+/// Attention of a token, numbers of `heads` side by side, over the keys and values of pairs; `edges` holds what is added to them.
+struct Mix<'a> {
+    heads: usize,
+    query: &'a [f32],
+    key: &'a [f32],
+    value: &'a [f32],
+    edges: Option<(&'a [f32], &'a [f32])>,
+}
+
+impl Mix<'_> {
+    /// `place(i)`: rows of the i-th pair's token and of its edge.
+    #[inline(always)]
+    fn run(
+        &self,
+        query: usize,
+        count: usize,
+        place: impl Fn(usize) -> (usize, usize),
+        weights: &mut Vec<f32>,
+        out: &mut [f32],
+    ) {
+        let (width, head) = (out.len(), out.len() / self.heads);
+        let row = |of: usize, h: usize| of * width + h * head..of * width + (h + 1) * head;
+        let scale = 1.0 / (head as f32).sqrt();
+        weights.clear();
+        weights.resize(count * self.heads, 0.0);
+        for h in 0..self.heads {
+            let q = &self.query[row(query, h)];
+            let mut most = f32::NEG_INFINITY;
+            for i in 0..count {
+                let (token, edge) = place(i);
+                let key = &self.key[row(token, h)];
+                let score = match self.edges {
+                    Some((added, _)) => product_of_sum(q, key, &added[row(edge, h)]),
+                    None => product_of(q, key),
+                } * scale;
+                weights[i * self.heads + h] = score;
+                most = if score > most { score } else { most };
+            }
+            let mut total = 0.0;
+            for i in 0..count {
+                let weight = exp(weights[i * self.heads + h] - most);
+                weights[i * self.heads + h] = weight;
+                total += weight;
+            }
+            let share = 1.0 / total;
+            let out = &mut out[h * head..(h + 1) * head];
+            out.fill(0.0);
+            for i in 0..count {
+                let (token, edge) = place(i);
+                let weight = weights[i * self.heads + h] * share;
+                weights[i * self.heads + h] = weight;
+                let value = &self.value[row(token, h)];
+                match self.edges {
+                    Some((_, added)) => {
+                        for ((o, v), e) in out.iter_mut().zip(value).zip(&added[row(edge, h)]) {
+                            *o += weight * (v + e);
+                        }
+                    }
+                    None => {
+                        for (o, v) in out.iter_mut().zip(value) {
+                            *o += weight * v;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn product_of(a: &[f32], b: &[f32]) -> f32 {
+    let mut lanes = [0f32; PANEL];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<PANEL>(), b.as_chunks::<PANEL>());
+    for (a, b) in a.iter().zip(b) {
+        for j in 0..PANEL {
+            lanes[j] += a[j] * b[j];
+        }
+    }
+    for ((lane, a), b) in lanes.iter_mut().zip(a_rest).zip(b_rest) {
+        *lane += a * b;
+    }
+    halves(&mut lanes)
+}
+
+#[inline(always)]
+fn product_of_sum(a: &[f32], b: &[f32], c: &[f32]) -> f32 {
+    let mut lanes = [0f32; PANEL];
+    let ((a, a_rest), (b, b_rest), (c, c_rest)) =
+        (a.as_chunks::<PANEL>(), b.as_chunks::<PANEL>(), c.as_chunks::<PANEL>());
+    for ((a, b), c) in a.iter().zip(b).zip(c) {
+        for j in 0..PANEL {
+            lanes[j] += a[j] * (b[j] + c[j]);
+        }
+    }
+    for (((lane, a), b), c) in lanes.iter_mut().zip(a_rest).zip(b_rest).zip(c_rest) {
+        *lane += a * (b + c);
+    }
+    halves(&mut lanes)
+}
+
+at_levels! {
+    /// Rows of the weights' width, each with mean 0 and variance 1, then weighted; with `relu` no number below zero.
+    fn norm<'a>(x: &'a mut [f32], weight: &'a [f32], bias: &'a [f32], relu: bool) {
+        for row in x.chunks_exact_mut(weight.len().max(1)) {
+            norm_row(row, weight, bias, relu);
+        }
+    }
+
+    /// x + y, then as [`norm`].
+    fn add_norm<'a>(x: &'a mut [f32], y: &'a [f32], weight: &'a [f32], bias: &'a [f32]) {
+        let width = weight.len().max(1);
+        for (row, other) in x.chunks_exact_mut(width).zip(y.chunks_exact(width)) {
+            for (a, b) in row.iter_mut().zip(other) {
+                *a += b;
+            }
+            norm_row(row, weight, bias, false);
+        }
+    }
+
+    /// x + y.
+    fn add<'a>(x: &'a mut [f32], y: &'a [f32]) {
+        for (a, b) in x.iter_mut().zip(y) {
+            *a += b;
+        }
+    }
+
+    /// x + y, y again and again.
+    fn add_cycle<'a>(x: &'a mut [f32], y: &'a [f32]) {
+        for part in x.chunks_exact_mut(y.len().max(1)) {
+            for (a, b) in part.iter_mut().zip(y) {
+                *a += b;
+            }
+        }
+    }
+
+    /// a + sigmoid(g + h) · (x - a), in place of x.
+    fn gate<'a>(x: &'a mut [f32], a: &'a [f32], g: &'a [f32], h: &'a [f32]) {
+        for (((x, a), g), h) in x.iter_mut().zip(a).zip(g).zip(h) {
+            let z = (g + h).clamp(-87.0, 87.0);
+            *x = a + 1.0 / (1.0 + exp(-z)) * (*x - a);
+        }
+    }
+
+    /// Softmax of scale · x down the columns of rows of `wide` numbers, a multiple of 16.
+    fn softmax_columns<'a>(x: &'a mut [f32], wide: usize, scale: f32) {
+        for from in (0..wide).step_by(PANEL) {
+            let mut most = [f32::NEG_INFINITY; PANEL];
+            for row in x.chunks_exact(wide) {
+                for (m, x) in most.iter_mut().zip(&row[from..from + PANEL]) {
+                    *m = if *x > *m { *x } else { *m };
+                }
+            }
+            let mut total = [0f32; PANEL];
+            for row in x.chunks_exact_mut(wide) {
+                for ((x, m), t) in row[from..from + PANEL].iter_mut().zip(&most).zip(&mut total) {
+                    *x = exp((*x - *m) * scale);
+                    *t += *x;
+                }
+            }
+            for t in &mut total {
+                *t = 1.0 / *t;
+            }
+            for row in x.chunks_exact_mut(wide) {
+                for (x, t) in row[from..from + PANEL].iter_mut().zip(&total) {
+                    *x *= t;
+                }
+            }
+        }
+    }
+
+    /// Rows of `width` numbers to columns: number c of row r goes to c · `to` + r.
+    fn transpose<'a>(x: &'a [f32], width: usize, out: &'a mut [f32], to: usize) {
+        for (r, row) in x.chunks_exact(width.max(1)).enumerate() {
+            for (c, x) in row.iter().enumerate() {
+                out[c * to + r] = *x;
+            }
+        }
+    }
+
+    /// The greatest number of each column of rows as wide as `out`.
+    fn most<'a>(x: &'a [f32], out: &'a mut [f32]) {
+        out.fill(f32::NEG_INFINITY);
+        for row in x.chunks_exact(out.len().max(1)) {
+            for (o, x) in out.iter_mut().zip(row) {
+                *o = if *x > *o { *x } else { *o };
+            }
+        }
+    }
+
+    /// Planes of bytes [channels, side, side], of which `zero` is none and 127 more are one, to numbers
+    /// [side + 2, side + 2, channels], whose border is left as it is.
+    fn pixels<'a>(planes: &'a [u8], channels: usize, side: usize, zero: u8, out: &'a mut [f32]) {
+        let lines = out.chunks_exact_mut((side + 2) * channels).skip(1);
+        for (y, line) in (0..side).zip(lines) {
+            for (c, plane) in planes.chunks_exact(side * side).enumerate() {
+                let pixels = line[channels..].chunks_exact_mut(channels);
+                for (pixel, byte) in pixels.zip(&plane[y * side..(y + 1) * side]) {
+                    pixel[c] = (f32::from(*byte) - f32::from(zero)) * (1.0 / 127.0);
+                }
+            }
+        }
+    }
+
+    /// Attention of every row's `tokens` over the same tokens of the rows that it sees: queries, keys and values [R, tokens, width],
+    /// what is added to keys and values of each pair [pairs, tokens, width], to [R, tokens, width] and the mean weight of the
+    /// heads [pairs, tokens].
+    fn mix<'a>(
+        seen: &'a Seen,
+        tokens: usize,
+        heads: usize,
+        query: &'a [f32],
+        key: &'a [f32],
+        value: &'a [f32],
+        edges: Option<(&'a [f32], &'a [f32])>,
+        out: &'a mut [f32],
+        attention: &'a mut [f32],
+    ) {
+        let rows = seen.start.len().saturating_sub(1);
+        let width = out.len() / (rows * tokens).max(1);
+        let mixed = Mix { heads, query, key, value, edges };
+        let mut weights = Vec::new();
+        for (at, out) in out.chunks_exact_mut(width.max(1)).enumerate() {
+            let (row, token) = (at / tokens, at % tokens);
+            let (from, to) = (seen.start[row], seen.start[row + 1]);
+            let place = |i: usize| (seen.other[from + i] * tokens + token, (from + i) * tokens + token);
+            mixed.run(at, to - from, place, &mut weights, out);
+            for (i, weights) in weights.chunks_exact(heads).enumerate() {
+                attention[(from + i) * tokens + token] = weights.iter().sum::<f32>() / heads as f32;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::Level;
+    use crate::noise::Noise;
+    use proptest::prelude::*;
+
+    /// What a kernel makes of numbers at every level, once it is the same at all.
+    fn at_all(of: impl Fn(Checked) -> Vec<f32>) -> Vec<f32> {
+        let found: Vec<Vec<f32>> = Level::available().into_iter().map(|l| of(Checked::at_most(l))).collect();
+        let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        assert!(found.iter().all(|f| bits(f) == bits(&found[0])), "levels differ");
+        found.into_iter().next_back().unwrap()
+    }
+
+    fn numbers(seed: u64, count: usize) -> Vec<f32> {
+        Noise::new(seed, 7).normals(count)
+    }
+
+    fn close(got: &[f32], want: &[f64]) {
+        assert_eq!(got.len(), want.len());
+        for (at, (g, w)) in got.iter().zip(want).enumerate() {
+            assert!((f64::from(*g) - w).abs() <= 1e-5 + 1e-5 * w.abs(), "{at}: {g}, expected {w}");
+        }
+    }
+
+    #[test]
+    fn exponentials_are_those_of_double_precision() {
+        for i in -49_000..88_000 {
+            let x = i as f32 * 1e-3;
+            let want = libm::exp(f64::from(x));
+            assert!((f64::from(exp(x)) - want).abs() < 3e-7 * want, "{x}");
+        }
+        assert_eq!((exp(-50.1), exp(f32::NEG_INFINITY), exp(0.0)), (0.0, 0.0, 1.0));
+    }
+
+    proptest! {
+        #[test]
+        fn norms_have_mean_zero_and_variance_one(rows in 1usize..9, width in 2usize..80, relu: bool) {
+            let (x, y) = (numbers(1, rows * width), numbers(2, rows * width));
+            let (weight, bias) = (numbers(3, width), numbers(4, width));
+            let naive = |x: &[f64], relu: bool| -> Vec<f64> {
+                let of_row = |row: &[f64]| -> Vec<f64> {
+                    let mean = row.iter().sum::<f64>() / width as f64;
+                    let variance = row.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / width as f64;
+                    let scaled = row.iter().zip(&weight).zip(&bias).map(|((v, w), b)| {
+                        (v - mean) / (variance + 1e-5).sqrt() * f64::from(*w) + f64::from(*b)
+                    });
+                    scaled.map(|v| if relu { v.max(0.0) } else { v }).collect()
+                };
+                x.chunks(width).flat_map(of_row).collect()
+            };
+            let wide: Vec<f64> = x.iter().map(|v| f64::from(*v)).collect();
+            // narrow rows may be nearly constant
+            if width > 7 {
+                close(&at_all(|level| { let mut z = x.clone(); norm(level, &mut z, &weight, &bias, relu); z }), &naive(&wide, relu));
+                let sums: Vec<f64> = x.iter().zip(&y).map(|(a, b)| f64::from(*a) + f64::from(*b)).collect();
+                close(&at_all(|level| { let mut z = x.clone(); add_norm(level, &mut z, &y, &weight, &bias); z }), &naive(&sums, false));
+            }
+        }
+
+        #[test]
+        fn softmax_goes_down_the_columns(rows in 1usize..70, wide in prop::sample::select(vec![16usize, 32])) {
+            let x: Vec<f32> = numbers(5, rows * wide).iter().map(|v| v * 20.0).collect();
+            let got = at_all(|level| { let mut z = x.clone(); softmax_columns(level, &mut z, wide, 0.25); z });
+            let of = |r: usize, c: usize| libm::exp(f64::from(x[r * wide + c]) * 0.25);
+            let want: Vec<f64> = (0..rows * wide)
+                .map(|at| of(at / wide, at % wide) / (0..rows).map(|r| of(r, at % wide)).sum::<f64>())
+                .collect();
+            close(&got, &want);
+        }
+
+        #[test]
+        fn attention_over_those_that_are_seen(rows in 1usize..5, tokens in 1usize..4, head in 1usize..20, heads in 1usize..4, joined: bool) {
+            let width = heads * head;
+            let mut seen = Seen { start: vec![0], ..Seen::default() };
+            for row in 0..rows {
+                for other in (0..rows).filter(|o| *o == row || (o + row) % 2 == 1) {
+                    seen.other.push(other);
+                    seen.slot.push(0);
+                }
+                seen.start.push(seen.other.len());
+            }
+            let pairs = seen.other.len();
+            let [q, k, v] = [11, 12, 13].map(|s| numbers(s, rows * tokens * width));
+            let [ke, ve] = [14, 15].map(|s| numbers(s, pairs * tokens * width));
+            let edges = joined.then_some((ke.as_slice(), ve.as_slice()));
+            let got = at_all(|level| {
+                let (mut out, mut attention) = (vec![0.0; q.len()], vec![0.0; pairs * tokens]);
+                mix(level, &seen, tokens, heads, &q, &k, &v, edges, &mut out, &mut attention);
+                out.extend(attention);
+                out
+            });
+            let (mut want, mut mean) = (vec![0.0; q.len()], vec![0.0; pairs * tokens]);
+            let added = |of: Option<&[f32]>, at: usize| of.map_or(0.0, |e| f64::from(e[at]));
+            for (row, token, h) in (0..rows).flat_map(|r| (0..tokens).flat_map(move |t| (0..heads).map(move |h| (r, t, h)))) {
+                let of_pairs: Vec<usize> = (seen.start[row]..seen.start[row + 1]).collect();
+                let place = |row: usize, c: usize| (row * tokens + token) * width + h * head + c;
+                let scores: Vec<f64> = of_pairs.iter().map(|p| (0..head).map(|c| {
+                    let key = f64::from(k[place(seen.other[*p], c)]) + added(edges.map(|e| e.0), place(*p, c));
+                    f64::from(q[place(row, c)]) * key
+                }).sum::<f64>() / (head as f64).sqrt()).map(libm::exp).collect();
+                let total: f64 = scores.iter().sum();
+                for (p, score) in of_pairs.iter().zip(&scores) {
+                    mean[p * tokens + token] += score / total / heads as f64;
+                    for c in 0..head {
+                        let value = f64::from(v[place(seen.other[*p], c)]) + added(edges.map(|e| e.1), place(*p, c));
+                        want[place(row, c)] += score / total * value;
+                    }
+                }
+            }
+            want.extend(mean);
+            close(&got, &want);
+        }
+    }
+
+    #[test]
+    fn gates_open_and_close_without_overflow() {
+        let (g, h) = ([0.0, 1.0, -500.0, 500.0, -3.0], [0.0, 0.5, -500.0, 500.0, 1.0]);
+        let got = at_all(|level| {
+            let mut x = vec![2.0; 5];
+            gate(level, &mut x, &[1.0; 5], &g, &h);
+            x
+        });
+        let want: Vec<f64> =
+            g.iter().zip(&h).map(|(g, h)| 1.0 + 1.0 / (1.0 + libm::exp(-f64::from(g + h)))).collect();
+        close(&got, &want);
+    }
+
+    #[test]
+    fn small_kernels_do_what_they_say() {
+        let x = numbers(21, 3 * 17);
+        let turned = at_all(|level| {
+            let mut out = vec![0.0; 17 * 5];
+            transpose(level, &x, 17, &mut out, 5);
+            out
+        });
+        assert!((0..51).all(|at| turned[at % 17 * 5 + at / 17] == x[at]));
+        let greatest = at_all(|level| {
+            let mut out = vec![0.0; 17];
+            most(level, &x, &mut out);
+            out
+        });
+        assert!((0..17).all(|c| greatest[c] == x[c].max(x[17 + c]).max(x[34 + c])));
+        let sums = at_all(|level| {
+            let mut z = x.clone();
+            add_cycle(level, &mut z, &x[..17]);
+            add(level, &mut z, &x);
+            z
+        });
+        assert!((0..51).all(|at| sums[at] == x[at] + x[at % 17] + x[at]));
+        let planes: Vec<u8> = (0..8).map(|b| 120 + 16 * b).collect();
+        let image = at_all(|level| {
+            let mut out = vec![0.0; 4 * 4 * 2];
+            pixels(level, &planes, 2, 2, 128, &mut out);
+            out
+        });
+        let at = |c: usize, y: usize, x: usize| image[((y + 1) * 4 + x + 1) * 2 + c] * 127.0 + 128.0;
+        assert!((0..8).all(|i| (at(i / 4, i / 2 % 2, i % 2) - f32::from(planes[i])).abs() < 1e-3));
+        assert_eq!(image.iter().filter(|v| **v != 0.0).count(), 8);
+    }
+}

@@ -1,0 +1,120 @@
+//! What a product of rows and columns reads and writes.
+
+/// Columns of a panel of weights.
+pub(crate) const PANEL: usize = 16;
+
+/// Where rows lie: row i at (i / `per`) · `outer` + (i % `per`) · `inner`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rows {
+    pub(super) per: usize,
+    pub(super) outer: usize,
+    pub(super) inner: usize,
+}
+
+impl Rows {
+    pub(super) fn apart(by: usize) -> Self {
+        Self { per: usize::MAX, outer: 0, inner: by }
+    }
+
+    #[inline(always)]
+    pub(super) fn at(&self, row: usize) -> usize {
+        if self.per == usize::MAX {
+            row * self.inner
+        } else {
+            row / self.per * self.outer + row % self.per * self.inner
+        }
+    }
+
+    /// The farthest of so many rows.
+    fn last(&self, rows: usize) -> Option<usize> {
+        let last = rows.checked_sub(1)?;
+        if self.per == usize::MAX {
+            return last.checked_mul(self.inner);
+        }
+        // the last of the last group, or of the group before it
+        let whole = (last / self.per).checked_mul(self.outer)?;
+        whole.checked_add(last.min(self.per - 1).checked_mul(self.inner)?)
+    }
+}
+
+/// Rows times columns: `runs` of `length` inputs each, `run_step` apart in a row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Product {
+    pub(super) rows: usize,
+    pub(super) runs: usize,
+    pub(super) length: usize,
+    pub(super) run_step: usize,
+    /// From one input to the next.
+    pub(super) input_step: usize,
+    pub(super) panels: usize,
+    /// From one panel to the next.
+    pub(super) panel_step: usize,
+    /// From the weights of one input to those of the next.
+    pub(super) weight_step: usize,
+    pub(super) from: Rows,
+    pub(super) to: Rows,
+    pub(super) relu: bool,
+}
+
+impl Product {
+    /// Whether every number that is read or written lies within slices of these lengths; rows and panels are not none.
+    pub(super) fn fits(&self, rows: usize, columns: usize, bias: Option<usize>, out: usize) -> bool {
+        let farthest = || -> Option<[usize; 3]> {
+            let steps = self.runs.checked_mul(self.length)?.checked_sub(1)?;
+            let input = (self.runs - 1).checked_mul(self.run_step)?;
+            let input = input.checked_add((self.length - 1).checked_mul(self.input_step)?)?;
+            let weight = (self.panels - 1).checked_mul(self.panel_step)?;
+            let weight = weight.checked_add(steps.checked_mul(self.weight_step)?)?.checked_add(PANEL)?;
+            let written = self.to.last(self.rows)?.checked_add(self.panels.checked_mul(PANEL)?)?;
+            Some([self.from.last(self.rows)?.checked_add(input)?.checked_add(1)?, weight, written])
+        };
+        farthest().is_some_and(|[input, weight, written]| {
+            input <= rows
+                && weight <= columns
+                && written <= out
+                && bias.is_none_or(|b| b >= self.panels * PANEL)
+        })
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::noise::Noise;
+
+    /// A plain product with random numbers of rows and weights.
+    pub(in super::super) fn example(
+        rows: usize,
+        inputs: usize,
+        panels: usize,
+    ) -> (Product, Vec<f32>, Vec<f32>) {
+        let p = Product {
+            rows,
+            runs: 1,
+            length: inputs,
+            run_step: 0,
+            input_step: 1,
+            panels,
+            panel_step: inputs * PANEL,
+            weight_step: PANEL,
+            from: Rows::apart(inputs),
+            to: Rows::apart(panels * PANEL),
+            relu: false,
+        };
+        (p, Noise::new(1, 1).normals(rows * inputs), Noise::new(2, 1).normals(panels * inputs * PANEL))
+    }
+
+    #[test]
+    fn products_that_do_not_fit_are_known() {
+        let (p, a, b) = example(5, 9, 3);
+        let out = 5 * 3 * PANEL;
+        assert!(p.fits(a.len(), b.len(), None, out));
+        assert!(!p.fits(a.len() - 1, b.len(), None, out));
+        assert!(!p.fits(a.len(), b.len() - 1, None, out));
+        assert!(!p.fits(a.len(), b.len(), None, out - 1));
+        assert!(!p.fits(a.len(), b.len(), Some(47), out));
+        assert!(!Product { input_step: usize::MAX, ..p }.fits(a.len(), b.len(), None, out));
+        let shaped = Product { rows: 6, from: Rows { per: 4, outer: 100, inner: 9 }, ..p };
+        assert!(shaped.fits(100 + 27 + 9, b.len(), None, 6 * 48));
+    }
+}

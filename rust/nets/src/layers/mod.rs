@@ -1,0 +1,7 @@
+//! Parts that several networks are made of, over any [`crate::backend::Backend`].
+
+pub mod attention;
+pub mod edge;
+pub mod embed;
+pub mod map;
+pub mod social;

@@ -1,0 +1,28 @@
+//! Planning networks without torch: what they see, what they are made of, how they plan.
+//!
+//! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour slots.
+
+pub mod backend;
+pub mod ccdiff;
+pub mod config;
+pub mod error;
+pub mod features;
+pub mod guidance;
+pub mod kernels;
+pub mod layers;
+pub mod noise;
+pub mod own;
+mod own_planner;
+pub mod plan_space;
+mod planner;
+pub mod raster;
+pub mod sampler;
+pub mod schedule;
+pub mod segments;
+pub mod traffic;
+pub mod trajectory_model;
+pub mod unicycle;
+pub mod weights;
+
+pub use config::{ModelConfig, ModelKind};
+pub use error::{ModelError, Result};

@@ -1,0 +1,60 @@
+//! Networks on the kernels of `ccdiff_nets`: what drives and plans without torch.
+
+use ccdiff_bridge::errors::{from_model, py};
+use ccdiff_bridge::{AskedDriver, Handed, PyTrajectoryModel};
+use ccdiff_nets::guidance::GuidanceConfig;
+use ccdiff_nets::traffic::PlannedTraffic;
+use ccdiff_nets::trajectory_model::{TrajectoryModel, described};
+use ccdiff_nets::{own, weights};
+use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
+use std::path::PathBuf;
+
+/// Adds the class and functions of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyTrajectoryModel>()?;
+    module.add_function(wrap_pyfunction!(needs_torch, module)?)?;
+    module.add_function(wrap_pyfunction!(load_network, module)?)?;
+    module.add_function(wrap_pyfunction!(traffic_policy, module)?)?;
+    module.add_function(wrap_pyfunction!(guidance_preset, module)?)
+}
+
+/// Whether the network of a weight file has layers that are there on torch alone.
+#[pyfunction]
+fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
+    let found = py.detach(|| {
+        let (header, _) = weights::read(&path)?;
+        Ok(own::check(&described(&path, &header)?).is_err())
+    });
+    found.map_err(from_model)
+}
+
+/// The network of a weight file.
+#[pyfunction]
+fn load_network(py: Python<'_>, path: PathBuf) -> PyResult<PyTrajectoryModel> {
+    py.detach(|| TrajectoryModel::load(&path)).map(PyTrajectoryModel::new).map_err(from_model)
+}
+
+/// A policy of worlds with this step over these scenes, which plans on this many threads; `options` is a
+/// `CcdiffConfig` as JSON.
+#[pyfunction]
+fn traffic_policy<'py>(
+    py: Python<'py>,
+    name: &str,
+    kind: &str,
+    options: &str,
+    weights: PathBuf,
+    dt_s: f32,
+    num_threads: usize,
+    scenes: Vec<Handed>,
+) -> PyResult<Bound<'py, PyCapsule>> {
+    let asked = AskedDriver { name, kind, options, dt_s, scenes };
+    asked.policy(py, |config| PlannedTraffic::new(config, &weights, num_threads))
+}
+
+/// Settings of a guidance preset, as JSON.
+#[pyfunction]
+fn guidance_preset(name: &str) -> PyResult<String> {
+    let preset = GuidanceConfig::preset(name).map_err(from_model)?;
+    serde_json::to_string(&preset).map_err(|e| py::ConfigError::new_err(e.to_string()))
+}

@@ -1,0 +1,211 @@
+"""Networks on own kernels: those of torch but for rounding, one set of bits, no torch."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_determinism import digests
+
+import ccdiff_env
+from ccdiff_env import _native, embedded_scenes
+from ccdiff_env.errors import CheckpointError, ConfigError
+from ccdiff_env.models import require_networks, shipped_weights
+from ccdiff_env.scenes import load_nuscenes
+
+DATA = Path(ccdiff_env.__file__).parent / "data"
+GOLDEN = Path(__file__).parent / "golden" / "plans.json"
+#: Weights that own kernels have all layers of.
+OWN = (
+    "ccdiff_fast",
+    "ccdiff_one_step",
+    "ccdiff_routes",
+    "ccdiff_routes_one_step",
+    "ccdiff_equal_fast",
+    "ctgpp_fast",
+)
+SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
+
+
+def plans(model, name: str, *, found=None, samples: int = 1, weight: float = 1.0, steps=5):
+    """Plans of scenes at two moments, with attention and, where it is known, routes."""
+    if found is None:
+        found = [embedded_scenes("val")[scene] for scene in SCENES]
+    moments = [40, 90] * len(found)
+    found = [scene for scene in found for _ in range(2)]
+    return model.plan_scenes(
+        found,
+        moments,
+        list(range(len(found))),
+        solver_steps=1 if "one_step" in name else steps,
+        num_samples=samples,
+        guidance_weight=weight,
+        guidance=None,
+        guided=None,
+        collision_targets=None,
+        attention=True,
+        gradient_statistics=False,
+        follow_route="routes" in name,
+    )
+
+
+def own(name: str):
+    return _native.load_network(os.fspath(DATA / f"{name}.safetensors"))
+
+
+@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize(("samples", "weight", "steps"), [(1, 1.0, 5), (3, 1.5, 5), (1, 1.0, None)])
+def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps):
+    require_networks()
+    from ccdiff_env import _models
+
+    if "one_step" in name and steps is None:
+        pytest.skip("taught to plan in one step")
+    weight = 1.0 if name.startswith("ctgpp") else weight
+    torch = _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu")
+    ours = own(name)
+    assert (ours.header, ours.num_parameters) == (torch.header, torch.num_parameters)
+    options = {"samples": samples, "weight": weight, "steps": steps}
+    many = 0
+    for a, b in zip(plans(ours, name, **options), plans(torch, name, **options), strict=True):
+        assert a["agents"].tolist() == b["agents"].tolist()
+        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 1e-4
+        np.testing.assert_allclose(a["actions"], b["actions"], atol=1e-4)
+        np.testing.assert_allclose(a["attention"], b["attention"], atol=1e-5)
+        many = max(many, (b["attention"] > 0.01).sum(1).max())
+    # somebody sees several others
+    assert many > 1
+
+
+@pytest.mark.nuscenes
+@pytest.mark.parametrize("name", OWN)
+def test_so_they_are_on_real_scenes(name, data_root):
+    require_networks()
+    from ccdiff_env import _models
+
+    scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
+    torch = _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu")
+    farthest = 0.0
+    for a, b in zip(
+        *(plans(model, name, found=scenes) for model in (own(name), torch)), strict=True
+    ):
+        farthest = max(farthest, np.abs(a["states"][..., :2] - b["states"][..., :2]).max())
+    assert 0.0 < farthest < 1e-4
+
+
+def digest(found) -> str:
+    hasher = hashlib.blake2b(digest_size=8)
+    for plan in found:
+        for part in ("states", "actions", "attention"):
+            hasher.update(np.ascontiguousarray(plan[part]).tobytes())
+    return hasher.hexdigest()
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_plans_have_the_bits_that_they_have_on_every_machine(name):
+    golden = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    assert digest(plans(own(name), name, samples=2)) == golden[name]
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_scene_has_the_same_plan_alone_and_among_others(name):
+    together = plans(own(name), name)
+    alone = plans(own(name), name, found=[embedded_scenes("val")[SCENES[0]]])
+    for a, b in zip(alone, together, strict=False):
+        assert a["states"].tobytes() == b["states"].tobytes()
+
+
+@pytest.mark.parametrize("traffic", ["ccdiff", "ctgpp"])
+def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
+    options = {"traffic": traffic}
+    batch = digests(8, num_threads=1, **options)
+    assert digests(8, num_threads=2, **options) == batch
+    assert digests(1, **options) == batch[:1]
+    assert digests(1, first=5, **options) == batch[5:6]
+
+
+WITHOUT_TORCH = """
+import sys
+sys.modules["torch"] = None
+import ccdiff_env
+env = ccdiff_env.EgoEnv({options})
+env.reset(seed=3)
+for _ in range(12):
+    env.step([0.5, 0.0])
+print(env.explain() is not None, "torch" in sys.modules and sys.modules["torch"] is not None)
+"""
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "traffic='ccdiff'",
+        "traffic='ctgpp'",
+        "traffic='ccdiff', ccdiff={'criticality': 1.0, 'denoising_steps': 1}",
+        "traffic='ccdiff', ccdiff={'follow_route': True, 'num_samples': 3, 'cfg_weight': 1.3}",
+    ],
+)
+def test_traffic_drives_where_there_is_no_torch(options):
+    code = WITHOUT_TORCH.format(options=options)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True", "False"]
+
+
+def test_networks_without_own_kernels_are_named():
+    path = os.fspath(shipped_weights("simnet"))
+    assert _native.needs_torch(path)
+    with pytest.raises(ConfigError, match=r"model\.kind is simnet.*without torch"):
+        _native.load_network(path)
+
+
+def changed(tmp_path: Path, change) -> str:
+    """A copy of shipped weights with another header of its tensors."""
+    data = shipped_weights().read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    # the checksum is of names and values; without it the file is an older one
+    own_header = json.loads(header["__metadata__"]["ccdiff_env"])
+    own_header.pop("checksum", None)
+    change(header, own_header)
+    header["__metadata__"]["ccdiff_env"] = json.dumps(own_header)
+    text = json.dumps(header).encode()
+    path = tmp_path / "weights.safetensors"
+    path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size :])
+    return os.fspath(path)
+
+
+def test_hostile_weights_are_refused_by_name(tmp_path):
+    def renamed(header, _):
+        header["strange"] = header.pop("out.weight")
+
+    def transposed(header, _):
+        header["out.weight"]["shape"].reverse()
+
+    def wider(_, own_header):
+        own_header["model"]["width"] = 4096
+
+    def unknown(_, own_header):
+        own_header["model"]["width"] = "wide"
+
+    def enormous(header, _):
+        header["out.weight"]["shape"] = [2**40, 2**40]
+
+    for change, message in [
+        (renamed, r"out\.weight is missing"),
+        (transposed, r"out\.weight is \[64, 2\], expected \[2, 64\]"),
+        (wider, r"expected \[4096"),
+        (unknown, "model"),
+        (enormous, "safetensors"),
+    ]:
+        with pytest.raises(CheckpointError, match=message):
+            _native.load_network(changed(tmp_path, change))
+    assert _native.load_network(changed(tmp_path, lambda *_: None)).num_parameters > 0
+    with pytest.raises(OSError, match=r"nowhere\.safetensors"):
+        _native.load_network("nowhere.safetensors")
