@@ -122,6 +122,12 @@ class SceneSet(Sequence[Scene]):
         """Names of the scenes, in order."""
         return self._names
 
+    def read(self) -> SceneSet:
+        """Return the same scenes, all of them read: worlds hold them anyway."""
+        if isinstance(self._scenes, tuple):
+            return self
+        return SceneSet(self._scenes, self._report)
+
     def __len__(self) -> int:
         return len(self._scenes)
 

@@ -234,7 +234,7 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
     for name in ("table.md", "table.tex", "figures.csv", "scores.png", "run.json"):
         assert (tmp_path / name).stat().st_size > 0
     assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
-    assert "another seed" in capsys.readouterr().err
+    assert "other settings: seed" in capsys.readouterr().err
     planners = ["bench", "planners", "--out", str(tmp_path / "p"), "--quiet"]
     assert cli.main([*planners, "--planners", "idm", "--traffic", "replay,idm"]) == 0
     assert (tmp_path / "p" / "worst.md").exists()

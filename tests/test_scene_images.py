@@ -118,6 +118,7 @@ def test_drivable_area_of_a_real_scene_is_where_shapely_says(data_root):
         names=["scene-0103"],
         exactly=True,
         dt=0.5,
+        timing="recorded",
         interpolation="linear",
         kinds=["vehicle"],
         categories=["vehicle.ego"],

@@ -221,7 +221,7 @@ class Run:
         changed = [k for k in settings if k in known and known[k] != settings[k]]
         if changed:
             raise ConfigError(
-                f"--out holds a run with another {changed[0]}: {known[changed[0]]!r}, now "
+                f"--out holds a run with other settings: {changed[0]} {known[changed[0]]!r}, now "
                 f"{settings[changed[0]]!r}; choose another folder"
             )
         write_aside(path, json.dumps({**known, **settings, **facts}, indent=1))

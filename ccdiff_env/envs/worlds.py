@@ -55,8 +55,7 @@ def scene_set(scenes: Scenes) -> SceneSet:
         text = scenes or "train"
         return embedded_scenes(text) if text.isalnum() and text not in SOURCES else load(text)
     if isinstance(scenes, SceneSet):
-        # read once: worlds hold all of them
-        found = SceneSet(scenes, lambda: scenes.report)
+        found = scenes.read()
     else:
         listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
         if not all(isinstance(scene, Scene) for scene in listed):
