@@ -1,7 +1,8 @@
 """Train a small traffic model in torch, and let it drive: ``python examples/own_traffic.py``.
 
 The model sees the last second of each vehicle on its own and proposes accelerations and yaw rates
-for the next second. It is trained on the logs of the embedded scenes, then drives in place of IDM.
+for the next second. It is trained on the logs of scenes (``--scenes``, by default embedded ones),
+then drives in place of IDM.
 The benchmarks take it by its path, once it is trained::
 
     PYTHONPATH=examples ccdiff-env bench traffic --methods own_traffic:SmallTraffic --out runs/own
@@ -10,6 +11,7 @@ The benchmarks take it by its path, once it is trained::
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from torch import nn
 
 import ccdiff_env
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.traffic import PythonTraffic, TrafficBatch
 
 HISTORY, STEPS = 11, 10
@@ -60,10 +63,10 @@ class SmallTraffic:
             )
 
 
-def samples() -> tuple[torch.Tensor, torch.Tensor]:
+def samples(scenes: Sequence[ccdiff_env.Scene]) -> tuple[torch.Tensor, torch.Tensor]:
     """What vehicles of the logs did [N, 2 H], and their mean acceleration and yaw rate after it."""
     rows, targets = [], []
-    for scene in ccdiff_env.embedded_scenes("train"):
+    for scene in scenes:
         steps = range(HISTORY - 1, scene.num_steps - STEPS, 5)
         # what the model is told when it drives, and what came after
         batch, future = TrafficBatch.from_log(
@@ -78,9 +81,9 @@ def samples() -> tuple[torch.Tensor, torch.Tensor]:
     return torch.cat(rows), torch.cat(targets)
 
 
-def train(model: SmallTraffic, steps: int) -> float:
+def train(model: SmallTraffic, scenes: Sequence[ccdiff_env.Scene], steps: int) -> float:
     """Fit the model to the logs; returns the mean error of the last steps."""
-    rows, targets = samples()
+    rows, targets = samples(scenes)
     optimiser = torch.optim.Adam(model.network.parameters(), lr=3e-3)
     draw = torch.Generator().manual_seed(0)
     errors = []
@@ -98,12 +101,14 @@ def train(model: SmallTraffic, steps: int) -> float:
 def main() -> None:
     """Train, save, drive."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     parser.add_argument("--steps", type=int, default=3000, help="training steps")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="file of the weights")
     parser.add_argument("--smoke", action="store_true", help="a few steps of everything")
     args = parser.parse_args()
     model = SmallTraffic(None)
-    error = train(model, 40 if args.smoke else args.steps)
+    error = train(model, scenes_from(args), 40 if args.smoke else args.steps)
     print(f"error of the actions, in shares of their limits: {error:.3f}")
     if not args.smoke:
         args.out.parent.mkdir(parents=True, exist_ok=True)
@@ -111,7 +116,8 @@ def main() -> None:
     traffic = PythonTraffic(
         model, replan_steps=5, history_states=HISTORY, least_history_states=HISTORY
     )
-    env = ccdiff_env.make_vec(4, scenes="val", traffic=traffic, driver="idm")
+    scenes = scenes_from(args, other=True)
+    env = ccdiff_env.make_vec(4, scenes=scenes, traffic=traffic, driver="idm")
     env.reset(seed=0)
     for _ in range(10 if args.smoke else 100):
         env.step(np.zeros(env.action_space.shape, np.float32))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.named_objects import named_instance
 from ccdiff_env.options import PythonOptions, check
 
 if TYPE_CHECKING:
@@ -202,26 +202,19 @@ class PythonTraffic(PythonOptions):
 
     @classmethod
     def load(cls, path: str) -> PythonTraffic:
-        """Import a model by its path, ``"module:name"``.
+        """Import a model by its path, ``"module:name"`` or ``"module:Class?option=value"``.
 
         Parameters
         ----------
         path
-            A function, an object, a class (made without arguments), or a :class:`PythonTraffic`.
+            A function, an object, a class (made with the options), or a :class:`PythonTraffic`.
 
         Raises
         ------
         ConfigError
-            If there is no such thing, or the class wants arguments.
+            If there is no such thing or option, or the class wants arguments.
         """
-        module, _, name = path.partition(":")
-        try:
-            found: Any = importlib.import_module(module)
-            for part in name.split("."):
-                found = getattr(found, part)
-            made = found() if isinstance(found, type) else found
-        except (ImportError, AttributeError, TypeError, ValueError) as error:
-            raise ConfigError(f"traffic model {path!r}: {error}") from error
+        made = named_instance(path, "traffic model")
         return made if isinstance(made, PythonTraffic) else cls(made)
 
     @property
