@@ -213,7 +213,7 @@ def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys
     assert own["ctg"] == shipped["ctg"]
     capsys.readouterr()
     for text, said in (
-        (f"ccdiff={of['ctg']}", "another run|another own_weights"),
+        (f"ccdiff={of['ctg']}", "another run|other settings: own_weights"),
         ("ccdiff", "NETWORK=FILE"),
         (f"idm={of['ctg']}", "NETWORK=FILE"),
         (f"ccdiff={tmp_path}/no", "no weights for ccdiff"),

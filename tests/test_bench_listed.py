@@ -104,7 +104,7 @@ def test_the_command_plays_the_lists_of_a_file_and_only_those(tmp_path, capsys):
     assert cli.main([*command, "--methods", "idm"]) == 0
     path.write_text(json.dumps(everybody(ONE)))
     assert cli.main([*command, "--methods", "idm", "--listed", str(path)]) == 2
-    assert "another listed" in capsys.readouterr().err
+    assert "other settings: listed" in capsys.readouterr().err
     assert cli.main([*command[:-1], "abc", "--methods", "idm"]) == 2
     assert "--t is 'abc'" in capsys.readouterr().err
 

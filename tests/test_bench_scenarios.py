@@ -316,7 +316,7 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
         assert one == two
     capsys.readouterr()
     assert command("one", "--plans", "5") == 2
-    assert "another plans" in capsys.readouterr().err
+    assert "other settings: plans" in capsys.readouterr().err
 
 
 def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):
