@@ -27,10 +27,11 @@ pub(crate) fn open(path: &Path) -> Result<File> {
 /// As [`open`], and for a file of more than 1 GiB.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     let file = open(path)?;
-    if file.metadata()?.len() > MOST_BYTES {
+    let len = file.metadata()?.len();
+    if len > MOST_BYTES {
         return Err(Error::new(ErrorKind::InvalidInput, "it has more than 1 GiB"));
     }
-    let mut bytes = Vec::new();
+    let mut bytes = Vec::with_capacity(len as usize + 1);
     file.take(MOST_BYTES).read_to_end(&mut bytes)?;
     Ok(bytes)
 }

@@ -126,17 +126,17 @@ enum Track {
     Still(State),
     /// States at key frames; straight lines between them in position, heading and velocity.
     Linear(Vec<State>),
-    /// Curves of x, y and heading; velocity is the slope of the position.
-    Smooth { spline: Box<SmoothingSpline>, x_m: Curve, y_m: Curve, heading_rad: Curve },
+    /// A curve of x, y and heading; velocity is the slope of the position.
+    Smooth { spline: Box<SmoothingSpline>, curve: Curve<3> },
 }
 
 impl Track {
     fn smooth(keys: &[Key], times_us: &[i64], headings: Vec<f64>, smoothing_s3: f64) -> Self {
         let times_s = times_us.iter().map(|t| (t - times_us[0]) as f64 * 1e-6).collect();
         let spline = Box::new(SmoothingSpline::new(times_s, smoothing_s3));
-        let (x_m, y_m) = (keys.iter().map(|k| k.x_m).collect(), keys.iter().map(|k| k.y_m).collect());
-        let (x_m, y_m, heading_rad) = (spline.fit(x_m), spline.fit(y_m), spline.fit(headings));
-        Self::Smooth { spline, x_m, y_m, heading_rad }
+        let values = keys.iter().zip(headings).map(|(key, heading)| [key.x_m, key.y_m, heading]);
+        let curve = spline.fit(values.collect());
+        Self::Smooth { spline, curve }
     }
 
     /// State at a time in the interval after key frame `i`, or beyond the ends of the track.
@@ -153,10 +153,9 @@ impl Track {
                     velocity_mps: [0, 1].map(|axis| linear(from.velocity_mps[axis], to.velocity_mps[axis])),
                 }
             }
-            Self::Smooth { spline, x_m, y_m, heading_rad } => {
+            Self::Smooth { spline, curve } => {
                 let u_s = (at_us - times_us[i] as f64) * 1e-6;
-                let ([x, vx], [y, vy]) = (spline.at(x_m, i, u_s), spline.at(y_m, i, u_s));
-                let [heading_rad, _] = spline.at(heading_rad, i, u_s);
+                let [[x, vx], [y, vy], [heading_rad, _]] = spline.at(curve, i, u_s);
                 State { position_m: [x, y], heading_rad, velocity_mps: [vx, vy] }
             }
         }

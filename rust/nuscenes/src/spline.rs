@@ -9,14 +9,17 @@
 pub(crate) struct SmoothingSpline {
     times_s: Vec<f64>,
     smoothing_s3: f64,
+    /// Columns of Q.
+    columns: Vec<[f64; 3]>,
     /// R + smoothing Qᵀ Q as L D Lᵀ: the diagonal, and the two bands of L below it.
     diagonal: Vec<f64>,
     below: [Vec<f64>; 2],
 }
 
-/// A curve: coefficients of a cubic in the seconds since its beginning, for each interval between two times.
+/// A curve of N values at once: coefficients of their cubics in the seconds since its beginning, for each interval
+/// between two times.
 #[derive(Debug, Clone)]
-pub(crate) struct Curve(Vec<[f64; 4]>);
+pub(crate) struct Curve<const N: usize>(Vec<[[f64; 4]; N]>);
 
 impl SmoothingSpline {
     /// For times that increase, with `smoothing_s3` of at least 0 (for values in metres: m² per m² s⁻³).
@@ -48,60 +51,70 @@ impl SmoothingSpline {
             below[0][j] = first / pivot;
             below[1][j] = second / pivot;
         }
-        Self { times_s, smoothing_s3, diagonal, below }
+        Self { times_s, smoothing_s3, columns, diagonal, below }
     }
 
     /// The curve for these values, one for each time, of which there are two at least.
-    pub(crate) fn fit(&self, mut values: Vec<f64>) -> Curve {
+    pub(crate) fn fit<const N: usize>(&self, mut values: Vec<[f64; N]>) -> Curve<N> {
         let inner = self.diagonal.len();
-        let mut seconds = vec![0.0; values.len()];
-        let columns = |j| column(&self.times_s, j);
+        let mut seconds = vec![[0.0; N]; values.len()];
         // seconds[j + 1] belongs to the inner value j + 1; the ends have none
         for j in 0..inner {
-            let [a, b, c] = columns(j);
-            seconds[j + 1] = a * values[j] + b * values[j + 1] + c * values[j + 2];
+            let [a, b, c] = self.columns[j];
+            seconds[j + 1] = each(|n| a * values[j][n] + b * values[j + 1][n] + c * values[j + 2][n]);
         }
         for j in 0..inner {
             let solved = seconds[j + 1];
             if j + 1 < inner {
-                seconds[j + 2] -= self.below[0][j] * solved;
+                seconds[j + 2] = each(|n| seconds[j + 2][n] - self.below[0][j] * solved[n]);
             }
             if j + 2 < inner {
-                seconds[j + 3] -= self.below[1][j] * solved;
+                seconds[j + 3] = each(|n| seconds[j + 3][n] - self.below[1][j] * solved[n]);
             }
         }
         for j in (0..inner).rev() {
-            let mut solved = seconds[j + 1] / self.diagonal[j];
+            let mut solved = seconds[j + 1].map(|value| value / self.diagonal[j]);
             if j + 1 < inner {
-                solved -= self.below[0][j] * seconds[j + 2];
+                solved = each(|n| solved[n] - self.below[0][j] * seconds[j + 2][n]);
             }
             if j + 2 < inner {
-                solved -= self.below[1][j] * seconds[j + 3];
+                solved = each(|n| solved[n] - self.below[1][j] * seconds[j + 3][n]);
             }
             seconds[j + 1] = solved;
         }
         if self.smoothing_s3 > 0.0 {
             for j in 0..inner {
-                for (i, weight) in columns(j).into_iter().enumerate() {
-                    values[j + i] -= self.smoothing_s3 * weight * seconds[j + 1];
+                for (i, weight) in self.columns[j].into_iter().enumerate() {
+                    let weight = self.smoothing_s3 * weight;
+                    values[j + i] = each(|n| values[j + i][n] - weight * seconds[j + 1][n]);
                 }
             }
         }
         let cubic = |i: usize| {
             let h = self.times_s[i + 1] - self.times_s[i];
-            let (a, b, c, d) = (values[i], values[i + 1], seconds[i], seconds[i + 1]);
-            [a, (b - a) / h - h * (2.0 * c + d) / 6.0, c / 2.0, (d - c) / (6.0 * h)]
+            each(|n| {
+                let (a, b, c, d) = (values[i][n], values[i + 1][n], seconds[i][n], seconds[i + 1][n]);
+                [a, (b - a) / h - h * (2.0 * c + d) / 6.0, c / 2.0, (d - c) / (6.0 * h)]
+            })
         };
         Curve((0..values.len() - 1).map(cubic).collect())
     }
 
-    /// Value and slope of a curve `u_s` seconds after the time `i`; before the first time and after the last one a straight line.
-    pub(crate) fn at(&self, Curve(cubics): &Curve, i: usize, u_s: f64) -> [f64; 2] {
+    /// Values and slopes of a curve `u_s` seconds after the time `i`; before the first time and after the last one straight
+    /// lines.
+    pub(crate) fn at<const N: usize>(&self, Curve(cubics): &Curve<N>, i: usize, u_s: f64) -> [[f64; 2]; N] {
         let u = u_s.clamp(0.0, self.times_s[i + 1] - self.times_s[i]);
-        let [a, b, c, d] = cubics[i];
-        let slope = b + u * (2.0 * c + u * (3.0 * d));
-        [a + u * (b + u * (c + u * d)) + slope * (u_s - u), slope]
+        cubics[i].map(|[a, b, c, d]| {
+            let slope = b + u * (2.0 * c + u * (3.0 * d));
+            [a + u * (b + u * (c + u * d)) + slope * (u_s - u), slope]
+        })
     }
+}
+
+/// An array of what a function makes of each index.
+#[inline]
+fn each<T, const N: usize>(make: impl FnMut(usize) -> T) -> [T; N] {
+    std::array::from_fn(make)
 }
 
 /// Column `j` of Q: second differences about the time `j + 1`.
@@ -124,33 +137,34 @@ mod tests {
             smoothing_s3 in prop_oneof![Just(0.0), 1e-4_f64..0.1],
         ) {
             let times_s: Vec<f64> = points.iter().scan(0.0, |t, (_, h)| { *t += h; Some(*t) }).collect();
-            let values: Vec<f64> = points.iter().map(|(value, _)| *value).collect();
+            let values: Vec<[f64; 1]> = points.iter().map(|(value, _)| [*value]).collect();
             let spline = SmoothingSpline::new(times_s.clone(), smoothing_s3);
             let curve = spline.fit(values.clone());
             let last = values.len() - 1;
             let span = |i: usize| times_s[i + 1] - times_s[i];
             let Curve(cubics) = &curve;
-            let end = cubics[last - 1];
-            prop_assert_eq!(cubics[0][2], 0.0);
+            let end = cubics[last - 1][0];
+            prop_assert_eq!(cubics[0][0][2], 0.0);
             prop_assert!((end[2] + 3.0 * end[3] * span(last - 1)).abs() < 1e-6);
             for i in 0..=last {
-                let before = if i > 0 { 6.0 * cubics[i - 1][3] } else { 0.0 };
-                let after = if i < last { 6.0 * cubics[i][3] } else { 0.0 };
+                let before = if i > 0 { 6.0 * cubics[i - 1][0][3] } else { 0.0 };
+                let after = if i < last { 6.0 * cubics[i][0][3] } else { 0.0 };
                 let value =
-                    if i < last { cubics[i][0] } else { spline.at(&curve, last - 1, span(last - 1))[0] };
-                prop_assert!((values[i] - value - smoothing_s3 * (after - before)).abs() < 1e-6);
+                    if i < last { cubics[i][0][0] } else { spline.at(&curve, last - 1, span(last - 1))[0][0] };
+                prop_assert!((values[i][0] - value - smoothing_s3 * (after - before)).abs() < 1e-6);
                 if i > 0 && i < last {
-                    let [end, start] = [spline.at(&curve, i - 1, span(i - 1)), spline.at(&curve, i, 0.0)];
+                    let [end, start] = [(i - 1, span(i - 1)), (i, 0.0)].map(|(i, u)| spline.at(&curve, i, u)[0]);
                     prop_assert!((end[0] - start[0]).abs() < 1e-9);
                     prop_assert!((end[1] - start[1]).abs() < 1e-6 * (1.0 + end[1].abs()));
-                    let bend = cubics[i - 1][2] + 3.0 * cubics[i - 1][3] * span(i - 1);
-                    prop_assert!((bend - cubics[i][2]).abs() < 1e-6 * (1.0 + bend.abs()));
+                    let [_, _, c, d] = cubics[i - 1][0];
+                    let bend = c + 3.0 * d * span(i - 1);
+                    prop_assert!((bend - cubics[i][0][2]).abs() < 1e-6 * (1.0 + bend.abs()));
                 }
             }
             // the slope is that of the value
             let [a, b] = [0.3 * span(0), 0.3 * span(0) + 1e-6];
-            let slope = (spline.at(&curve, 0, b)[0] - spline.at(&curve, 0, a)[0]) / 1e-6;
-            prop_assert!((slope - spline.at(&curve, 0, a)[1]).abs() < 1e-3 * (1.0 + slope.abs()));
+            let slope = (spline.at(&curve, 0, b)[0][0] - spline.at(&curve, 0, a)[0][0]) / 1e-6;
+            prop_assert!((slope - spline.at(&curve, 0, a)[0][1]).abs() < 1e-3 * (1.0 + slope.abs()));
         }
     }
 }
