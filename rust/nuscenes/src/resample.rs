@@ -127,13 +127,13 @@ enum Track {
     /// States at key frames; straight lines between them in position, heading and velocity.
     Linear(Vec<State>),
     /// A curve of x, y and heading; velocity is the slope of the position.
-    Smooth { spline: Box<SmoothingSpline>, curve: Curve<3> },
+    Smooth { spline: SmoothingSpline, curve: Curve<3> },
 }
 
 impl Track {
     fn smooth(keys: &[Key], times_us: &[i64], headings: Vec<f64>, smoothing_s3: f64) -> Self {
         let times_s = times_us.iter().map(|t| (t - times_us[0]) as f64 * 1e-6).collect();
-        let spline = Box::new(SmoothingSpline::new(times_s, smoothing_s3));
+        let spline = SmoothingSpline::new(times_s, smoothing_s3);
         let values = keys.iter().zip(headings).map(|(key, heading)| [key.x_m, key.y_m, heading]);
         let curve = spline.fit(values.collect());
         Self::Smooth { spline, curve }

@@ -9,11 +9,16 @@
 pub(crate) struct SmoothingSpline {
     times_s: Vec<f64>,
     smoothing_s3: f64,
-    /// Columns of Q.
-    columns: Vec<[f64; 3]>,
-    /// R + smoothing Qᵀ Q as L D Lᵀ: the diagonal, and the two bands of L below it.
-    diagonal: Vec<f64>,
-    below: [Vec<f64>; 2],
+    /// One for each inner time.
+    rows: Vec<Row>,
+}
+
+/// A column of Q, and of R + smoothing Qᵀ Q as L D Lᵀ the diagonal of D and the two numbers of L below it.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    column: [f64; 3],
+    diagonal: f64,
+    below: [f64; 2],
 }
 
 /// A curve of N values at once: coefficients of their cubics in the seconds since its beginning, for each interval
@@ -25,66 +30,64 @@ impl SmoothingSpline {
     /// For times that increase, with `smoothing_s3` of at least 0 (for values in metres: m² per m² s⁻³).
     pub(crate) fn new(times_s: Vec<f64>, smoothing_s3: f64) -> Self {
         let inner = times_s.len().saturating_sub(2);
-        let (mut diagonal, mut below) = (vec![0.0; inner], [vec![0.0; inner], vec![0.0; inner]]);
-        let columns: Vec<[f64; 3]> = (0..inner).map(|j| column(&times_s, j)).collect();
+        let row = |j| Row { column: column(&times_s, j), diagonal: 0.0, below: [0.0; 2] };
+        let mut rows: Vec<Row> = (0..inner).map(row).collect();
         for j in 0..inner {
             let [h, next] = [times_s[j + 1] - times_s[j], times_s[j + 2] - times_s[j + 1]];
-            let [a, b, c] = columns[j];
-            diagonal[j] = (h + next) / 3.0 + smoothing_s3 * (a * a + b * b + c * c);
-            if let Some([d, e, _]) = columns.get(j + 1) {
-                below[0][j] = next / 6.0 + smoothing_s3 * (b * d + c * e);
+            let [a, b, c] = rows[j].column;
+            rows[j].diagonal = (h + next) / 3.0 + smoothing_s3 * (a * a + b * b + c * c);
+            if let Some(Row { column: [d, e, _], .. }) = rows.get(j + 1) {
+                rows[j].below[0] = next / 6.0 + smoothing_s3 * (b * d + c * e);
             }
-            if let Some([d, _, _]) = columns.get(j + 2) {
-                below[1][j] = smoothing_s3 * (c * d);
+            if let Some(Row { column: [d, _, _], .. }) = rows.get(j + 2) {
+                rows[j].below[1] = smoothing_s3 * (c * d);
             }
         }
         for j in 0..inner {
-            let pivot = diagonal[j];
-            let [first, second] = [below[0][j], below[1][j]];
+            let Row { diagonal: pivot, below: [first, second], .. } = rows[j];
             if j + 1 < inner {
-                diagonal[j + 1] -= first * first / pivot;
-                below[0][j + 1] -= first * second / pivot;
+                rows[j + 1].diagonal -= first * first / pivot;
+                rows[j + 1].below[0] -= first * second / pivot;
             }
             if j + 2 < inner {
-                diagonal[j + 2] -= second * second / pivot;
+                rows[j + 2].diagonal -= second * second / pivot;
             }
-            below[0][j] = first / pivot;
-            below[1][j] = second / pivot;
+            rows[j].below = [first / pivot, second / pivot];
         }
-        Self { times_s, smoothing_s3, columns, diagonal, below }
+        Self { times_s, smoothing_s3, rows }
     }
 
     /// The curve for these values, one for each time, of which there are two at least.
     pub(crate) fn fit<const N: usize>(&self, mut values: Vec<[f64; N]>) -> Curve<N> {
-        let inner = self.diagonal.len();
+        let inner = self.rows.len();
         let mut seconds = vec![[0.0; N]; values.len()];
         // seconds[j + 1] belongs to the inner value j + 1; the ends have none
         for j in 0..inner {
-            let [a, b, c] = self.columns[j];
+            let [a, b, c] = self.rows[j].column;
             seconds[j + 1] = each(|n| a * values[j][n] + b * values[j + 1][n] + c * values[j + 2][n]);
         }
         for j in 0..inner {
             let solved = seconds[j + 1];
             if j + 1 < inner {
-                seconds[j + 2] = each(|n| seconds[j + 2][n] - self.below[0][j] * solved[n]);
+                seconds[j + 2] = each(|n| seconds[j + 2][n] - self.rows[j].below[0] * solved[n]);
             }
             if j + 2 < inner {
-                seconds[j + 3] = each(|n| seconds[j + 3][n] - self.below[1][j] * solved[n]);
+                seconds[j + 3] = each(|n| seconds[j + 3][n] - self.rows[j].below[1] * solved[n]);
             }
         }
         for j in (0..inner).rev() {
-            let mut solved = seconds[j + 1].map(|value| value / self.diagonal[j]);
+            let mut solved = seconds[j + 1].map(|value| value / self.rows[j].diagonal);
             if j + 1 < inner {
-                solved = each(|n| solved[n] - self.below[0][j] * seconds[j + 2][n]);
+                solved = each(|n| solved[n] - self.rows[j].below[0] * seconds[j + 2][n]);
             }
             if j + 2 < inner {
-                solved = each(|n| solved[n] - self.below[1][j] * seconds[j + 3][n]);
+                solved = each(|n| solved[n] - self.rows[j].below[1] * seconds[j + 3][n]);
             }
             seconds[j + 1] = solved;
         }
         if self.smoothing_s3 > 0.0 {
             for j in 0..inner {
-                for (i, weight) in self.columns[j].into_iter().enumerate() {
+                for (i, weight) in self.rows[j].column.into_iter().enumerate() {
                     let weight = self.smoothing_s3 * weight;
                     values[j + i] = each(|n| values[j + i][n] - weight * seconds[j + 1][n]);
                 }
