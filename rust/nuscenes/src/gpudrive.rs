@@ -89,9 +89,9 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
     let started = Instant::now();
     let cache = Cache::new(cache_directory);
     let load = |path: &PathBuf| {
+        check_file(path)?;
         let key = match cache.is_on() {
             true => {
-                check_file(path)?;
                 // files of the same contents are scenes of other names
                 let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
                 Some(Hash::of(&("gpudrive", name, cache.file_hash(path, "scene")?))?)
@@ -138,7 +138,6 @@ fn fault<T>(path: &Path, place: &str, field: &'static str, got: String, expected
 }
 
 fn read_scene(path: &Path) -> Result<(Scene, SceneReport)> {
-    check_file(path)?;
     let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
     let file: File = serde_json::from_slice(&bytes).map_err(|error| {
         let lines = bytes.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
