@@ -11,7 +11,10 @@ from ccdiff_env import causal, cli
 from ccdiff_env.bench.likelihood import (
     FEATURES,
     GROUPS,
+    RANK_BINS,
+    RANK_SECONDS,
     STRIDE,
+    WEIGHTS,
     Feature,
     _features,
     box_gaps,
@@ -19,6 +22,7 @@ from ccdiff_env.bench.likelihood import (
     likelihood,
     likelihood_jobs,
     motion_features,
+    ranks,
 )
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
@@ -85,6 +89,38 @@ def test_the_log_replayed_is_the_ceiling():
             assert best["ade_m"] == 0.0 < row["min_ade_m"] <= row["ade_m"]
             for name in (*FEATURES, *GROUPS):
                 assert 0.0 < row[name] <= 1.0
+
+
+def test_ranks_are_flat_for_samples_of_the_log_and_low_for_faster_ones():
+    rng = np.random.default_rng(0)
+    samples, log = rng.normal(size=(9, 4000)), rng.normal(size=4000)
+    masses = ranks(list(samples), log)
+    assert masses.sum() == pytest.approx(4000)
+    np.testing.assert_allclose(masses / 4000, 1 / RANK_BINS, atol=0.02)
+    # scipy's ranks of the log among ten values, cut into fifths of two places
+    stats = pytest.importorskip("scipy.stats")
+    places = stats.rankdata(np.vstack([log, samples]), axis=0)[0]
+    np.testing.assert_allclose(masses, np.bincount((places - 1).astype(int) // 2), atol=1e-9)
+    assert ranks(list(samples + 9.0), log)[0] == pytest.approx(4000)
+    # equal values, as of vehicles that stand, say nothing
+    np.testing.assert_allclose(ranks([np.zeros(5)] * 4, np.zeros(5)), 1.0)
+    assert ranks([np.array([np.nan, 1.0])], np.array([0.0, np.nan])).sum() == 0.0
+
+
+def test_the_single_figure_is_the_weighted_mean_and_samples_rank_themselves():
+    assert sum(WEIGHTS.values()) == pytest.approx(0.95)  # 1 less the lights of the challenge
+    row = evaluate(source=VAL, names=NAMES[:1], num_samples=4, seed=0, method="ccdiff_one_sample")[
+        0
+    ]
+    wanted = sum(row[name] * weight for name, weight in WEIGHTS.items()) / 0.95
+    assert row["realism"] == pytest.approx(wanted)
+    # a sample is likelier among its own than the log is
+    assert row["own_kinematic"] > row["kinematic"]
+    assert {f"ranks_{s}s" for s in RANK_SECONDS} <= set(row)
+    assert row["processor_s"] > 0.0
+    replayed = evaluate(source=VAL, names=NAMES[:1], num_samples=4, seed=0, method="replay")[0]
+    assert replayed["own_kinematic"] is None
+    assert (replayed["scr"], replayed["orr"]) == (0.0, 0.0)
 
 
 def test_times_to_contact_are_those_of_the_causal_graph():

@@ -2,12 +2,13 @@
 
 In the manner of the Waymo Open Sim Agents Challenge (Montali et al. 2023): each feature of each
 vehicle has a histogram over samples and steps; the score of a scene is the geometric mean of what
-the histograms give the logged values. Bins, horizon and the features of the map are ours, so that
-numbers compare with those of this package only.
+the histograms give the logged values. Bins and horizon are ours, so that numbers compare with those
+of this package only. The single figure weighs features as that challenge does.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,21 +21,26 @@ from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
-from ccdiff_env.bench.traffic import CHUNK, episodes
+from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.files import file_name
+from ccdiff_env.map_queries import road_distance
 from ccdiff_env.metrics import Motion
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "FEATURES",
     "GROUPS",
+    "RANK_BINS",
+    "RANK_SECONDS",
+    "WEIGHTS",
     "Feature",
     "box_gaps",
     "evaluate",
     "likelihood",
     "likelihood_jobs",
     "motion_features",
+    "ranks",
     "scene_likelihoods",
 ]
 
@@ -60,22 +66,40 @@ class Feature:
         return found
 
 
-#: Features by name; units of SI.
-FEATURES: dict[str, Feature] = {
+_KINEMATIC = {
     "speed": Feature(0.0, 25.0, 25),
     "acceleration": Feature(-6.0, 6.0, 24),
     "yaw_rate": Feature(-0.6, 0.6, 24),
     "yaw_acceleration": Feature(-2.0, 2.0, 20),
+}
+#: Features by name; units of SI. ``_half_s``: of states every half second, which hold less noise.
+FEATURES: dict[str, Feature] = {
+    **_KINEMATIC,
     "gap": Feature(0.0, 40.0, 20),
     "ttc": Feature(0.0, 10.0, 10),
     "collision": Feature(0.0, 2.0, 2),
     "off_road": Feature(0.0, 2.0, 2),
+    "edge": Feature(-5.0, 15.0, 20),
+    **{f"{name}_half_s": feature for name, feature in _KINEMATIC.items()},
 }
 GROUPS: dict[str, tuple[str, ...]] = {
-    "kinematic": ("speed", "acceleration", "yaw_rate", "yaw_acceleration"),
+    "kinematic": tuple(_KINEMATIC),
+    "kinematic_half_s": tuple(f"{name}_half_s" for name in _KINEMATIC),
     "interactive": ("gap", "ttc", "collision"),
     "map": ("off_road",),
 }
+#: Weights of the single figure: those of the challenge of 2025, its lights (0.05) left out.
+WEIGHTS: dict[str, float] = {
+    **dict.fromkeys(_KINEMATIC, 0.05),
+    "gap": 0.10,
+    "ttc": 0.10,
+    "collision": 0.25,
+    "off_road": 0.25,
+    "edge": 0.05,
+}
+#: Times after the start at which the logged speed is ranked among the samples', s.
+RANK_SECONDS = (1, 3, 5, 10)
+RANK_BINS = 5
 
 
 def motion_features(
@@ -160,6 +184,10 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     position, heading = states
     valid, dt_s = motion.valid, episode.scene.dt
     found = motion_features(position, heading, valid, dt_s)
+    coarse = motion_features(
+        position[:, ::STRIDE], heading[:, ::STRIDE], valid[:, ::STRIDE], STRIDE * dt_s
+    )
+    found |= {f"{name}_half_s": values for name, values in coarse.items()}
     sizes = episode.scene.sizes[episode.agents][:, :2]
     # speeds are known from the second step to the last but one
     looks = np.arange(STRIDE, valid.shape[1] - 1, STRIDE)
@@ -187,6 +215,54 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     found["collision"] = np.where(present, hits, np.nan)[:, None]
     left = np.nan if road is None else road.box.any(axis=1)
     found["off_road"] = np.where(present, left, np.nan)[:, None]
+    found["edge"] = np.full(there.shape, np.nan)
+    if road is not None:
+        at = np.asarray(position[:, looks][there], np.float32)
+        found["edge"][there] = road_distance(episode.scene, at)
+    return found
+
+
+def ranks(samples: Sequence[F64], log: F64) -> F64:
+    """Return where logged values lie among the samples: how many in each part [RANK_BINS].
+
+    A calibrated model has equal masses. Equal values share the places that they take.
+
+    Parameters
+    ----------
+    samples
+        Of each sample [N]; a value of the log counts where all of them are finite.
+    log
+        [N].
+    """
+    drawn = np.stack(samples)
+    known = np.isfinite(log) & np.isfinite(drawn).all(axis=0)
+    drawn, log = drawn[:, known], log[known]
+    places = len(drawn) + 1
+    low = (drawn < log).sum(axis=0) / places
+    high = ((drawn <= log).sum(axis=0) + 1) / places
+    edges = np.linspace(0.0, 1.0, RANK_BINS + 1)
+    below = np.clip((edges[:, None] - low) / (high - low), 0.0, 1.0)
+    masses: F64 = np.diff(below, axis=0).sum(axis=1)
+    return masses
+
+
+def _score(
+    samples: Sequence[dict[str, F64]], log: dict[str, F64], weight: float
+) -> dict[str, float]:
+    """Likelihoods of a log by feature and group, and the single figure."""
+    found = {
+        name: likelihood(feature, [s[name] for s in samples], log[name], weight)
+        for name, feature in FEATURES.items()
+    }
+    for group, names in GROUPS.items():
+        values = [found[name] for name in names if np.isfinite(found[name])]
+        found[group] = float(np.mean(values)) if values else np.nan
+    known = [name for name in WEIGHTS if np.isfinite(found[name])]
+    found["realism"] = (
+        float(np.average([found[n] for n in known], weights=[WEIGHTS[n] for n in known]))
+        if known
+        else np.nan
+    )
     return found
 
 
@@ -221,8 +297,13 @@ def likelihood(feature: Feature, samples: Sequence[F64], log: F64, weight: float
     return float(np.exp(np.concatenate(logs).mean())) if logs else float("nan")
 
 
-def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, float | None]:
-    """Return likelihoods of a scene's log by feature and group, and displacements.
+def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, Any]:
+    """Return the likelihoods of a scene's log, and what else is said of its samples.
+
+    ``realism``, features and groups; ``own_`` before ``realism`` and ``kinematic``: the same where
+    each sample stands for the log in turn and the others are the samples; displacements; ``scr``
+    and ``orr``: share of the samples with a contact, of vehicle steps off the road;
+    ``ranks_1s`` and so on: see :func:`ranks`, of the speeds of vehicles that moved at the start.
 
     Parameters
     ----------
@@ -237,19 +318,30 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     logged = (tracks["position"][first.agents, span], tracks["heading"][first.agents, span])
     log = _features(first, first.log, logged)
     samples = [_features(e, e.motion, (e.position, e.heading)) for e in played]
-    weight = num_samples / len(played)
-    found = {
-        name: likelihood(feature, [s[name] for s in samples], log[name], weight)
-        for name, feature in FEATURES.items()
-    }
-    for group, names in GROUPS.items():
-        values = [found[name] for name in names if np.isfinite(found[name])]
-        found[group] = float(np.mean(values)) if values else np.nan
+    found: dict[str, Any] = _score(samples, log, num_samples / len(played))
+    own = [
+        _score([*samples[:k], *samples[k + 1 :]], samples[k], num_samples / (len(played) - 1))
+        for k in range(len(played) if len(played) > 1 else 0)
+    ]
+    for name in ("realism", "kinematic"):
+        values = [o[name] for o in own if np.isfinite(o[name])]
+        found[f"own_{name}"] = float(np.mean(values)) if values else np.nan
     errors = np.stack([e.motion.displacement(e.log).ade for e in played])
     known = np.isfinite(errors).all(axis=0)
     found["ade_m"] = float(errors[:, known].mean()) if known.any() else np.nan
     found["min_ade_m"] = float(errors[:, known].mean(axis=1).min()) if known.any() else np.nan
-    return {name: value if np.isfinite(value) else None for name, value in found.items()}
+    hits = [e.motion.collisions().any("all") for e in played]
+    found["scr"] = float(np.mean(hits))
+    roads = [off_road(e.scene, e.motion) for e in played]
+    found["orr"] = float(np.mean([np.nan if r is None else r.centroid_rate for r in roads]))
+    numbers = {n: v if v is not None and np.isfinite(v) else None for n, v in found.items()}
+    moved = np.nan_to_num(log["speed"][:, 1]) > STATIONARY_MPS
+    for seconds in RANK_SECONDS if len(played) > 1 else ():
+        # speeds are known up to the last step but one
+        step = min(round(seconds / first.scene.dt), log["speed"].shape[1] - 2)
+        speeds = [s["speed"][moved, step] for s in samples]
+        numbers[f"ranks_{seconds}s"] = ranks(speeds, log["speed"][moved, step]).tolist()
+    return numbers
 
 
 def likelihood_jobs(
@@ -308,14 +400,23 @@ def evaluate(
     seed: int,
     weights: Mapping[str, str] | None = None,
 ) -> list[dict[str, Any]]:
-    """Play scenes several times: one dictionary of likelihoods per scene."""
+    """Play scenes several times: one dictionary per scene, see :func:`scene_likelihoods`.
+
+    ``processor_s``: processor seconds of an episode, mean of the chunk.
+    """
     chosen = METHODS[method].with_weights(weights or {})
     # without a network there is no chance
     draws = chosen.driver in NETWORKS or ":" in chosen.driver
     count = num_samples if draws else 1
     scenes = scenes_of(source, names)
+    start = time.process_time()
     played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
+    spent = (time.process_time() - start) / (count * len(scenes))
     return [
-        {"scene": scene.name, **scene_likelihoods([p[i] for p in played], num_samples)}
+        {
+            "scene": scene.name,
+            **scene_likelihoods([p[i] for p in played], num_samples),
+            "processor_s": spent,
+        }
         for i, scene in enumerate(scenes)
     ]

@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interval
-from ccdiff_env.bench.likelihood import FEATURES, GROUPS
+from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.files import write_aside, writing
 
 __all__ = ["write_likelihoods"]
 
-_COLUMNS = (*GROUPS, *FEATURES, "ade_m", "min_ade_m")
+_SHARED = ("realism", *GROUPS)
+_OWN = ("own_realism", "own_kinematic")
+_PLAIN = ("ade_m", "min_ade_m", "scr", "orr", "processor_s")
+_COLUMNS = (*_SHARED, *_OWN, *FEATURES, *_PLAIN)
 
 
 def write_likelihoods(
@@ -45,35 +48,71 @@ def write_likelihoods(
         writer.writerow(["method", "scenes", *ends])
         for method, by_name in figures.items():
             writer.writerow([method, len(found[method]), *(v for f in by_name.values() for v in f)])
-    groups = ["| method | " + " | ".join(GROUPS) + f" | ADE m | min ADE m of {num_samples} |"]
-    groups.append("|---|" + "---|" * (len(GROUPS) + 2))
-    parts = ["| method | " + " | ".join(n.replace("_", " ") for n in FEATURES) + " |"]
-    parts.append("|---|" + "---|" * len(FEATURES))
+    ceiling = {name: figure[0] for name, figure in figures.get("replay", {}).items()}
+    heads = (*_SHARED, "own realism", "own kinematic", "ADE m", f"min ADE m of {num_samples}")
+    groups = _head(*heads, "SCR", "off road %", "processor s")
+    parts = _head(*FEATURES)
     for method, by_name in figures.items():
         label = METHODS[method].label if method in METHODS else method
-        cells = [cell(by_name[n], 3) for n in GROUPS]
-        cells += [cell(by_name[n]) for n in ("ade_m", "min_ade_m")]
+        cells = [_shared(by_name[n], ceiling.get(n)) for n in _SHARED]
+        cells += [cell((by_name[n][0], np.nan, np.nan), 3) for n in _OWN]
+        cells += [cell(by_name[n]) for n in ("ade_m", "min_ade_m", "scr")]
+        mean, low, high = by_name["orr"]
+        cells.append(cell((100.0 * mean, 100.0 * low, 100.0 * high)))
+        cells.append(cell((by_name["processor_s"][0], np.nan, np.nan), 3))
         groups.append(f"| {label} | " + " | ".join(cells) + " |")
         means = [cell((by_name[n][0], np.nan, np.nan), 3) for n in FEATURES]
         parts.append(f"| {label} | " + " | ".join(means) + " |")
     note = (
         f"Means over scenes. {brackets(found.values())} {num_samples} episodes per "
-        "scene and method: figures from another number cannot be compared."
+        "scene and method: figures from another number cannot be compared. In parentheses: share "
+        "of what the log replayed gets. Own: a sample in the place of the log, the ceiling of a "
+        "calibrated model."
     )
     few = any(map(are_few, found.values()))
-    text = [FEW if few else _verdict(figures), "", *groups, "", *parts, "", note]
+    text = [FEW if few else _verdict(figures), "", *groups, "", *parts, "", *_ranks(found), note]
     write_aside(folder / "table.md", "\n".join(text) + "\n")
     _plot(figures, folder / "likelihoods.png")
+
+
+def _head(*names: str) -> list[str]:
+    """First two lines of a table of methods."""
+    cells = [name.replace("_half_s", ", 0.5 s").replace("_", " ") for name in names]
+    return ["| method | " + " | ".join(cells) + " |", "|---|" + "---|" * len(names)]
+
+
+def _shared(figure: tuple[float, float, float], ceiling: float | None) -> str:
+    """A likelihood, its interval and its share of the log's."""
+    text = cell(figure, 3)
+    if not ceiling or not np.isfinite(ceiling) or not np.isfinite(figure[0]):
+        return text
+    return f"{text} ({100.0 * figure[0] / ceiling:.0f} %)"
+
+
+def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Table of where the logged speed lies among the samples; nothing without samples."""
+    fifths = [f"{100 * k // RANK_BINS} to {100 * (k + 1) // RANK_BINS} %" for k in range(RANK_BINS)]
+    lines = _head("after s", *fifths, "off flat %")
+    before = len(lines)
+    for method, rows in found.items():
+        label = METHODS[method].label if method in METHODS else method
+        for seconds in RANK_SECONDS:
+            masses = [row[f"ranks_{seconds}s"] for row in rows if row.get(f"ranks_{seconds}s")]
+            total = np.sum(masses, axis=0) if masses else np.zeros(RANK_BINS)
+            if total.sum() == 0.0:
+                continue
+            shares = total / total.sum()
+            off = 100.0 * np.abs(shares * RANK_BINS - 1.0).max()
+            cells = [f"{seconds}", *(f"{share:.2f}" for share in shares), f"{off:.0f}"]
+            lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    head = "Logged speed among the samples': a calibrated model has 0.20 in each fifth."
+    return [head, "", *lines, ""] if len(lines) > before else []
 
 
 def _verdict(figures: Mapping[str, Mapping[str, tuple[float, float, float]]]) -> str:
     """Say which method gives the log most likelihood, the log itself left out."""
     label = {m: METHODS[m].label if m in METHODS else m for m in figures}
-    total = {
-        m: float(np.nanmean([by_name[g][0] for g in GROUPS]))
-        for m, by_name in figures.items()
-        if m != "replay"
-    }
+    total = {m: by_name["realism"][0] for m, by_name in figures.items() if m != "replay"}
     if not total:
         return "Only the log was measured."
     best = max(total, key=lambda m: total[m])
