@@ -219,3 +219,11 @@ def test_help_lists_the_names_that_an_option_takes(verb):
     for option in listed.keys() & parser._option_string_actions.keys():
         text = parser._get_formatter()._expand_help(parser._option_string_actions[option])
         assert listed[option] in text.partition("default: ")[0].partition(" of: ")[2], option
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
+def test_tables_of_results_are_those_that_were_kept(page):
+    from tools.results import rendered
+
+    text = page.read_text(encoding="utf-8")
+    assert rendered(text) == text, "python -m tools.results --render"

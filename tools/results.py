@@ -1,0 +1,201 @@
+"""Tables of results: ``python -m tools.results [NAME ...] --scenes SOURCE`` makes them anew.
+
+A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
+weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
+pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import datetime
+import json
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.intervals import cell, mean_interval
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "results"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: the figure of the file of the run, what it is multiplied by, digits."""
+
+    name: str
+    digits: int = 2
+    factor: float = 1.0
+    interval: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """A command of ``ccdiff-env``, the file that it writes, and which figures stand in the docs.
+
+    ``keys`` name a row. A file with a row per scene is averaged.
+    """
+
+    command: str
+    file: str
+    keys: tuple[str, ...]
+    columns: dict[str, Column]
+
+
+_SCR, _ORR = Column("scr"), Column("orr", 2, interval=False)
+_FDE, _CFD = Column("fde", 1, interval=False), Column("cfd", 1, interval=False)
+_COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
+_TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
+_GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
+
+TABLES: dict[str, Table] = {
+    "realism": Table(
+        "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
+        "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_one_step_one_sample",
+        "likelihoods.csv",
+        ("method",),
+        {
+            "realism": Column("realism", 3),
+            "kinematic": Column("kinematic", 3),
+            "at 0.5 s": Column("kinematic_half_s", 3, interval=False),
+            "own kinematic": Column("own_kinematic", 3, interval=False),
+            "interactive": Column("interactive", 3),
+            "map": Column("map", 3),
+            "min ADE m": Column("min_ade_m", interval=False),
+            "SCR": Column("scr", 3, interval=False),
+            "off road %": Column("orr", 2, 100.0, interval=False),
+        },
+    ),
+    "criticality": Table(
+        "bench traffic --k Full --methods "
+        "ccdiff_unguided,ccdiff-0.25,ccdiff-0.5,ccdiff-0.75,ccdiff,ccdiff-1.5,ccdiff-2",
+        "figures.csv",
+        ("method",),
+        _GUIDED,
+    ),
+    "rivals": Table("bench traffic --k 5 --methods all", "figures.csv", ("method",), _GUIDED),
+    "steps": Table(
+        "bench traffic --k 5 --methods ccdiff_one_sample,ccdiff_one_step_one_sample,"
+        "ccdiff,ccdiff_one_step",
+        "figures.csv",
+        ("method",),
+        _GUIDED,
+    ),
+    "routes": Table(
+        "bench traffic --k Full --methods replay,constant_velocity,idm,ccdiff_one_sample,"
+        "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_routes",
+        "figures.csv",
+        ("method",),
+        _TRAFFIC,
+    ),
+}
+
+
+def record(name: str, source: str, workers: int, folder: Path) -> None:
+    """Run the command of a table, and keep what the docs show."""
+    table = TABLES[name]
+    command = [*shlex.split(table.command), "--scenes", source, "--workers", str(workers)]
+    run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--out", str(folder), "--quiet"]
+    subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
+    about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    with (folder / table.file).open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    made = about["made_with"]
+    kept = {
+        "command": f"ccdiff-env {table.command}",
+        "scenes": about["coverage"],
+        "weights": about["weights"],
+        **{key: made[key] for key in ("version", "commit", "processor")},
+        "date": datetime.date.today().isoformat(),
+        "rows": _kept(table, rows),
+    }
+    DATA.mkdir(exist_ok=True)
+    text = json.dumps(kept, indent=1) + "\n"
+    (DATA / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def _kept(table: Table, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
+    """Keys and figures of a table's rows, each figure with its interval."""
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in table.keys), []).append(row)
+    kept = []
+    for keys, group in groups.items():
+        found: dict[str, Any] = dict(zip(table.keys, keys, strict=True))
+        for column in table.columns.values():
+            if f"{column.name}_low" in group[0]:
+                values = [group[0][column.name + end] for end in ("", "_low", "_high")]
+                figure = [float(value) if value else np.nan for value in values]
+            else:
+                numbers = [
+                    {**row, column.name: float(row[column.name]) if row[column.name] else None}
+                    for row in group
+                ]
+                figure = list(mean_interval(numbers, column.name))
+            found[column.name] = [round(v, 6) if np.isfinite(v) else None for v in figure]
+        kept.append(found)
+    return kept
+
+
+def render(name: str) -> str:
+    """Return the table of a name, in Markdown, from what its run kept."""
+    from ccdiff_env.bench.methods import METHODS
+
+    table = TABLES[name]
+    kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
+    lines = [
+        "| " + " | ".join([*table.keys, *table.columns]) + " |",
+        "|" + "---|" * (len(table.keys) + len(table.columns)),
+    ]
+    for row in kept["rows"]:
+        cells = [METHODS[row[k]].label if row[k] in METHODS else row[k] for k in table.keys]
+        for column in table.columns.values():
+            value, low, high = (
+                np.nan if v is None else v * column.factor for v in row[column.name]
+            )
+            bounds = (low, high) if column.interval else (np.nan, np.nan)
+            cells.append(cell((value, *bounds), column.digits))
+        lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", f"`{kept['command']}`, {kept['scenes']}, {kept['date']}."]
+    return "\n".join(lines)
+
+
+def rendered(page: str) -> str:
+    """Return a page with its tables written anew."""
+
+    def table(found: re.Match[str]) -> str:
+        return f"{found[1]}\n{render(found[2])}\n<!-- end -->"
+
+    return re.sub(r"(<!-- results: (\w+) -->)\n.*?<!-- end -->", table, page, flags=re.DOTALL)
+
+
+def main() -> None:
+    """Make tables, or write them into the pages."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", choices=[*TABLES, []], help="tables; all by default")
+    parser.add_argument("--scenes", default="embedded/val", help="source of the scenes")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--runs", type=Path, default=Path("runs/results"), help="run folders")
+    parser.add_argument(
+        "--render", action="store_true", help="write the kept tables into the pages"
+    )
+    args = parser.parse_args()
+    for name in () if args.render else args.names or TABLES:
+        record(name, args.scenes, args.workers, args.runs / name)
+    for page in (ROOT / "docs").glob("*.md"):
+        old = page.read_text(encoding="utf-8")
+        new = rendered(old)
+        if new != old:
+            page.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
