@@ -16,7 +16,7 @@ from importlib import import_module
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
-    "train": ("train a planning network (resumes a run in --out)", "train_command"),
+    "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),
@@ -42,7 +42,7 @@ class _Version(argparse.Action):
     """Prints the version; the package is imported for it alone."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from ccdiff_env.version import __version__
+        from ccdiff_env.system.version import __version__
 
         print(f"ccdiff-env {__version__}")
         parser.exit()

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 from ccdiff_env.models import ScenePlan, TrajectoryModel, shipped_weights
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes import Scene
-from ccdiff_env.sources import load
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import load
 
 SAMPLES = 5
 HORIZON = 52

@@ -23,10 +23,10 @@ import numpy as np
 
 from ccdiff_env.bench.episode import off_road
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.metrics import Motion
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.worlds import Worlds
 
 #: Scenes that share a batch.
 CHUNK = 12

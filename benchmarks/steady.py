@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 
 BUSY = "while True: pass"
 WORKER = """

@@ -28,8 +28,8 @@ import numpy as np
 
 import ccdiff_env
 from ccdiff_env.config import ObservationConfig, WorldConfig
-from ccdiff_env.envs.worlds import Worlds, scene_set
 from ccdiff_env.scenes import Scene
+from ccdiff_env.worlds import Worlds, scene_set
 
 VEHICLES = 64
 LOGGED_STEPS = 140

@@ -28,8 +28,8 @@ import ccdiff_env
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.traffic import episodes
 from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.traffic import NETWORKS
 
 require_networks()

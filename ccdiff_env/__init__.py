@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import Any
 
 from ccdiff_env import _native as _native
-from ccdiff_env import causal, config, errors, metrics, traffic
-from ccdiff_env.bank import load_bank, record_bank
-from ccdiff_env.certificate import Certificate
+from ccdiff_env import config, errors, metrics, traffic
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.envs import (
     AdversarySelectionEnv,
     AdversarySelectionVectorEnv,
@@ -23,12 +24,16 @@ from ccdiff_env.envs import (
     register,
 )
 from ccdiff_env.envs.replay import replay
-from ccdiff_env.gpudrive import load_gpudrive
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.metrics import causal
+from ccdiff_env.record.bank import load_bank, record_bank
+from ccdiff_env.record.certificate import Certificate
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
-from ccdiff_env.sources import load
-from ccdiff_env.version import __version__
+from ccdiff_env.scenes.embedded import embedded_scenes
+from ccdiff_env.scenes.gpudrive import load_gpudrive
+from ccdiff_env.scenes.sources import load
+from ccdiff_env.system.version import __version__
 from ccdiff_env.view import notebook
 
 __all__ = [
@@ -64,9 +69,40 @@ __all__ = [
 
 #: Former names of classes, for one release.
 _FORMER = {"RolloutPlan": "TrafficPlan"}
-#: Parts that are imported when they are first named.
-_LAZY = ("bench", "counterfactual", "models")
+#: Rooms that are imported when they are first named.
+_LAZY = ("bench", "models", "policies", "record", "worlds")
+#: Modules of rooms that have a short name here, too: ``ccdiff_env.causal``.
+_SHORT = {
+    "bank": "record",
+    "causal": "metrics",
+    "counterfactual": "record",
+    "curriculum": "worlds",
+    "embedded": "scenes",
+    "gpudrive": "scenes",
+    "load_report": "scenes",
+    "map_queries": "scenes",
+    "planners": "policies",
+    "recorder": "record",
+    "render": "view",
+    "rollout": "record",
+    "scene_types": "scenes",
+    "sources": "scenes",
+}
 
+
+class _ShortNames(MetaPathFinder, Loader):
+    """Imports of short names: ``from ccdiff_env.rollout import Rollout``."""
+
+    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
+        short = name.removeprefix("ccdiff_env.")
+        return ModuleSpec(name, self) if short != name and short in _SHORT else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        short = module.__name__.partition(".")[2]
+        sys.modules[module.__name__] = import_module(f"ccdiff_env.{_SHORT[short]}.{short}")
+
+
+sys.meta_path.append(_ShortNames())
 register()
 notebook.install()
 
@@ -74,6 +110,6 @@ notebook.install()
 def __getattr__(name: str) -> Any:
     if name in _FORMER:
         return getattr(traffic, errors.renamed("class", name, _FORMER))
-    if name in _LAZY:
+    if name in _LAZY or name in _SHORT:
         return import_module(f"ccdiff_env.{name}")
     raise AttributeError(f"module 'ccdiff_env' has no attribute {name!r}")

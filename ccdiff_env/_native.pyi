@@ -7,7 +7,16 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.scene_types import F32, F64, U8, Bool, MapLayers, Polygon, StateArrays, TrackArrays
+from ccdiff_env.scenes.scene_types import (
+    F32,
+    F64,
+    U8,
+    Bool,
+    MapLayers,
+    Polygon,
+    StateArrays,
+    TrackArrays,
+)
 
 def causal_ttc(
     x: F32,

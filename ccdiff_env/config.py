@@ -1,6 +1,6 @@
 """Everything that can be chosen about a world, as frozen dataclasses.
 
-Fields, defaults and their documentation come from Rust (``ccdiff_env.options``), which checks the
+Fields, defaults and their documentation come from Rust (``traffic/options.py``), which checks the
 ranges; here is what keywords and JSON need.
 """
 
@@ -17,9 +17,17 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed, takes_former_names
-from ccdiff_env.files import parsed_object
-from ccdiff_env.named_objects import named_instance
-from ccdiff_env.options import (
+from ccdiff_env.system.files import parsed_object
+from ccdiff_env.system.named_objects import named_instance
+from ccdiff_env.traffic import (
+    KINDS,
+    NETWORKS,
+    Policy,
+    PythonTraffic,
+    driver_names,
+    read_ranking,
+)
+from ccdiff_env.traffic.options import (
     DYNAMICS,
     ActionConfig,
     ActionGrid,
@@ -36,14 +44,6 @@ from ccdiff_env.options import (
     RewardConfig,
     UnicycleLimits,
     WorldOptions,
-)
-from ccdiff_env.traffic import (
-    KINDS,
-    NETWORKS,
-    Policy,
-    PythonTraffic,
-    driver_names,
-    read_ranking,
 )
 
 __all__ = [

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.planners import ego_driver
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 
 TRAFFIC = {
     "replay": {"traffic": "replay"},

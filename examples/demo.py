@@ -24,17 +24,17 @@ import numpy as np
 import ccdiff_env
 from ccdiff_env.config import RewardConfig, WorldConfig
 from ccdiff_env.policies.ego import OBSERVATION
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.scene_arguments import (
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
     other_place,
     place_from,
     scenes_from,
 )
-from ccdiff_env.sources import title
-from ccdiff_env.terminal import align
+from ccdiff_env.scenes.sources import title
+from ccdiff_env.system.terminal import align
 from ccdiff_env.view import write_page
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).

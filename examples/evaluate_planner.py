@@ -15,8 +15,8 @@ import numpy as np
 
 from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import Traffic, play
-from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.worlds import Worlds
 
 
 class MyPlanner:

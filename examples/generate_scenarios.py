@@ -14,9 +14,10 @@ import json
 from pathlib import Path
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionEnv, Recorder, counterfactual
-from ccdiff_env.files import file_name
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env import AdversarySelectionEnv, Recorder
+from ccdiff_env.record import counterfactual
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.system.files import file_name
 
 
 def arguments() -> argparse.Namespace:

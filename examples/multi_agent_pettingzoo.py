@@ -18,9 +18,10 @@ import numpy as np
 from stable_baselines3 import PPO
 
 import ccdiff_env
-from ccdiff_env import AgentVectorEnv, render
+from ccdiff_env import AgentVectorEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
-from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.view import render
 
 
 def arguments() -> argparse.Namespace:

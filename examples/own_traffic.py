@@ -20,7 +20,7 @@ from torch import nn
 
 import ccdiff_env
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.traffic import PythonTraffic, TrafficBatch
 
 HISTORY, STEPS = 11, 10

@@ -15,7 +15,7 @@ from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
 
 import ccdiff_env
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 
 #: Rank 0 is the ego, ranks 1 and 2 the two nearest vehicles, who play against it.
 OPTIONS = {"agents": 3, "adversaries": "others", "names": "slot", "traffic": "idm", "info": "end"}

@@ -16,7 +16,7 @@ from sb3_contrib import MaskablePPO
 
 from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
-from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:

@@ -19,11 +19,11 @@ import torch
 from torch import nn
 
 import ccdiff_env
-from ccdiff_env.bank import load_bank
-from ccdiff_env.curriculum import SceneWeights
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
-from ccdiff_env.spaces import Layout
+from ccdiff_env.record.bank import load_bank
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.worlds.curriculum import SceneWeights
+from ccdiff_env.worlds.spaces import Layout
 
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 
 import ccdiff_env
 from ccdiff_env.envs.sb3 import SB3VecEnv
-from ccdiff_env.scene_arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 FIGURES = (
     "is_success",

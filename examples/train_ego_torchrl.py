@@ -19,7 +19,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 import ccdiff_env
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 
 
 def arguments() -> argparse.Namespace:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
+import ccdiff_env
 from ccdiff_env.traffic import NETWORKS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -204,6 +206,19 @@ def test_no_python_module_is_in_a_circle():
     assert [sorted(c) for c in found] == []
 
 
+def test_the_package_has_a_dozen_rooms():
+    entries = {p.stem for p in (ROOT / "ccdiff_env").iterdir() if p.suffix in ("", ".py")}
+    assert len(entries - {"__pycache__", "py"}) <= 16
+    assert not {*ccdiff_env._SHORT} & entries
+
+
+@pytest.mark.parametrize("name", ccdiff_env._SHORT)
+def test_short_names_are_the_modules_of_rooms(name):
+    found = importlib.import_module(f"ccdiff_env.{name}")
+    assert found is importlib.import_module(f"ccdiff_env.{ccdiff_env._SHORT[name]}.{name}")
+    assert found is getattr(ccdiff_env, name)
+
+
 #: Packages and modules that must not know those named: data, figures and records below
 #: environments, environments below benchmarks and views.
 FORBIDDEN = {
@@ -211,7 +226,7 @@ FORBIDDEN = {
     "ccdiff_env.metrics": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.view"},
     "ccdiff_env.config": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.scenes"},
     "ccdiff_env.scenes": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.config"},
-    "ccdiff_env.rollout": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.config"},
+    "ccdiff_env.record.rollout": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.config"},
     "ccdiff_env.models": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.view"},
     "ccdiff_env.view": {"ccdiff_env.bench"},
     "ccdiff_env.bench": {"ccdiff_env.cli"},

@@ -7,8 +7,8 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
-from ccdiff_env.counterfactual import avoidability
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.record.counterfactual import avoidability
 
 
 @pytest.fixture(scope="module")

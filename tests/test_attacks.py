@@ -22,13 +22,13 @@ from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.arguments import Run, add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.replays import write_replay
-from ccdiff_env.certificate import Certificate
 from ccdiff_env.cli import main
 from ccdiff_env.config import BevConfig, ObservationConfig
-from ccdiff_env.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.envs.replay import replay
-from ccdiff_env.files import file_name, write_aside
 from ccdiff_env.models import TrajectoryModel, shipped_weights
+from ccdiff_env.record.certificate import Certificate
+from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout

@@ -19,18 +19,19 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, Rollout, Scene, errors, files, policies
-from ccdiff_env.bank import load_bank
+from ccdiff_env import EgoEnv, Rollout, Scene, errors, policies
 from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.scenario_sets import load_scenario_set
-from ccdiff_env.certificate import Certificate
 from ccdiff_env.cli import main
-from ccdiff_env.embedded import VERSION, unpack
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import TrajectoryModel, shipped_weights
-from ccdiff_env.planners import load_sb3
+from ccdiff_env.policies.planners import load_sb3
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
+from ccdiff_env.record.bank import load_bank
+from ccdiff_env.record.certificate import Certificate
+from ccdiff_env.scenes.embedded import VERSION, unpack
+from ccdiff_env.system import files
 from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.live import read_curves
@@ -164,7 +165,7 @@ def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
 def described(**changes):
     log, path = scene(), Path("unused")
     del path
-    from ccdiff_env.scenarionet_export import scenario_dict
+    from ccdiff_env.scenes.scenarionet_export import scenario_dict
 
     return scenario_dict(log) | changes
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.worlds import Worlds
 
 STEPS = 131
 CORNERS = [[-40.0, -30.0], [100.0, -30.0], [100.0, 30.0], [-40.0, 30.0]]

@@ -7,9 +7,9 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import record_bank
-from ccdiff_env.bank import load_bank
 from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.record.bank import load_bank
 
 
 @pytest.fixture(scope="module")

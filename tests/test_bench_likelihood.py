@@ -7,7 +7,7 @@ import csv
 import numpy as np
 import pytest
 
-from ccdiff_env import causal, cli
+from ccdiff_env import cli
 from ccdiff_env.bench.likelihood import (
     FEATURES,
     GROUPS,
@@ -28,6 +28,7 @@ from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import START_STEP, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.metrics import causal
 
 VAL = "embedded/val"
 NAMES = ["cut-in-03", "left-turn-04"]

@@ -34,7 +34,7 @@ from ccdiff_env.bench.scenario_sets import (
 )
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 
 VAL = "embedded/val"
 #: IDM collides in the first two, unavoidably in the first, and in none of the others.

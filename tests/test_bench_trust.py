@@ -23,9 +23,9 @@ from ccdiff_env.bench.provenance import package_digest, source_digest
 from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.bench.verify import verify
-from ccdiff_env.envs.worlds_view import worlds_view
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.policies import SHIPPED
+from ccdiff_env.worlds.worlds_view import worlds_view
 
 PLANNER = """
 import numpy as np

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import MultiPoint, Polygon, box
 
-from ccdiff_env import causal
 from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.metrics import causal
 
 
 def released_ranker() -> Path | None:

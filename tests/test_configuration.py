@@ -35,8 +35,9 @@ PLACES = {
 
 def test_classes_and_page_are_those_of_the_tables():
     found = tables()
-    assert (ROOT / "ccdiff_env" / "options.py").read_text(encoding="utf-8") == classes(found)
-    written = ROOT / "ccdiff_env" / "traffic" / "plan_fields.py"
+    folder = ROOT / "ccdiff_env" / "traffic"
+    assert (folder / "options.py").read_text(encoding="utf-8") == classes(found)
+    written = folder / "plan_fields.py"
     assert written.read_text(encoding="utf-8") == plan_fields()
     assert (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8") == page(found)
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ccdiff_env import EgoEnv, Scene, embedded_scenes
-from ccdiff_env.counterfactual import (
+from ccdiff_env.errors import ConfigError, ResetNeededError
+from ccdiff_env.record.counterfactual import (
     attribute,
     avoidability,
     branch,
     ego_plans,
     rollout_avoidability,
 )
-from ccdiff_env.errors import ConfigError, ResetNeededError
 
 STEPS = 131
 
@@ -81,7 +81,7 @@ def test_swerving_is_found_where_braking_does_not_do():
 
 
 def test_a_found_plan_is_free_of_collisions_when_driven():
-    from ccdiff_env.counterfactual import Steering
+    from ccdiff_env.record.counterfactual import Steering
 
     env = started(road(0.0, 10.0, wall(12.0, width=20.0)))
     before = env.snapshot()

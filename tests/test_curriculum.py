@@ -16,9 +16,9 @@ from ccdiff_env import (
     parallel_env,
     replay,
 )
-from ccdiff_env.curriculum import Curriculum, SceneWeights
 from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.worlds.curriculum import Curriculum, SceneWeights
 
 QUICK = {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 2}, "horizon_steps": 6}
 

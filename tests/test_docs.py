@@ -17,7 +17,7 @@ import pytest
 
 import ccdiff_env
 import ccdiff_env_cli
-from ccdiff_env.embedded import unpack
+from ccdiff_env.scenes.embedded import unpack
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import parse
 
@@ -106,7 +106,7 @@ def understood(line: str) -> None:
         case ["python", script, *rest]:
             text = (ROOT / script).read_text(encoding="utf-8")
             if "add_scene_arguments" in text:
-                text += (ROOT / "ccdiff_env/scene_arguments.py").read_text(encoding="utf-8")
+                text += (ROOT / "ccdiff_env/scenes/arguments.py").read_text(encoding="utf-8")
             missing = [w for w in rest if w.startswith("--") and f'"{w}"' not in text]
             assert not missing, line
         case ["make", verb, *_]:

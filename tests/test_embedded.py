@@ -20,8 +20,8 @@ from shapely.geometry import box as shapely_box
 from shapely.prepared import prep
 
 import ccdiff_env
-from ccdiff_env.embedded import VERSION, embedded_splits, shipped, unpack
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.scenes.embedded import VERSION, embedded_splits, shipped, unpack
 from tools.embedded_city.checks import (
     DrivableArea,
     Track,

@@ -11,10 +11,9 @@ from shapely import affinity
 from shapely.ops import unary_union
 
 import ccdiff_env
-from ccdiff_env import map_queries
 from ccdiff_env.errors import ConfigError, SceneError, ShapeError, UnknownNameError
-from ccdiff_env.map_queries import LINE_KINDS
-from ccdiff_env.scenes import with_tracks
+from ccdiff_env.scenes import map_queries, with_tracks
+from ccdiff_env.scenes.map_queries import LINE_KINDS
 
 
 @pytest.fixture(scope="module")

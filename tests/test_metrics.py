@@ -314,7 +314,7 @@ def test_post_encroachment_time_is_the_least_gap_of_overlapping_footprints(seed)
 
 
 def test_least_time_to_contact_is_that_of_the_causal_measures():
-    from ccdiff_env import causal
+    from ccdiff_env.metrics import causal
 
     position, heading, size, _ = random_motion(3, agents=5, steps=1, spread=30)
     speed = np.random.default_rng(3).uniform(0, 10, (5, 1))

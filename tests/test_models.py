@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 import torch
 
-from ccdiff_env import EgoEnv, embedded_scenes, training_loop
-from ccdiff_env.curves import Curves
+from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
-from ccdiff_env.models import TrajectoryModel, guidance_preset, shipped_weights, train
+from ccdiff_env.models import (
+    TrajectoryModel,
+    guidance_preset,
+    shipped_weights,
+    train,
+    training_loop,
+)
+from ccdiff_env.models.curves import Curves
 from ccdiff_env.scenes import Scene, load_nuscenes
 from ccdiff_env.traffic import NETWORKS
 

@@ -56,7 +56,7 @@ def test_a_missing_data_set_is_an_error_in_one_line(
 
 
 def test_a_progress_bar_does_not_run_past_its_end():
-    from ccdiff_env.curves import progress_bar
+    from ccdiff_env.models.curves import progress_bar
 
     bar = progress_bar(10.0, "s", True)
     bar.update(9.9)

@@ -10,7 +10,7 @@ from ccdiff_env.bench.planners import Traffic, planner_jobs, play
 from ccdiff_env.bench.tables import Condition, condition_of
 from ccdiff_env.bench.traffic import traffic_jobs
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.named_objects import named_instance, named_object
+from ccdiff_env.system.named_objects import named_instance, named_object
 from ccdiff_env_cli import main
 
 HERE = __name__

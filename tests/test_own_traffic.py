@@ -21,7 +21,7 @@ from ccdiff_env.errors import (
     UnknownNameError,
 )
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.traffic import KINDS, IdmConfig, PythonTraffic, TrafficBatch
 
 STEPS = 8

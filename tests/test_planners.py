@@ -17,7 +17,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import BicycleLimits, ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.planners import load_sb3
+from ccdiff_env.policies.planners import load_sb3
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import main
 

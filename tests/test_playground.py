@@ -9,7 +9,7 @@ import pytest
 from browser_page import Page
 
 from ccdiff_env import EgoEnv
-from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.scenes.embedded import embedded_scenes
 from tools.playground import TRAFFIC, compiled, playground_html, target_is_installed, world_config
 
 pytestmark = pytest.mark.timeout(600)

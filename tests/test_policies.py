@@ -14,7 +14,6 @@ import ccdiff_env
 from ccdiff_env import WorldConfig, policies
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import (
     ConfigError,
     DatasetError,
@@ -24,6 +23,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
+from ccdiff_env.worlds import Worlds
 
 OPTIONS = {"observation": dict(OBSERVATION), "dynamics": "assisted", "decision_steps": 3}
 

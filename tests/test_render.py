@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from ccdiff_env import render
 from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
+from ccdiff_env.view import render
 
 CAR = {"heading_rad": [0.0], "size_m": [[4.6, 1.9]]}
 GROUND = render.legend()["ground"]

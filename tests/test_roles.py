@@ -7,8 +7,8 @@ import pytest
 
 from ccdiff_env import AgentVectorEnv, embedded_scenes
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds import Worlds
 
 
 @pytest.fixture(scope="module")

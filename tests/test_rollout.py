@@ -12,7 +12,7 @@ from view_rollouts import plan_of
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
-from ccdiff_env.scenarionet import load_scenario_dict
+from ccdiff_env.scenes.scenarionet import load_scenario_dict
 from ccdiff_env.traffic import TrafficPlan
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")

@@ -12,7 +12,7 @@ from ccdiff_env import AdversarySelectionVectorEnv, EgoVectorEnv, embedded_scene
 from ccdiff_env.envs.sb3 import SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.envs.sb3_rows import RowsExtractor, rows_policy
 from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy
-from ccdiff_env.planners import load_sb3
+from ccdiff_env.policies.planners import load_sb3
 
 QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import shapely
 
-from ccdiff_env import _native, render
+from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.view import render
 
 COLOURS = {name: np.array(rgb) for name, rgb in render.legend().items()}
 PLAIN = {"trails": False, "route": False, "labels": False}

@@ -9,7 +9,7 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import _native, errors
-from ccdiff_env.scenarionet import load_scenario_dict
+from ccdiff_env.scenes.scenarionet import load_scenario_dict
 
 T = 11
 

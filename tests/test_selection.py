@@ -12,18 +12,14 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import ccdiff_env
-from ccdiff_env import (
-    AdversarySelectionEnv,
-    AdversarySelectionVectorEnv,
-    embedded_scenes,
-    render,
-)
+from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv, embedded_scenes
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection import BASELINES, SelectionReward
 from ccdiff_env.envs.selection.options import SelectionActions
 from ccdiff_env.envs.selection.view import FEATURES
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError
-from ccdiff_env.planners import ego_driver
+from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.view import render
 
 ID = "ccdiff_env/AdversarySelection-v0"
 QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}

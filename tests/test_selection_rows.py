@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ccdiff_env import AdversarySelectionEnv, causal, embedded_scenes
+from ccdiff_env import AdversarySelectionEnv, embedded_scenes
 from ccdiff_env.envs.selection.view import FEATURES
 from ccdiff_env.errors import ShapeError, UnknownNameError
+from ccdiff_env.metrics import causal
 
 QUICK = {"ccdiff": {"denoising_steps": 2, "explain": True}, "horizon_steps": 40}
 

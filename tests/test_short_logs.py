@@ -7,11 +7,11 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, SceneError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes import SceneSet, with_tracks
 from ccdiff_env.traffic import NETWORKS, PythonTraffic
+from ccdiff_env.worlds import Worlds
 
 PROTOCOL = {"history_steps": 10, "horizon_steps": 80}
 NO_CONSEQUENCE = {

@@ -16,17 +16,17 @@ import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, cell, mean_interval
 from ccdiff_env.bench.planners import planner_score
 from ccdiff_env.bench.scenes import scene_names, source_title
-from ccdiff_env.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.scene_arguments import (
+from ccdiff_env.scenes import of_kinds
+from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
     other_place,
     place_from,
     scenes_from,
 )
-from ccdiff_env.scenes import of_kinds
-from ccdiff_env.sources import SOURCES, Place, Source, coverage, parse, settled, title
+from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.scenes.sources import SOURCES, Place, Source, coverage, parse, settled, title
 from ccdiff_env_cli import main
 
 FOLDER, MINI = "/data/nuscenes", "v1.0-mini"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from ccdiff_env.terminal import align
+from ccdiff_env.system.terminal import align
 
 
 def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():

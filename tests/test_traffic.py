@@ -11,9 +11,8 @@ import pytest
 from traffic_play import FIELDS, Play
 
 import ccdiff_env
-from ccdiff_env import causal
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.envs.key_agents import logged_vehicles
 from ccdiff_env.errors import (
     CheckpointError,
     ConfigError,
@@ -22,11 +21,11 @@ from ccdiff_env.errors import (
     SceneError,
     UnknownNameError,
 )
-from ccdiff_env.key_agents import logged_vehicles
-from ccdiff_env.metrics import Motion
+from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, CcdiffConfig, PythonTraffic
+from ccdiff_env.worlds import Worlds
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,12 @@ import pytest
 import shapely
 
 import ccdiff_env
-from ccdiff_env import map_queries
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, SceneError, ShapeError
-from ccdiff_env.scenes import SceneSet, with_tracks
+from ccdiff_env.scenes import SceneSet, map_queries, with_tracks
 from ccdiff_env.traffic import PythonTraffic, TrafficBatch
 from ccdiff_env.traffic.python import ROUTE_SPACING_M
+from ccdiff_env.worlds import Worlds
 
 STATES, POINTS = 11, 24
 #: Arrays by agent; the others are of worlds.

@@ -14,10 +14,10 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import cli
-from ccdiff_env.embedded import VERSION, embedded_splits, unpack
-from ccdiff_env.envs.fit import Fit
 from ccdiff_env.envs.sb3 import SB3VecEnv
-from ccdiff_env.planners import ego_driver
+from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.worlds.fit import Fit
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 ID = "ccdiff_env/Ego-v0"

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from view_rollouts import NUM_STEPS, plan_of, planned_rollout
 
-from ccdiff_env import Scene, causal, cli, embedded_scenes, load_nuscenes
+from ccdiff_env import Scene, cli, embedded_scenes, load_nuscenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.metrics import causal
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, play_scene, write_page
 from ccdiff_env.view.captions import about
 from ccdiff_env.view.contacts import contacts

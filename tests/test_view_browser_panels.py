@@ -44,7 +44,7 @@ def test_figures_at_the_cursor_are_those_of_the_rollout(visit):
 
 
 def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
-    from ccdiff_env import causal
+    from ccdiff_env.metrics import causal
 
     page = visit("one.html")
     run = planned_rollout()

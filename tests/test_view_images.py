@@ -9,9 +9,8 @@ import numpy as np
 from test_view import elements, unpacked
 from view_rollouts import plan_of, planned_rollout
 
-from ccdiff_env import render
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.view import page_html
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.view import page_html, render
 from ccdiff_env.view.page import part
 from ccdiff_env.view.video import Video
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.worlds import Worlds
 
 FIELDS = ("position", "heading", "velocity", "active")
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from ccdiff_env import embedded_scenes
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view import log_rollout
 

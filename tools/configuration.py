@@ -356,6 +356,6 @@ def _linked(form: Any) -> str:
 
 if __name__ == "__main__":
     known = tables()
-    (ROOT / "ccdiff_env" / "options.py").write_text(classes(known), encoding="utf-8")
+    (ROOT / "ccdiff_env" / "traffic" / "options.py").write_text(classes(known), encoding="utf-8")
     (ROOT / "ccdiff_env" / "traffic" / "plan_fields.py").write_text(plan_fields(), encoding="utf-8")
     (ROOT / "docs" / "configuration.md").write_text(page(known), encoding="utf-8")

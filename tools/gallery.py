@@ -9,7 +9,7 @@ import sys
 from itertools import islice
 from pathlib import Path
 
-from ccdiff_env.embedded import embedded_scenes
+from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import write_page
 from ccdiff_env.view.index import entry, index_page
 from ccdiff_env.view.sources import play_scene

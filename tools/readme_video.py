@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ccdiff_env import render
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.view import log_rollout
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.view import log_rollout, render
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env.view.video import Video, side_by_side
 

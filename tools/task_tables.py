@@ -16,7 +16,7 @@ from ccdiff_env.config import RewardConfig
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.selection.view import FEATURES, observation_space
-from ccdiff_env.spaces import InfoColumn, read_columns
+from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
 __all__ = ["TABLES", "filled"]
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, policies, render
+from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, policies
+from ccdiff_env.view import render
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env.view.video import Video
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ccdiff_env.envs.selection.episode import SelectionEpisode
 from ccdiff_env.envs.selection.options import SelectionActions, SelectionReward
-from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["MAX_AGENTS", "REPLAN_STEPS", "AdversaryPolicy"]
 

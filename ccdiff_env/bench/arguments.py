@@ -18,13 +18,13 @@ from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, sour
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
-from ccdiff_env.sources import coverage
-from ccdiff_env.terminal import align, say_page
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import coverage
+from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.terminal import align, say_page
+from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
-from ccdiff_env.version import __version__
 
 __all__ = [
     "Run",

@@ -22,14 +22,15 @@ from ccdiff_env.bench.arguments import (
 )
 from ccdiff_env.bench.planner_cli import add_planner_benchmark
 from ccdiff_env.errors import renamed
-from ccdiff_env.files import file_name, read_text
-from ccdiff_env.scene_arguments import (
+from ccdiff_env.policies.planners import EGO_HELP
+from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
     other_place,
     scenes_from,
 )
-from ccdiff_env.terminal import EGO_HELP, align
+from ccdiff_env.system.files import file_name, read_text
+from ccdiff_env.system.terminal import align
 
 __all__ = ["add_arguments"]
 

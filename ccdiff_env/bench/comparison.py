@@ -19,8 +19,8 @@ from ccdiff_env.bench.tables import (
     of_few,
     with_scores,
 )
-from ccdiff_env.files import write_aside
 from ccdiff_env.metrics import generational_distance
+from ccdiff_env.system.files import write_aside
 
 __all__ = ["PAPER", "Difference", "difference", "paper_pairs", "write_comparison"]
 

@@ -12,8 +12,8 @@ import numpy as np
 from ccdiff_env.bench.intervals import LEAST_SCENES
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
-from ccdiff_env.files import write_aside, writing
 from ccdiff_env.metrics import pearson
+from ccdiff_env.system.files import write_aside, writing
 
 __all__ = ["Correlation", "correlations", "write_correlations"]
 

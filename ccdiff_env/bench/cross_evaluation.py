@@ -26,7 +26,7 @@ from ccdiff_env.bench.scenario_sets import (
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import comfort_distance
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 
 __all__ = [

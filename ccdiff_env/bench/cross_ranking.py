@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ccdiff_env.bench.planner_report import short_name
-from ccdiff_env.files import read_text, reading
+from ccdiff_env.system.files import read_text, reading
 
 __all__ = ["ranking"]
 

@@ -16,7 +16,7 @@ from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
-from ccdiff_env.files import file_name, write_aside, writing
+from ccdiff_env.system.files import file_name, write_aside, writing
 
 __all__ = ["avoidable_rows", "write_collisions", "write_cross"]
 

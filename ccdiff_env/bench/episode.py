@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import causal
-from ccdiff_env.metrics import Motion, OffRoad, speed_limit
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import TrafficPlan
 

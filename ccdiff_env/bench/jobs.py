@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
-from ccdiff_env.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 
 __all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
 

@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import causal
 from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.files import file_name
-from ccdiff_env.map_queries import road_distance
-from ccdiff_env.metrics import Motion
+from ccdiff_env.metrics import Motion, causal
+from ccdiff_env.scenes.map_queries import road_distance
+from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = [

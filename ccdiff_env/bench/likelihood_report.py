@@ -13,7 +13,7 @@ from ccdiff_env.bench.intervals import FEW, are_few, brackets, cell, mean_interv
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
-from ccdiff_env.files import write_aside, writing
+from ccdiff_env.system.files import write_aside, writing
 
 __all__ = ["write_likelihoods"]
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
-from ccdiff_env.files import read_bytes, read_text, write_aside
+from ccdiff_env.system.files import read_bytes, read_text, write_aside
 from ccdiff_env.view.page import plain_html
 
 __all__ = ["markdown_html", "write_report_page"]

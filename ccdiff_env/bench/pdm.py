@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import IdmConfig
-from ccdiff_env.counterfactual import Steering
-from ccdiff_env.envs.worlds import Worlds
+from ccdiff_env.record.counterfactual import Steering
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["PdmPlanner"]
 

@@ -13,8 +13,8 @@ from ccdiff_env.bench.arguments import (
     add_traffic,
     seeds_of,
 )
-from ccdiff_env.scene_arguments import place_from
-from ccdiff_env.terminal import align, say_page
+from ccdiff_env.scenes.arguments import place_from
+from ccdiff_env.system.terminal import align, say_page
 
 __all__ = ["add_planner_benchmark"]
 

@@ -14,7 +14,7 @@ from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, cell, 
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.files import write_aside, writing
+from ccdiff_env.system.files import write_aside, writing
 
 __all__ = [
     "comparison",

@@ -33,14 +33,14 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, UnknownNameError, renamed
-from ccdiff_env.files import file_name
-from ccdiff_env.planners import Ego, Seat, ego_driver
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.policies.planners import Ego, Seat, ego_driver
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
 
@@ -293,8 +293,8 @@ def drive(
     scenes
         The scenes.
     planner
-        As in :func:`planner_jobs`; see :class:`~ccdiff_env.planners.Planner`. A policy that was
-        trained with other dynamics, observations or decision steps is driven with those.
+        As in :func:`planner_jobs`; see :class:`~ccdiff_env.policies.planners.Planner`. A policy
+        that was trained with other dynamics, observations or decision steps is driven with those.
     traffic
         Who drives the others.
     seed

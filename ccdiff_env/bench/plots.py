@@ -10,8 +10,8 @@ import numpy as np
 
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition, Figures
-from ccdiff_env.files import read_text, write_aside
 from ccdiff_env.metrics import scores
+from ccdiff_env.system.files import read_text, write_aside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,10 +12,10 @@ from typing import Any
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
-from ccdiff_env.files import read_bytes
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.planners import Seat
+from ccdiff_env.policies.planners import Seat
 from ccdiff_env.scenes import splits
+from ccdiff_env.system.files import read_bytes
 
 __all__ = ["PROTOCOL", "Protocol"]
 

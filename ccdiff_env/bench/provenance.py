@@ -17,9 +17,9 @@ from typing import Any
 
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import read_bytes, read_text
-from ccdiff_env.named_objects import named_object
-from ccdiff_env.version import __version__
+from ccdiff_env.system.files import read_bytes, read_text
+from ccdiff_env.system.named_objects import named_object
+from ccdiff_env.system.version import __version__
 
 __all__ = [
     "commit",
@@ -35,7 +35,6 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 #: Files of the package that show results and decide none.
 _SHOW = (
     "view",
-    "render.py",
     "terminal.py",
     "progress.py",
     "page.py",

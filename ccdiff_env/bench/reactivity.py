@@ -27,10 +27,10 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.files import file_name, write_aside
 from ccdiff_env.metrics import Motion
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
+from ccdiff_env.system.files import file_name, write_aside
 
 __all__ = ["WAYS", "altered", "evaluate", "reactivity_jobs", "write_reactivity"]
 

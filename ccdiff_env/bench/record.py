@@ -18,7 +18,7 @@ from ccdiff_env.bench.planners import TRAFFIC, score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
 
 __all__ = ["Entry", "Record", "Result", "submit"]
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.errors import DatasetError, MissingFeatureError
-from ccdiff_env.files import file_name, reading
-from ccdiff_env.render import save
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.system.files import file_name, reading
 from ccdiff_env.view import address, write_page
 from ccdiff_env.view.index import thumbnail
 from ccdiff_env.view.outcome import LEAD_S, outcome
+from ccdiff_env.view.render import save
 
 __all__ = ["make_replays", "play_again", "write_replay"]
 

@@ -1,8 +1,8 @@
 """Scenario sets: episodes that safety-critical traffic made against one ego, with a manifest.
 
-A set is a folder of recorded episodes (:class:`~ccdiff_env.rollout.Rollout`) and ``manifest.json``,
-which says against which ego they were made, how, and what each one holds, with the SHA-256 of every
-file. The traffic of an episode can be replayed to another planner.
+A set is a folder of recorded episodes (:class:`~ccdiff_env.Rollout`) and ``manifest.json``, which
+says against which ego they were made, how, and what each one holds, with the SHA-256 of every file.
+The traffic of an episode can be replayed to another planner.
 """
 
 from __future__ import annotations
@@ -22,12 +22,19 @@ import numpy as np
 from ccdiff_env.bench.episode import logged
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenes import scenes_of, source_title
-from ccdiff_env.counterfactual import rollout_avoidability
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.files import file_name, parsed_object, read_bytes, read_text, reading, write_aside
 from ccdiff_env.metrics import Motion
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.counterfactual import rollout_avoidability
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
+from ccdiff_env.system.files import (
+    file_name,
+    parsed_object,
+    read_bytes,
+    read_text,
+    reading,
+    write_aside,
+)
 
 __all__ = [
     "Scenario",

@@ -9,7 +9,7 @@ from multiprocessing import parent_process
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
-from ccdiff_env.sources import Place, load, parse, title
+from ccdiff_env.scenes.sources import Place, load, parse, title
 
 __all__ = ["chunks", "place_of", "scene_names", "scenes_of", "source_title"]
 

@@ -21,7 +21,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.planners import ego_driver
+from ccdiff_env.policies.planners import ego_driver
 
 __all__ = [
     "ADVERSARY_POLICIES",

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.files import write_aside, writing
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.system.files import write_aside, writing
 
 __all__ = ["Timing", "choose_moments", "fit", "measure_speed", "write_speed"]
 

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, column
 from ccdiff_env.bench.intervals import cell as interval_cell
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.files import write_aside, writing
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
+from ccdiff_env.system.files import write_aside, writing
 
 __all__ = [
     "FIGURES",

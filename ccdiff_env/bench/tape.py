@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import DatasetError
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["Recorded", "Tape"]
 

@@ -20,10 +20,10 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.files import write_aside
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 

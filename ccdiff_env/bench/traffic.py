@@ -19,19 +19,18 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import causal
 from ccdiff_env.bench.episode import Episode, logged, measure, off_road, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
-from ccdiff_env.metrics import Motion
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.metrics import Motion, causal
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, TrafficPlan
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["episodes", "evaluate", "traffic_jobs"]
 

@@ -15,7 +15,7 @@ from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.errors import ConfigError, DatasetError
-from ccdiff_env.progress import shown
+from ccdiff_env.system.progress import shown
 
 __all__ = ["verify"]
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.key_agents import KeyRanking, logged_vehicles, ranking_named
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.key_agents import KeyRanking, logged_vehicles, ranking_named
 from ccdiff_env.scenes import SceneSet
 
 Agents: TypeAlias = Literal["all"] | int | Sequence[str]

@@ -13,12 +13,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
+from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.vector import InfoLevel, check_choices
-from ccdiff_env.envs.worlds import (
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds import (
     FollowsTraining,
     SceneChoice,
     Scenes,
@@ -28,9 +29,8 @@ from ccdiff_env.envs.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.errors import ConfigError
-from ccdiff_env.key_agents import KeyRanking
-from ccdiff_env.spaces import FORMS, Form
+from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.spaces import FORMS, Form
 
 __all__ = ["AgentVectorEnv"]
 
@@ -59,7 +59,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
         function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.curriculum.Curriculum`).
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
     """

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, MissingFeatureError, renamed
 from ccdiff_env.scenes import Scene
+from ccdiff_env.worlds import Worlds
 
 Image = npt.NDArray[np.uint8]
 

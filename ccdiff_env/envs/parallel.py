@@ -13,12 +13,12 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection, Names
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
-from ccdiff_env.envs.snapshot import Snapshot
+from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.vector import InfoLevel, check_choices
-from ccdiff_env.envs.worlds import (
+from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
+from ccdiff_env.worlds import (
     FollowsTraining,
     Scenes,
     StepArrays,
@@ -27,9 +27,9 @@ from ccdiff_env.envs.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
-from ccdiff_env.key_agents import KeyRanking
-from ccdiff_env.spaces import FORMS, Form
+from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.snapshot import Snapshot
+from ccdiff_env.worlds.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -76,7 +76,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
         function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.curriculum.Curriculum`).
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.certificate import Certificate, schema_digest
 from ccdiff_env.envs.single import EgoEnv
-from ccdiff_env.envs.worlds import Scenes, scene_set
 from ccdiff_env.errors import SnapshotError
+from ccdiff_env.record.certificate import Certificate, schema_digest
+from ccdiff_env.worlds import Scenes, scene_set
 
 __all__ = ["Replay", "replay"]
 

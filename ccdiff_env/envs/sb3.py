@@ -13,10 +13,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
-from ccdiff_env.envs.fit import STATISTICS
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds.fit import STATISTICS
 
 #: Settings of PPO for some hundred worlds: large minibatches and few epochs, since small ones cost
 #: more than the worlds (docs/tasks.md).

@@ -10,7 +10,7 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from ccdiff_env.spaces import Layout
+from ccdiff_env.worlds.spaces import Layout
 
 __all__ = ["RowsExtractor", "rows_policy"]
 

@@ -10,13 +10,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.certificate import Certificate
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
-from ccdiff_env.envs.snapshot import Snapshot
 from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
-from ccdiff_env.envs.worlds import (
+from ccdiff_env.errors import SnapshotError
+from ccdiff_env.record.certificate import Certificate
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.worlds import (
     FollowsTraining,
     Scenes,
     Worlds,
@@ -24,10 +25,9 @@ from ccdiff_env.envs.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.errors import SnapshotError
-from ccdiff_env.scenes import SceneSet
-from ccdiff_env.spaces import FORMS, Form
-from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.snapshot import Snapshot
+from ccdiff_env.worlds.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -82,7 +82,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
         function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.curriculum.Curriculum`).
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``bev={"size_px": 64}``.

@@ -13,11 +13,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.curriculum import Criticality
 from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
-from ccdiff_env.envs.snapshot import Snapshot
-from ccdiff_env.envs.worlds import (
+from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.worlds import (
     FollowsTraining,
     SceneChoice,
     Scenes,
@@ -27,9 +27,9 @@ from ccdiff_env.envs.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.spaces import FORMS, Form
-from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.snapshot import Snapshot
+from ccdiff_env.worlds.spaces import FORMS, Form
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -104,7 +104,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     criticality
         How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
         function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.curriculum.Curriculum`).
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,

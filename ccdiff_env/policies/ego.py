@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.embedded import embedded_scenes
-from ccdiff_env.envs.fit import fitting_fields, schema_digest
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
-from ccdiff_env.files import parsed_object, reading
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
+from ccdiff_env.scenes.embedded import embedded_scenes
+from ccdiff_env.system.files import parsed_object, reading
+from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.fit import fitting_fields, schema_digest
 
 __all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.files import parsed_object, read_bytes, reading, write_aside
+from ccdiff_env.system.files import parsed_object, read_bytes, reading, write_aside
 
 F32 = npt.NDArray[np.float32]
 

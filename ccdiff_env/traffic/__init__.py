@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ccdiff_env.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.ccdiff import (
     NETWORKS,
     PAPER_PROTOCOL,
@@ -10,6 +9,7 @@ from ccdiff_env.traffic.ccdiff import (
     read_ranking,
 )
 from ccdiff_env.traffic.kinds import KINDS, Policy, driver_names, driver_titles
+from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 
 __all__ = [

@@ -13,7 +13,7 @@ from ccdiff_env.errors import (
     expect_shape,
     takes_former_names,
 )
-from ccdiff_env.files import parsed_object, read_text, reading
+from ccdiff_env.system.files import parsed_object, read_text, reading
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
 
 __all__ = [

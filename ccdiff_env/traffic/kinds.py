@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from ccdiff_env import _native
-from ccdiff_env.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.ccdiff import NETWORKS
+from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.python import PythonTraffic
 
 __all__ = ["KINDS", "Options", "Policy", "driver_names", "driver_titles"]

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ccdiff_env import _native
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import driver_titles
 

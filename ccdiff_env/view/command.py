@@ -9,14 +9,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.files import file_name
-from ccdiff_env.progress import shown
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
-from ccdiff_env.terminal import EGO_HELP, say_page
+from ccdiff_env.policies.planners import EGO_HELP
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.system.files import file_name
+from ccdiff_env.system.progress import shown
+from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
+from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages

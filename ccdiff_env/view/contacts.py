@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import causal
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.metrics import causal
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 
 TTC_CAP_S = 10.0
 """Pairs that meet later than this are left out."""

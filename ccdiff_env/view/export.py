@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
-from ccdiff_env.files import write_aside
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.system.files import write_aside
 from ccdiff_env.view.captions import driver_of
 from ccdiff_env.view.page import colours
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.files import file_name, write_aside
-from ccdiff_env.render import THEMES, Image
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
+from ccdiff_env.view.render import THEMES, Image
 from ccdiff_env.view.sources import log_rollout, rollout_files
 from ccdiff_env.view.video import Video
 
@@ -115,7 +115,7 @@ def thumbnail(rollout: Rollout, opening_s: float | None, theme: str = "light") -
 
 
 def _data_address(image: Image) -> str:
-    from ccdiff_env.render import pillow
+    from ccdiff_env.view.render import pillow
 
     buffer = io.BytesIO()
     # With fewer colours those of small things, as the ego's, are lost.

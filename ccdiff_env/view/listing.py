@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from, sources_help
-from ccdiff_env.terminal import align
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
+from ccdiff_env.system.terminal import align
 from ccdiff_env.view.notebook import scene_row
 
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import DatasetNotFoundError
-from ccdiff_env.files import read_text
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
-from ccdiff_env.sources import DEFAULT, load
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import DEFAULT, load
+from ccdiff_env.system.files import read_text
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
 from ccdiff_env.view.sources import find_scene, play_scene

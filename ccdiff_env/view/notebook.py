@@ -8,11 +8,11 @@ import io
 from collections.abc import Iterable, Sequence
 
 from ccdiff_env.errors import MissingFeatureError
-from ccdiff_env.load_report import LoadReport
-from ccdiff_env.render import pillow
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes.load_report import LoadReport
 from ccdiff_env.view.page import page_html
+from ccdiff_env.view.render import pillow
 
 __all__ = ["install"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.metrics import Motion
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log
 
 Lane = Literal["ego", "guided", "others"]

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.metrics.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import (
     about,

@@ -12,10 +12,11 @@ from importlib import resources
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
-from ccdiff_env import _native, render
+from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.files import write_aside
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, subtitle
 from ccdiff_env.view.pack import pack
 

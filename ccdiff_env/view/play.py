@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.files import parsed_object
-from ccdiff_env.rollout import Rollout
-from ccdiff_env.scene_arguments import add_scene_arguments, scenes_from
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.system.files import parsed_object
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer

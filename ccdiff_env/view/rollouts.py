@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.files import file_name
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
-from ccdiff_env.sources import load
-from ccdiff_env.terminal import EGO_HELP
+from ccdiff_env.policies.planners import EGO_HELP
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import load
+from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_names
+from ccdiff_env.view import render
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import check_criticality, play_scene
 from ccdiff_env.view.video import Video, save_video

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.rollout import DRIVER_NAMES, Rollout
+from ccdiff_env.record.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene
-from ccdiff_env.sources import DEFAULT, Place, load
+from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
 
@@ -94,8 +94,8 @@ def play_scene(
     """
     # imported here: most pages are of recorded episodes
     from ccdiff_env.envs import EgoEnv
-    from ccdiff_env.planners import ego_driver
-    from ccdiff_env.recorder import Recorder
+    from ccdiff_env.policies.planners import ego_driver
+    from ccdiff_env.record.recorder import Recorder
 
     name, seat = ego_driver(driver)
     if seat is not None:

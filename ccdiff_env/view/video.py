@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import render
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision
 
 TRAIL_S = 3.0

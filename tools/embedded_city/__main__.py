@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ccdiff_env.embedded import SHIPPED
+from ccdiff_env.scenes.embedded import SHIPPED
 from tools.embedded_city.dataset import generate, pack
 from tools.embedded_city.scenes import DENSE
 

@@ -10,7 +10,7 @@ import json
 import zipfile
 from pathlib import Path
 
-from ccdiff_env.embedded import VERSION
+from ccdiff_env.scenes.embedded import VERSION
 from tools.embedded_city.layout import LOCATION, build_city
 from tools.embedded_city.maps import MapWriter, mask_png
 from tools.embedded_city.scenes import SHIPPED, Density, build_scenes

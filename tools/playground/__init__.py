@@ -18,8 +18,8 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.embedded import embedded_scenes
 from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import page
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.outcome import COLLISIONS

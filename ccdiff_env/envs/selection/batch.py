@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.selection.episode import Outcome, SelectionEpisode
 from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
 from ccdiff_env.envs.selection.view import observation_space
-from ccdiff_env.envs.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.errors import ConfigError, ResetNeededError, renamed
-from ccdiff_env.key_agents import KeyRanking
-from ccdiff_env.planners import Ego, ego_driver
+from ccdiff_env.policies.planners import Ego, ego_driver
+from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 
 __all__ = ["BASELINES", "SelectionBatch"]
 
@@ -40,13 +40,13 @@ class SelectionBatch:
     scenes, config
         As for :class:`~ccdiff_env.envs.single.EgoEnv`.
     ego
-        The ego's planner, see :func:`ccdiff_env.planners.ego_driver`.
+        The ego's planner, see :func:`ccdiff_env.policies.planners.ego_driver`.
     action_mode, max_agents, budget, criticality
         See :class:`SelectionActions`.
     reward
         Weights.
     num_threads, trails
-        As for :class:`~ccdiff_env.envs.worlds.Worlds`.
+        As for :class:`~ccdiff_env.worlds.Worlds`.
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig`; ``traffic`` is ``"ccdiff"`` of
         criticality 1 by default.

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.envs.key_agents import KeyRanking, rank_agents
 from ccdiff_env.envs.selection.options import SelectionReward
-from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.key_agents import KeyRanking, rank_agents
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.spaces import InfoColumn
+from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.spaces import InfoColumn
 
 __all__ = ["INFO_COLUMNS", "Outcome", "SelectionEpisode"]
 
@@ -224,7 +224,7 @@ class SelectionEpisode:
         if self._recorder is None or not hits:
             return 0.0
         # imported here: counterfactuals are asked of environments
-        from ccdiff_env.counterfactual import rollout_avoidability
+        from ccdiff_env.record.counterfactual import rollout_avoidability
 
         verdict = rollout_avoidability(self._recorder.rollout())
         if verdict is None or verdict.avoidable:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from ccdiff_env.config import unknown
 from ccdiff_env.errors import ActionError, ConfigError
-from ccdiff_env.options import SelectionReward
+from ccdiff_env.traffic.options import SelectionReward
 
 __all__ = ["ActionMode", "SelectionActions", "SelectionReward"]
 

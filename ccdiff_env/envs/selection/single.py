@@ -13,9 +13,9 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
-from ccdiff_env.envs.worlds import Scenes, normalize_seed
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.planners import Ego
+from ccdiff_env.policies.planners import Ego
+from ccdiff_env.worlds import Scenes, normalize_seed
 
 __all__ = ["AdversarySelectionEnv", "selection_reward"]
 

@@ -19,9 +19,9 @@ from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
-from ccdiff_env.envs.worlds import Scenes, Worlds, normalize_seed
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.planners import Ego
+from ccdiff_env.policies.planners import Ego
+from ccdiff_env.worlds import Scenes, Worlds, normalize_seed
 
 __all__ = ["AdversarySelectionVectorEnv"]
 

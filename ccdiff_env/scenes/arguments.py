@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
-from ccdiff_env.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
+from ccdiff_env.scenes.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
 
 __all__ = [
     "add_other_scenes",

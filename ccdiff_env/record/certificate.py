@@ -19,11 +19,11 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
-from ccdiff_env.files import parsed_object, read_text, reading, write_aside
-from ccdiff_env.version import __version__
+from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.version import __version__
 
 if TYPE_CHECKING:
-    from ccdiff_env.envs.worlds import Worlds
+    from ccdiff_env.worlds import Worlds
 
 __all__ = ["Certificate", "schema_digest"]
 

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.curves import Curves
 from ccdiff_env.errors import (
     CheckpointError,
     ConfigError,
@@ -23,9 +22,10 @@ from ccdiff_env.errors import (
     renamed,
     takes_former_names,
 )
-from ccdiff_env.files import reading
+from ccdiff_env.models.curves import Curves
+from ccdiff_env.models.training_loop import run_training
 from ccdiff_env.scenes import Scene
-from ccdiff_env.training_loop import run_training
+from ccdiff_env.system.files import reading
 
 __all__ = [
     "ScenePlan",
@@ -104,7 +104,7 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
     """
     parts = [part for part, has in (("routes", routes), ("one_step", one_step)) if has]
     name = "_".join([model, *(parts or ["fast"])])
-    return Path(__file__).parent / "data" / f"{name}.safetensors"
+    return Path(__file__).parents[1] / "data" / f"{name}.safetensors"
 
 
 def guidance_preset(name: str) -> dict[str, Any]:

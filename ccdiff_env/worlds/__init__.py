@@ -15,9 +15,6 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.config import BevConfig, WorldConfig
-from ccdiff_env.curriculum import Criticality, Curriculum
-from ccdiff_env.embedded import embedded_scenes
-from ccdiff_env.envs.fit import Fit
 from ccdiff_env.errors import (
     ActionError,
     CheckpointError,
@@ -27,10 +24,13 @@ from ccdiff_env.errors import (
 )
 from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.sources import SOURCES, load
-from ccdiff_env.spaces import Form, Layout, action_space, read_columns
+from ccdiff_env.scenes.embedded import embedded_scenes
+from ccdiff_env.scenes.sources import SOURCES, load
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.python import BoundTraffic
+from ccdiff_env.worlds.curriculum import Criticality, Curriculum
+from ccdiff_env.worlds.fit import Fit
+from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -164,8 +164,8 @@ class Worlds:
     trails
         Whether past positions are kept for images.
     criticality
-        Criticality of planned traffic by episode, see :class:`~ccdiff_env.curriculum.Curriculum`;
-        ``None``: as configured.
+        Criticality of planned traffic by episode, see
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`; ``None``: as configured.
     """
 
     def __init__(
@@ -228,7 +228,7 @@ class Worlds:
     def observation_space(self, form: Form) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations in a form; it says what they are made from.
 
-        Policies carry it with them, see :mod:`ccdiff_env.envs.fit`.
+        Policies carry it with them, see :mod:`ccdiff_env.worlds.fit`.
         """
         return Fit.of(self.config, self.native.layout_json, form).mark(self.layout.space(form))
 
@@ -442,7 +442,7 @@ class FollowsTraining:
         ----------
         weights
             One for each scene [S], none negative; see
-            :class:`~ccdiff_env.curriculum.SceneWeights` for weights by how episodes went.
+            :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes went.
 
         Raises
         ------

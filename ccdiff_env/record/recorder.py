@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
 
 if TYPE_CHECKING:
-    from ccdiff_env.envs.worlds import Worlds
+    from ccdiff_env.worlds import Worlds
 
 __all__ = ["Recorder"]
 

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError, ShapeError, expect_shape, takes_former_names
-from ccdiff_env.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.scenes import Scene, with_tracks
+from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import NETWORKS, TrafficPlan
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
 
@@ -229,7 +229,7 @@ class Rollout:
         take ScenarioNet's format.
         """
         # imported here: writing pickles is not needed to record
-        from ccdiff_env.scenarionet_export import write_scenario
+        from ccdiff_env.scenes.scenarionet_export import write_scenario
 
         write_scenario(self.to_scene(name), path)
 

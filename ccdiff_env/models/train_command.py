@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scene_arguments import add_scene_arguments, place_from
-from ccdiff_env.sources import SOURCES, coverage, load, title
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import SOURCES, coverage, load, title
 from ccdiff_env.traffic import NETWORKS
 
 #: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a

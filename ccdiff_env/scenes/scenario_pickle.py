@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError
-from ccdiff_env.files import read_bytes, reading
+from ccdiff_env.system.files import read_bytes, reading
 
 __all__ = ["load_scenario_dict"]
 

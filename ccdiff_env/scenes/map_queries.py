@@ -7,7 +7,7 @@ frame. What is derived from a map is made at the first call and kept with the sc
 Examples
 --------
 >>> import ccdiff_env
->>> from ccdiff_env import map_queries
+>>> from ccdiff_env.scenes import map_queries
 >>> scene = ccdiff_env.embedded_scenes("val")[0]
 >>> log = scene.tracks()
 >>> there = log["valid"][:, 30]

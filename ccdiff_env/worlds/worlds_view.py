@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds import Worlds
 
 __all__ = ["worlds_view"]
 

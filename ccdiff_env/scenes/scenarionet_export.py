@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.files import write_aside
-from ccdiff_env.scene_types import Lane, Polygon
 from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes.scene_types import Lane, Polygon
+from ccdiff_env.system.files import write_aside
 
 __all__ = ["scenario_dict", "write_scenario"]
 

@@ -12,10 +12,10 @@ from typing import overload
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError
-from ccdiff_env.load_report import LoadReport
-from ccdiff_env.progress import shown
 from ccdiff_env.scenes import SceneSet, cache_folder
-from ccdiff_env.source_record import Place, Source
+from ccdiff_env.scenes.load_report import LoadReport
+from ccdiff_env.scenes.source_record import Place, Source
+from ccdiff_env.system.progress import shown
 
 __all__ = ["SOURCE", "SceneFiles", "load_gpudrive", "scene_files"]
 

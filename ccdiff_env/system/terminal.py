@@ -7,17 +7,8 @@ import webbrowser
 from pathlib import Path
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies import SHIPPED
-from ccdiff_env.traffic import driver_names
 
-__all__ = ["EGO_HELP", "align", "say_page"]
-
-#: Help of an option that says who drives the ego.
-EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
-    "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
-    "runs the code in it: trust whoever made it)"
-)
+__all__ = ["align", "say_page"]
 
 
 def align(markdown: str) -> str:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.load_report import LoadReport
+from ccdiff_env.scenes.load_report import LoadReport
 
 __all__ = [
     "LoadReport",
@@ -378,7 +378,7 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
         message names file, field and value.
     """
     # imported here: reading pickles is not needed to import the package
-    from ccdiff_env.scenarionet import read_scenarios
+    from ccdiff_env.scenes.scenarionet import read_scenarios
 
     scenes = SceneSet(*read_scenarios(path))
     warn_without_road(scenes)

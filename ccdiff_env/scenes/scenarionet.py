@@ -1,7 +1,7 @@
 """Import of ScenarioNet scenario descriptions: nuScenes, Waymo, nuPlan and Argoverse exports.
 
 A scenario description is a pickled dictionary of plain containers and numpy arrays; what reads it
-without running code is in :mod:`ccdiff_env.scenario_pickle`.
+without running code is in :mod:`ccdiff_env.scenes.scenario_pickle`.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from ccdiff_env._native import Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.files import reading
-from ccdiff_env.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
-from ccdiff_env.scenario_fields import F64, ScenarioFields
-from ccdiff_env.scenario_pickle import load_scenario_dict
-from ccdiff_env.scene_types import Lane, MapLayers, Polygon
+from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
+from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
+from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
+from ccdiff_env.scenes.scene_types import Lane, MapLayers, Polygon
+from ccdiff_env.system.files import reading
 
 #: Type and kind. The category tells motorcycles and bicycles apart where the data has one.
 _KINDS = {

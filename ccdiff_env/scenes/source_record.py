@@ -1,4 +1,4 @@
-"""What a data source is, and a place in it: the records behind :mod:`ccdiff_env.sources`."""
+"""What a data source is, and a place in it: the records behind :mod:`ccdiff_env.scenes.sources`."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.files import parsed_object
+from ccdiff_env.system.files import parsed_object
 
 if TYPE_CHECKING:
     from ccdiff_env.config import WorldConfig

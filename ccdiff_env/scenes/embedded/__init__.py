@@ -1,5 +1,5 @@
 """Embedded scenes: a small procedural city and its traffic, shipped as a data set in the nuScenes
-schema. ``python -m ccdiff_env.embedded --out DIR`` writes it as files.
+schema. ``python -m ccdiff_env.scenes.embedded --out DIR`` writes it as files.
 
 ``tools/embedded_city`` of the repository generates it.
 """
@@ -14,8 +14,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ccdiff_env.errors import DatasetError, UnknownNameError
-from ccdiff_env.files import write_aside
 from ccdiff_env.scenes import SceneSet, load_nuscenes
+from ccdiff_env.system.files import write_aside
 
 __all__ = ["SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
 

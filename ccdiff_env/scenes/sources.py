@@ -13,11 +13,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ccdiff_env import gpudrive
-from ccdiff_env.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
-from ccdiff_env.source_record import Place, Source
+from ccdiff_env.scenes import SceneSet, gpudrive, load_nuscenes, load_scenarionet, of_kinds, splits
+from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
+from ccdiff_env.scenes.source_record import Place, Source
 
 __all__ = [
     "DEFAULT",

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import Protocol
 
-from ccdiff_env.files import read_text, write_aside
+from ccdiff_env.system.files import read_text, write_aside
 
 __all__ = ["Curves", "Progress", "progress_bar"]
 

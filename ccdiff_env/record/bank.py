@@ -21,12 +21,12 @@ from typing import Any
 from ccdiff_env.bench.jobs import end_with_parent
 from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.bench.scenario_sets import OPTIONS, as_scene
-from ccdiff_env.counterfactual import rollout_avoidability
-from ccdiff_env.envs.worlds import Scenes, scene_set
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.files import parsed_object, read_bytes, read_text, reading, write_aside
 from ccdiff_env.models import weights_path
+from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.worlds import Scenes, scene_set
 
 __all__ = ["load_bank", "record_bank"]
 

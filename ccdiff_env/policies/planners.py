@@ -19,25 +19,31 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.fit import ATTRIBUTE, STATISTICS, Fit
-from ccdiff_env.envs.worlds import Worlds
-from ccdiff_env.envs.worlds_view import worlds_view
 from ccdiff_env.errors import (
     ConfigError,
     DatasetError,
     MissingFeatureError,
     ShapeError,
 )
-from ccdiff_env.files import read_bytes, reading
-from ccdiff_env.named_objects import named_object
 from ccdiff_env.policies import SHIPPED, find_policy
+from ccdiff_env.system.files import read_bytes, reading
+from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import driver_names
+from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
+from ccdiff_env.worlds.worlds_view import worlds_view
 
-__all__ = ["Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
+__all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
 
 F32 = npt.NDArray[np.float32]
 #: From observations of N worlds to actions [N, W], or indices [N].
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
+#: Help of an option that says who drives the ego.
+EGO_HELP = (
+    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
+    "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
+    "runs the code in it: trust whoever made it)"
+)
 
 
 @runtime_checkable
@@ -125,7 +131,7 @@ class Seat:
     def begin(self, worlds: Worlds) -> None:
         """Take the seats of worlds, all of which begin an episode.
 
-        The planner reads the worlds alone, see :mod:`ccdiff_env.envs.worlds_view`, unless it is
+        The planner reads the worlds alone, see :mod:`ccdiff_env.worlds.worlds_view`, unless it is
         privileged.
 
         Raises

@@ -20,13 +20,13 @@ from ccdiff_env.config import (
     WorldConfig,
 )
 from ccdiff_env.envs.single import EgoEnv
-from ccdiff_env.envs.snapshot import Snapshot
-from ccdiff_env.envs.worlds import Worlds
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.planners import Act, Ego, ego_driver
-from ccdiff_env.recorder import Recorder
-from ccdiff_env.rollout import Rollout
+from ccdiff_env.policies.planners import Act, Ego, ego_driver
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, with_tracks
+from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.snapshot import Snapshot
 
 __all__ = [
     "Attribution",
@@ -123,7 +123,7 @@ def branch(
     env
         An environment in the middle of an episode; it is not changed.
     ego
-        Who drives the ego from here on, as :func:`ccdiff_env.planners.ego_driver` takes it;
+        Who drives the ego from here on, as :func:`~ccdiff_env.planners.ego_driver` takes it;
         ``"replay"`` steers back to the log.
     adversaries
         Ids of the vehicles to guide against the ego in CCDiff traffic; ``()`` for nobody,

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ccdiff_env.curves import Curves, progress_bar
+from ccdiff_env.models.curves import Curves, progress_bar
 
 if TYPE_CHECKING:
     from ccdiff_env import _models

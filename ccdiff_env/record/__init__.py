@@ -1,0 +1,1 @@
+"""Records of episodes: rollouts, certificates, banks, and counterfactuals of running ones."""
