@@ -71,22 +71,24 @@ __all__ = [
 _FORMER = {"RolloutPlan": "TrafficPlan"}
 #: Rooms that are imported when they are first named.
 _LAZY = ("bench", "models", "policies", "record", "worlds")
-#: Modules of rooms that have a short name here, too: ``ccdiff_env.causal``.
+#: Modules that have a short name here, too: ``ccdiff_env.causal``.
 _SHORT = {
-    "bank": "record",
-    "causal": "metrics",
-    "counterfactual": "record",
-    "curriculum": "worlds",
-    "embedded": "scenes",
-    "gpudrive": "scenes",
-    "load_report": "scenes",
-    "map_queries": "scenes",
-    "planners": "policies",
-    "recorder": "record",
-    "render": "view",
-    "rollout": "record",
-    "scene_types": "scenes",
-    "sources": "scenes",
+    "bank": "record.bank",
+    "causal": "metrics.causal",
+    "certificate": "record.certificate",
+    "counterfactual": "record.counterfactual",
+    "curriculum": "worlds.curriculum",
+    "embedded": "scenes.embedded",
+    "envs.worlds": "worlds",
+    "gpudrive": "scenes.gpudrive",
+    "load_report": "scenes.load_report",
+    "map_queries": "scenes.map_queries",
+    "planners": "policies.planners",
+    "recorder": "record.recorder",
+    "render": "view.render",
+    "rollout": "record.rollout",
+    "scene_types": "scenes.scene_types",
+    "sources": "scenes.sources",
 }
 
 
@@ -99,7 +101,7 @@ class _ShortNames(MetaPathFinder, Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         short = module.__name__.partition(".")[2]
-        sys.modules[module.__name__] = import_module(f"ccdiff_env.{_SHORT[short]}.{short}")
+        sys.modules[module.__name__] = import_module(f"ccdiff_env.{_SHORT[short]}")
 
 
 sys.meta_path.append(_ShortNames())

@@ -215,7 +215,7 @@ def test_the_package_has_a_dozen_rooms():
 @pytest.mark.parametrize("name", ccdiff_env._SHORT)
 def test_short_names_are_the_modules_of_rooms(name):
     found = importlib.import_module(f"ccdiff_env.{name}")
-    assert found is importlib.import_module(f"ccdiff_env.{ccdiff_env._SHORT[name]}.{name}")
+    assert found is importlib.import_module(f"ccdiff_env.{ccdiff_env._SHORT[name]}")
     assert found is getattr(ccdiff_env, name)
 
 
