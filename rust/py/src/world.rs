@@ -34,6 +34,8 @@ pub(crate) struct PyVecWorld {
     home: ProcessGuard,
     /// Actions of the present step.
     actions: Vec<f32>,
+    /// The array of observations of the last call.
+    rows: Option<Py<PyAny>>,
 }
 
 /// An array of a dtype and shape in C order.
@@ -133,6 +135,18 @@ pub(crate) struct PyWorldStatus {
     elapsed_steps: usize,
 }
 
+impl PyVecWorld {
+    /// Tells the worlds whether observations go where they went in the last call. The array is held, so that no other
+    /// one takes its place.
+    fn keep_rows(&mut self, out: &Bound<'_, PyAny>) -> PyResult<()> {
+        let rows = out.getattr("obs")?;
+        let same = self.rows.as_ref().is_some_and(|last| last.is(&rows));
+        self.world.keep_rows(same);
+        self.rows = Some(rows.unbind());
+        Ok(())
+    }
+}
+
 #[pymethods]
 impl PyVecWorld {
     /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are policies by
@@ -157,7 +171,7 @@ impl PyVecWorld {
             VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
-        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new() })
+        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new(), rows: None })
     }
 
     /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
@@ -183,6 +197,7 @@ impl PyVecWorld {
         out: &Bound<'py, PyAny>,
     ) -> PyResult<()> {
         self.home.check()?;
+        self.keep_rows(out)?;
         let mut out = Outputs::check(out, &self.world)?;
         let buffers = out.buffers()?;
         let world = &mut self.world;
@@ -206,6 +221,7 @@ impl PyVecWorld {
         active: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         self.home.check()?;
+        self.keep_rows(out)?;
         let world = &mut self.world;
         let shape = [world.num_worlds(), world.config().num_slots, world.decoder().width()];
         // copied, so that nobody changes them while the GIL is released

@@ -26,7 +26,8 @@ pub(super) struct NearestAgents {
     most: usize,
     radius_m: Real,
     distance_sq: Vec<Real>,
-    /// [`key`]s of the agents within a distance, in order, and whatever else.
+    /// [`key`]s of the agents within a distance by index, the same in order, and whatever else.
+    near: Vec<u64>,
     sorted: Vec<u64>,
     /// Distances in steps, and the number of agents that are nearer.
     steps: Box<[i16; MOST_COUNTED]>,
@@ -41,6 +42,7 @@ impl NearestAgents {
             most,
             radius_m,
             distance_sq: Vec::new(),
+            near: Vec::new(),
             sorted: Vec::new(),
             steps: Box::new([0; MOST_COUNTED]),
             ranks: Box::new([0; MOST_COUNTED]),
@@ -57,11 +59,10 @@ impl NearestAgents {
         measure(states, agent_idx, reach_sq, &mut self.distance_sq);
         let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
         let limit_sq = limit_sq.min(reach_sq);
-        let num_near = if num_agents <= MOST_COUNTED {
-            self.sort_by_counting(limit_sq)
-        } else {
-            self.sort_those_within(limit_sq)
-        };
+        self.near.resize(num_agents, 0);
+        let mut num_near = 0;
+        gather(&self.distance_sq, limit_sq, &mut self.near, &mut num_near);
+        self.sort(num_near);
         let sorted = &self.sorted[..num_near.min(self.most)];
         if num_agents > self.most + 1 {
             let last = &mut self.last[agent_idx];
@@ -82,46 +83,38 @@ impl NearestAgents {
         }
         // an agent of another scene may be none of this one
         let far = |j: &u32| self.distance_sq.get(*j as usize).copied().unwrap_or(Real::INFINITY);
-        last.iter().map(far).fold(0.0, Real::max)
+        let (fours, rest) = last.as_chunks::<4>();
+        // four at a time: each maximum waits for the one before
+        let farthest = fours
+            .iter()
+            .fold([0.0; 4], |most: [Real; 4], four| std::array::from_fn(|k| most[k].max(far(&four[k]))));
+        rest.iter().map(far).chain(farthest).fold(0.0, Real::max)
     }
 
-    /// Puts the agents within a distance in order, by the distance in steps first; their number.
-    fn sort_by_counting(&mut self, limit_sq: Real) -> usize {
-        let (num_agents, steps) = (self.distance_sq.len(), &mut self.steps);
-        to_steps(&self.distance_sq, limit_sq, STEPS / self.radius_m, &mut steps[..]);
-        let num_near = steps[..num_agents].iter().filter(|step| **step != BEYOND).count();
-        steps[num_agents..num_agents.next_multiple_of(LANES)].fill(BEYOND);
-        count_nearer(&steps[..num_agents.next_multiple_of(LANES)], num_agents, &mut self.ranks[..]);
-        if self.sorted.len() < MOST_COUNTED {
-            self.sorted.resize(MOST_COUNTED, 0);
-        }
-        let (ranks, Some(sorted)) =
-            (&self.ranks[..num_agents], self.sorted.first_chunk_mut::<MOST_COUNTED>())
+    /// Puts the first of the gathered keys in order: a few by counting for each those of fewer steps, many by the
+    /// library's sort.
+    fn sort(&mut self, num_near: usize) {
+        self.sorted.resize(self.near.len().max(MOST_COUNTED), 0);
+        let near = &self.near[..num_near];
+        let (Some(sorted), true) = (self.sorted.first_chunk_mut::<MOST_COUNTED>(), num_near <= MOST_COUNTED)
         else {
-            return 0;
+            self.sorted[..num_near].copy_from_slice(near);
+            self.sorted[..num_near].sort_unstable();
+            return;
         };
-        // those beyond come after all others
-        for (agent_idx, (distance_sq, rank)) in self.distance_sq.iter().zip(ranks).enumerate() {
-            sorted[*rank as usize % MOST_COUNTED] = key(*distance_sq, agent_idx);
+        let padded = num_near.next_multiple_of(LANES);
+        to_steps(near, STEPS / self.radius_m, &mut self.steps[..]);
+        self.steps[num_near..padded].fill(BEYOND);
+        count_nearer(&self.steps[..padded], num_near, &mut self.ranks[..]);
+        let ranks = &self.ranks[..num_near];
+        for (key, rank) in near.iter().zip(ranks) {
+            sorted[*rank as usize % MOST_COUNTED] = *key;
         }
         // ranks of which two are the same add up to less than 0 + 1 + 2 + …
-        let sum: i32 = ranks.iter().map(|rank| i32::from(*rank)).sum();
-        let of_near = sum as usize - (num_agents - num_near) * num_near;
-        if 2 * of_near != num_near * num_near.saturating_sub(1) {
-            let near = |(_, rank): &(u64, i16)| (*rank as usize) < num_near;
-            let keys = self.distance_sq.iter().enumerate().map(|(agent_idx, d)| key(*d, agent_idx));
-            place_with_ties(keys.zip(ranks.iter().copied()).filter(near), &mut sorted[..num_near]);
+        let sum: usize = ranks.iter().map(|rank| *rank as usize).sum();
+        if 2 * sum != num_near * num_near.saturating_sub(1) {
+            place_with_ties(near.iter().copied().zip(ranks.iter().copied()), &mut sorted[..num_near]);
         }
-        num_near
-    }
-
-    /// The same, by the library's sort.
-    fn sort_those_within(&mut self, limit_sq: Real) -> usize {
-        self.sorted.resize(self.distance_sq.len(), 0);
-        let mut num_near = 0;
-        gather(&self.distance_sq, limit_sq, &mut self.sorted, &mut num_near);
-        self.sorted[..num_near].sort_unstable();
-        num_near
     }
 }
 
@@ -182,13 +175,12 @@ simd_dispatch! {
         *num_keys = n;
     }
 
-    /// Distances in whole steps, [`BEYOND`] outside of a limit; never fewer steps for a greater distance.
-    fn to_steps(distance_sq: &[Real], limit_sq: Real, steps_per_metre: Real, steps: &mut [i16]) {
-        for (step, distance_sq) in steps.iter_mut().zip(distance_sq) {
+    /// Distances of keys in whole steps; never fewer steps for a greater distance.
+    fn to_steps(keys: &[u64], steps_per_metre: Real, steps: &mut [i16]) {
+        for (step, key) in steps.iter_mut().zip(keys) {
             // added to this number, a float has its whole part in its lowest bits
-            let whole = distance_sq.sqrt() * steps_per_metre + 8_388_608.0;
-            let near = (whole.to_bits() & 0x7fff) as i16;
-            *step = if *distance_sq <= limit_sq { near } else { BEYOND };
+            let whole = Real::from_bits((key >> 32) as u32).sqrt() * steps_per_metre + 8_388_608.0;
+            *step = (whole.to_bits() & 0x7fff) as i16;
         }
     }
 

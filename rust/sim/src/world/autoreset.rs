@@ -22,7 +22,7 @@ impl World {
         if ends_now {
             out.final_obs.copy_from_slice(out.obs);
             out.final_bev.copy_from_slice(out.bev);
-            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev);
+            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev, false);
         }
         if reset_pending || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);

@@ -340,7 +340,7 @@ impl VecWorld {
             }
         }
         let now = self.worlds[world_idx].episode.elapsed_steps;
-        self.worlds[world_idx].observe(&self.config, extent, now, obs, bev);
+        self.worlds[world_idx].observe(&self.config, extent, now, obs, bev, false);
         Ok(())
     }
 

@@ -293,6 +293,15 @@ impl VecWorld {
         Ok(())
     }
 
+    /// Says before a step or a reset that its buffers are `same` as those of the last call, in which nobody has written
+    /// since: rows of empty slots stay the zeros that they are. Without this they are written in every call.
+    pub fn keep_rows(&mut self, same: bool) {
+        for world in self.worlds.iter_mut().filter(|_| !same) {
+            world.blank.clear();
+            world.blank.resize(self.config.num_slots, false);
+        }
+    }
+
     /// Some of the steps of a decision, in all active worlds whose episode has not ended in it.
     fn step_held(
         &mut self,

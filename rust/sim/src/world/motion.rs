@@ -36,9 +36,16 @@ impl World {
             }
         }
         self.scene.log.follow(e.step_idx, &self.follow_log, &mut e.states, &mut self.masks, config.dt_s);
+        self.slot_of.clear();
+        self.slot_of.resize(e.states.len(), None);
+        for (c, slot) in e.slots.iter().enumerate() {
+            if let Some(a) = slot.agent_idx {
+                self.slot_of[a] = Some(c as u32);
+            }
+        }
         for (a, motion) in self.motions.drain(..) {
             let a = a as usize;
-            let slot = e.slots.iter().find(|s| s.agent_idx == Some(a));
+            let slot = self.slot_of[a].map(|c| &e.slots[c as usize]);
             let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
             match (motion, slot) {
                 (_, Some(slot)) if slot.stopped => {}
@@ -62,7 +69,7 @@ impl World {
             halt::halt(e, &self.scene, &mut self.collisions, &self.before);
         }
         for a in 0..e.states.len() {
-            let follows_route = e.drivers[a] != Driver::REPLAY || e.has_slot(a);
+            let follows_route = e.drivers[a] != Driver::REPLAY || self.slot_of[a].is_some();
             if e.states.active[a] && follows_route {
                 let path = &self.scene.routes[a].path;
                 e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;

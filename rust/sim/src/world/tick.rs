@@ -59,6 +59,10 @@ pub(crate) struct World {
     pub(crate) ended: Vec<Metrics>,
     /// Slots that hold adversaries.
     pub(super) adversaries: Vec<bool>,
+    /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
+    pub(super) blank: Vec<bool>,
+    /// The slot of each agent that has one.
+    pub(super) slot_of: Vec<Option<u32>>,
     /// Acceleration and presence of all agents before the last step; empty where there was none.
     pub(super) acceleration_before_mps2: Vec<Real>,
     pub(super) active_before: Vec<bool>,
@@ -91,6 +95,8 @@ impl World {
             contacts: Vec::new(),
             ended: Vec::new(),
             adversaries: Vec::new(),
+            blank: Vec::new(),
+            slot_of: Vec::new(),
             acceleration_before_mps2: Vec::new(),
             active_before: Vec::new(),
             collisions: Collisions::new(),
@@ -214,7 +220,7 @@ impl World {
             if step + 1 < shared.config.decision_steps
                 && self.episode.slots.iter().any(|s| s.ended_at == Some(now))
             {
-                self.observe(shared.config, shared.extent, since, out.obs, out.bev);
+                self.observe(shared.config, shared.extent, since, out.obs, out.bev, true);
             }
         }
         if !reset_pending && (out.done[0] || !goes_on) && self.play_roles(shared.config, since, out) {
@@ -244,6 +250,6 @@ impl World {
     /// Writes who is alive, and the observations.
     pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
         self.write_alive(out);
-        self.observe(shared.config, shared.extent, since, out.obs, out.bev);
+        self.observe(shared.config, shared.extent, since, out.obs, out.bev, true);
     }
 }
