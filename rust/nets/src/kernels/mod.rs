@@ -5,6 +5,7 @@ mod product;
 mod rows;
 mod shape;
 mod simd;
+mod tile;
 
 pub use product::Packed;
 pub(crate) use product::{Strided, convolve, linear, matmul};

@@ -46,8 +46,8 @@ pub fn check(config: &ModelConfig) -> Result<()> {
 impl Own {
     fn linear_of(x: &Array, layer: &Packed, relu: bool) -> Array {
         let mut numbers = Vec::new();
-        kernels::linear(Checked::now(), &x.numbers, layer, relu, &mut numbers);
-        Array { tokens: x.tokens, width: layer.columns, numbers }
+        kernels::linear(Checked::now(), &x.numbers, layer, x.sparse, relu, &mut numbers);
+        Array { tokens: x.tokens, width: layer.columns, numbers, sparse: relu }
     }
 }
 
@@ -196,7 +196,8 @@ impl Backend for Own {
 
     fn lines(batch: &Inputs<'_>) -> Option<Array> {
         let numbers = batch.numbers(|s| &s.segments);
-        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
+        let (tokens, width) = (NUM_SEGMENTS, SEGMENT_FEATURES);
+        (!numbers.is_empty()).then_some(Array { tokens, width, numbers, sparse: true })
     }
 
     fn raster_tokens(raster: &Raster, batch: &Inputs<'_>, _: bool) -> Option<Array> {
@@ -276,7 +277,7 @@ impl Backend for Own {
     }
 
     fn joined(x: &Array) -> Array {
-        Array { tokens: 1, width: x.tokens * x.width, numbers: x.numbers.clone() }
+        Array::new(1, x.tokens * x.width, x.numbers.clone())
     }
 
     fn token(x: Array) -> Array {
@@ -298,7 +299,7 @@ impl Backend for Own {
                 numbers.extend_from_slice(&greatest);
             }
         }
-        Array::new(x.tokens, 2 * x.width, numbers)
+        Array { tokens: x.tokens, width: 2 * x.width, numbers, sparse: x.sparse }
     }
 
     fn rows_of(table: &Array, step: &usize) -> Array {
