@@ -65,6 +65,11 @@ impl Predict for Encoded<'_> {
 }
 
 impl Planner for OwnPlanner {
+    /// As many as leave a layer's numbers in the cache.
+    fn most_worlds(&self) -> usize {
+        2
+    }
+
     fn draw(
         &self,
         scenes: &[&SceneFeatures],

@@ -213,8 +213,10 @@ impl Backend for Own {
         let images = batch.scenes.iter().flat_map(|s| s.image.chunks_exact((channels * plane).max(1)));
         for (bytes, out) in images.zip(tokens.chunks_exact_mut(per_row.max(1))) {
             if batch.alone && raster.histories > 0 {
-                let hidden =
-                    |(at, b): (usize, &u8)| if at < raster.histories * plane { (*b).max(ZERO) } else { *b };
+                let hidden = |(at, b): (usize, &u8)| match at % channels < raster.histories {
+                    true => (*b).max(ZERO),
+                    false => *b,
+                };
                 let bytes: Vec<u8> = bytes.iter().enumerate().map(hidden).collect();
                 kernels::pixels(level, &bytes, channels, 8 * side, ZERO, &mut image);
             } else {
