@@ -87,7 +87,8 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
         assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 1e-4
         np.testing.assert_allclose(a["actions"], b["actions"], atol=1e-4)
         if name not in SCENE_DIFFUSIONS:
-            assert a["attention"] is None and b["attention"] is None
+            assert a["attention"] is None
+            assert b["attention"] is None
             continue
         np.testing.assert_allclose(a["attention"], b["attention"], atol=1e-5)
         many = max(many, (b["attention"] > 0.01).sum(1).max())
