@@ -17,12 +17,12 @@ the machine does.
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-import torch
 
 import ccdiff_env
 from ccdiff_env.bench.methods import METHODS
@@ -32,15 +32,15 @@ from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.traffic import NETWORKS
 
-require_networks()
-from ccdiff_env import _models  # noqa: E402
-
 ENVS = (1, 8, 32, 64)
 STEP = 40
 
 
 def paper_weights(scenes: SceneSet, folder: str) -> Path:
     """Write fresh weights of the paper's preset."""
+    require_networks()
+    from ccdiff_env import _models
+
     model, training = _models.model_preset("paper")
     trainer = _models.Trainer(
         list(scenes[:1]), [], model, training, device="cpu", stride=10, estimate=True
@@ -138,7 +138,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads of worlds and of torch")
     parser.add_argument("--models", help="names of networks, comma-separated, or all")
     args = parser.parse_args()
-    torch.set_num_threads(args.threads)
+    os.environ["OMP_NUM_THREADS"] = str(args.threads)
     scenes = scenes_from(args)
     vehicles = np.mean([int(s.tracks()["valid"][:, STEP].sum()) for s in scenes])
     print(f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s)")

@@ -84,7 +84,7 @@ import sys, types
 import ccdiff_env
 {before}
 try:
-    ccdiff_env.EgoEnv(traffic="simnet")
+    ccdiff_env.EgoEnv(traffic="strive")
 except ccdiff_env.errors.MissingFeatureError as error:
     assert isinstance(error, ImportError)
     print(error)

@@ -46,12 +46,12 @@ for _ in range(10):
 print("CCDiff without torch:", planned.explain().agents.shape)
 
 try:
-    ccdiff_env.EgoEnv(traffic="simnet")
+    ccdiff_env.EgoEnv(traffic="strive")
 except ccdiff_env.errors.MissingFeatureError as error:
-    print("SimNet without torch:", error)
+    print("STRIVE without torch:", error)
     assert "ccdiff-env[models]" in str(error)
 else:
-    raise AssertionError("SimNet traffic without torch")
+    raise AssertionError("STRIVE traffic without torch")
 """
 
 WITH_TORCH = """

@@ -357,11 +357,10 @@ def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 
 def _speed(args: argparse.Namespace) -> int:
-    import torch
-
+    from ccdiff_env.bench.jobs import use_one_thread
     from ccdiff_env.bench.speed import measure_speed, write_speed
 
-    torch.set_num_threads(1)
+    use_one_thread()
     timings = measure_speed(
         scenes_from(args),
         rounds=args.rounds,

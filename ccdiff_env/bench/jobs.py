@@ -24,6 +24,16 @@ __all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
 Backend = Literal["local", "ray"]
 
 
+def use_one_thread() -> None:
+    """Have torch compute on one thread in this process, whether it is loaded or will be."""
+    torch = sys.modules.get("torch")
+    if torch is None:
+        # read when torch is imported, which only some networks do
+        os.environ["OMP_NUM_THREADS"] = "1"
+    else:
+        torch.set_num_threads(1)
+
+
 @dataclass(frozen=True)
 class Job:
     """A function of this package and what it is called with.
@@ -57,12 +67,7 @@ class Job:
 
     def run(self) -> Any:
         """Do the work."""
-        torch = sys.modules.get("torch")
-        if torch is None:
-            # read when torch is imported, which only networks do
-            os.environ["OMP_NUM_THREADS"] = "1"
-        else:
-            torch.set_num_threads(1)
+        use_one_thread()
         module, name = self.function.split(":")
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
         return function(**self.arguments)

@@ -79,8 +79,8 @@ def require_networks() -> None:
 def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
     """Whether a network is computed by torch: on a graphics card, or one without own kernels.
 
-    CCDiff and CTG++ on the processor need no torch, and have the same bits on every machine, in
-    every batch and on any number of threads.
+    CCDiff, CTG++ and SimNet on the processor need no torch, and have the same bits on every
+    machine, in every batch and on any number of threads.
 
     Raises
     ------

@@ -158,9 +158,6 @@ def _record(
     avoidable_only: bool,
 ) -> None:
     """Record one part and write its file."""
-    import torch
-
-    torch.set_num_threads(1)
     scenes = SceneSet([Scene.from_bytes(data) for data in packed])
     settings = {"criticality": criticality, "num_samples": 1}
     traffic = Traffic(f"CCDiff, criticality {criticality:g}", "ccdiff", settings)

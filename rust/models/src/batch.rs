@@ -97,8 +97,8 @@ impl Batch {
                 return put(Tensor::from_slice(&segments), &size);
             }
             let side = map.size_px as i64;
-            let size = [r, map.num_channels(config.history_steps) as i64, side, side];
-            put(Tensor::from_slice(&image), &size)
+            let size = [r, side, side, map.num_channels(config.history_steps) as i64];
+            put(Tensor::from_slice(&image), &size).permute([0, 3, 1, 2]).contiguous()
         });
         Ok(Self {
             scene_sizes,

@@ -96,6 +96,18 @@ impl Backend for Torch {
         (edges, Slots::new(&batch.neighbours, &batch.is_edge, &available))
     }
 
+    fn edges_now(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
+        // the first token's edges are those of now
+        let (edges, available) = inputs::at_tokens(&batch.edges, config);
+        let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
+        (edges.narrow(2, 0, 1), slots)
+    }
+
+    fn standard_speed(batch: &Batch, config: &ModelConfig) -> Tensor {
+        let n = &config.normalisation;
+        ((&batch.speed_mps - n.trajectory_mean[2]) / n.trajectory_std[2]).view([-1, 1, 1])
+    }
+
     fn speed(batch: &Batch) -> Tensor {
         batch.speed_mps.shallow_clone()
     }
@@ -145,6 +157,10 @@ impl Backend for Torch {
 
     fn columns(x: &Tensor, from: i64, count: i64) -> Tensor {
         x.narrow(-1, from, count)
+    }
+
+    fn beside(x: &Tensor, y: &Tensor) -> Tensor {
+        Tensor::cat(&[x, y], -1)
     }
 
     fn joined(x: &Tensor) -> Tensor {

@@ -71,6 +71,12 @@ pub trait Backend: Debug + Sized {
     /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.
     fn edges(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
 
+    /// Edges of the slots now, as [`Self::edges`], and who may be seen.
+    fn edges_now(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+
+    /// Standardised speeds now, a token of each row.
+    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+
     /// Speeds now [R].
     fn speed(batch: &Self::Batch<'_>) -> Self::Tensor;
 
@@ -106,6 +112,9 @@ pub trait Backend: Debug + Sized {
 
     /// Some of the numbers of each token.
     fn columns(x: &Self::Tensor, from: i64, count: i64) -> Self::Tensor;
+
+    /// The numbers of each token of x, then those of y.
+    fn beside(x: &Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
     /// All tokens of a row as one row of numbers, [R, tokens · width].
     fn joined(x: &Self::Tensor) -> Self::Tensor;

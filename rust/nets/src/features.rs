@@ -51,7 +51,7 @@ pub struct SceneFeatures {
     pub is_edge: Vec<bool>,
     /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`EDGE_FEATURES`].
     pub edges: Vec<f32>,
-    /// Map raster [M, channels, size, size] coded as bytes, see [`raster`]; empty for a map-blind network.
+    /// Map raster [M, size, size, channels] coded as bytes, see [`raster`]; empty for a map-blind network.
     pub image: Vec<u8>,
     /// Lines of the map near each agent [M, 64, 20]; empty without an encoder of polylines.
     pub segments: Vec<f32>,

@@ -19,8 +19,10 @@ pub mod raster;
 pub mod sampler;
 pub mod schedule;
 pub mod segments;
+pub mod simnet;
 pub mod traffic;
 pub mod trajectory_model;
+pub mod trunk;
 pub mod unicycle;
 pub mod weights;
 

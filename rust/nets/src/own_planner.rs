@@ -1,37 +1,96 @@
-//! CCDiff and CTG++ on the kernels of this crate.
+//! Networks as plans are drawn from them on the kernels of this crate.
 
 use crate::ccdiff::{Context, Network};
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, ModelKind};
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::guidance::Guidance;
 use crate::own::{self, Array, Inputs, Own, Place};
+use crate::plan_space::PlanSpace;
 use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
+use crate::simnet::Simnet;
 use crate::weights::{Entry, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A network with its schedule.
-#[derive(Debug)]
-pub(crate) struct OwnPlanner {
-    network: Network<Own>,
-    schedule: Schedule,
+/// Worlds that share a batch: as many as leave a layer's numbers in the cache.
+const MOST_WORLDS: usize = 2;
+
+/// The network of a file's tensors.
+///
+/// # Errors
+/// [`crate::ModelError::Config`] for a network that needs torch, [`crate::ModelError::Checkpoint`] where a tensor does not fit.
+pub(crate) fn planner(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    own::check(config)?;
+    let weights = Weights::new(path, tensors);
+    let root = Place::root(&weights);
+    let planner: Box<dyn Planner> = match config.kind {
+        ModelKind::Simnet => {
+            Box::new(Regressor { network: Simnet::new(&root, config), space: PlanSpace::new(config) })
+        }
+        _ => {
+            let schedule = Schedule::cosine(config.diffusion_steps)?;
+            Box::new(Denoiser { network: Network::new(&root, config), schedule })
+        }
+    };
+    weights.finish()?;
+    Ok(planner)
 }
 
-impl OwnPlanner {
-    /// The network of a file's tensors.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Config`] for a network that needs torch, [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-    pub(crate) fn new(path: &Path, config: &ModelConfig, tensors: BTreeMap<String, Entry>) -> Result<Self> {
-        own::check(config)?;
-        let weights = Weights::new(path, tensors);
-        let network = Network::new(&Place::root(&weights), config);
-        weights.finish()?;
-        Ok(Self { network, schedule: Schedule::cosine(config.diffusion_steps)? })
+/// Plans of clean knots, sample by sample.
+fn drawn(
+    space: &PlanSpace,
+    scenes: &[&SceneFeatures],
+    knots: Vec<f32>,
+    attention: Option<Vec<f32>>,
+) -> Drawn {
+    let actions = space.actions(&knots);
+    let speed_mps: Vec<f32> = scenes.iter().flat_map(|s| s.speed_mps.iter().copied()).collect();
+    Drawn { states: space.states(&actions, &speed_mps), actions, knots, attention }
+}
+
+/// SimNet.
+#[derive(Debug)]
+struct Regressor {
+    network: Simnet<Own>,
+    space: PlanSpace,
+}
+
+impl Planner for Regressor {
+    fn most_worlds(&self) -> usize {
+        MOST_WORLDS
     }
+
+    /// The one plan, N times.
+    fn draw(
+        &self,
+        scenes: &[&SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Drawn> {
+        let sizes: Vec<usize> = scenes.iter().map(|s| s.agents.len()).collect();
+        Rows { scene_sizes: &sizes, noise_seeds: &[] }.check_seeds(seeds)?;
+        let plan = self.network.plan(&Inputs { scenes, alone: false }, false);
+        let mut knots = plan.into_numbers().repeat(options.sampling.num_samples);
+        if let Some(guide) = guide {
+            guide.adjust_finished(&mut knots)?;
+        }
+        Ok(drawn(&self.space, scenes, knots, None))
+    }
+}
+
+/// CCDiff and CTG++ with their schedule.
+#[derive(Debug)]
+struct Denoiser {
+    network: Network<Own>,
+    schedule: Schedule,
 }
 
 /// A network on scenes that it has encoded.
@@ -64,7 +123,11 @@ impl Predict for Encoded<'_> {
     }
 }
 
-impl Planner for OwnPlanner {
+impl Planner for Denoiser {
+    fn most_worlds(&self) -> usize {
+        MOST_WORLDS
+    }
+
     fn draw(
         &self,
         scenes: &[&SceneFeatures],
@@ -95,9 +158,6 @@ impl Planner for OwnPlanner {
         let draws =
             Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots, first: &first };
         let knots = sampler::sample(&draws, &mut encoded, guide)?;
-        let space = network.space();
-        let actions = space.actions(&knots);
-        let speed_mps: Vec<f32> = scenes.iter().flat_map(|s| s.speed_mps.iter().copied()).collect();
         let attention = options.attention.then(|| {
             let executed = options.executed_tokens(config);
             let slots = scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
@@ -113,6 +173,6 @@ impl Planner for OwnPlanner {
             }
             mean
         });
-        Ok(Drawn { states: space.states(&actions, &speed_mps), actions, knots, attention })
+        Ok(drawn(network.space(), scenes, knots, attention))
     }
 }

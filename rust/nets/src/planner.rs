@@ -95,6 +95,12 @@ pub struct Drawn {
 
 /// A network as plans are drawn from it.
 pub trait Planner: Debug + Send {
+    /// Most worlds that share a batch: fixed, so that plans do not depend on the number of threads. More are hardly faster, fewer
+    /// leave no thread without work.
+    fn most_worlds(&self) -> usize {
+        8
+    }
+
     /// Draws plans for all agents of all scenes; at least one has an agent. `seeds` holds one seed per scene; `guide` moves
     /// the plans on the way.
     ///

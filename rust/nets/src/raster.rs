@@ -10,6 +10,7 @@
 use crate::config::{MapConfig, MapEncoder};
 use crate::error::Result;
 use crate::features::{SceneFeatures, Window};
+use crate::kernels::{self, Checked};
 use crate::segments;
 use ccdiff_sim::geom::{Point2, Polygon, Pose2};
 use ccdiff_sim::observe::Segment;
@@ -23,6 +24,22 @@ const MINUS_ONE: u8 = 1;
 const DRIVABLE: u8 = 1;
 const DIVIDER: u8 = 2;
 const PEDESTRIAN: u8 = 4;
+/// The layers of each set of flags.
+static LAYERS: [[u8; 3]; 8] = {
+    let mut layers = [[ZERO; 3]; 8];
+    let mut flags = 0;
+    while flags < 8 {
+        let mut layer = 0;
+        while layer < 3 {
+            if flags >> layer & 1 == 1 {
+                layers[flags][layer] = ONE;
+            }
+            layer += 1;
+        }
+        flags += 1;
+    }
+    layers
+};
 /// Most pixels of a bitmap, 2^27: 11 km square at 1 px/m. They take two bytes each.
 const MOST_PX: f64 = 134_217_728.0;
 /// Half the width of the painted lane direction, metres.
@@ -50,9 +67,8 @@ pub struct MapBitmap {
     px_per_m: f32,
     width: usize,
     height: usize,
-    flags: Vec<u8>,
-    /// 0: no lane; else 1 + 254 × (direction / 2π).
-    direction: Vec<u8>,
+    /// Flags of the layers and, of a lane, 1 + 254 × (direction / 2π), else 0.
+    pixels: Vec<[u8; 2]>,
     /// Corners of the part that has a map.
     known: [Point2; 2],
     /// Lines of the map, in place of pixels, for an encoder of polylines.
@@ -124,8 +140,7 @@ impl MapBitmap {
             px_per_m,
             width,
             height,
-            flags: vec![0; width * height],
-            direction: vec![0; width * height],
+            pixels: vec![[0; 2]; width * height],
             segments: Vec::new(),
         };
         for polygon in &map.drivable_area {
@@ -135,10 +150,10 @@ impl MapBitmap {
             bitmap.fill(polygon, PEDESTRIAN);
         }
         for line in map.road_dividers.iter().chain(&map.lane_dividers) {
-            bitmap.stroke(line, 0.0, |b, at, _| b.flags[at] |= DIVIDER);
+            bitmap.stroke(line, 0.0, |b, at, _| b.pixels[at][0] |= DIVIDER);
         }
         for lane in &map.lanes {
-            bitmap.stroke(&lane.centreline, LANE_HALF_WIDTH_M, |b, at, code| b.direction[at] = code);
+            bitmap.stroke(&lane.centreline, LANE_HALF_WIDTH_M, |b, at, code| b.pixels[at][1] = code);
         }
         bitmap
     }
@@ -179,7 +194,7 @@ impl MapBitmap {
                 let to = (span[1] - 0.5).floor().min(self.width as f32 - 1.0);
                 if to >= 0.0 {
                     for col in from..=(to as usize) {
-                        self.flags[row * self.width + col] |= flag;
+                        self.pixels[row * self.width + col][0] |= flag;
                     }
                 }
             }
@@ -223,64 +238,57 @@ impl MapBitmap {
         within && self.index(x, y).is_some()
     }
 
-    /// Cuts the layers round a pose into `out` [layers, size, size].
+    /// Cuts the layers round a pose into the last channels of `out` [size, size, channels].
     pub fn crop_into(&self, pose: &Pose2, config: &MapConfig, out: &mut [u8]) {
         let size = config.size_px;
-        let plane = size * size;
+        let channels = out.len() / (size * size);
+        let first = channels - config.num_layers();
         let step = config.metres_per_px * self.px_per_m;
         // steps in bitmap pixels along a column (agent x) and along a row (agent y)
         let (cx, cy, rx, ry) = (pose.cos * step, pose.sin * step, -pose.sin * step, pose.cos * step);
         let (x0, y0) = self.to_px(pose.position);
         let turn = libm::atan2f(pose.sin, pose.cos);
-        let directions: Vec<(u8, u8)> = (0..=255u32)
-            .map(|code| {
-                if code == 0 {
-                    return (ZERO, ZERO);
-                }
-                let (s, c) = libm::sincosf((code as f32 - 0.5) / 254.0 * std::f32::consts::TAU - turn);
-                ((128.0 + 127.0 * c) as u8, (128.0 + 127.0 * s) as u8)
-            })
-            .collect();
-        for row in 0..size {
+        // most directions do not occur
+        let mut directions: [Option<[u8; 2]>; 256] = [None; 256];
+        directions[0] = Some([ZERO; 2]);
+        let direction_of = |code: u8| {
+            let angle = (f32::from(code) - 0.5) / 254.0 * std::f32::consts::TAU;
+            let (s, c) = libm::sincosf(angle - turn);
+            [c, s].map(|v| (128.0 + 127.0 * v) as u8)
+        };
+        let (start, size_px) = ([x0, y0], [self.width as u32, self.height as u32]);
+        let (agent, mut places) = (config.agent_column_px as f32, vec![0; size]);
+        for (row, line) in out.chunks_exact_mut(size * channels).enumerate() {
             let down = row as f32 - (size / 2) as f32 + 0.5;
-            for col in 0..size {
-                let ahead = col as f32 - config.agent_column_px as f32 + 0.5;
-                let (x, y) = (x0 + ahead * cx + down * rx, y0 + ahead * cy + down * ry);
-                let Some(at) = self.index(x, y) else { continue };
-                let pixel = row * size + col;
-                let flags = self.flags[at];
-                for (layer, flag) in [DRIVABLE, DIVIDER, PEDESTRIAN].into_iter().enumerate() {
-                    if flags & flag != 0 {
-                        out[layer * plane + pixel] = ONE;
-                    }
-                }
+            let by = [down * rx, down * ry];
+            kernels::pixels_under(Checked::now(), start, agent, [cx, cy], by, size_px, &mut places);
+            for (place, pixel) in places.iter().zip(line.chunks_exact_mut(channels)) {
+                let Some([flags, code]) = self.pixels.get(*place as usize) else { continue };
+                pixel[first..first + 3].copy_from_slice(&LAYERS[usize::from(*flags)]);
                 if config.lane_direction {
-                    let (cos, sin) = directions[usize::from(self.direction[at])];
-                    out[3 * plane + pixel] = cos;
-                    out[4 * plane + pixel] = sin;
+                    let direction = directions[usize::from(*code)].get_or_insert_with(|| direction_of(*code));
+                    pixel[first + 3..first + 5].copy_from_slice(direction);
                 }
             }
         }
     }
 }
 
-/// Rasters of all agents of a scene, [M, channels, size, size]: history channels first, then the map's layers.
+/// Rasters of all agents of a scene, [M, size, size, channels]: history channels first, then the map's layers.
 pub(crate) fn images(
     features: &SceneFeatures,
     window: &Window,
     bitmap: Option<&MapBitmap>,
     config: &MapConfig,
 ) -> Vec<u8> {
-    let plane = config.size_px * config.size_px;
-    let channels = config.num_channels(window.num_steps);
-    let map_from = (channels - config.num_layers()) * plane;
-    let mut images = vec![ZERO; features.agents.len() * channels * plane];
-    for (row, image) in images.chunks_exact_mut(channels * plane).enumerate() {
+    let per_agent = config.size_px * config.size_px * config.num_channels(window.num_steps);
+    let mut images = vec![ZERO; features.agents.len() * per_agent];
+    for (row, image) in images.chunks_exact_mut(per_agent).enumerate() {
         if config.history_channels {
             draw_histories(features, window, row, config, image);
         }
         if let Some(bitmap) = bitmap {
-            bitmap.crop_into(&features.poses[row], config, &mut image[map_from..]);
+            bitmap.crop_into(&features.poses[row], config, image);
         }
     }
     images
@@ -295,6 +303,7 @@ fn draw_histories(
     image: &mut [u8],
 ) {
     let (size, slots) = (config.size_px, features.num_slots);
+    let channels = config.num_channels(window.num_steps);
     let frame = &features.poses[row];
     for slot in (0..slots).rev() {
         let at = row * slots + slot;
@@ -310,7 +319,7 @@ fn draw_histories(
             let col = local.x / config.metres_per_px + config.agent_column_px as f32;
             let line = local.y / config.metres_per_px + (size / 2) as f32;
             if col >= 0.0 && line >= 0.0 && col < size as f32 && line < size as f32 {
-                image[(step * size + line as usize) * size + col as usize] =
+                image[(line as usize * size + col as usize) * channels + step] =
                     if slot == 0 { ONE } else { MINUS_ONE };
             }
         }
@@ -358,7 +367,7 @@ mod tests {
         bitmap.crop_into(&Pose2::new(20.0, 3.0, std::f32::consts::FRAC_PI_2), &config, &mut out);
         let at = |layer: usize, ahead: f32, left: f32| {
             let col = (ahead + config.agent_column_px as f32) as usize;
-            out[layer * size * size + (left + size as f32 / 2.0) as usize * size + col]
+            out[((left + size as f32 / 2.0) as usize * size + col) * 5 + layer]
         };
         assert_eq!((at(0, 15.5, 0.5), at(0, 18.5, 0.5), at(0, -4.5, 0.5)), (ONE, ZERO, ZERO));
         // the hole is 20 to 30 m to the right (east), 2 to 12 m ahead

@@ -6,7 +6,7 @@ use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window, row_offsets};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
-use crate::own_planner::OwnPlanner;
+use crate::own_planner;
 use crate::raster::MapBitmap;
 use crate::weights::{self, Entry};
 use rayon::prelude::*;
@@ -111,8 +111,8 @@ impl TrajectoryModel {
         tensors: BTreeMap<String, Entry>,
     ) -> Result<Self> {
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
-        let planner = OwnPlanner::new(path, &config, tensors)?;
-        Ok(Self::of(Box::new(planner), header, config, num_parameters))
+        let planner = own_planner::planner(path, &config, tensors)?;
+        Ok(Self::of(planner, header, config, num_parameters))
     }
 
     /// A network that plans are drawn from in whatever way.

@@ -8,20 +8,21 @@
 //! predictor sees it in its own frame; goals are conditioned on as the grid gives them back.
 
 use super::moved;
-use super::simnet::HIDDEN;
 use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::features::row_offsets;
 use crate::guidance::Guidance;
-use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::noise::Noise;
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
 use crate::sampler::{SampleOptions, Samples, to_vec};
+use crate::torch::Torch;
 use crate::trunk::{Encoded, Trunk};
+use ccdiff_nets::layers::perceptron::Perceptron;
+use ccdiff_nets::simnet::HIDDEN;
 use tch::{Kind, Tensor, nn};
 
 /// Cells along a side of the goal grid.
@@ -78,10 +79,10 @@ pub struct Bits {
     grid: Grid,
     trunk: Trunk,
     film: nn::Linear,
-    cells: Perceptron,
+    cells: Perceptron<Torch>,
     goal: nn::Linear,
-    policy: Perceptron,
-    predictor: Perceptron,
+    policy: Perceptron<Torch>,
+    predictor: Perceptron<Torch>,
 }
 
 impl Bits {
@@ -171,7 +172,7 @@ impl PlanModel for Bits {
     /// plan to that goal and of the prediction.
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
         let (batch, targets) = (step.batch, step.targets);
-        let seen = self.trunk.forward(batch, true);
+        let seen = Encoded::new(&self.trunk, batch, true);
         let maps = self.maps(&seen);
         let steps = targets.valid.size()[1];
         let count = targets.valid.sum_dim_intlist([1i64].as_slice(), false, Kind::Int64);
@@ -211,7 +212,7 @@ impl PlanModel for Bits {
     ) -> Result<Samples> {
         batch.rows().check_seeds(seeds)?;
         let n = options.num_samples;
-        let seen = self.trunk.forward(batch, false);
+        let seen = Encoded::new(&self.trunk, batch, false);
         let maps = self.maps(&seen);
         let uniform = uniforms(batch, seeds, n);
         let uniform = Tensor::from_slice(&uniform).to_device(maps.device());

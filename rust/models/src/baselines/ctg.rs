@@ -13,7 +13,7 @@ use crate::config::ModelConfig;
 use crate::diffusion::Denoiser;
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
-use crate::trunk::Trunk;
+use crate::trunk::{Encoded, Trunk};
 use ccdiff_nets::layers::embed::StepEmbedding;
 use tch::{Tensor, nn};
 
@@ -125,7 +125,7 @@ impl Denoiser for HalfUnet {
 
     fn encode(&self, batch: &Batch, train: bool) -> Condition {
         Condition {
-            token: self.trunk.forward(batch, train).token,
+            token: Encoded::new(&self.trunk, batch, train).token,
             speed_mps: batch.speed_mps.shallow_clone(),
         }
     }

@@ -11,19 +11,19 @@
 use super::contact::{Pairs, off_road};
 use super::distributions::Gaussian;
 use super::latent::descended;
-use super::simnet::HIDDEN;
 use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, ModelKind};
 use crate::error::Result;
 use crate::guidance::{Guidance, MOVING_MPS};
-use crate::layers::perceptron::Perceptron;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::Torch;
 use crate::trunk::{Encoded, Trunk};
+use ccdiff_nets::layers::perceptron::Perceptron;
 use ccdiff_nets::layers::social::EdgeAwareLayer;
+use ccdiff_nets::simnet::HIDDEN;
 use tch::{Kind, Reduction, Tensor, nn};
 
 /// Weight of the divergence of learned priors.
@@ -51,13 +51,13 @@ pub struct Cvae {
     form: Form,
     space: PlanSpace,
     trunk: Trunk,
-    future: Perceptron,
-    posterior: Perceptron,
+    future: Perceptron<Torch>,
+    posterior: Perceptron<Torch>,
     /// `None`: N(0, I).
-    prior: Option<Perceptron>,
+    prior: Option<Perceptron<Torch>>,
     /// Mixes the latents of neighbours; `None`: each agent is decoded for itself.
     joint: Option<(nn::Linear, EdgeAwareLayer<Torch>)>,
-    decoder: Perceptron,
+    decoder: Perceptron<Torch>,
     latent: i64,
 }
 
@@ -171,7 +171,7 @@ impl PlanModel for Cvae {
     /// but for the port, what a sample of the prior does.
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
         let (batch, targets) = (step.batch, step.targets);
-        let seen = self.trunk.forward(batch, true);
+        let seen = Encoded::new(&self.trunk, batch, true);
         let (prior, posterior) = (self.prior(&seen), self.posterior(&seen, targets));
         let normals = |stream: u64| {
             let numbers = step.draw(stream).normals(posterior.mean.numel());
@@ -201,7 +201,7 @@ impl PlanModel for Cvae {
     ) -> Result<Samples> {
         batch.rows().check_seeds(seeds)?;
         let n = options.num_samples as i64;
-        let seen = self.trunk.forward(batch, false);
+        let seen = Encoded::new(&self.trunk, batch, false);
         let (prior, seen) = (self.prior(&seen).repeated(n), seen.repeated(n));
         let numbers = batch.rows().noise(seeds, 0, options.num_samples, self.latent as usize);
         let normals = Tensor::from_slice(&numbers).view_as(&prior.mean).to_device(prior.mean.device());

@@ -17,7 +17,7 @@ pub use cvae::Cvae;
 pub use simnet::Simnet;
 
 use crate::error::Result;
-use crate::guidance::{Guidance, GuidanceStep};
+use crate::guidance::Guidance;
 use crate::sampler::to_vec;
 use tch::Tensor;
 
@@ -27,6 +27,6 @@ fn moved(knots: &Tensor, guide: Option<&mut Guidance<'_>>) -> Result<Tensor> {
         return Ok(knots.shallow_clone());
     };
     let mut values = to_vec(knots);
-    guide.adjust(&mut values, GuidanceStep { sigma: 1.0, gain: 1.0, score: None })?;
+    guide.adjust_finished(&mut values)?;
     Ok(Tensor::from_slice(&values).view_as(knots).to_device(knots.device()))
 }

@@ -1,45 +1,33 @@
-//! SimNet: behaviour cloning, one plan by regression (rivals.md#simnet).
-//!
-//! Differs from the paper: the port has no hidden layer in its decoder and reads a raster of the agents; this one has
-//! one, and reads states and edges.
+//! SimNet on libtorch: its loss and its proposals.
 
 use super::moved;
 use crate::batch::Batch;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::layers::perceptron::Perceptron;
 use crate::losses::plan_loss;
 use crate::plan_model::{PlanModel, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
-use crate::trunk::Trunk;
+use crate::torch::Torch;
 use tch::{Kind, Tensor, nn};
-
-/// Hidden width of the regression head.
-pub(super) const HIDDEN: i64 = 128;
 
 /// The regressor.
 #[derive(Debug)]
 pub struct Simnet {
     space: PlanSpace,
-    trunk: Trunk,
-    head: Perceptron,
+    network: ccdiff_nets::simnet::Simnet<Torch>,
 }
 
 impl Simnet {
     /// A network with fresh weights under a path.
     pub fn new(p: &nn::Path, config: &ModelConfig) -> Self {
-        Self {
-            space: PlanSpace::new(config, p.device()),
-            trunk: Trunk::new(&(p / "trunk"), config),
-            head: Perceptron::new(&(p / "head"), &[config.width + 1, HIDDEN, 2 * config.num_knots() as i64]),
-        }
+        let network = ccdiff_nets::simnet::Simnet::new(p, config);
+        Self { space: PlanSpace::new(config, p.device()), network }
     }
 
     fn plan(&self, batch: &Batch, train: bool) -> Tensor {
-        let state = self.trunk.forward(batch, train).state;
-        self.head.forward(&state).view([batch.num_rows(), -1, 2])
+        self.network.plan(batch, train).view([batch.num_rows(), -1, 2])
     }
 }
 

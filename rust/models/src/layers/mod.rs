@@ -1,7 +1,6 @@
 //! Parts of networks that are made of tensors; the others stand in [`ccdiff_nets::layers`].
 
 pub(crate) mod inputs;
-pub(crate) mod perceptron;
 pub(crate) mod raster;
 mod resnet;
 pub(crate) mod social;

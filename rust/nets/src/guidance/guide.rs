@@ -196,6 +196,17 @@ impl<'a> Guidance<'a> {
         Ok(())
     }
 
+    /// Moves the knots of finished plans, all steps at once.
+    ///
+    /// # Errors
+    /// As [`Self::adjust`].
+    pub fn adjust_finished(&mut self, knots: &mut [f32]) -> Result<()> {
+        if !self.is_active() {
+            return Ok(());
+        }
+        self.adjust(knots, GuidanceStep { sigma: 1.0, gain: 1.0, score: None })
+    }
+
     /// Has each agent's sample selected for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
     /// of all agents of a world is one future.
     ///

@@ -5,11 +5,12 @@ mod product;
 mod rows;
 mod shape;
 mod simd;
+mod tile;
 
 pub use product::Packed;
 pub(crate) use product::{Strided, convolve, linear, matmul};
 pub(crate) use rows::{
-    Seen, add, add_cycle, add_norm, gate, mix, most, norm, pixels, softmax_columns, transpose,
+    Seen, add, add_cycle, add_norm, gate, mix, most, norm, pixels, pixels_under, softmax_columns, transpose,
 };
 pub(crate) use shape::PANEL;
 pub use simd::{Checked, Level, with_level};

@@ -1,7 +1,8 @@
 //! Products of rows with packed weights: what linear layers, convolutions and attention come down to.
 
 use super::shape::{PANEL, Product, Rows};
-use super::simd::{self, Checked};
+use super::simd::Checked;
+use super::tile::multiply;
 
 /// Weights [columns, inputs] in panels of 16 columns, [columns / 16][inputs][16], zeros beyond the last, with the bias.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +24,10 @@ impl Packed {
             }
         }
         let mut padded = vec![0.0; panels * PANEL];
-        padded[..bias.len()].copy_from_slice(bias);
+        for (to, bias) in padded.iter_mut().zip(bias) {
+            // never -0, which a product of zero would turn to +0
+            *to = bias + 0.0;
+        }
         Self { inputs, columns, weights, bias: padded }
     }
 
@@ -33,7 +37,14 @@ impl Packed {
 }
 
 /// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
-pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
+pub(crate) fn linear(
+    level: Checked,
+    x: &[f32],
+    weights: &Packed,
+    skips: bool,
+    relu: bool,
+    out: &mut Vec<f32>,
+) {
     let rows = x.len() / weights.inputs.max(1);
     let wide = weights.panels() * PANEL;
     let p = Product {
@@ -51,7 +62,7 @@ pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, ou
     };
     out.clear();
     out.resize(rows * wide, 0.0);
-    simd::multiply(level, &p, x, &weights.weights, Some(&weights.bias), out);
+    multiply(level, &p, x, &weights.weights, Some(&weights.bias), out, skips);
     if wide != weights.columns {
         for row in 0..rows {
             out.copy_within(row * wide..row * wide + weights.columns, row * weights.columns);
@@ -90,7 +101,7 @@ pub(crate) fn matmul(
         to: Rows::apart(out_row),
         relu: false,
     };
-    simd::multiply(level, &p, a.numbers, b, None, out);
+    multiply(level, &p, a.numbers, b, None, out, false);
 }
 
 /// A convolution of 4 x 4 with stride 2 and ReLU: pixels [2 side + 2, 2 side + 2, channels] with a border of zeros to
@@ -118,7 +129,7 @@ pub(crate) fn convolve(
         to: Rows { per: side, outer: out_line, inner: weights.columns },
         relu: true,
     };
-    simd::multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out);
+    multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out, true);
 }
 
 #[cfg(test)]
@@ -138,7 +149,7 @@ mod tests {
             let mut found = Vec::new();
             for level in Level::available() {
                 let mut out = vec![9.0; 3];
-                linear(Checked::at_most(level), &x, &packed, relu, &mut out);
+                linear(Checked::at_most(level), &x, &packed, false, relu, &mut out);
                 found.push(out);
             }
             prop_assert!(found.iter().all(|f| f == &found[0]));
@@ -150,9 +161,18 @@ mod tests {
                     prop_assert!((f64::from(found[0][row * columns + column]) - sum).abs() < 1e-4);
                 }
             }
+            // what is zero may be left out
+            let few: Vec<f32> = x.iter().map(|v| if *v < 0.5 { 0.0 } else { *v }).collect();
+            let mut whole = Vec::new();
+            linear(Checked::now(), &few, &packed, false, relu, &mut whole);
+            for level in Level::available() {
+                let mut out = Vec::new();
+                linear(Checked::at_most(level), &few, &packed, true, relu, &mut out);
+                prop_assert_eq!(&out, &whole);
+            }
             // a row alone has the bits that it has among others
             let mut alone = Vec::new();
-            linear(Checked::now(), &x[..inputs], &packed, relu, &mut alone);
+            linear(Checked::now(), &x[..inputs], &packed, false, relu, &mut alone);
             prop_assert_eq!(&alone, &found[0][..columns]);
         }
 

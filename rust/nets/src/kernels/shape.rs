@@ -16,13 +16,20 @@ impl Rows {
         Self { per: usize::MAX, outer: 0, inner: by }
     }
 
+    /// Where rows from one on lie, with a single division.
     #[inline(always)]
-    pub(super) fn at(&self, row: usize) -> usize {
-        if self.per == usize::MAX {
-            row * self.inner
-        } else {
-            row / self.per * self.outer + row % self.per * self.inner
+    pub(super) fn from<const ROWS: usize>(&self, row: usize) -> [usize; ROWS] {
+        let (mut line, mut within) =
+            if self.per == usize::MAX { (0, row) } else { (row / self.per, row % self.per) };
+        let mut places = [0; ROWS];
+        for place in &mut places {
+            *place = line * self.outer + within * self.inner;
+            within += 1;
+            if within == self.per {
+                (line, within) = (line + 1, 0);
+            }
         }
+        places
     }
 
     /// The farthest of so many rows.

@@ -1,10 +1,10 @@
-//! Vectors of each instruction set, the matrix product on them, and the dispatch: every line of `unsafe` of this crate.
+//! Vectors of each instruction set and the dispatch. `unsafe` is here and in [`super::tile`] alone.
 //!
 //! A product is never fused with its addition, so all levels, and processors of other families, compute the same bits.
 
-#![allow(unsafe_code, reason = "intrinsics; the one public function checks every bound before it")]
+#![allow(unsafe_code, reason = "intrinsics")]
 
-use super::shape::{PANEL, Product};
+use super::shape::PANEL;
 use std::cell::Cell;
 use std::sync::OnceLock;
 
@@ -32,7 +32,13 @@ impl Level {
             if has!("avx2") {
                 levels.push(Self::Avx2);
             }
-            if has!("avx2") && has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq") {
+            if has!("avx2")
+                && has!("avx512f")
+                && has!("avx512vl")
+                && has!("avx512bw")
+                && has!("avx512dq")
+                && has!("popcnt")
+            {
                 levels.push(Self::Avx512);
             }
         }
@@ -77,7 +83,7 @@ pub(super) fn at_level<W: Work>(level: Checked, work: W) -> W::Out {
 
 /// A level that this processor has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Checked(Level);
+pub struct Checked(pub(super) Level);
 
 impl Checked {
     /// A level, or the widest below it that the processor has.
@@ -107,7 +113,7 @@ pub fn with_level<T>(level: Level, work: impl FnOnce() -> T) -> T {
 }
 
 /// A vector of `LANES` numbers.
-trait Vector: Copy {
+pub(super) trait Vector: Copy {
     const LANES: usize;
 
     /// # Safety
@@ -133,15 +139,71 @@ trait Vector: Copy {
     /// # Safety
     /// The processor has the instructions.
     unsafe fn or_zero(self) -> Self;
+
+    /// The bits of both.
+    ///
+    /// # Safety
+    /// The processor has the instructions.
+    unsafe fn or(self, other: Self) -> Self;
+
+    /// A bit for each number that is not zero, the first lowest.
+    ///
+    /// # Safety
+    /// The processor has the instructions.
+    unsafe fn nonzero(self) -> u32;
+
+    /// Writes the places of ones among `LANES` bits, and as many panels' rows, from two firsts on, to two lists; returns their
+    /// number.
+    ///
+    /// # Safety
+    /// The processor has the instructions, and `LANES` numbers may be written to each list.
+    #[inline(always)]
+    unsafe fn list_ones(bits: u32, firsts: [u32; 2], lists: [*mut u32; 2]) -> usize {
+        let mut count = 0;
+        for four in 0..Self::LANES / 4 {
+            let found = &ONES[(bits >> (4 * four) & 15) as usize];
+            for ((first, list), apart) in firsts.into_iter().zip(lists).zip([1, PANEL as u32]) {
+                let places = found.places.map(|place| first + (4 * four as u32 + place) * apart);
+                // SAFETY: no more than `LANES` numbers are written so far
+                unsafe { list.add(count).cast::<[u32; 4]>().write_unaligned(places) };
+            }
+            count += found.count;
+        }
+        count
+    }
 }
+
+/// Places of the ones of four bits, and their number.
+struct Ones {
+    places: [u32; 4],
+    count: usize,
+}
+
+/// Those of all four bits.
+static ONES: [Ones; 16] = {
+    let mut all = [const { Ones { places: [0; 4], count: 0 } }; 16];
+    let mut bits = 0;
+    while bits < 16 {
+        let mut place = 0;
+        while place < 4 {
+            if bits >> place & 1 == 1 {
+                all[bits].places[all[bits].count] = place;
+                all[bits].count += 1;
+            }
+            place += 1;
+        }
+        bits += 1;
+    }
+    all
+};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::Vector;
+    use super::{PANEL, Vector};
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident) => {
+        ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)?) => {
             // SAFETY of all: the caller's promises are those of the intrinsics
             impl Vector for $name {
                 const LANES: usize = $lanes;
@@ -170,6 +232,19 @@ mod x86 {
                 unsafe fn or_zero(self) -> Self {
                     unsafe { $max(self, $zero()) }
                 }
+
+                #[inline(always)]
+                unsafe fn or(self, other: Self) -> Self {
+                    unsafe { $or(self, other) }
+                }
+
+                #[inline(always)]
+                unsafe fn nonzero(self) -> u32 {
+                    let $x = self;
+                    unsafe { $nonzero }
+                }
+
+                $($more)?
             }
         };
     }
@@ -183,7 +258,9 @@ mod x86 {
         _mm_add_ps,
         _mm_mul_ps,
         _mm_max_ps,
-        _mm_setzero_ps
+        _mm_setzero_ps,
+        _mm_or_ps,
+        x => _mm_movemask_ps(_mm_cmpneq_ps(x, _mm_setzero_ps())) as u32
     );
     vector!(
         __m256,
@@ -194,7 +271,9 @@ mod x86 {
         _mm256_add_ps,
         _mm256_mul_ps,
         _mm256_max_ps,
-        _mm256_setzero_ps
+        _mm256_setzero_ps,
+        _mm256_or_ps,
+        x => _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(x, _mm256_setzero_ps())) as u32
     );
     vector!(
         __m512,
@@ -205,14 +284,29 @@ mod x86 {
         _mm512_add_ps,
         _mm512_mul_ps,
         _mm512_max_ps,
-        _mm512_setzero_ps
+        _mm512_setzero_ps,
+        _mm512_or_ps,
+        x => u32::from(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(x, _mm512_setzero_ps())),
+        #[inline(always)]
+        unsafe fn list_ones(bits: u32, firsts: [u32; 2], lists: [*mut u32; 2]) -> usize {
+            unsafe {
+                let lanes = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
+                let places = _mm512_maskz_compress_epi32(bits as u16, lanes);
+                let rows = _mm512_slli_epi32::<{ PANEL.ilog2() }>(places);
+                for ((first, list), places) in firsts.into_iter().zip(lists).zip([places, rows]) {
+                    let places = _mm512_add_epi32(places, _mm512_set1_epi32(first as i32));
+                    _mm512_storeu_si512(list.cast(), places);
+                }
+                bits.count_ones() as usize
+            }
+        }
     );
 }
 
 /// Four numbers in plain Rust, which compilers turn into NEON or simd128.
 #[derive(Clone, Copy)]
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "of other processors, and of tests"))]
-struct Plain([f32; 4]);
+pub(super) struct Plain([f32; 4]);
 
 impl Vector for Plain {
     const LANES: usize = 4;
@@ -243,186 +337,14 @@ impl Vector for Plain {
     unsafe fn or_zero(self) -> Self {
         Self(self.0.map(|x| if x > 0.0 { x } else { 0.0 }))
     }
-}
 
-/// Computes a product at a level.
-///
-/// # Panics
-/// Where a row of either side or a column of weights lies outside of its slice: a mistake of this crate.
-pub(super) fn multiply(
-    level: Checked,
-    p: &Product,
-    rows: &[f32],
-    columns: &[f32],
-    bias: Option<&[f32]>,
-    out: &mut [f32],
-) {
-    if p.rows == 0 || p.panels == 0 {
-        return;
+    #[inline(always)]
+    unsafe fn or(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| f32::from_bits(self.0[i].to_bits() | other.0[i].to_bits())))
     }
-    assert!(p.fits(rows.len(), columns.len(), bias.map(<[f32]>::len), out.len()), "a product out of bounds");
-    let (a, b, c) = (rows.as_ptr(), columns.as_ptr(), out.as_mut_ptr());
-    let bias = bias.map_or(std::ptr::null(), <[f32]>::as_ptr);
-    // SAFETY of all: `fits` has compared the farthest number of each side with its length, and the level was asked for
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{__m128, __m256, __m512};
-        #[target_feature(enable = "avx2")]
-        unsafe fn avx2(p: &Product, a: *const f32, b: *const f32, bias: *const f32, c: *mut f32) {
-            unsafe { product::<__m256, 6>(p, a, b, bias, c) }
-        }
-        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq")]
-        unsafe fn avx512(p: &Product, a: *const f32, b: *const f32, bias: *const f32, c: *mut f32) {
-            unsafe { product::<__m512, 12>(p, a, b, bias, c) }
-        }
-        match level.0 {
-            Level::Base => unsafe { product::<__m128, 6>(p, a, b, bias, c) },
-            Level::Avx2 => unsafe { avx2(p, a, b, bias, c) },
-            Level::Avx512 => unsafe { avx512(p, a, b, bias, c) },
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        let _ = level;
-        unsafe { product::<Plain, 4>(p, a, b, bias, c) }
-    }
-}
 
-/// The columns of a product, two vectors at a time.
-///
-/// # Safety
-/// The processor has the instructions of `V`; the product fits its slices.
-#[inline(always)]
-unsafe fn product<V: Vector, const ROWS: usize>(
-    p: &Product,
-    a: *const f32,
-    b: *const f32,
-    bias: *const f32,
-    c: *mut f32,
-) {
-    let columns = p.panels * PANEL;
-    let mut column = 0;
-    // SAFETY: columns stay below their number, which is a multiple of every width
-    unsafe {
-        while column + 2 * V::LANES <= columns {
-            all_rows::<V, ROWS, 2>(p, column, a, b, bias, c);
-            column += 2 * V::LANES;
-        }
-        while column < columns {
-            all_rows::<V, ROWS, 1>(p, column, a, b, bias, c);
-            column += V::LANES;
-        }
-    }
-}
-
-/// `WIDE` vectors of columns of all rows.
-///
-/// # Safety
-/// As [`product`].
-#[inline(always)]
-unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize>(
-    p: &Product,
-    column: usize,
-    a: *const f32,
-    b: *const f32,
-    bias: *const f32,
-    c: *mut f32,
-) {
-    let mut row = 0;
-    // SAFETY: rows stay below their number
-    unsafe {
-        while row + ROWS <= p.rows {
-            tile::<V, ROWS, WIDE>(p, row, column, a, b, bias, c);
-            row += ROWS;
-        }
-        while row + 4 <= p.rows {
-            tile::<V, 4, WIDE>(p, row, column, a, b, bias, c);
-            row += 4;
-        }
-        while row + 2 <= p.rows {
-            tile::<V, 2, WIDE>(p, row, column, a, b, bias, c);
-            row += 2;
-        }
-        if row < p.rows {
-            tile::<V, 1, WIDE>(p, row, column, a, b, bias, c);
-        }
-    }
-}
-
-/// `ROWS` rows by `WIDE` vectors: every number is one chain of sums over its inputs, in their order.
-///
-/// # Safety
-/// As [`product`]; rows and columns of the tile are there.
-#[inline(always)]
-unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize>(
-    p: &Product,
-    row: usize,
-    column: usize,
-    a: *const f32,
-    b: *const f32,
-    bias: *const f32,
-    c: *mut f32,
-) {
-    // SAFETY: `Product::fits` holds for all places that are formed here
-    unsafe {
-        let mut from = [a; ROWS];
-        let mut to = [c; ROWS];
-        for i in 0..ROWS {
-            from[i] = a.add(p.from.at(row + i));
-            to[i] = c.add(p.to.at(row + i) + column);
-        }
-        let mut first = [b; WIDE];
-        let mut sums = [[V::splat(0.0); WIDE]; ROWS];
-        for j in 0..WIDE {
-            let at = column + j * V::LANES;
-            first[j] = b.add(at / PANEL * p.panel_step + at % PANEL);
-            if !bias.is_null() {
-                let start = V::load(bias.add(at));
-                for i in 0..ROWS {
-                    sums[i][j] = start;
-                }
-            }
-        }
-        let mut step = 0;
-        for run in 0..p.runs {
-            let mut at = run * p.run_step;
-            for _ in 0..p.length {
-                let mut weights = [V::splat(0.0); WIDE];
-                for j in 0..WIDE {
-                    weights[j] = V::load(first[j].add(step));
-                }
-                for i in 0..ROWS {
-                    let x = V::splat(*from[i].add(at));
-                    for j in 0..WIDE {
-                        sums[i][j] = sums[i][j].plus_product(x, weights[j]);
-                    }
-                }
-                step += p.weight_step;
-                at += p.input_step;
-            }
-        }
-        for i in 0..ROWS {
-            for j in 0..WIDE {
-                let sum = if p.relu { sums[i][j].or_zero() } else { sums[i][j] };
-                sum.store(to[i].add(j * V::LANES));
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn plain_vectors_compute_what_those_of_the_processor_do() {
-        let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
-        let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
-        let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
-        multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own);
-        assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
-        // SAFETY: it fits
-        unsafe { product::<Plain, 4>(&p, a.as_ptr(), b.as_ptr(), bias.as_ptr(), plain.as_mut_ptr()) };
-        assert_eq!(plain, own);
+    #[inline(always)]
+    unsafe fn nonzero(self) -> u32 {
+        (0..4).map(|i| u32::from(self.0[i] != 0.0) << i).sum()
     }
 }

@@ -4,4 +4,5 @@ pub mod attention;
 pub mod edge;
 pub mod embed;
 pub mod map;
+pub mod perceptron;
 pub mod social;

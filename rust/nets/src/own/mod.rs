@@ -5,7 +5,7 @@ mod parts;
 pub use parts::{Array, Inputs, Norm, Pairs, Place, Raster};
 
 use crate::backend::{Backend, KeyValue};
-use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
+use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, HISTORY_FEATURES};
 use crate::kernels::{self, Checked, PANEL, Packed, Seen, Strided};
@@ -26,8 +26,8 @@ pub struct Own;
 /// [`ModelError::Config`] names what they lack.
 pub fn check(config: &ModelConfig) -> Result<()> {
     let fail = |field, got: &str, expected| Err(ModelError::Config { field, got: got.into(), expected });
-    if !config.kind.attends() {
-        return fail("model.kind", config.kind.name(), "\"ccdiff\" or \"ctgpp\" without torch");
+    if !config.kind.attends() && config.kind != ModelKind::Simnet {
+        return fail("model.kind", config.kind.name(), "\"ccdiff\", \"ctgpp\" or \"simnet\" without torch");
     }
     if config.history != HistoryTokens::Summary {
         return fail("model.history", config.history.name(), "\"summary\" without torch");
@@ -46,8 +46,8 @@ pub fn check(config: &ModelConfig) -> Result<()> {
 impl Own {
     fn linear_of(x: &Array, layer: &Packed, relu: bool) -> Array {
         let mut numbers = Vec::new();
-        kernels::linear(Checked::now(), &x.numbers, layer, relu, &mut numbers);
-        Array { tokens: x.tokens, width: layer.columns, numbers }
+        kernels::linear(Checked::now(), &x.numbers, layer, x.sparse, relu, &mut numbers);
+        Array { tokens: x.tokens, width: layer.columns, numbers, sparse: relu }
     }
 }
 
@@ -158,36 +158,19 @@ impl Backend for Own {
     }
 
     fn edges(batch: &Inputs<'_>, config: &ModelConfig) -> (Array, Pairs) {
-        let n = &config.normalisation;
-        let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
-        let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);
         let future = config.future_token_times_s().into_iter().map(|t| t as f32);
-        let times: Vec<f32> = std::iter::once(0.0).chain(future).collect();
-        let mut pairs = Pairs { others: Seen::empty(), all: Seen::empty() };
-        let mut numbers = Vec::new();
-        let mut offset = 0;
-        for scene in batch.scenes {
-            let k = scene.num_slots;
-            for row in 0..scene.agents.len() {
-                let edge = |slot: usize| &scene.edges[(row * k + slot) * EDGE_FEATURES..][..EDGE_FEATURES];
-                let sees =
-                    |slot: &usize| !batch.alone && scene.is_edge[row * k + slot] && edge(*slot)[8] > 0.5;
-                let others: Vec<usize> = (1..k).filter(sees).collect();
-                let other = |slot: usize| offset + scene.neighbours[row * k + slot];
-                pairs.all.push(std::iter::once(0).chain(others.iter().copied()).map(|s| (other(s), s)));
-                // alone: its own slot
-                let of = if others.is_empty() { vec![0] } else { others };
-                pairs.others.push(of.iter().map(|s| (other(*s), *s)));
-                for x in of.into_iter().map(edge) {
-                    for time in &times {
-                        numbers.extend([(x[0] + x[4] * time) * scale[0], (x[1] + x[5] * time) * scale[1]]);
-                        numbers.extend((2..8).map(|c| x[c] * scale[c]));
-                    }
-                }
-            }
-            offset += scene.agents.len();
-        }
-        (Array::new(times.len(), EDGE_FEATURES - 1, numbers), pairs)
+        edges_at(batch, config, &std::iter::once(0.0).chain(future).collect::<Vec<_>>())
+    }
+
+    fn edges_now(batch: &Inputs<'_>, config: &ModelConfig) -> (Array, Pairs) {
+        edges_at(batch, config, &[0.0])
+    }
+
+    fn standard_speed(batch: &Inputs<'_>, config: &ModelConfig) -> Array {
+        let n = &config.normalisation;
+        let (mean, std) = (n.trajectory_mean[2] as f32, n.trajectory_std[2] as f32);
+        let speeds = batch.numbers(|s| &s.speed_mps);
+        Array::new(1, 1, speeds.into_iter().map(|v| (v - mean) / std).collect())
     }
 
     fn speed(batch: &Inputs<'_>) -> Array {
@@ -196,7 +179,8 @@ impl Backend for Own {
 
     fn lines(batch: &Inputs<'_>) -> Option<Array> {
         let numbers = batch.numbers(|s| &s.segments);
-        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
+        let (tokens, width) = (NUM_SEGMENTS, SEGMENT_FEATURES);
+        (!numbers.is_empty()).then_some(Array { tokens, width, numbers, sparse: true })
     }
 
     fn raster_tokens(raster: &Raster, batch: &Inputs<'_>, _: bool) -> Option<Array> {
@@ -212,8 +196,10 @@ impl Backend for Own {
         let images = batch.scenes.iter().flat_map(|s| s.image.chunks_exact((channels * plane).max(1)));
         for (bytes, out) in images.zip(tokens.chunks_exact_mut(per_row.max(1))) {
             if batch.alone && raster.histories > 0 {
-                let hidden =
-                    |(at, b): (usize, &u8)| if at < raster.histories * plane { (*b).max(ZERO) } else { *b };
+                let hidden = |(at, b): (usize, &u8)| match at % channels < raster.histories {
+                    true => (*b).max(ZERO),
+                    false => *b,
+                };
                 let bytes: Vec<u8> = bytes.iter().enumerate().map(hidden).collect();
                 kernels::pixels(level, &bytes, channels, 8 * side, ZERO, &mut image);
             } else {
@@ -275,8 +261,13 @@ impl Backend for Own {
         Array::new(x.tokens, count, rows.flat_map(|row| &row[from..from + count]).copied().collect())
     }
 
+    fn beside(x: &Array, y: &Array) -> Array {
+        let rows = x.numbers.chunks_exact(x.width.max(1)).zip(y.numbers.chunks_exact(y.width.max(1)));
+        Array::new(x.tokens, x.width + y.width, rows.flat_map(|(x, y)| [x, y]).flatten().copied().collect())
+    }
+
     fn joined(x: &Array) -> Array {
-        Array { tokens: 1, width: x.tokens * x.width, numbers: x.numbers.clone() }
+        Array::new(1, x.tokens * x.width, x.numbers.clone())
     }
 
     fn token(x: Array) -> Array {
@@ -298,7 +289,7 @@ impl Backend for Own {
                 numbers.extend_from_slice(&greatest);
             }
         }
-        Array::new(x.tokens, 2 * x.width, numbers)
+        Array { tokens: x.tokens, width: 2 * x.width, numbers, sparse: x.sparse }
     }
 
     fn rows_of(table: &Array, step: &usize) -> Array {
@@ -406,6 +397,37 @@ impl Backend for Own {
         let rows = x.numbers.chunks_exact(x.row());
         Array::new(count, x.width, rows.flat_map(|row| &row[from..]).copied().collect())
     }
+}
+
+/// Edges at times from now on, and who is seen.
+fn edges_at(batch: &Inputs<'_>, config: &ModelConfig, times: &[f32]) -> (Array, Pairs) {
+    let n = &config.normalisation;
+    let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
+    let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);
+    let mut pairs = Pairs { others: Seen::empty(), all: Seen::empty() };
+    let mut numbers = Vec::new();
+    let mut offset = 0;
+    for scene in batch.scenes {
+        let k = scene.num_slots;
+        for row in 0..scene.agents.len() {
+            let edge = |slot: usize| &scene.edges[(row * k + slot) * EDGE_FEATURES..][..EDGE_FEATURES];
+            let sees = |slot: &usize| !batch.alone && scene.is_edge[row * k + slot] && edge(*slot)[8] > 0.5;
+            let others: Vec<usize> = (1..k).filter(sees).collect();
+            let other = |slot: usize| offset + scene.neighbours[row * k + slot];
+            pairs.all.push(std::iter::once(0).chain(others.iter().copied()).map(|s| (other(s), s)));
+            // alone: its own slot
+            let of = if others.is_empty() { vec![0] } else { others };
+            pairs.others.push(of.iter().map(|s| (other(*s), *s)));
+            for x in of.into_iter().map(edge) {
+                for time in times {
+                    numbers.extend([(x[0] + x[4] * time) * scale[0], (x[1] + x[5] * time) * scale[1]]);
+                    numbers.extend((2..8).map(|c| x[c] * scale[c]));
+                }
+            }
+        }
+        offset += scene.agents.len();
+    }
+    (Array::new(times.len(), EDGE_FEATURES - 1, numbers), pairs)
 }
 
 /// Attention over pairs, and the mean weight of the heads [pairs, tokens].

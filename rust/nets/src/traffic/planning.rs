@@ -17,10 +17,6 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Most worlds that share a batch of the network: fixed, so that plans do not depend on the number of threads. More are
-/// hardly faster, fewer leave no thread without work.
-const SHARD_WORLDS: usize = 8;
-
 /// A world that is planned for.
 struct PreparedRequest<'a> {
     request: &'a PlanRequest<'a>,
@@ -229,10 +225,11 @@ impl PlannedTraffic {
         };
         let moved: Vec<Vec<(Vec<bool>, Real)>> =
             groups.iter().map(|(due, _)| due.iter().map(moved).collect()).collect();
+        let most = self.copies.get_mut().first().map_or(1, |model| model.planner().most_worlds()).max(1);
         let mut shards: Vec<(Vec<PlanInput<'_>>, &PlanOptions)> = Vec::new();
         for ((due, options), moved) in groups.iter().zip(&moved) {
             // about equally large
-            let size = due.len().div_ceil(due.len().div_ceil(SHARD_WORLDS).max(1)).max(1);
+            let size = due.len().div_ceil(due.len().div_ceil(most).max(1)).max(1);
             for (due, moved) in due.chunks(size).zip(moved.chunks(size)) {
                 let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options));
                 shards.push((views.collect(), options));

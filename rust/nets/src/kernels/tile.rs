@@ -1,0 +1,413 @@
+//! The product of rows and packed weights, in tiles that stay in registers.
+//!
+//! A product is never fused with its addition, so all levels, and processors of other families, compute the same bits.
+
+#![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
+
+use super::shape::{PANEL, Product};
+#[cfg(target_arch = "x86_64")]
+use super::simd::Level;
+#[cfg(any(test, not(target_arch = "x86_64")))]
+use super::simd::Plain;
+use super::simd::{Checked, Vector};
+
+/// Computes a product at a level. With `skips`, inputs that are zero in all rows of a tile are left out, which no sum feels as
+/// long as weights are finite and no bias is -0: for inputs behind a ReLU, and others that are mostly zero.
+///
+/// # Panics
+/// Where a row of either side or a column of weights lies outside of its slice: a mistake of this crate.
+pub(super) fn multiply(
+    level: Checked,
+    p: &Product,
+    rows: &[f32],
+    columns: &[f32],
+    bias: Option<&[f32]>,
+    out: &mut [f32],
+    skips: bool,
+) {
+    if p.rows == 0 || p.panels == 0 {
+        return;
+    }
+    let short = u32::try_from(rows.len().max(columns.len())).is_ok();
+    let listed = short && p.input_step == 1 && p.weight_step == PANEL;
+    let fits = p.fits(rows.len(), columns.len(), bias.map(<[f32]>::len), out.len());
+    assert!(fits && (listed || !skips), "a product out of bounds");
+    let sides = Sides {
+        a: rows.as_ptr(),
+        end: rows.as_ptr_range().end,
+        b: columns.as_ptr(),
+        bias: bias.map_or(std::ptr::null(), <[f32]>::as_ptr),
+        c: out.as_mut_ptr(),
+    };
+    // SAFETY of all: `fits` has compared the farthest number of each side with its length, and the level was asked for
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{__m128, __m256, __m512};
+        #[target_feature(enable = "avx2")]
+        unsafe fn avx2(p: &Product, s: Sides, skips: bool) {
+            unsafe { if skips { sparse_product::<__m256>(p, s) } else { product::<__m256, 6>(p, s) } }
+        }
+        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
+        unsafe fn avx512(p: &Product, s: Sides, skips: bool) {
+            unsafe { if skips { sparse_product::<__m512>(p, s) } else { product::<__m512, 12>(p, s) } }
+        }
+        match level.0 {
+            Level::Base if skips => unsafe { sparse_product::<__m128>(p, sides) },
+            Level::Base => unsafe { product::<__m128, 6>(p, sides) },
+            Level::Avx2 => unsafe { avx2(p, sides, skips) },
+            Level::Avx512 => unsafe { avx512(p, sides, skips) },
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let _ = level;
+        unsafe { if skips { sparse_product::<Plain>(p, sides) } else { product::<Plain, 4>(p, sides) } }
+    }
+}
+
+/// Where the sides of a product lie: rows, weights, bias (null without), results.
+#[derive(Clone, Copy)]
+struct Sides {
+    a: *const f32,
+    /// One past the last of the rows' numbers.
+    end: *const f32,
+    b: *const f32,
+    bias: *const f32,
+    c: *mut f32,
+}
+
+/// The columns of a product, two vectors at a time.
+///
+/// # Safety
+/// The processor has the instructions of `V`; the product fits its slices.
+#[inline(always)]
+unsafe fn product<V: Vector, const ROWS: usize>(p: &Product, s: Sides) {
+    let columns = p.panels * PANEL;
+    let mut column = 0;
+    // SAFETY: columns stay below their number, which is a multiple of every width
+    unsafe {
+        while column + 2 * V::LANES <= columns {
+            all_rows::<V, ROWS, 2>(p, column, s);
+            column += 2 * V::LANES;
+        }
+        while column < columns {
+            all_rows::<V, ROWS, 1>(p, column, s);
+            column += V::LANES;
+        }
+    }
+}
+
+/// `WIDE` vectors of columns of all rows.
+///
+/// # Safety
+/// As [`product`].
+#[inline(always)]
+unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize>(p: &Product, column: usize, s: Sides) {
+    let mut row = 0;
+    // SAFETY: rows stay below their number
+    unsafe {
+        while row + ROWS <= p.rows {
+            tile::<V, ROWS, WIDE>(p, row, column, s);
+            row += ROWS;
+        }
+        while row + 4 <= p.rows {
+            tile::<V, 4, WIDE>(p, row, column, s);
+            row += 4;
+        }
+        while row + 2 <= p.rows {
+            tile::<V, 2, WIDE>(p, row, column, s);
+            row += 2;
+        }
+        if row < p.rows {
+            tile::<V, 1, WIDE>(p, row, column, s);
+        }
+    }
+}
+
+/// Where rows are read and written.
+#[derive(Clone, Copy)]
+struct Places<const ROWS: usize> {
+    from: [*const f32; ROWS],
+    to: [*mut f32; ROWS],
+}
+
+impl<const ROWS: usize> Places<ROWS> {
+    /// # Safety
+    /// As [`product`]; the rows are there.
+    #[inline(always)]
+    unsafe fn new(p: &Product, row: usize, s: Sides) -> Self {
+        let (from, to) = (p.from.from::<ROWS>(row), p.to.from::<ROWS>(row));
+        let mut places = Self { from: [s.a; ROWS], to: [s.c; ROWS] };
+        for i in 0..ROWS {
+            // SAFETY: `Product::fits` holds for both
+            unsafe {
+                places.from[i] = s.a.add(from[i]);
+                places.to[i] = s.c.add(to[i]);
+            }
+        }
+        places
+    }
+}
+
+/// `ROWS` rows by `WIDE` vectors of sums, from their bias, and where their weights and inputs begin.
+struct Tile<V, const ROWS: usize, const WIDE: usize> {
+    sums: [[V; WIDE]; ROWS],
+    from: [*const f32; ROWS],
+    weights: [*const f32; WIDE],
+}
+
+impl<V: Vector, const ROWS: usize, const WIDE: usize> Tile<V, ROWS, WIDE> {
+    /// # Safety
+    /// As [`product`]; rows and columns of the tile are there.
+    #[inline(always)]
+    unsafe fn new(p: &Product, places: &Places<ROWS>, column: usize, s: Sides) -> Self {
+        // SAFETY: `Product::fits` holds for all places that are formed here
+        unsafe {
+            let (sums, weights) = ([[V::splat(0.0); WIDE]; ROWS], [s.b; WIDE]);
+            let mut tile = Self { sums, from: places.from, weights };
+            for j in 0..WIDE {
+                let at = column + j * V::LANES;
+                tile.weights[j] = s.b.add(at / PANEL * p.panel_step + at % PANEL);
+                if !s.bias.is_null() {
+                    let start = V::load(s.bias.add(at));
+                    for i in 0..ROWS {
+                        tile.sums[i][j] = start;
+                    }
+                }
+            }
+            tile
+        }
+    }
+
+    /// Adds the products of one input, `at` of its row and of the weights' numbers `step`.
+    ///
+    /// # Safety
+    /// Both are there.
+    #[inline(always)]
+    unsafe fn add(&mut self, at: usize, step: usize) {
+        // SAFETY: the caller's promise
+        unsafe {
+            let mut weights = [V::splat(0.0); WIDE];
+            for j in 0..WIDE {
+                weights[j] = V::load(self.weights[j].add(step));
+            }
+            for i in 0..ROWS {
+                let x = V::splat(*self.from[i].add(at));
+                for j in 0..WIDE {
+                    self.sums[i][j] = self.sums[i][j].plus_product(x, weights[j]);
+                }
+            }
+        }
+    }
+
+    /// # Safety
+    /// As [`Self::new`].
+    #[inline(always)]
+    unsafe fn store(self, p: &Product, places: &Places<ROWS>, column: usize) {
+        // SAFETY: as in `new`
+        unsafe {
+            for i in 0..ROWS {
+                let to = places.to[i].add(column);
+                for j in 0..WIDE {
+                    let sum = if p.relu { self.sums[i][j].or_zero() } else { self.sums[i][j] };
+                    sum.store(to.add(j * V::LANES));
+                }
+            }
+        }
+    }
+}
+
+/// Every number of a tile is one chain of sums over its inputs, in their order.
+///
+/// # Safety
+/// As [`product`]; rows and columns of the tile are there.
+#[inline(always)]
+unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize>(
+    p: &Product,
+    row: usize,
+    column: usize,
+    s: Sides,
+) {
+    // SAFETY: `Product::fits` holds for all inputs and weights
+    unsafe {
+        let places = Places::<ROWS>::new(p, row, s);
+        let mut tile = Tile::<V, ROWS, WIDE>::new(p, &places, column, s);
+        let mut step = 0;
+        for run in 0..p.runs {
+            let mut at = run * p.run_step;
+            for _ in 0..p.length {
+                tile.add(at, step);
+                step += p.weight_step;
+                at += p.input_step;
+            }
+        }
+        tile.store(p, &places, column);
+    }
+}
+
+/// Inputs that are listed: places in the rows, and in the weights.
+struct Listed {
+    at: Vec<u32>,
+    step: Vec<u32>,
+    count: usize,
+}
+
+impl Listed {
+    fn new(p: &Product) -> Self {
+        let most = p.runs * p.length + PANEL;
+        Self { at: vec![0; most], step: vec![0; most], count: 0 }
+    }
+
+    /// Lists what is not zero in all of some rows.
+    ///
+    /// # Safety
+    /// As [`product`]; the rows are there, inputs follow each other, and the list was made for this product.
+    #[inline(always)]
+    unsafe fn fill<V: Vector, const ROWS: usize>(&mut self, p: &Product, places: &Places<ROWS>, s: Sides) {
+        let from = &places.from;
+        self.count = 0;
+        // SAFETY: inputs are read within their runs, or before the end of all; no more than `PANEL` places are written beyond
+        // those that are found, which are no more than all inputs
+        unsafe {
+            for run in 0..p.runs {
+                let (mut at, mut step) = (run * p.run_step, run * p.length * PANEL);
+                let mut left = p.length;
+                while left > 0 {
+                    let within = s.end.offset_from(from[ROWS - 1].add(at)) >= V::LANES as isize;
+                    let ones = if within {
+                        let mut any = V::load(from[0].add(at));
+                        for k in 1..ROWS {
+                            any = any.or(V::load(from[k].add(at)));
+                        }
+                        any.nonzero()
+                    } else {
+                        nonzero(from, at, left)
+                    };
+                    let taken = left.min(V::LANES);
+                    let ones = ones & (u32::MAX >> (32 - taken));
+                    let lists =
+                        [self.at.as_mut_ptr().add(self.count), self.step.as_mut_ptr().add(self.count)];
+                    self.count += V::list_ones(ones, [at as u32, step as u32], lists);
+                    left -= taken;
+                    at += V::LANES;
+                    step += V::LANES * PANEL;
+                }
+            }
+        }
+    }
+}
+
+/// A bit for each of so many inputs that is not zero in all rows.
+///
+/// # Safety
+/// The inputs are there.
+#[cold]
+#[inline(never)]
+unsafe fn nonzero(from: &[*const f32], at: usize, count: usize) -> u32 {
+    // SAFETY: the caller's promise
+    let is_one = |i: &usize| from.iter().any(|row| unsafe { *row.add(at + i) } != 0.0);
+    (0..count.min(PANEL)).filter(is_one).map(|i| 1 << i).sum()
+}
+
+/// A product with the inputs that are not zero alone.
+///
+/// # Safety
+/// As [`product`]; inputs follow each other.
+#[inline(always)]
+unsafe fn sparse_product<V: Vector>(p: &Product, s: Sides) {
+    let mut list = Listed::new(p);
+    let mut row = 0;
+    // SAFETY: rows stay below their number; the list has its room
+    unsafe {
+        // few columns leave registers for more rows
+        while p.panels == 1 && row + 8 <= p.rows {
+            sparse_rows::<V, 8, 1>(p, row, s, &mut list);
+            row += 8;
+        }
+        while p.panels <= 2 && row + 4 <= p.rows {
+            sparse_rows::<V, 4, 2>(p, row, s, &mut list);
+            row += 4;
+        }
+        while row + 2 <= p.rows {
+            sparse_rows::<V, 2, 4>(p, row, s, &mut list);
+            row += 2;
+        }
+        if row < p.rows {
+            sparse_rows::<V, 1, 4>(p, row, s, &mut list);
+        }
+    }
+}
+
+/// All columns of some rows.
+///
+/// # Safety
+/// As [`sparse_product`]; the rows are there.
+#[inline(always)]
+unsafe fn sparse_rows<V: Vector, const ROWS: usize, const WIDE: usize>(
+    p: &Product,
+    row: usize,
+    s: Sides,
+    list: &mut Listed,
+) {
+    let columns = p.panels * PANEL;
+    // SAFETY: columns stay below their number
+    unsafe {
+        let places = Places::<ROWS>::new(p, row, s);
+        list.fill::<V, ROWS>(p, &places, s);
+        let mut column = 0;
+        while column + WIDE * V::LANES <= columns {
+            sparse_tile::<V, ROWS, WIDE>(p, &places, column, s, list);
+            column += WIDE * V::LANES;
+        }
+        while column < columns {
+            sparse_tile::<V, ROWS, 1>(p, &places, column, s, list);
+            column += V::LANES;
+        }
+    }
+}
+
+/// As [`tile`], of listed inputs.
+///
+/// # Safety
+/// As [`tile`]; the list is that of its rows.
+#[inline(always)]
+unsafe fn sparse_tile<V: Vector, const ROWS: usize, const WIDE: usize>(
+    p: &Product,
+    places: &Places<ROWS>,
+    column: usize,
+    s: Sides,
+    list: &Listed,
+) {
+    // SAFETY: listed inputs and their weights are among those of the product
+    unsafe {
+        let mut tile = Tile::<V, ROWS, WIDE>::new(p, places, column, s);
+        for (at, step) in list.at[..list.count].iter().zip(&list.step[..list.count]) {
+            tile.add(*at as usize, *step as usize);
+        }
+        tile.store(p, places, column);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plain_vectors_compute_what_those_of_the_processor_do() {
+        let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
+        let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
+        let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
+        multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own, false);
+        assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
+        let sides = Sides {
+            a: a.as_ptr(),
+            end: a.as_ptr_range().end,
+            b: b.as_ptr(),
+            bias: bias.as_ptr(),
+            c: plain.as_mut_ptr(),
+        };
+        // SAFETY: it fits
+        unsafe { product::<Plain, 4>(&p, sides) };
+        assert_eq!(plain, own);
+    }
+}

@@ -1,0 +1,40 @@
+//! SimNet: behaviour cloning, one plan by regression (rivals.md#simnet).
+//!
+//! Differs from the paper: the port has no hidden layer in its decoder and reads a raster of the agents; this one has
+//! one, and reads states and edges.
+
+use crate::backend::Backend;
+use crate::config::ModelConfig;
+use crate::layers::perceptron::Perceptron;
+use crate::trunk::Trunk;
+
+/// Hidden width of the regression head.
+pub const HIDDEN: i64 = 128;
+
+/// The regressor.
+#[derive(Debug)]
+pub struct Simnet<B: Backend> {
+    trunk: Trunk<B>,
+    head: Perceptron<B>,
+}
+
+impl<B: Backend> Simnet<B> {
+    /// A network with its weights under a path.
+    pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+        let widths = [config.width + 1, HIDDEN, 2 * config.num_knots() as i64];
+        Self {
+            trunk: Trunk::new(&B::sub(p, "trunk"), config),
+            head: Perceptron::new(&B::sub(p, "head"), &widths),
+        }
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &ModelConfig {
+        self.trunk.config()
+    }
+
+    /// Normalised knots of the plans, those of an agent side by side, [R, 1, 2 · knots].
+    pub fn plan(&self, batch: &B::Batch<'_>, train: bool) -> B::Tensor {
+        self.head.forward(&self.trunk.forward(batch, train).state)
+    }
+}
