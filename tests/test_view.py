@@ -132,8 +132,38 @@ def test_who_stands_does_not_drive_into_anybody():
     run = planned_rollout()
     velocity = run.velocity.copy()
     velocity[0, 29] = 0.0
-    shown = shown_events(replace(run, velocity=velocity))
-    assert re.fullmatch(r"ego hit in front by 1 \(\w+\), at fault", shown[0]["text"])
+    events = (RolloutEvent(30, "ego", run.agent_ids[1], "collision_front", False),)
+    shown = shown_events(replace(run, velocity=velocity, events=events))
+    said = r"ego had stopped and was hit in front by 1 \(\w+\), not at fault"
+    assert re.fullmatch(said, shown[0]["text"])
+
+
+def test_whoever_follows_the_log_into_what_stands_is_no_deed_of_traffic():
+    run = planned_rollout()
+    kinds, ids = run.scene.agent_types, run.agent_ids
+    walker = next(i for i, kind in enumerate(kinds) if kind != "static" and i > 2)
+    velocity = run.velocity.copy()
+    event = RolloutEvent(20, ids[walker], ids[2], "collision_front")
+    shown = shown_events(replace(run, velocity=velocity, events=(event,)))
+    assert (shown[0]["kind"], shown[0]["lane"]) == ("collision", "guided")
+    velocity[2, 19] = 0.0
+    shown = shown_events(replace(run, velocity=velocity, events=(event,)))
+    assert (shown[0]["kind"], shown[0]["lane"]) == ("overlap", "others")
+    assert outcome(replace(run, velocity=velocity, events=(event,))).others == 0
+
+
+def test_an_ego_that_waits_as_its_log_does_is_not_late():
+    run = planned_rollout()
+    tracks = {name: values.copy() for name, values in run.scene.tracks().items()}
+    tracks["position"][0] = tracks["position"][0, :1]
+    waiting = replace(
+        run,
+        scene=remade(run.scene, tracks),
+        position=np.concatenate([tracks["position"][:1, :NUM_STEPS], run.position[1:]]),
+        events=(RolloutEvent(NUM_STEPS - 1, "ego", None, "time_limit"),),
+    )
+    assert outcome(waiting).text == "ego waited, as in its log"
+    assert shown_events(waiting)[0]["text"] == "ego waited, as in its log"
 
 
 def test_an_event_of_a_guided_vehicle_is_not_one_of_the_others():
@@ -263,7 +293,8 @@ def test_criticalities_are_shown_beside_each_other(tmp_path):
     levels = ["--criticality", "0", "1", "--samples", "1"]
     assert cli.main(["view", "left-turn-00", "--traffic", "ccdiff", *levels, "-o", str(out)]) == 0
     runs = [unpacked(e)[0]["run"] for e in elements(out.read_text(encoding="utf-8"))]
-    assert [run["title"] for run in runs] == ["CCDiff, criticality 0", "CCDiff, criticality 1"]
+    assert [run["title"] for run in runs] == ["criticality 0", "criticality 1"]
+    assert "CCDiff · criticality 0 | criticality 1</p>" in out.read_text(encoding="utf-8")
 
 
 def test_networks_are_shown_beside_each_other_and_their_log(tmp_path):
@@ -338,8 +369,11 @@ def test_the_verb_writes_a_page_a_comparison_an_image_and_a_gif(tmp_path, capsys
     with Image.open(tmp_path / "step.png") as image:
         assert image.size == (720, 720)
     with Image.open(tmp_path / "video.gif") as video:
-        assert video.n_frames == 41  # four times the pace at no more than 20 images a second
-        assert video.info["duration"] == 50
+        # four times the pace at 25 images a second; the last stays for a second
+        assert video.n_frames == 51
+        assert video.info["duration"] == 40
+        video.seek(50)
+        assert video.info["duration"] == pytest.approx(1000, abs=40)
 
 
 def test_videos_of_two_runs_stand_side_by_side(tmp_path):
@@ -353,7 +387,10 @@ def test_videos_of_two_runs_stand_side_by_side(tmp_path):
         assert image.size == (206, 100)
         both = np.asarray(image)
     run = planned_rollout()
-    videos = [Video(r, size=(100, 100)) for r in (run, log_rollout(run.scene, like=run))]
+    videos = [
+        Video(r, size=(100, 100), title=title)
+        for r, title in ((run, "run"), (log_rollout(run.scene, like=run), "log"))
+    ]
     np.testing.assert_array_equal(both[:, :100], videos[0].frame(30))
     np.testing.assert_array_equal(both[:, 106:], videos[1].frame(30))
 
@@ -389,7 +426,8 @@ def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):
     options = ["--mp4", "--size", "160", "--follow", planned_rollout().agent_ids[1]]
     assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
     video = imageio.get_reader(out).get_meta_data()
-    seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1
+    seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1 + 1.0
+    assert video["fps"] == 30
     assert video["duration"] == pytest.approx(seconds, abs=0.2)
     assert video["size"] == (160, 160)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from browser_page import Page
 from view_rollouts import planned_rollout
 
 from ccdiff_env import Scene
+from ccdiff_env.record.rollout import RolloutEvent
 from ccdiff_env.view import log_rollout, write_page
 
 pytestmark = pytest.mark.timeout(120)
@@ -185,6 +188,36 @@ def test_colours_of_agents_stand_out_from_the_road(visit):
     edge = lights.index(min(lights))
     assert edge < len(lights) - 30  # of the body, not of the road
     assert (lights[-1] + 0.05) / (lights[edge] + 0.05) >= 3.0
+
+
+@pytest.mark.parametrize("page_name", ["two.html", "grid.html"])
+def test_one_run_alone_while_paused_has_pixels_for_all_of_its_pane(visit, page_name):
+    page = visit(page_name)
+    for key in "2", "0", "1", "0":
+        page.keyboard.press(key)
+        page.frames(6)
+        sizes = page.evaluate(
+            """replay.panes.filter((p) => p.width).map(({ canvas }) =>
+              [canvas.width / canvas.clientWidth, canvas.height / canvas.clientHeight])"""
+        )
+        assert sizes
+        for size in sizes:
+            assert size == pytest.approx([1.0, 1.0], abs=0.01)
+
+
+def test_an_ego_that_has_reached_its_goal_stays_in_green(browser, tmp_path):
+    run = planned_rollout()
+    valid = run.valid.copy()
+    valid[0, 40:] = False
+    events = (RolloutEvent(40, "ego", None, "goal"),)
+    write_page(replace(run, valid=valid, events=events), tmp_path / "page.html")
+    page = Page(browser, tmp_path / "page.html", "#t=4.5")
+    assert page.evaluate("replay.runs[0].pose(0, 45) !== null")
+    assert "has reached its goal" in page.inner_text("#captions")
+    write_page(replace(run, valid=valid, events=()), tmp_path / "gone.html")
+    assert Page(browser, tmp_path / "gone.html", "#t=4.5").evaluate(
+        "replay.runs[0].pose(0, 45) === null"
+    )
 
 
 def test_two_runs_keep_step_and_share_the_view(visit):

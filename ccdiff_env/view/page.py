@@ -44,6 +44,7 @@ def page_html(
     *,
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
+    shared: str = "",
     home: tuple[str, str] | None = None,
     edit: bool = False,
 ) -> str:
@@ -57,6 +58,8 @@ def page_html(
         Runs beside it, in step with it: of the same scene, or of another one.
     titles
         Name of each run; by default the scene's where there is one run, else A, B, C, ...
+    shared
+        What is so of all runs, to stand beside the scene's name.
     home
         Address and title of a page above this one, to be linked.
     edit
@@ -80,7 +83,7 @@ def page_html(
     if len(runs) == 1:
         line = subtitle(rollout)
     else:
-        heading, line = f"{heading}: {', '.join(names)}", rollout.scene.location
+        line = " · ".join(filter(None, [rollout.scene.location, shared, " | ".join(names)]))
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),
@@ -201,9 +204,11 @@ def write_page(
     *,
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
+    shared: str = "",
     home: tuple[str, str] | None = None,
 ) -> int:
     """Write :func:`page_html` to a file; returns its size in bytes."""
-    data = page_html(rollout, compare=compare, titles=titles, home=home).encode()
+    page = page_html(rollout, compare=compare, titles=titles, shared=shared, home=home)
+    data = page.encode()
     write_aside(Path(path), data)
     return len(data)

@@ -75,9 +75,6 @@ async function main() {
     contacts.draw(step, focus === undefined ? -1 : focus, chrome);
     showFocus(player);
     showControls(player);
-    const seen = player.alone === null ? runs.length : 1;
-    $("stage").style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
-    document.body.classList.toggle("alone", player.alone !== null);
     showLegend(player, settings);
   };
   wireControls(player);
@@ -96,7 +93,8 @@ async function main() {
   let known = addressOf(player); // as opened: the address stays as it came until something changes
   setInterval(() => { known = writeAddress(player, known); }, 500);
   player.playing = asked.has("t") ? asked.has("play") : !matchMedia("(prefers-reduced-motion)").matches;
-  new ResizeObserver(() => player.touch()).observe($("app"));
+  const sizes = new ResizeObserver(() => player.touch());
+  for (const pane of player.panes) sizes.observe(pane.canvas);
   window.replay = player; // for the curious, and for tests
   document.body.dataset.ready = "yes";
 }

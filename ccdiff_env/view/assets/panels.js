@@ -23,6 +23,7 @@ function captionsOf(run, agent, at) {
   const pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
   if (!pose) return [...captions, ["state", "not in the scene now"], ["id", id]];
   const speed = Math.hypot(pose.vx, pose.vy);
+  if (run.arrived(agent, step)) captions.push(["state", "has reached its goal"]);
   if (kind !== "static") {
     captions.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
     const least = run.pairs(step)

@@ -95,6 +95,7 @@ class Pane {
 class Player {
   constructor(runs, stage, driverColours, changed) {
     this.runs = runs;
+    this.stage = stage;
     this.camera = new Camera();
     this.panes = runs.map((run, index) => new Pane(stage, run, index, driverColours));
     this.start = Math.min(...runs.map((run) => run.start));
@@ -118,6 +119,7 @@ class Player {
     this.changed = changed;
     this.dirty = true;
     this.before = 0;
+    this.show(null);
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -199,6 +201,9 @@ class Player {
       pane.root.hidden = this.alone !== null && i !== this.alone;
       pane.enlarge.setAttribute("aria-pressed", i === this.alone);
     });
+    const seen = this.alone === null ? this.panes.length : 1;
+    this.stage.style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
+    document.body.classList.toggle("alone", this.alone !== null);
     this.touch();
   }
 
