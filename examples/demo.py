@@ -302,7 +302,9 @@ def main() -> None:
             writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
     drawn = "critical CCDiff"
     longest = int(np.argmax([row["steps"] for row in results[drawn, "PPO"]]))
-    write_page(record_episode(test_scenes, longest, TRAFFIC[drawn], ppo), args.out / "episode.html")
+    episode = record_episode(test_scenes, longest, TRAFFIC[drawn], ppo)
+    episode.save(args.out / "episode.npz")
+    write_page(episode, args.out / "episode.html")
     summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")

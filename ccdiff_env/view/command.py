@@ -39,7 +39,10 @@ PLAYED: dict[str, Any] = {
     "samples": None,
     "criticality": (0.0,),
     "save": None,
+    "slider": False,
 }
+#: Criticalities under a slider.
+LEVELS = tuple(0.25 * k for k in range(9))
 #: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
     "follow": None,
@@ -104,6 +107,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: 0)",
     )
     play.add_argument(
+        "--slider",
+        action="store_true",
+        default=None,
+        help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
+    )
+    play.add_argument(
         "--save",
         type=Path,
         help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove; default: not "
@@ -142,6 +151,13 @@ def run(args: argparse.Namespace) -> int:
         _settle(args, DRAWN, "goes with --png, --gif and --mp4")
     elif args.open:
         raise ConfigError("--open shows pages, not images")
+    if args.slider:
+        if kinds or args.compare:
+            raise ConfigError(
+                "--slider is for a page of runs that are played: no other option of "
+                "images, and no --compare, goes with it"
+            )
+        args.criticality = args.criticality or LEVELS
     _settle(args, PLAYED | DRAWN)
     runs = _runs(args)
     suffix = kinds[0] if kinds else "html"
@@ -152,7 +168,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     first, *beside = (run.rollout for run in runs)
     titles = [run.title for run in runs] if beside else None
-    write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared)
+    write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared, slider=args.slider)
     say_page(out, open_it=args.open)
     return 0
 

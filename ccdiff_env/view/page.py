@@ -29,6 +29,7 @@ SCRIPTS = (
     "timeline.js",
     "panels.js",
     "player.js",
+    "save.js",
     "theme.js",
     "main.js",
 )
@@ -47,6 +48,7 @@ def page_html(
     shared: str = "",
     home: tuple[str, str] | None = None,
     edit: bool = False,
+    slider: bool = False,
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
 
@@ -64,6 +66,8 @@ def page_html(
         Address and title of a page above this one, to be linked.
     edit
         Let agents be dragged elsewhere; the page around this one is notified.
+    slider
+        Show one run at a time, which a slider chooses.
 
     Raises
     ------
@@ -83,13 +87,16 @@ def page_html(
     if len(runs) == 1:
         line = subtitle(rollout)
     else:
-        line = " · ".join(filter(None, [rollout.scene.location, shared, " | ".join(names)]))
+        each = "" if slider else " | ".join(names)
+        line = " · ".join(filter(None, [rollout.scene.location, shared, each]))
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),
         "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
-        "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit}),
+        "settings": _json(
+            {"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit, "slider": slider}
+        ),
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
@@ -206,9 +213,12 @@ def write_page(
     titles: Sequence[str] | None = None,
     shared: str = "",
     home: tuple[str, str] | None = None,
+    slider: bool = False,
 ) -> int:
     """Write :func:`page_html` to a file; returns its size in bytes."""
-    page = page_html(rollout, compare=compare, titles=titles, shared=shared, home=home)
+    page = page_html(
+        rollout, compare=compare, titles=titles, shared=shared, home=home, slider=slider
+    )
     data = page.encode()
     write_aside(Path(path), data)
     return len(data)
