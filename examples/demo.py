@@ -34,7 +34,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.scenes.sources import title
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import say
 from ccdiff_env.view import write_page
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
@@ -308,7 +308,7 @@ def main() -> None:
     summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print(f"\n{len(test_scenes)} held-out scenes:\n\n{align(text)}")
+    say(f"\n{len(test_scenes)} held-out scenes:\n\n{text}")
     print(f"results in {args.out}/; open {(args.out / 'episode.html').resolve().as_uri()}")
 
 

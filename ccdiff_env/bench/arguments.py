@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import shlex
 import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -22,7 +23,7 @@ from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
-from ccdiff_env.system.terminal import align, say_page
+from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
 
@@ -317,16 +318,26 @@ class Run:
         page = self.folder / "report.html"
         images = [self.folder / name for name in plots]
         write_report_page(
-            page, title=title, line=line, plots=images, parts=texts, images=self._images
+            page,
+            title=title,
+            line=line,
+            plots=images,
+            parts=texts,
+            images=self._images,
+            command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
         )
-        print(align(read_text(self.folder / "table.md")))
+        found, more, _ = read_text(self.folder / "table.md").partition("\n### ")
+        say(found)
+        if more:
+            print(f"figure by figure: {self.folder / 'table.md'}")
         if self._num_changed:
+            differ = "replay differs" if self._num_changed == 1 else "replays differ"
             print(
-                f"{self._num_changed} replays differ from what was measured "
+                f"{self._num_changed} {differ} from what was measured "
                 "(by another machine or release)"
             )
         seconds = time.perf_counter() - self._start
-        print(f"{self._num_jobs} jobs in {seconds:.0f} s; report:")
+        print(f"{counted(self._num_jobs, 'job')} in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
         return 0
 

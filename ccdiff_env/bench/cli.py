@@ -30,7 +30,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.system.files import file_name, read_text
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import say
 
 __all__ = ["add_arguments"]
 
@@ -305,7 +305,7 @@ def _learning(args: argparse.Namespace) -> int:
     ]
     text = learning_table(run.rows(tests, "planner", "traffic"))
     run.write("table.md", text)
-    print(align(text))
+    say(text)
     return 0
 
 
@@ -340,7 +340,7 @@ def _selection(args: argparse.Namespace) -> int:
     )
     text = selection.selection_table(run.rows(tests, "adversary_policy", "strength"))
     run.write("table.md", text)
-    print(align(text))
+    say(text)
     return 0
 
 
@@ -369,7 +369,7 @@ def _speed(args: argparse.Namespace) -> int:
         device=args.device,
     )
     write_speed(timings, args.out)
-    print(align(read_text(args.out / "table.md")))
+    say(read_text(args.out / "table.md"))
     return 0
 
 

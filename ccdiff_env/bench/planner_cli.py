@@ -14,7 +14,7 @@ from ccdiff_env.bench.arguments import (
     seeds_of,
 )
 from ccdiff_env.scenes.arguments import place_from
-from ccdiff_env.system.terminal import align, say_page
+from ccdiff_env.system.terminal import say, say_page
 
 __all__ = ["add_planner_benchmark"]
 
@@ -99,6 +99,7 @@ def _planners(args: argparse.Namespace) -> int:
             "Scores": "table.md",
             "Planners against one another": "comparison.md",
             "Worst scenes": "worst.md",
+            "All scenes": "scenes.md",
         },
     )
 
@@ -117,7 +118,7 @@ def _leaderboard(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.leaderboard import write_leaderboard
 
     for heading, text in write_leaderboard(args.runs, args.out).items():
-        print(f"{heading}\n\n{align(text)}")
+        say(f"{heading}\n\n{text}")
     say_page(args.out, open_it=args.open)
     return 0
 
@@ -138,7 +139,7 @@ def _verify(args: argparse.Namespace) -> int:
 
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
-        print(f"{heading}\n\n{align(text)}")
+        say(f"{heading}\n\n{text}")
     count, differing = verify(record, episodes=args.episodes, dataroot=args.dataroot)
     for line in differing:
         print(line)

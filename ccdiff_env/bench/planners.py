@@ -40,6 +40,7 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.view.captions import planner_title
 from ccdiff_env.worlds import Worlds
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
@@ -184,6 +185,7 @@ def planner_jobs(
                 "scenes": scene_hashes(source, names),
                 "privileged": privileged[planner],
             },
+            f"{planner_title(planner)} in {TRAFFIC[name].label}",
         )
         for planner in planners
         for name in traffic
