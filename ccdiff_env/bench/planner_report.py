@@ -23,6 +23,7 @@ __all__ = [
     "comparison",
     "headlines",
     "over_seeds",
+    "permutation_p",
     "short_name",
     "summary",
     "title_of",
@@ -151,8 +152,6 @@ def comparison(
     if any(map(are_few, found.values())):
         return f"{FEW}\n"
     scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
-    rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], count))
     lines = [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
@@ -167,7 +166,7 @@ def comparison(
                 continue
             pairs = scores[planner] - scores[other]
             mean, low, high = mean_interval(_by_scene(pairs), "score")
-            p = _permutation_p(pairs, signs)
+            p = permutation_p(pairs)
             same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
             lines.append(
                 f"| {title_of(planner)} | {title_of(other)} | {mean:+.3f} [{low:+.3f}, "
@@ -176,8 +175,10 @@ def comparison(
     return "\n".join(lines) + "\n"
 
 
-def _permutation_p(pairs: npt.NDArray[np.float64], signs: npt.NDArray[np.float64]) -> float:
-    """Two-sided p of a mean difference [S] under signs [N, S] that chance has drawn."""
+def permutation_p(pairs: npt.NDArray[np.float64]) -> float:
+    """Return the two-sided p of a mean difference [S] by the permutation test of signs."""
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], len(pairs)))
     drawn = np.abs(signs @ pairs)
     return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
 

@@ -1,10 +1,7 @@
-"""Train an ego with PPO in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
+"""PPO for an ego in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
 
-    python examples/train_ego_ppo.py --traffic replay idm --decisions 2e6
-
---scenes names others than the embedded ones. A run that was stopped goes on where its last
-checkpoint is: give it --resume. The policy is exported beside the checkpoint, for
-``ccdiff_env.policies.load``, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
+``ccdiff-env train-ego`` is its command. The policy is exported beside the checkpoint, for
+:func:`ccdiff_env.policies.load`, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
 """
 
 from __future__ import annotations
@@ -12,16 +9,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
 import ccdiff_env
+from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.record.bank import load_bank
-from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.worlds.curriculum import SceneWeights
 from ccdiff_env.worlds.spaces import Layout
 
@@ -51,36 +48,6 @@ AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
 ASSISTED = {"assisted": {"delta_mps2": (-6.0, 6.0)}}
 PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_scene_arguments(parser, "train")
-    parser.add_argument(
-        "--bank", nargs="*", type=Path, default=[], help="folders of recorded traffic"
-    )
-    parser.add_argument(
-        "--traffic", nargs="+", default=["replay"], help="replay, idm, ccdiff, bank"
-    )
-    parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
-    parser.add_argument(
-        "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
-    )
-    parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
-    parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
-    parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
-    parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
-    parser.add_argument("--learning-rate", type=float, default=5e-4)
-    parser.add_argument(
-        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="first standard deviations"
-    )
-    parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--start", type=Path, help="checkpoint whose networks to begin with")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
-    parser.add_argument("--out", type=Path, default=Path("runs/train_ego_ppo"))
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
-    return parser.parse_args()
 
 
 class Worlds:
@@ -282,8 +249,8 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     return moved
 
 
-def main() -> None:
-    args = arguments()
+def train(args: argparse.Namespace) -> None:
+    """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy."""
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
@@ -294,8 +261,10 @@ def main() -> None:
         "decision_steps": args.decision_steps,
     }
     training = {"reward": REWARD | (PRICES if assisted else {}), "start_spread_steps": 50}
-    args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
+    if args.resume and not checkpoint.is_file():
+        raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
+    args.out.mkdir(parents=True, exist_ok=True)
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
@@ -349,7 +318,3 @@ def main() -> None:
             kept = time.perf_counter()
     keep()
     print(f"policy in {args.out / 'ego.safetensors'}")
-
-
-if __name__ == "__main__":
-    main()
