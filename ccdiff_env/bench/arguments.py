@@ -31,6 +31,7 @@ from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "Run",
+    "add_device",
     "add_methods",
     "add_replays",
     "add_run_arguments",
@@ -134,6 +135,13 @@ def add_traffic(
         names=TRAFFIC,
         default=default,
         help=f"{what}, comma-separated",
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Add where networks run."""
+    parser.add_argument(
+        "--device", default="cpu", help="where networks run: cpu, cuda or cuda:N (with torch)"
     )
 
 

@@ -12,6 +12,7 @@ from ccdiff_env.bench.arguments import (
     Former,
     Listed,
     Run,
+    add_device,
     add_methods,
     add_replays,
     add_run_arguments,
@@ -74,6 +75,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="lists of vehicles (JSON) for the method ccdiff_listed (default: without it)",
     )
     add_weights(parser)
+    add_device(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.add_argument("--human", action=Former, dest="listed")
     parser.set_defaults(run=_traffic)
@@ -107,6 +109,7 @@ def _traffic(args: argparse.Namespace) -> int:
         listed=listed,
         weights=run.own_weights,
         seed=args.seed,
+        device=args.device,
     )
     by_condition = conditions(run.results(jobs))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
@@ -350,9 +353,7 @@ def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
     parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
     parser.add_argument("--samples", type=int, default=1, help="samples per plan")
-    parser.add_argument(
-        "--device", choices=["cpu", "cuda"], default="cpu", help="where torch computes"
-    )
+    add_device(parser)
     parser.set_defaults(run=_speed)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from ccdiff_env.bench.arguments import (
     PLANNERS,
     Run,
+    add_device,
     add_replays,
     add_run_arguments,
     add_traffic,
@@ -45,6 +46,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="what fixes scenes, traffic and seeds, planner-1.0 (default: the options choose them)",
     )
     parser.add_argument("--level", help="scenes of the protocol: smoke, mini, val (default: smoke)")
+    add_device(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -61,7 +63,9 @@ def _planners(args: argparse.Namespace) -> int:
     jobs = [
         job
         for seed in seeds
-        for job in planner_jobs(str(place_from(args)), planners, traffic, seed=seed)
+        for job in planner_jobs(
+            str(place_from(args)), planners, traffic, seed=seed, device=args.device
+        )
     ]
     scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
     if fixed:

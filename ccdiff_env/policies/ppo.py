@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.worlds.curriculum import SceneWeights
 from ccdiff_env.worlds.spaces import Layout
 
+Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
 GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
@@ -84,7 +86,7 @@ class Worlds:
         ttc = OBSERVATION["agent_columns"].index("ttc")
         self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
-        self.episodes: list[np.ndarray] = []
+        self.episodes: list[Floats] = []
         begun = [
             env.reset(seed=seed + part.start)
             for env, part in zip(self.envs, self.parts, strict=True)
@@ -94,7 +96,7 @@ class Worlds:
         self.chase, self.aside = args.failures, ASIDE if args.dynamics == "assisted" else 0.0
         self.failures = [SceneWeights(len(env.worlds.scenes)) for env in self.envs]
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, actions: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
         for env, part, playing, failures in zip(
@@ -126,6 +128,10 @@ class Worlds:
 class Agent(nn.Module):
     """Policy and value: all agents pass one network, the greatest of each feature stays."""
 
+    mean: torch.Tensor
+    var: torch.Tensor
+    count: torch.Tensor
+
     def __init__(self, layout: Layout, noise: tuple[float, ...]) -> None:
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
@@ -149,8 +155,9 @@ class Agent(nn.Module):
             )
             for out in (len(noise), 1)
         )
-        nn.init.orthogonal_(self.policy[-1].weight, 0.01)
-        nn.init.zeros_(self.policy[-1].bias)
+        *_, weight, bias = self.policy.parameters()
+        nn.init.orthogonal_(weight, 0.01)
+        nn.init.zeros_(bias)
         self.log_std = nn.Parameter(torch.tensor(noise).log())
         for name, value in (("mean", 0.0), ("var", 1.0)):
             self.register_buffer(name, torch.full((layout.size,), value))
@@ -233,7 +240,9 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     moved = 0.0
     for _ in range(EPOCHS):
-        for index in torch.randperm(len(advantage)).split(MINIBATCH):
+        order = torch.randperm(len(advantage))
+        for first in range(0, len(order), MINIBATCH):
+            index = order[first : first + MINIBATCH]
             with torch.autocast("cpu", torch.bfloat16, enabled=HALF):
                 mean, values = (out.float() for out in agent(data["x"][index]))
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]

@@ -16,16 +16,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     add_scene_arguments(parser, "train")
     parser.add_argument(
-        "--bank", nargs="*", type=Path, default=[], help="folders of recorded traffic"
+        "--bank",
+        nargs="*",
+        type=Path,
+        default=[],
+        help="folders of recorded traffic (default: none)",
     )
     parser.add_argument(
-        "--traffic", nargs="+", default=["replay"], help="replay, idm, ccdiff, bank"
+        "--traffic",
+        nargs="+",
+        default=["replay"],
+        help=f"traffic of training, of: {', '.join(TRAFFIC)}",
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
     parser.add_argument(
         "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
     )
-    parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
+    parser.add_argument(
+        "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
+    )
     parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
     parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
     parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
@@ -35,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
     parser.add_argument("--seed", type=int, default=0, help="of networks and worlds")
-    parser.add_argument("--start", type=Path, help="checkpoint whose networks to begin with")
+    parser.add_argument(
+        "--start", type=Path, help="checkpoint whose networks to begin with (default: random ones)"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
