@@ -4,22 +4,23 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 UV     := $(BIN)/uv
 STAMP  := $(VENV)/.deps
+EXTRAS := --extra models --extra dev --extra rl --extra viz --extra cluster
 SO     := ccdiff_env/_native.abi3.so ccdiff_env/_models.abi3.so
 RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Cargo.toml Cargo.lock
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup demo test test-rust test-py test-learners lint wheel docs playground bench clean
+.PHONY: help setup lock demo test test-rust test-py test-learners lint wheel docs playground bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 setup: $(SO)  ## virtual environment, dependencies, release build of the extension
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install -q uv
-	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra models --extra dev --extra rl --extra viz --extra cluster
+	$(UV) pip install -q --python $(BIN)/python -r requirements.lock
 	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
 	touch $(STAMP)
 
@@ -27,6 +28,9 @@ $(SO) &: $(STAMP) $(RUST) tools/build_backend.py
 	$(BIN)/python tools/build_backend.py
 	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
 	touch $(SO)
+
+lock:  ## newest releases into requirements.lock, which setup installs
+	$(UV) pip compile -q --upgrade pyproject.toml --universal --python-version 3.10 $(EXTRAS) -o requirements.lock
 
 demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)
 	$(BIN)/python examples/demo.py $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)

@@ -8,21 +8,26 @@ from __future__ import annotations
 
 import argparse
 import codecs
+import difflib
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
+from typing import Any, NoReturn
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
     "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
+    "train-ego": ("train an ego with PPO (resumes with --resume)", "policies.train_ego"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
+    "compare": ("two runs of bench planners: paired differences", "bench.compare"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),
     "scenes": ("list the scenes that can be played and shown", "view.listing"),
     "play": ("play scenes again with other settings, in the browser", "view.play"),
     "live": ("watch a training: its curves and its newest replay", "view.live"),
+    "doctor": ("say what is installed, and whether it works here", "bench.doctor"),
 }
 
 
@@ -36,6 +41,55 @@ class _Help(argparse.HelpFormatter):
             return action.help
         text = " ".join(default) if isinstance(default, list) else str(default)
         return f"{action.help or ''} (default: {text.replace('%', '%%')})"
+
+
+def _meant(word: str, known: Iterable[str]) -> str:
+    """What somebody may have meant who typed a word that is none of those known."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that says what may have been meant; verbs answer for their own options."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; refuse what is unknown here, where the usage is that of the verb."""
+        found, unknown = super().parse_known_args(args, namespace)
+        for word in unknown:
+            name = word.partition("=")[0]
+            what = "option" if name.startswith("-") else "argument"
+            self.error(f"there is no {what} {name}{_meant(name, self._option_string_actions)}")
+        return found, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        raise argparse.ArgumentError(
+            action, f"{value!r} is none of {', '.join(known)}{_meant(str(value), known)}"
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Say how the verb is used, in a line, and what is wrong."""
+        required = [a for a in self._actions if a.required or not a.option_strings]
+        usage = self.format_usage() if len(self._actions) < SHORT else self._brief(required)
+        self.exit(2, f"{usage}{self.prog}: {message}\n")
+
+    def _brief(self, required: list[argparse.Action]) -> str:
+        """Usage of a verb with many options: those that it needs alone."""
+        words = []
+        for action in required:
+            name = str(action.metavar or action.dest)
+            words.append(
+                " ".join(
+                    [*action.option_strings[-1:], name.upper() if action.option_strings else name]
+                )
+            )
+        return f"usage: {' '.join([self.prog, *words])} [options]; --help lists them\n"
+
+
+#: Parsers with fewer arguments than this show their whole usage.
+SHORT = 8
 
 
 class _Version(argparse.Action):
@@ -69,9 +123,7 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
 
 def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of a command line; of its verb alone it has the arguments."""
-    parser = argparse.ArgumentParser(
-        prog="ccdiff-env", description="Driving among learned traffic."
-    )
+    parser = _Parser(prog="ccdiff-env", description="Driving among learned traffic.")
     parser.add_argument("--version", nargs=0, action=_Version, help="print the version")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     for verb, (help_text, module) in VERBS.items():

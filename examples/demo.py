@@ -34,7 +34,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.scenes.sources import title
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import say
 from ccdiff_env.view import write_page
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
@@ -302,11 +302,13 @@ def main() -> None:
             writer.writerows({"traffic": name_of, "ego": ego, **row} for row in rows)
     drawn = "critical CCDiff"
     longest = int(np.argmax([row["steps"] for row in results[drawn, "PPO"]]))
-    write_page(record_episode(test_scenes, longest, TRAFFIC[drawn], ppo), args.out / "episode.html")
+    episode = record_episode(test_scenes, longest, TRAFFIC[drawn], ppo)
+    episode.save(args.out / "episode.npz")
+    write_page(episode, args.out / "episode.html")
     summary: dict[str, Any] = {"scenes": name, "steps": list(args.steps), "seed": args.seed}
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
-    print(f"\n{len(test_scenes)} held-out scenes:\n\n{align(text)}")
+    say(f"\n{len(test_scenes)} held-out scenes:\n\n{text}")
     print(f"results in {args.out}/; open {(args.out / 'episode.html').resolve().as_uri()}")
 
 

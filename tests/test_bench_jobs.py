@@ -132,10 +132,10 @@ def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
 
 def test_bars_say_what_was_done_and_the_mean_so_far():
     figures = {}
-    assert _line(("00-ccdiff-1-0-000", [{"score": 1.0}], 1.0), figures).endswith("score 1.00")
-    second = _line(("00-ccdiff-1-0-001", [{"score": 0.0}, {"score": 0.5}], 1.0), figures)
-    assert second == "00 ccdiff 1 0, score 0.50"
-    assert _line(("train-0", {"path": "x"}, 1.0), {}) == "train"
+    assert _line("IDM in log replay", [{"score": 1.0}], figures).endswith("score 1.00")
+    second = _line("IDM in log replay", [{"score": 0.0}, {"score": 0.5}], figures)
+    assert second == "IDM in log replay, score 0.50"
+    assert _line("train", {"path": "x"}, {}) == "train"
 
 
 def test_damaged_results_and_doubled_names_are_refused(tmp_path):

@@ -34,14 +34,14 @@ def test_the_better_mean_stands_higher(tmp_path, capsys):
     b = write_run(tmp_path / "b", raw("pdm", "replay", [0.85] * 10), raw("pdm", "idm", TEN))
     ((heading, table),) = leaderboard(a, b).items()
     assert "seed 0" in heading
-    assert order(table) == (["pdm", IDM], ["score", "Log replay", "IDM", "mean", "worst"])
+    assert order(table) == (["PDM-Closed", IDM], ["score", "Log replay", "IDM", "mean", "worst"])
     assert "0.85" in table
     assert "0.75" in table
-    assert f"| pdm | {IDM} | +0.050 [" in table
+    assert f"| PDM-Closed | {IDM} | +0.050 [" in table
     page = tmp_path / "pages.html"
     assert main(["bench", "leaderboard", str(a), str(b), "--out", str(page)]) == 0
     assert 'href="b/report.html"' in page.read_text()
-    assert "pdm is best over all (0.68)" in capsys.readouterr().out
+    assert "PDM-Closed is best over all (0.68)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,9 @@ def test_markdown_of_reports_becomes_html():
         "### A <head>\n\nSome `text`\nin two lines & more\n\n"
         "| scene | why |\n|---|---|\n| [a](replays/a.html#t=1.0&follow=ego) | x < y |\n| | |\n"
     )
-    assert text.startswith("<h3>A &lt;head&gt;</h3>\n<p>Some `text` in two lines &amp; more</p>")
+    assert text.startswith(
+        '<h3 id="a-head-">A &lt;head&gt;</h3>\n<p>Some `text` in two lines &amp; more</p>'
+    )
     found = Parts(text)
     assert found.rows == [["scene", "why"], ["a", "x < y"], ["", ""]]
     assert found.links == ["replays/a.html#t=1.0&follow=ego"]
@@ -95,6 +97,12 @@ def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(pla
         assert 10_000 < page.stat().st_size < 1_000_000
     worst = (folder / "worst.md").read_text(encoding="utf-8")
     assert worst.count("](replays/") == 4
+    # each score opens its scenes, those with a replay lead to it
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert 'href="#idm-in-ccdiff-criticality-1"' in page
+    assert '<h3 id="idm-in-ccdiff-criticality-1">' in page
+    assert (folder / "scenes.md").read_text(encoding="utf-8").count("](replays/") == 4
+    assert "made by <code>" in page
     assert cli.main(command) == 0
     assert "differ" not in capsys.readouterr().out
 
@@ -107,7 +115,7 @@ def test_replays_of_something_else_are_told(planners, capsys):
     kept = raw.read_text(encoding="utf-8")
     raw.write_text(json.dumps(entry), encoding="utf-8")
     assert cli.main(command) == 0
-    assert "1 replays differ" in capsys.readouterr().out
+    assert "1 replay differs" in capsys.readouterr().out
     raw.write_text(kept, encoding="utf-8")
 
 
@@ -174,11 +182,11 @@ def test_the_verdict_names_the_best_and_what_breaks():
         pdm__replay=[0.5, 0.5], pdm__idm=[0.0, 0.2],
     )  # fmt: skip
     text = verdict(found, ["idm", "pdm"], ["replay", "idm"])
-    assert text.startswith("idm is best over all (0.85), first in all traffic. ")
-    assert "pdm breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
+    assert text.startswith("IDM is best over all (0.85), first in all traffic. ")
+    assert "PDM-Closed breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
     assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
-    assert "the intervals overlap with those of pdm everywhere" in verdict(
+    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(
         near, ["idm", "pdm"], ["replay"]
     )
     few = {key: rows[:9] for key, rows in found.items()}

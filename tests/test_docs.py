@@ -208,13 +208,17 @@ def test_help_lists_the_names_that_an_option_takes(verb):
     listed = {
         "--methods": "ccdiff_unguided",
         "--planners": "pdm",
-        "--traffic": "constant_velocity" if verb in ("rollout", "view") else "ccdiff-1",
+        "--traffic": {
+            "rollout": "constant_velocity",
+            "view": "constant_velocity",
+            "train-ego": "bank",
+        }.get(verb, "ccdiff-1"),
         "--driver": "ego_replay",
         "--ego": "ego_replay",
         "--split": "mini_val",
         "--train-split": "train_val",
         "--model": "trafficsim",
-        "--dynamics": "delta_pose",
+        "--dynamics": "assisted" if verb == "train-ego" else "delta_pose",
     }
     for option in listed.keys() & parser._option_string_actions.keys():
         text = parser._get_formatter()._expand_help(parser._option_string_actions[option])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +18,7 @@ from ccdiff_env.errors import (
     DatasetNotFoundError,
     ShapeError,
 )
+from ccdiff_env.policies import ppo
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
@@ -34,21 +33,11 @@ def scenes():
 
 
 @pytest.fixture(scope="module")
-def example():
-    """The training example as a module: its network is the oracle."""
-    path = Path(__file__).parents[1] / "examples" / "train_ego_ppo.py"
-    spec = importlib.util.spec_from_file_location("train_ego_ppo", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def agent(example, scenes):
+def agent(scenes):
     """A network of random weights that has seen some observations."""
     torch.manual_seed(0)
     env = ccdiff_env.make_vec(8, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
-    made = example.Agent(env.worlds.layout, (0.5, 0.5))
+    made = ppo.Agent(env.worlds.layout, (0.5, 0.5))
     torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
     made.see(torch.from_numpy(env.reset(seed=0)[0]))
     return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import align, counted
 
 
 def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
@@ -40,3 +40,40 @@ def test_output_that_nobody_reads_on_ends_without_a_word():
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 1
+
+
+WIDE = (
+    "Idm is best over all, and this sentence is so long that it would leave a window of eighty.\n\n"
+    "| score | Log replay | CCDiff, no guidance | CCDiff, criticality 1 | mean | worst of all |\n"
+    "|---|---:|---:|---:|---:|---:|\n"
+    "| IDM, log's path and speed | **0.90 [0.85, 0.95]** | 0.8 [0.75, 0.85] | 0.7 [0.6, 0.8] "
+    "| 0.8 [0.7, 0.9] | 0.7 [0.6, 0.8] |\n"
+    "| constant velocity | 0.50 [0.45, 0.55] | 0.4 [0.3, 0.5] | 0.3 [0.2, 0.4] | 0.4 | 0.3 |\n"
+)
+
+
+def test_no_line_is_wider_than_the_window_and_no_figure_is_lost():
+    for width in (80, 60, 40):
+        text = align(WIDE, width=width)
+        assert max(map(len, text.splitlines())) <= width
+        assert [text.count(word) for word in ("0.90 *", "0.8", "0.3")] == [1, 2, 2]
+        assert "[" not in text
+    assert "[0.85, 0.95] *" in align(WIDE)
+
+
+def test_a_terminal_shows_bold_and_keeps_the_columns():
+    plain = align(WIDE, width=80).replace(" *", "  ")
+    bold = align(WIDE, width=80, bold=True)
+    assert "\033[1m0.90\033[0m" in bold
+    bare = bold.replace("\033[1m", "").replace("\033[0m", "")
+    assert [line.split() for line in bare.splitlines()] == [
+        line.split() for line in plain.splitlines()
+    ]
+
+
+def test_counts_agree_with_their_nouns():
+    assert [counted(n, "scene") for n in (0, 1, 1200)] == ["0 scenes", "1 scene", "1,200 scenes"]
+
+
+def test_links_of_a_table_are_its_words():
+    assert align("| a |\n|---|\n| [0.9](#there) [0.8, 1.0] |\n").splitlines()[2] == "0.9 [0.8, 1.0]"

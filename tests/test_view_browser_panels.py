@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from browser_page import Page
 from view_rollouts import planned_rollout
 
 from ccdiff_env import Scene
+from ccdiff_env.record.rollout import RolloutEvent
 from ccdiff_env.view import log_rollout, write_page
 
 pytestmark = pytest.mark.timeout(120)
@@ -187,6 +190,36 @@ def test_colours_of_agents_stand_out_from_the_road(visit):
     assert (lights[-1] + 0.05) / (lights[edge] + 0.05) >= 3.0
 
 
+@pytest.mark.parametrize("page_name", ["two.html", "grid.html"])
+def test_one_run_alone_while_paused_has_pixels_for_all_of_its_pane(visit, page_name):
+    page = visit(page_name)
+    for key in "2", "0", "1", "0":
+        page.keyboard.press(key)
+        page.frames(6)
+        sizes = page.evaluate(
+            """replay.panes.filter((p) => p.width).map(({ canvas }) =>
+              [canvas.width / canvas.clientWidth, canvas.height / canvas.clientHeight])"""
+        )
+        assert sizes
+        for size in sizes:
+            assert size == pytest.approx([1.0, 1.0], abs=0.01)
+
+
+def test_an_ego_that_has_reached_its_goal_stays_in_green(browser, tmp_path):
+    run = planned_rollout()
+    valid = run.valid.copy()
+    valid[0, 40:] = False
+    events = (RolloutEvent(40, "ego", None, "goal"),)
+    write_page(replace(run, valid=valid, events=events), tmp_path / "page.html")
+    page = Page(browser, tmp_path / "page.html", "#t=4.5")
+    assert page.evaluate("replay.runs[0].pose(0, 45) !== null")
+    assert "has reached its goal" in page.inner_text("#captions")
+    write_page(replace(run, valid=valid, events=()), tmp_path / "gone.html")
+    assert Page(browser, tmp_path / "gone.html", "#t=4.5").evaluate(
+        "replay.runs[0].pose(0, 45) === null"
+    )
+
+
 def test_two_runs_keep_step_and_share_the_view(visit):
     page = visit("two.html")
     assert page.locator(".pane").count() == 2
@@ -355,3 +388,70 @@ def test_a_map_without_lanes_says_so(browser, visit, tmp_path):
     assert page.inner_text(".pane-note") == "This map has no lanes."
     page.context.close()
     assert visit("one.html").locator(".pane-note").count() == 0
+
+
+def test_a_slider_chooses_the_run_that_is_seen_and_told(browser, tmp_path):
+    run = planned_rollout()
+    late = (RolloutEvent(60, "ego", None, "goal"),)
+    runs = [replace(run, events=late), run]
+    write_page(run, tmp_path / "s.html", compare=runs, titles=tuple("012"), slider=True)
+    page = Page(browser, tmp_path / "s.html", "#t=3.5")
+    assert page.locator(".map:visible").count() == 1
+    assert "ego drove into 1" in page.inner_text("#events")
+    page.focus("#choice input")
+    page.keyboard.press("ArrowRight")
+    page.frames()
+    assert page.state("alone") == 1
+    assert page.inner_text("#choice output") == "1"
+    assert page.inner_text("#events").count("ego reached its goal") == 1
+    assert "drove" not in page.inner_text("#events")
+    assert page.time() == pytest.approx(3.5)
+    page.until("location.hash.includes('run=2')")
+    page.locator(".map:visible").focus()
+    page.keyboard.press("0")
+    page.keyboard.press("3")
+    assert page.state("alone") == 2
+    assert page.input_value("#choice input") == "2"
+    assert page.faults == []
+
+
+def test_pictures_and_clips_are_saved_and_a_loop_begins_again(visit):
+    page = visit("two.html", accept_downloads=True)
+    with page.expect_download() as got:
+        page.click("#picture")
+    assert got.value.suggested_filename == "left-turn-00-0.0s.png"
+    assert got.value.path().read_bytes()[:4] == b"\x89PNG"
+    page.evaluate("replay.seek(replay.end - 0.3)")
+    with page.expect_download(timeout=20_000) as got:
+        page.click("#clip")
+    assert got.value.suggested_filename.endswith(".webm")
+    assert got.value.path().stat().st_size > 5_000
+    page.click("#loop")
+    page.evaluate("replay.seek(replay.end - 0.2); replay.playing = true")
+    page.until("replay.playing && replay.time < replay.start + 2")
+
+
+def test_a_page_inside_another_has_map_time_line_and_verdict_alone(visit):
+    page = visit("one.html", hash="#t=1&embed=1", viewport={"width": 640, "height": 400})
+    for hidden in ("header", "#side", ".options"):
+        assert not page.is_visible(hidden)
+    assert page.is_visible("#timeline")
+    assert "ego drove into 1" in page.inner_text(".pane-caption")
+    footer = page.locator("footer").bounding_box()
+    assert footer["y"] + footer["height"] <= 401
+
+
+def test_a_tall_map_has_the_ego_heading_up_and_an_address_says_otherwise(visit):
+    tall = {"viewport": {"width": 390, "height": 844}}
+    assert visit("two.html", viewport={"width": 900, "height": 1000}).state("headingUp") is True
+    assert visit("one.html", hash="#t=0&up=north", **tall).state("headingUp") is False
+    assert visit("one.html").state("headingUp") is False
+
+
+def test_a_curve_grows_at_a_click_on_its_name(visit):
+    page = visit("one.html")
+    name = page.locator("#recorded .figure-name").first
+    small = page.locator("#recorded .figure-curve").first.bounding_box()["height"]
+    name.click()
+    assert page.locator("#recorded .figure-curve").first.bounding_box()["height"] > 3 * small
+    assert name.get_attribute("aria-expanded") == "true"

@@ -9,7 +9,7 @@ import numpy as np
 from test_view import elements, unpacked
 from view_rollouts import plan_of, planned_rollout
 
-from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import page_html, render
 from ccdiff_env.view.page import part
 from ccdiff_env.view.video import Video
@@ -90,6 +90,33 @@ def test_arrows_lead_to_the_agent_in_the_middle_within_two_hops(monkeypatch):
         planned = replace(run, plans=(plan,), valid=valid)
         Video(planned, follow=run.agent_ids[follow], graph=True).frame(0)
         assert {(j, i): weight for j, i, weight in seen["arrows"]} == expected
+
+
+def test_between_two_steps_agents_are_between_their_poses(monkeypatch):
+    run = planned_rollout()
+    seen = {}
+    monkeypatch.setattr(render, "draw", lambda at, **options: seen.update(options, at=at))
+    Video(run).frame(20.25)
+    there = run.valid[:, 20]
+    both = there & run.valid[:, 21]
+    expected = run.position[:, 20] + 0.25 * (run.position[:, 21] - run.position[:, 20])
+    np.testing.assert_allclose(seen["at"][both[there]], expected[both], atol=1e-4)
+    assert seen["caption"] == "left-turn-00  2.0 s"
+    Video(run, title="other").frame(run.num_steps - 1)
+    assert seen["caption"].startswith("other  8.0 s  ego drove into 1")
+
+
+def test_an_ego_at_its_goal_is_drawn_where_it_left_the_scene(monkeypatch):
+    run = planned_rollout()
+    valid = run.valid.copy()
+    valid[0, 40:] = False
+    arrived = replace(run, valid=valid, events=(RolloutEvent(40, "ego", None, "goal"),))
+    seen = {}
+    monkeypatch.setattr(render, "draw", lambda at, **options: seen.update(at=at))
+    Video(arrived).frame(40)
+    np.testing.assert_allclose(seen["at"][0], run.position[0, 39])
+    Video(replace(arrived, events=())).frame(40)
+    assert len(seen["at"]) == valid[:, 40].sum()
 
 
 def test_agents_that_are_absent_now_are_not_drawn(tmp_path):

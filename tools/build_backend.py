@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+#: What is fetched with torch.
+TORCH_GB = 2.7
 MODULE = ROOT / "ccdiff_env" / "_models.abi3.so"
 
 
@@ -74,6 +76,18 @@ def make_models() -> None:
     aside.replace(MODULE)
 
 
+def _say() -> None:
+    """Say on the terminal, as pip keeps the output, what is made and how long it takes."""
+    networks = f", with {_torch()} ({TORCH_GB} GB, fetched once for the build)" if _wanted() else ""
+    try:
+        with open("/dev/tty", "w", encoding="utf-8") as terminal:
+            print(f"\nccdiff-env: compiling Rust, 3 to 13 minutes{networks}", file=terminal)
+            if _wanted():
+                print("  CCDIFF_MODELS=0 leaves out what needs torch: 2 minutes", file=terminal)
+    except OSError:  # no terminal
+        return
+
+
 def _requirements(maturins: list[str]) -> list[str]:
     return [*maturins, _torch()] if _wanted() and _libtorch() is None else maturins
 
@@ -104,6 +118,7 @@ def build_wheel(folder: str, config_settings: Any = None, metadata: str | None =
     """Make both modules and a wheel of them."""
     import maturin
 
+    _say()
     make_models()
     return str(maturin.build_wheel(folder, config_settings, metadata))
 

@@ -6,35 +6,66 @@
 from __future__ import annotations
 
 import sys
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import write_page
 from ccdiff_env.view.index import entry, index_page
+from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.sources import play_scene
 
 NUM_PAGES = 30
 TITLES = ("criticality 1", "realistic")
+#: Page above the index: the site's.
+HOME = ("../index.html", "documentation")
+#: An ego that is slower when it is hit stood.
+MOVES_MPS = 0.5
+#: Whether the ego was at fault, what is shown first.
+RANKS = (False, True)
 
 
 def write_gallery(folder: Path, num_pages: int = NUM_PAGES) -> Path:
-    """Write the pages, held-out scenes first; IDM drives the ego. Returns the index."""
+    """Write the pages, those that tell the story first; returns the index.
+
+    The ego follows its log in both runs: the traffic alone differs.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     scenes = [*embedded_scenes("val"), *embedded_scenes("train")]
-    entries = []
-    for scene in islice(scenes, num_pages):
-        critical, realistic = (
-            play_scene(scene, traffic="ccdiff", driver="idm", ccdiff={"criticality": level})
+    runs = [
+        tuple(
+            play_scene(scene, traffic="ccdiff", driver="replay", ccdiff={"criticality": level})
             for level in (1.0, 0.0)
         )
-        page = folder / f"{scene.name}.html"
+        for scene in (scenes if num_pages > 1 else scenes[:1])
+    ]
+    entries = []
+    for critical, realistic in sorted(runs, key=lambda pair: _rank(*pair))[:num_pages]:
+        name = critical.scene.name
+        page = folder / f"{name}.html"
         home = ("index.html", "all replays")
         write_page(critical, page, compare=realistic, titles=TITLES, home=home)
-        entries.append(entry(critical, scene.name, page.name))
+        story = _rank(critical, realistic)[0] < len(RANKS)
+        beside = f"realistic: {outcome(realistic).line}"
+        entries.append(replace(entry(critical, name, page.name), story=story, beside=beside))
     index = folder / "index.html"
-    index.write_text(index_page("Gallery", entries), encoding="utf-8")
+    index.write_text(index_page("Gallery", entries, home=HOME), encoding="utf-8")
     return index
+
+
+def _rank(critical: Rollout, realistic: Rollout) -> tuple[int, float]:
+    """Place in the gallery: an ego that reaches its goal in realistic traffic, where nobody
+    collides, and is hit while it moves in critical traffic; it is better not to blame.
+    """
+    calm, fate = outcome(realistic), outcome(critical)
+    hit = critical.collisions("ego")
+    if not hit or calm.tone != "good" or calm.others or fate.tone != "bad":
+        return len(RANKS), 0.0
+    speed = float(np.linalg.norm(critical.velocity[0, max(hit[0].step - 1, 0)]))
+    return (RANKS.index(hit[0].at_fault) if speed > MOVES_MPS else len(RANKS)), -speed
 
 
 if __name__ == "__main__":

@@ -6,22 +6,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.view import log_rollout, render
+from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env.view.video import Video, side_by_side
 
-SCENE, SEED = "left-turn-00", 0
+SCENE, SEED = "tee-crossing-01", 0
 TITLES = ("recorded", "CCDiff, realistic", "CCDiff, criticality 1")
-CENTRE_M, SPAN_M = (6.0, -53.0), 54.0
+CENTRE_M, SPAN_M = (1.0, -40.0), 46.0
 PANEL = (384, 360)
-TITLE_PX = 40
-FIRST_STEP = 18
-HOLD_S = 1.2
+TITLE_PX = 64
+FIRST_STEP = 8
+HOLD_S = 1.6
 """The image rests at the collision, whose vehicles have a red outline."""
 
 
@@ -43,22 +44,24 @@ def frames() -> Iterator[render.Image]:
     ]
     last = played[-1].num_steps - 1
     steps = [*range(FIRST_STEP, last), *[last] * round(HOLD_S / played[-1].dt_s)]
-    title = None
+    fates = ["", "", outcome(played[2]).text.partition(",")[0]]
     for step in steps:
         strip = side_by_side(videos, step)
-        title = _titles(strip.shape[1]) if title is None else title
-        yield np.concatenate([title, strip])
+        clock = [f"{step * played[-1].dt_s:.1f} s"] * len(played)
+        yield np.concatenate([_titles(strip.shape[1], fates if step == last else clock), strip])
 
 
-def _titles(width: int) -> render.Image:
-    """Return the line of titles above the panels [TITLE_PX, width, 3]."""
+def _titles(width: int, below: Sequence[str]) -> render.Image:
+    """Return the titles above the panels and a line below each [TITLE_PX, width, 3]."""
     from PIL import Image, ImageDraw, ImageFont
 
     line = Image.new("RGB", (width, TITLE_PX), "white")
-    pen, font = ImageDraw.Draw(line), ImageFont.load_default(22)
+    pen, font, small = ImageDraw.Draw(line), ImageFont.load_default(26), ImageFont.load_default(17)
     for i, title in enumerate(TITLES):
         middle = (i + 0.5) * width / len(TITLES)
-        pen.text((middle, TITLE_PX / 2), title, fill="#222222", font=font, anchor="mm")
+        pen.text((middle, 20), title, fill="#222222", font=font, anchor="mm")
+        colour = "#b3121f" if " hit " in below[i] else "#444444"
+        pen.text((middle, 48), below[i], fill=colour, font=small, anchor="mm")
     return np.asarray(line)
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import os
+import shlex
+import shutil
 import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -22,12 +25,13 @@ from ccdiff_env.models import shipped_weights
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
-from ccdiff_env.system.terminal import align, say_page
+from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
 
 __all__ = [
     "Run",
+    "add_device",
     "add_methods",
     "add_replays",
     "add_run_arguments",
@@ -104,8 +108,20 @@ def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = 
     parser.add_argument(
         "--backend", choices=["local", "ray"], default="local", help="where jobs run"
     )
-    parser.add_argument("--workers", type=int, default=1, help="processes of the local backend")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        help=f"processes of the local backend; this machine has {os.cpu_count()} processors",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    there = parser.add_mutually_exclusive_group()
+    there.add_argument(
+        "--resume", action="store_true", help="refuse to begin anew: there must be a run in --out"
+    )
+    there.add_argument(
+        "--overwrite", action="store_true", help="delete the run in --out, and begin anew"
+    )
     parser.add_argument("--open", action="store_true", help="open the report in the browser")
 
 
@@ -119,6 +135,13 @@ def add_traffic(
         names=TRAFFIC,
         default=default,
         help=f"{what}, comma-separated",
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Add where networks run."""
+    parser.add_argument(
+        "--device", default="cpu", help="where networks run: cpu, cuda or cuda:N (with torch)"
     )
 
 
@@ -208,11 +231,30 @@ class Run:
         given["own_weights"] = {name: sha256_of(Path(f)) for name, f in self.own_weights.items()}
         self._made_with = made_with()
         self._digests: dict[str, str | None] = {}
-        self._settle(given, {"weights": self.weights, "made_with": self._made_with})
+        self._begun = False
+        if getattr(args, "overwrite", False):
+            self._delete()
+        elif getattr(args, "resume", False) and not (self.folder / "run.json").exists():
+            raise DatasetNotFoundError(f"--resume: there is no run in {self.folder}")
+        facts = {"weights": self.weights, "made_with": self._made_with}
+        self._facts = {**self._agreeing(given), **given, **facts}
 
-    def _settle(self, settings: dict[str, Any], facts: dict[str, Any]) -> None:
-        """Refuse other settings than those of the folder; write them, and facts beside them."""
+    def _delete(self) -> None:
+        """Delete the run of the folder; a folder of anything else is left as it is."""
+        if not self.folder.exists():
+            return
+        if not (self.folder / "run.json").is_file():
+            raise ConfigError(f"--overwrite deletes runs, but {self.folder} has no run.json")
+        shutil.rmtree(self.folder)
+
+    def _begin(self) -> None:
+        """Write what the run is, now that work begins: what is refused before leaves no folder."""
+        self._begun = True
         self.folder.mkdir(parents=True, exist_ok=True)
+        write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
+
+    def _agreeing(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return what ``run.json`` holds; refuse other settings than those."""
         path = self.folder / "run.json"
         with reading("settings of a run", path):
             known = parsed_object(read_text(path)) if path.exists() else {}
@@ -224,11 +266,13 @@ class Run:
                 f"--out holds a run with other settings: {changed[0]} {known[changed[0]]!r}, now "
                 f"{settings[changed[0]]!r}; choose another folder"
             )
-        write_aside(path, json.dumps({**known, **settings, **facts}, indent=1))
+        return known
 
     def note(self, **facts: Any) -> None:
         """Write into ``run.json`` what the results were made from; refuses nothing."""
-        self._settle({}, facts)
+        self._facts |= facts
+        if self._begun:
+            self._begin()
 
     def _dated(self, job: Job) -> Job:
         """Return a job that knows what its result follows from beside its arguments."""
@@ -253,6 +297,7 @@ class Run:
     def results(self, jobs: Sequence[Job], folder: str = "raw") -> dict[str, Any]:
         """Do the jobs whose results are not there yet; return the results of all by name."""
         jobs = [self._dated(job) for job in jobs]
+        self._begin()
         run_jobs(jobs, self.folder / folder, **self._options)
         self._num_jobs += len(jobs)
         return results(jobs, self.folder / folder)
@@ -290,6 +335,8 @@ class Run:
 
     def write(self, file: str, text: str) -> None:
         """Write a text of the run."""
+        if not self._begun:
+            self._begin()
         write_aside(self.folder / file, text)
 
     def report(self, title: str, *, plots: Sequence[str], parts: Mapping[str, str]) -> int:
@@ -317,16 +364,26 @@ class Run:
         page = self.folder / "report.html"
         images = [self.folder / name for name in plots]
         write_report_page(
-            page, title=title, line=line, plots=images, parts=texts, images=self._images
+            page,
+            title=title,
+            line=line,
+            plots=images,
+            parts=texts,
+            images=self._images,
+            command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
         )
-        print(align(read_text(self.folder / "table.md")))
+        found, more, _ = read_text(self.folder / "table.md").partition("\n### ")
+        say(found)
+        if more:
+            print(f"figure by figure: {self.folder / 'table.md'}")
         if self._num_changed:
+            differ = "replay differs" if self._num_changed == 1 else "replays differ"
             print(
-                f"{self._num_changed} replays differ from what was measured "
+                f"{self._num_changed} {differ} from what was measured "
                 "(by another machine or release)"
             )
         seconds = time.perf_counter() - self._start
-        print(f"{self._num_jobs} jobs in {seconds:.0f} s; report:")
+        print(f"{counted(self._num_jobs, 'job')} in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
         return 0
 

@@ -12,6 +12,7 @@ from ccdiff_env.bench.arguments import (
     Former,
     Listed,
     Run,
+    add_device,
     add_methods,
     add_replays,
     add_run_arguments,
@@ -30,7 +31,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.system.files import file_name, read_text
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import say
 
 __all__ = ["add_arguments"]
 
@@ -74,6 +75,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="lists of vehicles (JSON) for the method ccdiff_listed (default: without it)",
     )
     add_weights(parser)
+    add_device(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.add_argument("--human", action=Former, dest="listed")
     parser.set_defaults(run=_traffic)
@@ -107,6 +109,7 @@ def _traffic(args: argparse.Namespace) -> int:
         listed=listed,
         weights=run.own_weights,
         seed=args.seed,
+        device=args.device,
     )
     by_condition = conditions(run.results(jobs))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
@@ -305,7 +308,7 @@ def _learning(args: argparse.Namespace) -> int:
     ]
     text = learning_table(run.rows(tests, "planner", "traffic"))
     run.write("table.md", text)
-    print(align(text))
+    say(text)
     return 0
 
 
@@ -340,7 +343,7 @@ def _selection(args: argparse.Namespace) -> int:
     )
     text = selection.selection_table(run.rows(tests, "adversary_policy", "strength"))
     run.write("table.md", text)
-    print(align(text))
+    say(text)
     return 0
 
 
@@ -350,9 +353,7 @@ def _add_speed(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     parser.add_argument("--out", required=True, type=Path, help="folder of table and plot")
     parser.add_argument("--rounds", type=int, default=5, help="plans per measurement")
     parser.add_argument("--samples", type=int, default=1, help="samples per plan")
-    parser.add_argument(
-        "--device", choices=["cpu", "cuda"], default="cpu", help="where torch computes"
-    )
+    add_device(parser)
     parser.set_defaults(run=_speed)
 
 
@@ -368,7 +369,7 @@ def _speed(args: argparse.Namespace) -> int:
         device=args.device,
     )
     write_speed(timings, args.out)
-    print(align(read_text(args.out / "table.md")))
+    say(read_text(args.out / "table.md"))
     return 0
 
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
@@ -72,6 +71,11 @@ class Realism:
     seconds: float
 
 
+def _stem(planner: str) -> str:
+    """Name of a planner for a folder: of a file, its name without the suffix."""
+    return Path(planner).stem if planner.endswith(".zip") else planner
+
+
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
     """Return the folder of the set of each generator.
 
@@ -80,7 +84,7 @@ def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
     ConfigError
         If two generators would share one.
     """
-    names = [re.sub(r"[^\w.-]+", "-", short_name(generator)) for generator in generators]
+    names = [re.sub(r"[^\w.-]+", "-", _stem(generator)) for generator in generators]
     if len(set(names)) != len(names):
         raise ConfigError(f"generators {', '.join(generators)}: two of the same name")
     return {g: (folder / n).resolve() for g, n in zip(generators, names, strict=True)}

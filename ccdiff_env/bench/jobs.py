@@ -50,12 +50,15 @@ class Job:
     made_from
         What else the result follows from, as hashes by name: a result that was made from something
         else is done again.
+    title
+        What a progress bar calls it; its name by default.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any]
     made_from: Mapping[str, Any] = field(default_factory=dict)
+    title: str = ""
 
     def description(self) -> dict[str, Any]:
         """Return all that decides the result, as JSON has it."""
@@ -115,12 +118,14 @@ def run_jobs(
     stale = {job.name: changed for job in jobs if (changed := _changed(job, folder))}
     if stale:
         first, changed = next(iter(stale.items()))
-        print(f"{len(stale)} results are made anew, as of {first}: {changed}", file=sys.stderr)
+        are = "result is" if len(stale) == 1 else "results are"
+        print(f"{len(stale)} {are} made anew, as of {first}: {changed}", file=sys.stderr)
     done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
     open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}
     found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
-    for name, result, seconds in _shown(found, len(jobs), len(jobs) - len(open_jobs), progress):
+    titles = {job.name: job.title or job.name.rpartition("-")[0].replace("-", " ") for job in jobs}
+    for name, result, seconds in _shown(found, titles, len(jobs) - len(open_jobs), progress):
         entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
         write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
 
@@ -154,9 +159,10 @@ _SHOWN = ("score", "success", "collision", "return")
 
 
 def _shown(
-    found: Iterator[tuple[str, Any, float]], total: int, done: int, progress: bool
+    found: Iterator[tuple[str, Any, float]], titles: Mapping[str, str], done: int, progress: bool
 ) -> Iterator[tuple[str, Any, float]]:
-    if not progress or done == total:
+    total = len(titles)
+    if not progress or done == total or not sys.stderr.isatty():
         yield from found
         return
     try:
@@ -168,14 +174,13 @@ def _shown(
     options = {"unit": "job", "dynamic_ncols": True, "smoothing": 0.0}
     with tqdm(total=total, initial=done, **options) as bar:
         for entry in found:
-            bar.set_postfix_str(_line(entry, figures), refresh=False)
+            bar.set_postfix_str(_line(titles[entry[0]], entry[1], figures), refresh=False)
             bar.update()
             yield entry
 
 
-def _line(entry: tuple[str, Any, float], figures: dict[str, list[float]]) -> str:
-    """What a bar says after a job: its name in words, and the mean of a figure so far."""
-    name, result, _ = entry
+def _line(title: str, result: Any, figures: dict[str, list[float]]) -> str:
+    """What a bar says after a job: what it was, and the mean of a figure so far."""
     for row in result if isinstance(result, list) else ():
         for figure in _SHOWN:
             value = row.get(figure) if isinstance(row, Mapping) else None
@@ -183,7 +188,7 @@ def _line(entry: tuple[str, Any, float], figures: dict[str, list[float]]) -> str
                 figures.setdefault(figure, []).append(float(value))
                 break
     means = [f"{figure} {sum(v) / len(v):.2f}" for figure, v in figures.items()]
-    return ", ".join([name.rpartition("-")[0].replace("_", " ").replace("-", " "), *means])
+    return ", ".join([title.replace("_", " "), *means])
 
 
 def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:

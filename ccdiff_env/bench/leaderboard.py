@@ -9,6 +9,7 @@ from pathlib import Path
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.planner_report import comparison, over_seeds, short_name, summary, verdict
 from ccdiff_env.bench.record import Record, Result
+from ccdiff_env.system.terminal import counted
 
 __all__ = ["leaderboard", "write_leaderboard"]
 
@@ -21,7 +22,7 @@ def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
         for path in paths
         if (path / "report.html").is_file()
     ]
-    line = f"{len(paths)} runs; score of nuPlan's closed loop, mean over scenes"
+    line = f"{counted(len(paths), 'run')}; score of nuPlan's closed loop, mean over scenes"
     parts = {**tables, "Reports of the runs": ", ".join(links)}
     write_report_page(out, title="Leaderboard", line=line, plots=[], parts=parts)
     return tables

@@ -12,7 +12,7 @@ from pathlib import Path
 from ccdiff_env.system.files import read_bytes, read_text, write_aside
 from ccdiff_env.view.page import plain_html
 
-__all__ = ["markdown_html", "write_report_page"]
+__all__ = ["anchor", "markdown_html", "write_report_page"]
 
 
 #: What abbreviations in the reports stand for.
@@ -29,8 +29,7 @@ TERMS = {
     "K": "number of controlled vehicles",
     "ttc": "share of scenes without a time to contact below 0.95 s",
     "IDM": "intelligent driver model",
-    "idm": "intelligent driver model",
-    "pdm": "rule-based planner that tries proposals in simulation, as PDM-Closed does",
+    "PDM-Closed": "rule-based planner that tries proposals in simulation, as PDM-Closed does",
     "CCDiff": "the diffusion model that drives the traffic",
 }
 
@@ -43,6 +42,7 @@ def write_report_page(
     plots: Sequence[Path],
     parts: Mapping[str, str],
     images: Sequence[tuple[str, str, Path]] = (),
+    command: str = "",
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
@@ -59,11 +59,13 @@ def write_report_page(
         first one comes before the plots; it should say what was found.
     images
         Replays to show: title, address, and file of an image (PNG).
+    command
+        What made it, to stand at the foot.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
-    contents = "".join(f'<a href="#{_anchor(h)}">{html.escape(h)}</a>' for h in shown)
+    contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)
     sections = [
-        f'<h2 id="{_anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
+        f'<h2 id="{anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
         for head, text in shown.items()
     ]
     first, rest = _split_lead(sections[0] if sections else "")
@@ -78,6 +80,7 @@ def write_report_page(
             f'<h2>To look at</h2>\n<div class="cards">{cards}</div>' if cards else "",
             rest,
             *sections[1:],
+            f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",
         ]
     )
     style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
@@ -87,11 +90,12 @@ def write_report_page(
 
 def _split_lead(section: str) -> tuple[str, str]:
     """What comes before the first subheading of a section, and the rest."""
-    at = section.find("<h3>")
+    at = section.find("<h3")
     return (section, "") if at < 0 else (section[:at], section[at:])
 
 
-def _anchor(head: str) -> str:
+def anchor(head: str) -> str:
+    """Return the name of the place of a heading on the page."""
     return re.sub(r"\W+", "-", head.lower())
 
 
@@ -133,7 +137,8 @@ def markdown_html(text: str) -> str:
     for block in re.split(r"\n\s*\n", text.strip()):
         lines = block.splitlines()
         if lines[0].startswith("#"):
-            found.append(f"<h3>{_inline(lines[0].lstrip('# '))}</h3>")
+            head = lines[0].lstrip("# ")
+            found.append(f'<h3 id="{anchor(head)}">{_inline(head)}</h3>')
             lines = lines[1:]
         if not lines:
             continue
@@ -165,7 +170,7 @@ def _table(lines: Sequence[str]) -> str:
 def _cell(text: str, column: int, heat: str | None) -> str:
     if column == 0:
         return f'<th scope="row">{_inline(text)}</th>'
-    number = re.match(r"\**(\d\.\d+|1|0)\b", text)
+    number = re.match(r"\**\[?(\d\.\d+|1|0)\b", text)
     tint = f' style="--v:{number[1]}"' if heat and number else ""
     inner = _inline(text)
     if heat:

@@ -8,13 +8,14 @@ from pathlib import Path
 from ccdiff_env.bench.arguments import (
     PLANNERS,
     Run,
+    add_device,
     add_replays,
     add_run_arguments,
     add_traffic,
     seeds_of,
 )
 from ccdiff_env.scenes.arguments import place_from
-from ccdiff_env.system.terminal import align, say_page
+from ccdiff_env.system.terminal import say, say_page
 
 __all__ = ["add_planner_benchmark"]
 
@@ -45,6 +46,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="what fixes scenes, traffic and seeds, planner-1.0 (default: the options choose them)",
     )
     parser.add_argument("--level", help="scenes of the protocol: smoke, mini, val (default: smoke)")
+    add_device(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -61,7 +63,9 @@ def _planners(args: argparse.Namespace) -> int:
     jobs = [
         job
         for seed in seeds
-        for job in planner_jobs(str(place_from(args)), planners, traffic, seed=seed)
+        for job in planner_jobs(
+            str(place_from(args)), planners, traffic, seed=seed, device=args.device
+        )
     ]
     scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
     if fixed:
@@ -99,6 +103,7 @@ def _planners(args: argparse.Namespace) -> int:
             "Scores": "table.md",
             "Planners against one another": "comparison.md",
             "Worst scenes": "worst.md",
+            "All scenes": "scenes.md",
         },
     )
 
@@ -117,7 +122,7 @@ def _leaderboard(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.leaderboard import write_leaderboard
 
     for heading, text in write_leaderboard(args.runs, args.out).items():
-        print(f"{heading}\n\n{align(text)}")
+        say(f"{heading}\n\n{text}")
     say_page(args.out, open_it=args.open)
     return 0
 
@@ -138,7 +143,7 @@ def _verify(args: argparse.Namespace) -> int:
 
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
-        print(f"{heading}\n\n{align(text)}")
+        say(f"{heading}\n\n{text}")
     count, differing = verify(record, episodes=args.episodes, dataroot=args.dataroot)
     for line in differing:
         print(line)

@@ -11,15 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, cell, mean_interval
+from ccdiff_env.bench.page import anchor
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.system.files import write_aside, writing
+from ccdiff_env.system.terminal import counted
+from ccdiff_env.view.captions import planner_title
 
 __all__ = [
     "comparison",
     "headlines",
     "over_seeds",
+    "permutation_p",
     "short_name",
     "summary",
     "title_of",
@@ -53,6 +57,8 @@ _REASONS = {
 }
 #: What built-in planners are, where the name alone does not say it.
 _TITLES = {"idm": "IDM, log's path and speed", "replay": "Log replay"}
+#: Scores from here on are no bad ones: such scenes are listed where they have a replay alone.
+BAD_BELOW = 0.7
 _STATISTICS = PROTOCOL.fields["statistics"]
 
 
@@ -146,8 +152,6 @@ def comparison(
     if any(map(are_few, found.values())):
         return f"{FEW}\n"
     scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
-    rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], count))
     lines = [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
@@ -162,7 +166,7 @@ def comparison(
                 continue
             pairs = scores[planner] - scores[other]
             mean, low, high = mean_interval(_by_scene(pairs), "score")
-            p = _permutation_p(pairs, signs)
+            p = permutation_p(pairs)
             same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
             lines.append(
                 f"| {title_of(planner)} | {title_of(other)} | {mean:+.3f} [{low:+.3f}, "
@@ -171,8 +175,10 @@ def comparison(
     return "\n".join(lines) + "\n"
 
 
-def _permutation_p(pairs: npt.NDArray[np.float64], signs: npt.NDArray[np.float64]) -> float:
-    """Two-sided p of a mean difference [S] under signs [N, S] that chance has drawn."""
+def permutation_p(pairs: npt.NDArray[np.float64]) -> float:
+    """Return the two-sided p of a mean difference [S] by the permutation test of signs."""
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], len(pairs)))
     drawn = np.abs(signs @ pairs)
     return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
 
@@ -185,7 +191,7 @@ def write_report(
     pages: Mapping[tuple[str, str, str], str] | None = None,
     privileged: Collection[str] = (),
 ) -> None:
-    """Write ``scores.csv``, ``table.md``, ``comparison.md``, ``robustness.png`` and ``worst.md``.
+    """Write ``scores.csv``, tables (``.md``) and ``robustness.png``.
 
     Parameters
     ----------
@@ -209,11 +215,12 @@ def write_report(
             for row in rows:
                 parts = [row[part] for part in ("seed", "scene", *_PARTS, "min_ttc_s")]
                 writer.writerow([planner, name, *parts])
+    write_aside(folder / "scenes.md", scenes_table(found, planners, traffic, pages or {}))
     write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
     found = over_seeds(found)
     write_aside(folder / "comparison.md", comparison(found, planners, traffic))
     lines = [verdict(found, planners, traffic), ""]
-    lines += [*summary(found, planners, traffic, privileged), ""]
+    lines += [*summary(found, planners, traffic, privileged, opens=True), ""]
     for name in traffic:
         lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
         lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
@@ -233,8 +240,8 @@ def write_report(
 
 
 def short_name(planner: str) -> str:
-    """Return the name of a planner in tables: of a file, its name without the suffix."""
-    return Path(planner).stem if planner.endswith(".zip") else planner
+    """Return the name of a planner in words: of a file, its name without the suffix."""
+    return planner_title(planner)
 
 
 def title_of(planner: str) -> str:
@@ -274,23 +281,71 @@ def worst_table(
     """
     lines = []
     for planner in dict.fromkeys(p for p, _ in found):
-        lines += [
-            f"### {short_name(planner)}",
-            "",
-            f"| scene | {traffic} | score | why |",
-            "|---|---|---|---|",
+        listed = [
+            (name, row)
+            for name, row in worst_scenes(found, planner, count)
+            if row["score"] < BAD_BELOW or (planner, name, row["scene"]) in pages
         ]
-        for name, row in worst_scenes(found, planner, count):
-            why = [
-                text for part, text in _REASONS.items() if row[part] is not None and row[part] < 1.0
-            ]
-            if row["collision"] and row["no_at_fault_collision"]:
-                why.insert(0, "collision, not at fault")
-            page = pages.get((planner, name, row["scene"]))
-            scene = row["scene"] if page is None else f"[{row['scene']}]({page})"
-            lines.append(f"| {scene} | {name} | {row['score']:.2f} | {', '.join(why)} |")
+        lines += [f"### {short_name(planner)}", ""]
+        if not listed:
+            lines += [f"No scene below {BAD_BELOW:g}.", ""]
+            continue
+        lines += [f"| scene | {traffic} | score | why |", "|---|---|---|---|"]
+        for name, row in listed:
+            scene = _scene(row, pages.get((planner, name, row["scene"])))
+            kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
+            lines.append(f"| {scene} | {kind} | {row['score']:.2f} | {_why(row)} |")
         lines.append("")
     return "\n".join(lines) + "\n"
+
+
+def _scene(row: Row, page: str | None) -> str:
+    return row["scene"] if page is None else f"[{row['scene']}]({page})"
+
+
+def _why(row: Row) -> str:
+    """What keeps a score from being 1."""
+    why = [text for part, text in _REASONS.items() if row[part] is not None and row[part] < 1.0]
+    if row["collision"] and row["no_at_fault_collision"]:
+        why.insert(0, "collision, not at fault")
+    return ", ".join(why)
+
+
+def scenes_table(
+    found: Results,
+    planners: Sequence[str],
+    traffic: Sequence[str],
+    pages: Mapping[tuple[str, str, str], str],
+) -> str:
+    """Return the scenes behind each cell of :func:`summary`, the worst first, in Markdown.
+
+    Parameters
+    ----------
+    found
+        Rows per scene and seed of every planner in every traffic.
+    planners, traffic
+        Which.
+    pages
+        Addresses of replays by planner, traffic and scene.
+    """
+    lines = []
+    for planner, name in ((p, t) for p in planners for t in traffic):
+        lines += [f"### {_cell_title(planner, name)}", "", "| scene | score | why |"]
+        lines += ["|---|---|---|"]
+        seeds: dict[str, list[Row]] = {}
+        for row in found[planner, name]:
+            seeds.setdefault(row["scene"], []).append(row)
+        means = {scene: float(np.mean([r["score"] for r in rows])) for scene, rows in seeds.items()}
+        for scene in sorted(seeds, key=lambda scene: (means[scene], scene)):
+            worst = min(seeds[scene], key=lambda row: row["score"])
+            link = _scene(worst, pages.get((planner, name, scene)))
+            lines.append(f"| {link} | {means[scene]:.2f} | {_why(worst)} |")
+        lines.append("")
+    return "\n".join(lines) + "\n"
+
+
+def _cell_title(planner: str, traffic: str) -> str:
+    return f"{short_name(planner)} in {TRAFFIC[traffic].label}"
 
 
 def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path) -> None:
@@ -300,10 +355,14 @@ def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path:
         return
     figure, axes = new_plot(7, 4.2)
     x = [level[n] for n in names]
-    for planner, colour in colours_of(planners).items():
+    aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
+    for (planner, colour), by in zip(colours_of(planners).items(), aside, strict=True):
         means = np.array([mean_interval(found[planner, n], "score") for n in names])
-        axes.plot(x, means[:, 0], "o-", label=short_name(planner), color=colour)
-        axes.fill_between(x, means[:, 1], means[:, 2], alpha=0.12, color=colour, linewidth=0)
+        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
+        axes.errorbar(
+            np.array(x) + by, means[:, 0], yerr=whiskers, fmt="o-", label=short_name(planner),
+            color=colour, markersize=4.5, elinewidth=1, capsize=2.5,
+        )  # fmt: skip
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
     axes.set_ylim(0, 1)
@@ -322,7 +381,8 @@ def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
     over_all = {p: float(np.mean([mean[p, t][0] for t in traffic])) for p in planners}
     best, *rest = sorted(planners, key=lambda p: -over_all[p])
     if rest:
-        first = [t for t in traffic if all(mean[best, t][0] >= mean[p, t][0] for p in rest)]
+        seen = {key: round(value[0], 2) for key, value in mean.items()}  # ties as tables have them
+        first = [t for t in traffic if all(seen[best, t] >= seen[p, t] for p in rest)]
         where = (
             "in all traffic" if len(first) == len(traffic) else f"in {len(first)} of {len(traffic)}"
         )
@@ -345,7 +405,7 @@ def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
             f"to {mean[planner, low][0]:.2f} ({label[low]})"
         )
     count = len(next(iter(found.values())))
-    return ". ".join([*sentences, f"{count} scenes"]) + "."
+    return ". ".join([*sentences, counted(count, "scene")]) + "."
 
 
 def summary(
@@ -353,6 +413,8 @@ def summary(
     planners: Sequence[str],
     traffic: Sequence[str],
     privileged: Collection[str] = (),
+    *,
+    opens: bool = False,
 ) -> list[str]:
     """Return the lines of a matrix of planners and traffic, the best of each emphasised.
 
@@ -364,6 +426,8 @@ def summary(
         Which.
     privileged
         Planners that use what a vehicle cannot know; they are marked.
+    opens
+        Whether each score leads to its scenes, see :func:`scenes_table`.
     """
     rows = next(iter(found.values()))
     heads = {planner: headlines(found, planner, traffic) for planner in planners}
@@ -378,6 +442,9 @@ def summary(
         cells = []
         for name in traffic:
             text = cell(mean_interval(found[planner, name], "score"))
+            if opens:
+                score, gap, interval = text.partition(" ")
+                text = f"[{score}](#{anchor(_cell_title(planner, name))}){gap}{interval}"
             best = some and len(planners) > 1 and means[planner, name] == top[name]
             cells.append(f"**{text}**" if best else text)
         cells += [cell(heads[planner][name]) for name in ends]

@@ -40,6 +40,7 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.view.captions import planner_title
 from ccdiff_env.worlds import Worlds
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
@@ -136,6 +137,7 @@ def planner_jobs(
     *,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
+    device: str = "cpu",
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
@@ -155,6 +157,8 @@ def planner_jobs(
         Seed of the episodes.
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`, such as what policies observe.
+    device
+        Where networks run; results of another one than the processor are results of their own.
     """
     for name in traffic:
         if name not in TRAFFIC:
@@ -178,12 +182,14 @@ def planner_jobs(
                 "seed": seed,
                 "sources": drives[planner, name],
                 **({"options": dict(options)} if options else {}),
+                **({"device": device} if device != "cpu" else {}),
             },
             {
                 "protocol": PROTOCOL.sha256,
                 "scenes": scene_hashes(source, names),
                 "privileged": privileged[planner],
             },
+            f"{planner_title(planner)} in {TRAFFIC[name].label}",
         )
         for planner in planners
         for name in traffic
@@ -205,6 +211,7 @@ def evaluate(
     seed: int,
     sources: Mapping[str, str | None] | None = None,
     options: Mapping[str, Any] | None = None,
+    device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Drive scenes with a planner: one dictionary of metrics and the score per scene.
 
@@ -215,7 +222,7 @@ def evaluate(
     """
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
-    rows = play(scenes, planner, TRAFFIC[traffic], seed=seed, options=options)
+    rows = play(scenes, planner, _on(device, TRAFFIC[traffic]), seed=seed, options=options)
     return with_log(rows, source, names)
 
 
@@ -243,14 +250,22 @@ def evaluate_recorded(
     record: Collection[str],
     sources: Mapping[str, str | None] | None = None,
     options: Mapping[str, Any] | None = None,
+    device: str = "cpu",
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes; raises as it does."""
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
     rows, rollouts = drive(
-        scenes, planner, TRAFFIC[traffic], seed=seed, options=options, record=record
+        scenes, planner, _on(device, TRAFFIC[traffic]), seed=seed, options=options, record=record
     )
     return with_log(rows, source, names), rollouts
+
+
+def _on(device: str, traffic: Traffic) -> Traffic:
+    """Traffic whose networks, if any drive, run on a device."""
+    if device == "cpu" or traffic.driver not in NETWORKS:
+        return traffic
+    return replace(traffic, ccdiff={**traffic.ccdiff, "device": device})
 
 
 def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:

@@ -93,7 +93,8 @@ def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
         "prefix": job.name,
     }
     name = f"replay-{job.name}-{digest}"
-    return Job(name, f"{__name__}:play_again", arguments, job.made_from)
+    title = f"replays, {job.title}" if job.title else ""
+    return Job(name, f"{__name__}:play_again", arguments, job.made_from, title)
 
 
 def play_again(

@@ -53,6 +53,7 @@ def traffic_jobs(
     listed: Mapping[str, Sequence[str]] | None = None,
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
+    device: str = "cpu",
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
@@ -79,6 +80,8 @@ def traffic_jobs(
         Weight files by driver, in place of the shipped ones.
     seed
         Seed of the episodes.
+    device
+        Where networks run.
 
     Raises
     ------
@@ -119,12 +122,14 @@ def traffic_jobs(
                 "replan_steps": n,
                 "seed": seed,
                 **({"weights": dict(weights)} if weights else {}),
+                **({"device": device} if device != "cpu" else {}),
                 **(
                     {"lists": {scene: list(lists[scene]) for scene in part}}
                     if METHODS[method].ranking == "listed"
                     else {}
                 ),
             },
+            title=f"{METHODS[method].label}, K = {'Full' if k is None else k}",
         )
         for method, k, n in conditions
         for i, part in enumerate(chunks(names, CHUNK))
@@ -208,6 +213,7 @@ def episodes(
     record: Collection[str] = (),
     explain: bool = False,
     lists: Mapping[str, Sequence[str]] | None = None,
+    device: str = "cpu",
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
@@ -231,6 +237,8 @@ def episodes(
         Whether guided plans say how their gradients agree; it changes nothing else.
     lists
         Ids of vehicles by scene name, for the ranking ``listed``.
+    device
+        Where networks run.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -239,6 +247,7 @@ def episodes(
         "criticality": 0.0,
         "num_samples": 1,
         "replan_steps": replan_steps,
+        "device": device,
         **method.options(),
     }
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
@@ -357,6 +366,7 @@ def evaluate_recorded(
     seed: int,
     weights: Mapping[str, str] | None = None,
     lists: Mapping[str, Sequence[str]] | None = None,
+    device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes."""
@@ -369,6 +379,7 @@ def evaluate_recorded(
         record=record,
         explain=True,
         lists=lists,
+        device=device,
     )
     rows = [measure(episode, replan_steps) for episode in played]
     return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}

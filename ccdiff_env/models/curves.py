@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 from typing import Protocol
 
@@ -33,8 +34,8 @@ class _Silent:
 
 
 def progress_bar(total: float, unit: str, shown: bool) -> Progress:
-    """Return a bar of tqdm, or one that shows nothing where none is wanted or tqdm is missing."""
-    if not shown:
+    """Return a bar of tqdm, or one that shows nothing where none can be."""
+    if not shown or not sys.stderr.isatty():
         return _Silent()
     try:
         from tqdm import tqdm

@@ -249,7 +249,7 @@ def coverage(place: Place, scenes: SceneSet) -> str:
     """Say how many of the scenes of a split there are, ``93 of 150 scenes of val``."""
     report, count = scenes.report, len(scenes)
     if place.split in (None, "all"):
-        return f"{count} scenes"
+        return f"{count} scene{'s' * (count != 1)}"
     there = len(report.scenes) or count
     whole = there + len(report.missing) + len(report.empty)
     return f"{there} of {whole} scenes of {place.split}"

@@ -14,6 +14,19 @@ from ccdiff_env.traffic import driver_titles
 
 #: Titles of drivers, in the order of the legend; names are those of images.
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
+#: Titles of planners of the ego, where they are no drivers.
+PLANNER_TITLES = {
+    "ego": "trained ego",
+    "ego_replay": "ego trained in log replay",
+    "pdm": "PDM-Closed",
+}
+
+
+def planner_title(name: str) -> str:
+    """Return in words who drives the ego: of a file, its name without folder and suffix."""
+    file = name.rpartition("/")[2]
+    stem = file.rpartition(".")[0] if file.endswith((".zip", ".safetensors")) else name
+    return PLANNER_TITLES.get(name) or DRIVER_TITLES.get(name, stem)
 
 
 def driver_of(rollout: Rollout, agent: int) -> str:
@@ -84,7 +97,7 @@ def ego_title(rollout: Rollout) -> str:
     if planner in ("", "log", "replay"):
         ego = driver_title(rollout, rollout.agent_ids.index("ego"))
         return "as recorded" if ego == DRIVER_TITLES["replay"] else ego
-    return DRIVER_TITLES.get(planner, planner)
+    return planner_title(planner)
 
 
 def subtitle(rollout: Rollout) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -18,7 +18,7 @@ from ccdiff_env.system.progress import shown
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view import render
-from ccdiff_env.view.captions import DRIVER_TITLES
+from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.page import write_page
@@ -39,7 +39,10 @@ PLAYED: dict[str, Any] = {
     "samples": None,
     "criticality": (0.0,),
     "save": None,
+    "slider": False,
 }
+#: Criticalities under a slider.
+LEVELS = tuple(0.25 * k for k in range(9))
 #: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
     "follow": None,
@@ -57,6 +60,8 @@ class Titled:
 
     rollout: Rollout
     title: str
+    shared: str = ""
+    """What is so of all runs that were played together."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,6 +107,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: 0)",
     )
     play.add_argument(
+        "--slider",
+        action="store_true",
+        default=None,
+        help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
+    )
+    play.add_argument(
         "--save",
         type=Path,
         help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove; default: not "
@@ -140,6 +151,13 @@ def run(args: argparse.Namespace) -> int:
         _settle(args, DRAWN, "goes with --png, --gif and --mp4")
     elif args.open:
         raise ConfigError("--open shows pages, not images")
+    if args.slider:
+        if kinds or args.compare:
+            raise ConfigError(
+                "--slider is for a page of runs that are played: no other option of "
+                "images, and no --compare, goes with it"
+            )
+        args.criticality = args.criticality or LEVELS
     _settle(args, PLAYED | DRAWN)
     runs = _runs(args)
     suffix = kinds[0] if kinds else "html"
@@ -150,7 +168,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     first, *beside = (run.rollout for run in runs)
     titles = [run.title for run in runs] if beside else None
-    write_page(first, out, compare=beside, titles=titles)
+    write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared, slider=args.slider)
     say_page(out, open_it=args.open)
     return 0
 
@@ -193,7 +211,7 @@ def _played(args: argparse.Namespace) -> list[Titled]:
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
     scene = find_scene(args.what, place_from(args))
-    runs = []
+    runs, parts = [], []
     samples = {} if args.samples is None else {"num_samples": args.samples}
     for traffic, driver, level in product(args.traffic, drivers, levels):
         planned = {traffic, driver} & set(NETWORKS)
@@ -204,18 +222,27 @@ def _played(args: argparse.Namespace) -> list[Titled]:
             seed=args.seed,
             ccdiff={**samples, "criticality": level} if planned else {},
         )
-        title = DRIVER_TITLES.get(traffic, traffic)
-        if any(levels):
-            title += f", criticality {level:g}"
-        if len(drivers) > 1:
-            title = f"ego {DRIVER_TITLES.get(driver, driver)}, {title}"
-        runs.append(Titled(rollout, title))
+        runs.append(rollout)
+        guided = f"criticality {level:g}" if any(levels) else ""
+        ego = f"ego {planner_title(driver)}" if len(drivers) > 1 else ""
+        parts.append((DRIVER_TITLES.get(traffic, traffic), guided, ego))
+    titles, shared = factored(parts)
     if args.save is not None:
         if args.save.suffix in (".rrd", ".mcap"):
-            export(runs[0].rollout, args.save)
+            export(runs[0], args.save)
         else:
-            runs[0].rollout.save(args.save)
-    return runs
+            runs[0].save(args.save)
+    return [Titled(run, title, shared) for run, title in zip(runs, titles, strict=True)]
+
+
+def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
+    """Return the titles of runs from their parts, and what they share: one run keeps it all."""
+    same = [len(parts) > 1 and len(set(column)) == 1 for column in zip(*parts, strict=True)]
+    titles = [
+        ", ".join(part for part, shared in zip(own, same, strict=True) if part and not shared)
+        for own in parts
+    ]
+    return titles, ", ".join(p for p, shared in zip(parts[0], same, strict=True) if p and shared)
 
 
 def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
@@ -238,16 +265,18 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
         "theme": args.theme,
     }
     first, *others = (run.rollout for run in runs)
+    titles = [run.title for run in runs] if others else [first.scene.name]
     if args.png is None:
         save_video(
             first,
             out,
             compare=others,
+            titles=titles,
             speed=args.speed,
             progress=lambda steps: shown(steps, what=out.name),
             **options,
         )
         return
-    videos = [Video(run, **options) for run in (first, *others)]
+    videos = [Video(run.rollout, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     videos[0].frame(args.png)  # says what is wrong with the step
     render.save(side_by_side(videos, args.png), out)

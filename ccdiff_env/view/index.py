@@ -12,6 +12,7 @@ from pathlib import Path
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
+from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
@@ -33,6 +34,10 @@ class Entry:
     outcome: Outcome
     images: tuple[str, ...]
     """Data addresses of the thumbnail on light and on dark ground, or none."""
+    story: bool = False
+    """Whether it shows at once what the package is for."""
+    beside: str = ""
+    """What became of the run beside it."""
 
 
 def write_pages(
@@ -123,16 +128,27 @@ def _data_address(image: Image) -> str:
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-def index_page(title: str, entries: list[Entry]) -> str:
-    """Return an HTML page that links replays, with what became of each."""
+def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = None) -> str:
+    """Return an HTML page that links replays in their order, with what became of each.
+
+    Parameters
+    ----------
+    title
+        Heading.
+    entries
+        The replays.
+    home
+        Address and title of a page above this one.
+    """
     cards = "\n".join(_card(entry) for entry in entries)
     bad = sum(entry.outcome.tone == "bad" for entry in entries)
     others = sum(entry.outcome.others > 0 for entry in entries)
-    line = (
-        f"{len(entries)} replays: the ego is hit or leaves the road in {bad}, others collide in "
-        f"{others}"
-    )
-    body = f'{_TOOLS}\n<div class="cards">\n{cards}\n</div>'
+    count = counted(len(entries), "replay")
+    line = f"{count}: the ego is hit or leaves the road in {bad}, others collide in {others}"
+    up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
+    told = '<option value="story">by story</option>' if any(e.story for e in entries) else ""
+    tools = _TOOLS.replace("<option", f"{told}<option", 1)
+    body = f'{up}{tools}\n<div class="cards">\n{cards}\n</div>'
     return plain_html(title, line, style=part("index.css"), body=body)
 
 
@@ -141,6 +157,9 @@ _TOOLS = """<div class="tools">
 <label>sort <select id="order"><option value="name">by name</option>
 <option value="bad">the ego's mishaps first</option>
 <option value="others">collisions of others first</option></select></label>
+<label>show <select id="only"><option value="">all</option>
+<option value="bad">the ego hit or off the road</option>
+<option value="good">the ego at its goal</option></select></label>
 <span id="count" role="status"></span></div>"""
 
 
@@ -158,7 +177,9 @@ def _card(entry: Entry) -> str:
     bad = int(fate.tone == "bad")
     return (
         f'<a class="card" href="{html.escape(entry.href, quote=True)}" data-name="{name}" '
-        f'data-bad="{bad}" data-others="{fate.others}">{image}<h2 title="{name}">{name}</h2>'
+        f'data-bad="{bad}" data-good="{int(fate.tone == "good")}" data-others="{fate.others}" '
+        f'data-story="{int(entry.story)}">{image}<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
+        f"{f'<p>{html.escape(entry.beside)}</p>' if entry.beside else ''}"
         f"<p>{html.escape(entry.line)}</p></a>"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
-from ccdiff_env.system.terminal import align
+from ccdiff_env.system.terminal import say
 from ccdiff_env.view.notebook import scene_row
 
 
@@ -19,5 +19,5 @@ def run(args: argparse.Namespace) -> int:
     """Print a table of the scenes."""
     rows = [f"| {' | '.join(scene_row(scene))} |" for scene in scenes_from(args)]
     head = ["| scene | location | seconds | agents | vehicles |", "|---|---|---|---|---|"]
-    print(align("\n".join(head + rows)), end="")
+    say("\n".join(head + rows))
     return 0

@@ -6,6 +6,7 @@ import argparse
 import csv
 import html
 import io
+import itertools
 import math
 import time
 from collections.abc import Mapping
@@ -30,6 +31,8 @@ MAX_CURVES = 16
 MAX_BYTES = 20_000_000
 #: Columns that count along; the first of them that a file has is the horizontal axis.
 ALONG = ("step", "steps", "time/total_timesteps", "timesteps", "epoch")
+#: Suffixes of episodes, networks and egos.
+PLAYED = ("npz", "safetensors", "zip")
 #: What is looked at first, by a part of the name.
 FIRST = ("success", "return", "rew", "collision", "loss", "ade", "entropy")
 #: Columns that say nothing.
@@ -62,8 +65,8 @@ class LiveRun:
     """A folder that a training writes.
 
     Its newest replay is the newest of the recorded episodes (``.npz``), and of saved networks
-    (``weights.safetensors`` of ``ccdiff-env train``) and egos (other ``.safetensors`` of
-    :mod:`ccdiff_env.policies`), which play the scene.
+    (``weights.safetensors`` of ``ccdiff-env train``) and egos (other ``.safetensors``, ``.zip`` of
+    stable-baselines3), which play the scene.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ class LiveRun:
         return play_scene(self.scene, driver=str(path))
 
     def _newest(self) -> Path | None:
-        found = [*self.folder.rglob("*.npz"), *self.folder.rglob("*.safetensors")]
+        found = [path for kind in PLAYED for path in self.folder.rglob(f"*.{kind}")]
         kept = [path for path in found if path.name != "state.safetensors" and path.is_file()]
         return max(kept, key=_changed, default=None)
 
@@ -138,7 +141,7 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
     for path in sorted(folder.rglob("*.csv")):
         columns = _columns(path)
         along = next((name for name in ALONG if name in columns), None)
-        if along is None:
+        if along is None or _falls(columns[along]):  # a table of episodes is no curve
             continue
         for name, values in columns.items():
             if name == along or any(part in name for part in DULL):
@@ -155,6 +158,11 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
                 curves.append({"name": title, "along": unit, "x": x, "y": y})
     curves.sort(key=lambda curve: _rank(str(curve["name"])))
     return curves[:MAX_CURVES]
+
+
+def _falls(values: list[float]) -> bool:
+    known = [value for value in values if math.isfinite(value)]
+    return any(later < sooner for sooner, later in itertools.pairwise(known))
 
 
 def _rank(name: str) -> tuple[int, str]:

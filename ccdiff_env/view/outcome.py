@@ -25,14 +25,26 @@ LEAD_S = 2.0
 NEAR_S = 1.0
 """A vehicle that leaves the road where its log does so within this time is not worth a flag."""
 ENDS = ("goal", "time_limit")
+WAITED_M = 2.0
+"""An ego that moves less than this, as its log does, waited."""
 #: What is said of collisions.
 COLLISIONS = {
-    "collision_front": "{one} drove into {other}",
+    "collision_front": "{one} {went} into {other}",
     "standing": "{one} hit in front by {other}",
     "collision_rear": "{one} hit from behind by {other}",
     "collision_side": "{one} hit in the side by {other}",
     "static": "{one} hit {other}",
 }
+#: What is said of those of the ego that are its fault, and of one in front that is not.
+AT_FAULT = {
+    "collision_front": "{one} drove into {other}",
+    "collision_rear": "{one} backed into {other}",
+    "collision_side": "{one} brushed against {other}",
+    "static": "{one} hit {other}",
+}
+STOPPED = "{one} had stopped and was hit in front by {other}"
+#: How kinds of agents go.
+GOES = {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode"}
 
 
 @dataclass(frozen=True)
@@ -48,8 +60,8 @@ class Happening:
     lane
         Whose it is: the ego's, that of a vehicle that plans guide, or that of the others.
     kind
-        ``"collision"``, ``"overlap"`` (both follow the log, whose boxes are not exact),
-        ``"off_road"``, ``"goal"`` or ``"time_limit"``.
+        ``"collision"``, ``"overlap"`` (both follow the log, whose boxes are not exact, or one does
+        and meets another that stands), ``"off_road"``, ``"goal"`` or ``"time_limit"``.
     text
         A few words.
     """
@@ -127,7 +139,7 @@ def _fate(rollout: Rollout, own: list[Happening]) -> tuple[Tone, str, Happening 
     if goal is not None:
         return "good", f"ego reached its goal at {goal.step * rollout.dt_s:.1f} s", goal
     if "time_limit" in ends:
-        return "plain", f"ego not at its goal in {seconds:.1f} s", ends["time_limit"]
+        return "plain", ends["time_limit"].text, ends["time_limit"]
     return "plain", f"ego drove {seconds:.1f} s, hit nobody", None
 
 
@@ -136,6 +148,8 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
     guided = guided_agents(rollout)
     kinds = rollout.scene.agent_types
     names = _names(rollout)
+    standing = np.linalg.norm(rollout.velocity, axis=-1) < STATIONARY_MPS
+    replays = [name == "replay" for name in rollout.driver_names]
     sides: dict[tuple[int, frozenset[int]], list[RolloutEvent]] = {}
     dull = _leaves_road_in_log(rollout)
     for event in rollout.events:
@@ -145,27 +159,46 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
             if not all(kinds[i] == "pedestrian" for i in pair) or is_collision(rollout, event):
                 sides.setdefault((event.step, pair), []).append(event)
         elif event.kind != "off_road" or not dull(agent, event.step):
-            yield Happening(
-                event.step, agent, -1, _lane(guided, event.agent_id), event.kind,
-                f"{names[agent]} {_WORDS.get(event.kind, event.kind.replace('_', ' '))}",
-            )  # fmt: skip
+            words = _WORDS.get(event.kind, event.kind.replace("_", " "))
+            if event.kind == "time_limit":
+                words = _late(rollout, agent)
+            lane = _lane(guided, event.agent_id)
+            yield Happening(event.step, agent, -1, lane, event.kind, f"{names[agent]} {words}")
     for (step, _), events in sides.items():
         first = min(events, key=_importance)
         agent, partner = number[first.agent_id], number[str(first.partner_id)]
         crash = is_collision(rollout, first)
-        stood = bool(np.hypot(*rollout.velocity[agent, max(step - 1, 0)]) < STATIONARY_MPS)
-        text = _collision(first, stood, names[agent], names[partner]) if crash else (
-            f"boxes of {names[agent]} and {names[partner]} overlap in the log"
-        )  # fmt: skip
+        stood = standing[:, max(step - 1, 0)]
+        text = f"boxes of {names[agent]} and {names[partner]} overlap in the log"
+        if crash:
+            went = GOES.get(kinds[agent], "drove")
+            text = _collision(first, bool(stood[agent]), names[agent], names[partner], went)
+        # the log walks and drives through what stands where nobody stood
+        blind = any(replays[i] and stood[j] for i, j in ((agent, partner), (partner, agent)))
+        crash &= not blind or "ego" in (first.agent_id, first.partner_id)
         lane = _lane(guided, first.agent_id, str(first.partner_id)) if crash else "others"
         yield Happening(step, agent, partner, lane, "collision" if crash else "overlap", text)
 
 
-_WORDS = {
-    "off_road": "left the road",
-    "goal": "reached its goal",
-    "time_limit": "ran out of time",
-}
+_WORDS = {"off_road": "left the road", "goal": "reached its goal"}
+
+
+def _late(rollout: Rollout, agent: int) -> str:
+    """What is said of an agent whose time has run out."""
+    log = rollout.scene.tracks()
+    steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+    ways = (
+        (rollout.position[agent], rollout.valid[agent]),
+        (log["position"][agent, steps], log["valid"][agent, steps]),
+    )
+    if all(_reach_m(position[valid]) < WAITED_M for position, valid in ways):
+        return "waited, as in its log"
+    return f"not at its goal in {(rollout.num_steps - 1) * rollout.dt_s:.1f} s"
+
+
+def _reach_m(position: npt.NDArray[np.float32]) -> float:
+    """How far from its first position [N, 2] something gets."""
+    return float(np.linalg.norm(position - position[:1], axis=-1).max(initial=0.0))
 
 
 def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
@@ -173,12 +206,17 @@ def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
     return event.agent_id != "ego", event.kind != "collision_front", event.agent_id
 
 
-def _collision(event: RolloutEvent, stood: bool, one: str, other: str) -> str:
-    kind = "standing" if stood and event.kind == "collision_front" else event.kind
-    text = COLLISIONS.get(kind, "{one} and {other} touch").format(one=one, other=other)
-    if event.agent_id != "ego":
-        return text
-    return f"{text}, {'at fault' if event.at_fault else 'not at fault'}"
+def _collision(event: RolloutEvent, stood: bool, one: str, other: str, went: str) -> str:
+    """A collision in words; of the ego's it says whose fault it is, and agrees with it."""
+    own, front = event.agent_id == "ego", event.kind == "collision_front"
+    kind = "standing" if stood and front else event.kind
+    text = COLLISIONS.get(kind, "{one} and {other} touch")
+    if own and event.at_fault:
+        text = AT_FAULT.get(event.kind, text)
+    elif own and front:
+        text = STOPPED
+    text = text.format(one=one, other=other, went=went)
+    return f"{text}, {'at fault' if event.at_fault else 'not at fault'}" if own else text
 
 
 def _lane(guided: set[str], *names: str) -> Lane:

@@ -29,6 +29,7 @@ SCRIPTS = (
     "timeline.js",
     "panels.js",
     "player.js",
+    "save.js",
     "theme.js",
     "main.js",
 )
@@ -44,8 +45,10 @@ def page_html(
     *,
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
+    shared: str = "",
     home: tuple[str, str] | None = None,
     edit: bool = False,
+    slider: bool = False,
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
 
@@ -57,10 +60,14 @@ def page_html(
         Runs beside it, in step with it: of the same scene, or of another one.
     titles
         Name of each run; by default the scene's where there is one run, else A, B, C, ...
+    shared
+        What is so of all runs, to stand beside the scene's name.
     home
         Address and title of a page above this one, to be linked.
     edit
         Let agents be dragged elsewhere; the page around this one is notified.
+    slider
+        Show one run at a time, which a slider chooses.
 
     Raises
     ------
@@ -80,13 +87,16 @@ def page_html(
     if len(runs) == 1:
         line = subtitle(rollout)
     else:
-        heading, line = f"{heading}: {', '.join(names)}", rollout.scene.location
+        each = "" if slider else " | ".join(names)
+        line = " · ".join(filter(None, [rollout.scene.location, shared, each]))
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),
         "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
-        "settings": _json({"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit}),
+        "settings": _json(
+            {"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit, "slider": slider}
+        ),
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
@@ -201,9 +211,14 @@ def write_page(
     *,
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
+    shared: str = "",
     home: tuple[str, str] | None = None,
+    slider: bool = False,
 ) -> int:
     """Write :func:`page_html` to a file; returns its size in bytes."""
-    data = page_html(rollout, compare=compare, titles=titles, home=home).encode()
+    page = page_html(
+        rollout, compare=compare, titles=titles, shared=shared, home=home, slider=slider
+    )
+    data = page.encode()
     write_aside(Path(path), data)
     return len(data)

@@ -13,12 +13,17 @@ from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision
+from ccdiff_env.view.outcome import outcome
 
 TRAIL_S = 3.0
 MARK_S = 1.0
 """Time for which a collision stays marked."""
 GAP = 6
 """Pixels between videos side by side."""
+HOLD_S = 1.0
+"""The last image stays so long, and the verdict is read so long before it."""
+FPS = {".gif": 25.0, ".mp4": 30.0}
+"""Images per second by suffix; GIF counts time in hundredths of a second."""
 
 
 class Video:
@@ -40,9 +45,12 @@ class Video:
         Draw the edges of the causal graph of the plan in force that reach the followed agent
         within two hops.
     captions
-        Write the scene's name, the time, names of agents, a scale bar and what the colours mean.
+        Write the title, the time, what became of the ego, names of agents, a scale bar and what
+        the colours mean.
     theme
         Ground and colours: ``"light"`` or ``"dark"``.
+    title
+        What stands before the time; the scene's name by default.
     """
 
     def __init__(
@@ -56,6 +64,7 @@ class Video:
         graph: bool = False,
         captions: bool = True,
         theme: str = "light",
+        title: str | None = None,
     ) -> None:
         follow = follow if follow is not None else rollout.agent_ids[0]
         if follow not in rollout.agent_ids:
@@ -64,6 +73,9 @@ class Video:
         self._size, self._span_m = size, span_m
         self._middle = rollout.agent_ids.index(follow)
         self._graph, self._captions, self._theme = graph, captions, theme
+        self._title = rollout.scene.name if title is None else title
+        self._verdict = outcome(rollout).text if captions else ""
+        self._there = _there(rollout)
         self._centres = (
             _centres(rollout, self._middle)
             if centre_m is None
@@ -84,8 +96,8 @@ class Video:
         for step in range(0, self._rollout.num_steps, every):
             yield self.frame(step)
 
-    def frame(self, step: int) -> render.Image:
-        """Draw a step.
+    def frame(self, at: float) -> render.Image:
+        """Draw a step, or a moment between two.
 
         Raises
         ------
@@ -93,9 +105,11 @@ class Video:
             If the rollout has no such step.
         """
         run = self._rollout
-        if not 0 <= step < run.num_steps:
-            raise ConfigError(f"step is {step}, expected 0 to {run.num_steps - 1}")
-        there = np.flatnonzero(run.valid[:, step])
+        if not 0 <= at <= run.num_steps - 1:
+            raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
+        step = int(at + 1e-6)
+        there = np.flatnonzero(self._there[:, step])
+        position, heading, centre = self._poses(at)
         plan = next((p for p in reversed(run.plans) if p.made_at <= step), None)
         recent = [
             event
@@ -104,29 +118,49 @@ class Video:
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
-        seconds = step * run.dt_s
+        caption = f"{self._title}  {at * run.dt_s:.1f} s"
+        if (run.num_steps - 1 - at) * run.dt_s < HOLD_S + 1e-6:
+            caption += f"  {self._verdict}"
         return render.draw(
-            run.position[there, step],
+            position[there],
             scene=run.scene,
-            heading_rad=run.heading[there, step],
+            heading_rad=heading[there],
             size_m=run.scene.sizes[there, :2],
             driver=[self._drivers[i] for i in there],
             kind=[kinds[i] for i in there],
             collided=np.array([i in hit for i in there], dtype=bool),
             size=self._size,
             span_m=self._span_m,
-            centre_m=(float(self._centres[step, 0]), float(self._centres[step, 1])),
+            centre_m=(float(centre[0]), float(centre[1])),
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else (),
             plans=list(self._planned(plan, selected=True)) if plan else (),
             arrows=self._arrows(plan, there) if plan and self._graph else (),
             collisions_m=self._marks(recent, step),
             names=[self._names[i] for i in there] if self._captions else (),
-            caption=f"{run.scene.name}  {seconds:.1f} s" if self._captions else "",
+            caption=caption if self._captions else "",
             scale_bar=self._captions,
             legend=self._legend,
             theme=self._theme,
         )
+
+    def _poses(self, at: float) -> tuple[npt.NDArray[np.float32], ...]:
+        """Positions [A, 2], headings [A] and the middle [2] at a moment; between two steps where
+        an agent is there at both, else as at the first.
+        """
+        run, step = self._rollout, int(at + 1e-6)
+        share = np.float32(max(at - step, 0.0))
+        following = min(step + 1, run.num_steps - 1)
+        both = run.valid[:, step] & run.valid[:, following]
+        move = (run.position[:, following] - run.position[:, step]) * both[:, None]
+        turn = np.angle(np.exp(1j * (run.heading[:, following] - run.heading[:, step]))) * both
+        centre = self._centres[step] + share * (self._centres[following] - self._centres[step])
+        position = run.position[:, step] + share * move
+        heading = run.heading[:, step] + share * turn.astype(np.float32)
+        if len(gone := np.flatnonzero(self._there[:, step] & ~run.valid[:, step])):
+            last = [int(np.flatnonzero(run.valid[i, :step])[-1]) for i in gone]
+            position[gone], heading[gone] = run.position[gone, last], run.heading[gone, last]
+        return position, heading, centre
 
     def _trails(
         self, step: int, there: npt.NDArray[np.int64]
@@ -175,6 +209,16 @@ class Video:
         return [(place[j], place[i], weight) for j, i, weight in drawn]
 
 
+def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:
+    """Who is drawn at each step [A, T]: an ego that has reached its goal stays where it did."""
+    there = rollout.valid.copy()
+    for event in rollout.events:
+        ego = rollout.agent_ids.index(event.agent_id)
+        if event.kind == "goal" and event.agent_id == "ego" and there[ego, : event.step].any():
+            there[ego, event.step :] = True
+    return there
+
+
 def _legend(rollout: Rollout, drivers: Sequence[str]) -> list[tuple[str, str]]:
     """Colours and titles of everybody in a rollout, in the order of the page's legend."""
     kinds = rollout.scene.agent_types
@@ -193,9 +237,9 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     return centres
 
 
-def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
+def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
     """Draw a step of each video side by side; videos that are over show their last."""
-    images = [video.frame(min(step, video.num_steps - 1)) for video in videos]
+    images = [video.frame(min(at, video.num_steps - 1)) for video in videos]
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)
@@ -206,12 +250,14 @@ def save_video(
     path: str | Path,
     *,
     compare: Sequence[Rollout] = (),
+    titles: Sequence[str] | None = None,
     speed: float = 1.0,
-    max_fps: float = 20.0,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: Callable[[Iterable[float]], Iterable[float]] = iter,
     **options: object,
 ) -> None:
     """Write a video (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
+
+    Motion between steps is drawn, too: :data:`FPS` images a second.
 
     Parameters
     ----------
@@ -219,19 +265,26 @@ def save_video(
         What to show, side by side where there are several.
     path
         File to write.
+    titles
+        Name of each run; by default the scene's.
     speed
         Pace.
-    max_fps
-        Images per second that are kept at most.
     progress
-        Goes over the steps, and may show how far it is.
+        Goes over the moments, and may show how far it is.
     options
         Those of :class:`Video`.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
-    fps = speed / rollout.dt_s
-    every = max(1, int(np.ceil(fps / max_fps - 1e-9)))
-    videos = [Video(run, **options) for run in (rollout, *compare)]  # type: ignore[arg-type]
-    steps = range(0, max(video.num_steps for video in videos), every)
-    render.save((side_by_side(videos, step) for step in progress(steps)), path, fps=fps / every)
+    fps = FPS.get(Path(path).suffix.lower(), 10.0)
+    runs = (rollout, *compare)
+    names = titles or [run.scene.name for run in runs]
+    videos = [
+        Video(run, title=name, **options)  # type: ignore[arg-type]
+        for run, name in zip(runs, names, strict=True)
+    ]
+    last = max(video.num_steps for video in videos) - 1
+    count = int(np.ceil(last * rollout.dt_s * fps / speed - 1e-9))
+    moments = [k * speed / (fps * rollout.dt_s) for k in range(count)] + [float(last)]
+    images = [side_by_side(videos, at) for at in progress(moments)]
+    render.save(images + images[-1:] * round(HOLD_S * fps), path, fps=fps)

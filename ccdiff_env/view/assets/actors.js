@@ -1,9 +1,9 @@
 // Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
 
 const ACTOR_COLOURS = {
-  light: { ink: "#1d242c", outline: "#1d242c", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c",
+  light: { ink: "#1d242c", outline: "#1d242c", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c", goal: "#00785a",
     arrow: "#6a329f", label: "#1d242c", labelHalo: "rgba(255,255,255,.85)", ghost: "#303a46" },
-  dark: { ink: "#0d1116", outline: "#0d1116", shadow: "rgba(0,0,0,.45)", collision: "#ff5a5f",
+  dark: { ink: "#0d1116", outline: "#0d1116", shadow: "rgba(0,0,0,.45)", collision: "#ff5a5f", goal: "#3ecfa8",
     arrow: "#c79bf2", label: "#e8edf3", labelHalo: "rgba(13,17,22,.85)", ghost: "#dfe6ee" },
 };
 const TRAIL_SECONDS = 3;
@@ -47,7 +47,8 @@ class Actors {
     if (layers.plans) this.plans(context, step, theme, pixel, options.focus);
     const hit = this.hitAgents(step);
     poses.forEach((pose, agent) => {
-      if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent) });
+      const arrived = this.run.arrived(agent, step);
+      if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
     });
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
     if (options.pair) this.pair(context, poses, options.pair, theme, pixel);
@@ -153,7 +154,7 @@ class Actors {
     }
   }
 
-  body(context, agent, pose, { theme, pixel, hit }) {
+  body(context, agent, pose, { theme, pixel, hit, arrived }) {
     const { kind, length, width } = this.run.agents[agent];
     const colours = ACTOR_COLOURS[theme], colour = this.colour(agent, theme, pose);
     context.save();
@@ -163,21 +164,25 @@ class Actors {
       const larger = LEAST_PIXELS * pixel / length;
       context.scale(larger, larger);
     }
-    context.lineWidth = hit ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
-    context.strokeStyle = hit ? colours.collision : colours.outline;
+    context.lineWidth = hit || arrived ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
+    context.strokeStyle = hit ? colours.collision : arrived ? colours.goal : colours.outline;
     context.fillStyle = colour;
+    const hollow = kind === "vehicle" && this.run.still[agent];
+    if (hollow && !hit) context.strokeStyle = colour;
     if (kind === "pedestrian") this.walker(context, pixel);
     else if (kind === "static") box(context, length, width, 0.05);
     else box(context, length, width, Math.min(0.28 * width, 0.6));
-    if (kind === "vehicle" && theme === "light" && pixel < 0.25) {
+    if (kind === "vehicle" && !hollow && theme === "light" && pixel < 0.25) {
       context.shadowColor = colours.shadow;
       context.shadowBlur = 6;
       context.shadowOffsetY = 2;
     }
+    context.globalAlpha = hollow ? 0.2 : 1; // what never moves is dull
     context.fill();
+    context.globalAlpha = 1;
     context.shadowColor = "transparent";
     context.stroke();
-    if (kind === "vehicle" && pixel < 0.4) windscreen(context, length, width, colours.ink);
+    if (kind === "vehicle" && !hollow && pixel < 0.4) windscreen(context, length, width, colours.ink);
     else if (kind !== "static" && kind !== "vehicle" && pixel < 0.2) nose(context, length, colours.ink);
     context.restore();
   }

@@ -1,5 +1,6 @@
 // Reading the packed runs: base64 → inflate → header (JSON) and arrays. See pack.py for the layout.
 
+const MOVED_M = 0.5; // what stays nearer than this stands
 const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
 
 /** Bytes of the text of a data element. */
@@ -54,8 +55,11 @@ class Run {
     Object.assign(this, header.run);
     this.numAgents = this.agents.length;
     this.a = arrays;
+    this.still = this.agents.map((agent, index) => agent.driver !== "ego" && !this.moves(index));
     this.plans = header.plans.map((plan, index) => this.plan(plan, index));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
+    const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
+    this.goal = goal && { agent: goal.agent, step: goal.step };
     this.info = header.info.map((column, index) => ({
       ...column, values: arrays[`info${index}`],
     }));
@@ -77,10 +81,27 @@ class Run {
     return this.a.valid[agent * this.numSteps + step] === 1;
   }
 
+  /** Whether an agent ever is half a metre away from where it was first. */
+  moves(agent) {
+    const base = agent * this.numSteps, { x, y, valid } = this.a;
+    let first = -1;
+    for (let i = base; i < base + this.numSteps; i++) {
+      if (!valid[i]) continue;
+      if (first < 0) first = i;
+      if (Math.hypot(x[i] - x[first], y[i] - y[first]) > MOVED_M) return true;
+    }
+    return false;
+  }
+
+  /** Whether the ego has reached its goal: it is drawn where it left the scene. */
+  arrived(agent, step) {
+    return this.goal?.agent === agent && step >= this.goal.step;
+  }
+
   /** Pose of an agent at a fractional step, or null where it is absent. */
   pose(agent, at) {
     const step = Math.floor(at + 1e-6), t = Math.max(at - step, 0);
-    if (!this.valid(agent, step)) return null;
+    if (!this.valid(agent, step) && !this.arrived(agent, step)) return null;
     const i = agent * this.numSteps + step;
     const { x, y, heading, vx, vy } = this.a;
     const pose = { x: x[i], y: y[i], heading: heading[i], vx: vx[i], vy: vy[i] };

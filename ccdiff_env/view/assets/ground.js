@@ -13,6 +13,8 @@ const GROUND_COLOURS = {
   },
 };
 
+const FADE_M = 10;
+
 class Ground {
   constructor(run) {
     const { mapX, mapY } = run.a;
@@ -23,6 +25,7 @@ class Ground {
     }
     const joined = (name, close) => pathOf((layers[name] || []).flat(), close);
     this.road = joined("drivable", true);
+    this.edges = boxOf((layers.drivable || []).flat());
     this.walkways = joined("walkways", true);
     this.carparks = joined("carparks", true);
     this.stops = joined("stops", true);
@@ -47,6 +50,23 @@ class Ground {
     for (const crossing of this.crossings) this.zebra(context, crossing, colours.stripe);
     this.stroke(context, this.laneDividers, colours.laneDivider, Math.max(0.14, pixel), [3, 3]);
     this.stroke(context, this.roadDividers, colours.roadDivider, Math.max(0.18, pixel), []);
+  }
+
+  /** The map ends where it was cut: it fades into the ground there. */
+  fade(context, colours) {
+    if (!this.edges) return;
+    const [x0, y0, x1, y1] = this.edges, far = 2000, deep = Math.min(FADE_M, (x1 - x0) / 4, (y1 - y0) / 4);
+    const strip = (fromX, fromY, toX, toY, x, y, wide, high) => {
+      const shade = context.createLinearGradient(fromX, fromY, toX, toY);
+      shade.addColorStop(0, colours.ground);
+      shade.addColorStop(1, `${colours.ground}00`);
+      context.fillStyle = shade;
+      context.fillRect(x, y, wide, high);
+    };
+    strip(x0, 0, x0 + deep, 0, x0 - far, y0 - far, far + deep, 2 * far);
+    strip(x1, 0, x1 - deep, 0, x1 - deep, y0 - far, far + deep, 2 * far);
+    strip(0, y0, 0, y0 + deep, x0 - far, y0 - far, 2 * far, far + deep);
+    strip(0, y1, 0, y1 - deep, x0 - far, y1 - deep, 2 * far, far + deep);
   }
 
   drawLanes(context, colours, pixel) {
@@ -83,6 +103,19 @@ function readRings(lengths, mapX, mapY, cursor) {
     cursor.at += length;
     return ring;
   });
+}
+
+/** Least and greatest x and y of rings, or null. */
+function boxOf(rings) {
+  if (!rings.length) return null;
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const [x, y] of rings.flat()) {
+    box[0] = Math.min(box[0], x);
+    box[1] = Math.min(box[1], y);
+    box[2] = Math.max(box[2], x);
+    box[3] = Math.max(box[3], y);
+  }
+  return box;
 }
 
 function pathOf(rings, close) {

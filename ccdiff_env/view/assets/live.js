@@ -46,10 +46,19 @@ function line(canvas, { x, y }) {
   context.strokeStyle = style.getPropertyValue("--line");
   context.strokeRect(0.5, 0.5, width - 1, height - 1);
   context.strokeStyle = style.getPropertyValue("--accent");
-  context.lineWidth = 1.5;
-  context.beginPath();
-  y.forEach((v, i) => (i ? context.lineTo(px(x[i]), py(v)) : context.moveTo(px(x[i]), py(v))));
-  context.stroke();
+  // the values, faint, and their moving mean
+  const half = Math.floor(y.length / 40), mean = y.map((_, i) => {
+    const near = y.slice(Math.max(i - half, 0), i + half + 1);
+    return near.reduce((sum, v) => sum + v, 0) / near.length;
+  });
+  for (const [values, alpha] of [[y, half ? 0.3 : 0], [mean, 1]]) {
+    context.globalAlpha = alpha;
+    context.lineWidth = alpha === 1 ? 1.8 : 1;
+    context.beginPath();
+    values.forEach((v, i) => (i ? context.lineTo(px(x[i]), py(v)) : context.moveTo(px(x[i]), py(v))));
+    context.stroke();
+  }
+  context.globalAlpha = 1;
   context.fillStyle = style.getPropertyValue("--quiet");
   context.font = "10px system-ui, sans-serif";
   context.fillText(brief(high), 4, 11);

@@ -28,6 +28,8 @@ const KEYS = [
   ["L K", "names, lanes", null, []],
   ["O", "ghost of the other run", null, []],
   ["1 2 …, 0", "one run alone, all runs", null, []],
+  ["R", "loop", null, []],
+  ["I, V", "save a picture, a video", null, []],
   ["C", "colour by driver, kind, speed", null, []],
   ["D", "dark or light", null, ["d"]],
   ["S", "panels", null, ["s"]],
@@ -44,16 +46,23 @@ async function main() {
   const player = new Player(runs, $("stage"), colours, () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
   timeline = new Timeline($("timeline"), runs, seek, (event) => player.flags[event.lane]);
-  new EventsPanel($("events"), runs, player.flags,
-    (run, event) => player.goTo(run, event), () => player.touch());
+  /** Fill the panels: with what all runs, or one of them, have to tell. */
+  const fill = (told) => {
+    for (const id of ["events", "figures", "recorded", "contacts"]) $(id).replaceChildren();
+    timeline.runs = told;
+    new EventsPanel($("events"), told, player.flags,
+      (run, event) => player.goTo(run, event), () => player.touch());
+    figures = new FiguresPanel($("figures"), told, seek);
+    recorded = new FiguresPanel($("recorded"), told, seek);
+    $("recorded-part").hidden = !recorded.showRecorded();
+    const [run] = told;
+    contacts = new ContactPanel($("contacts"), run, (pair) => {
+      player.pair = pair && pair.map((agent) => run.agents[agent].id);
+      player.touch();
+    }, (pair) => player.showPair(pair.map((agent) => run.agents[agent].id)));
+  };
+  fill(runs);
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
-  figures = new FiguresPanel($("figures"), runs, seek);
-  recorded = new FiguresPanel($("recorded"), runs, seek);
-  $("recorded-part").hidden = !recorded.showRecorded();
-  contacts = new ContactPanel($("contacts"), runs[0], (pair) => {
-    player.pair = pair && pair.map((agent) => runs[0].agents[agent].id);
-    player.touch();
-  }, (pair) => player.showPair(pair.map((agent) => runs[0].agents[agent].id)));
   document.body.classList.toggle("compare", runs.length > 1);
   document.body.classList.toggle("many", runs.length > 2);
   const said = new Herald($("said"), runs);
@@ -70,18 +79,16 @@ async function main() {
     figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
     recorded.draw(player.time, chrome);
-    const run = runs[0], step = Math.floor(run.stepAt(player.time) + 1e-6);
+    const { run } = contacts, step = Math.floor(run.stepAt(player.time) + 1e-6);
     const focus = run.indexOf.get(player.focus);
     contacts.draw(step, focus === undefined ? -1 : focus, chrome);
     showFocus(player);
     showControls(player);
-    const seen = player.alone === null ? runs.length : 1;
-    $("stage").style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
-    document.body.classList.toggle("alone", player.alone !== null);
     showLegend(player, settings);
   };
   wireControls(player);
   if (settings.edit) wireEditing(player);
+  if (settings.slider) wireSlider(player, fill);
   wireKeys(player);
   player.panes.forEach((pane, index) => {
     wirePane(pane, player);
@@ -89,14 +96,14 @@ async function main() {
   });
   showAbout(runs);
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-  const { width, height } = player.panes[0];
-  player.camera.scale = Math.max(Math.min(width, height) / 75, 4.5);
+  player.frameNeighbours();
   const asked = readAddress(player);
   addEventListener("hashchange", () => readAddress(player));
   let known = addressOf(player); // as opened: the address stays as it came until something changes
   setInterval(() => { known = writeAddress(player, known); }, 500);
   player.playing = asked.has("t") ? asked.has("play") : !matchMedia("(prefers-reduced-motion)").matches;
-  new ResizeObserver(() => player.touch()).observe($("app"));
+  const sizes = new ResizeObserver(() => player.touch());
+  for (const pane of player.panes) sizes.observe(pane.canvas);
   window.replay = player; // for the curious, and for tests
   document.body.dataset.ready = "yes";
 }
@@ -121,7 +128,8 @@ class Herald {
 
 /**
  * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
- * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), colour=speed, theme=dark, play=1.
+ * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), colour=speed, theme=dark, play=1,
+ * loop=1, up=heading or up=north, embed=1 (map, time line and verdict alone).
  */
 function readAddress(player) {
   const wishes = new URLSearchParams(location.hash.slice(1));
@@ -133,9 +141,12 @@ function readAddress(player) {
       if (LAYERS.includes(layer)) player.layers[layer] = wanted;
   const [low, high] = SCALE_LIMITS, zoom = Number(wishes.get("zoom"));
   if (zoom >= low && zoom <= high) player.camera.scale = zoom;
-  const run = Number(wishes.get("run")) - 1;
-  if (player.panes[run] && run !== player.alone) player.show(run);
+  const run = Number(wishes.get("run")) - 1; // none: NaN
+  if (player.panes[run] && run !== player.alone) { player.show(run); player.slid?.(); }
   if (COLOUR_MODES.includes(wishes.get("colour"))) player.colourBy(wishes.get("colour"));
+  if (wishes.has("up")) player.headUp(wishes.get("up") === "heading");
+  if (wishes.has("loop")) player.loop = wishes.get("loop") === "1";
+  document.body.classList.toggle("embed", wishes.get("embed") === "1");
   if (wishes.get("theme") in CHROME) setTheme(player, wishes.get("theme"));
   player.touch();
   return wishes;
@@ -150,6 +161,9 @@ function addressOf(player) {
     if (changed.length) wishes.set(word, changed.join());
   }
   if (player.alone !== null) wishes.set("run", player.alone + 1);
+  wishes.set("up", player.headingUp ? "heading" : "north");
+  if (player.loop) wishes.set("loop", "1");
+  if (document.body.classList.contains("embed")) wishes.set("embed", "1");
   wishes.set("zoom", player.camera.scale.toFixed(1));
   wishes.set("colour", player.colourMode);
   return `#${wishes.toString().replaceAll("%2C", ",")}`;
@@ -192,6 +206,10 @@ function wireControls(player) {
   $("colour").addEventListener("change", () => player.colourBy($("colour").value));
   $("heading").addEventListener("click", () => player.toggleHeadingUp());
   $("fit").addEventListener("click", () => player.fit());
+  $("loop").addEventListener("click", () => toggleLoop(player));
+  $("picture").addEventListener("click", () => savePicture(player));
+  $("clip").addEventListener("click", () => saveClip(player, $("clip")));
+  $("clip").hidden = !window.MediaRecorder;
   $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
   $("panels").addEventListener("click", () => togglePanels(player));
   $("link").addEventListener("click", () => copyLink(player));
@@ -224,6 +242,28 @@ function wireEditing(player) {
   $("layers").append(chip);
 }
 
+/** One run at a time, chosen by a slider while it plays. */
+function wireSlider(player, fill) {
+  const [input, output] = $("choice").children;
+  input.max = player.runs.length - 1;
+  const choose = () => {
+    player.show(+input.value, true);
+    fill([player.shown.run]);
+    output.textContent = player.shown.run.title;
+    input.setAttribute("aria-valuetext", output.textContent);
+  };
+  player.slid = () => { input.value = player.alone; choose(); };
+  input.addEventListener("input", choose);
+  $("choice").hidden = false;
+  document.body.classList.add("sliding");
+  choose();
+}
+
+function toggleLoop(player) {
+  player.loop = !player.loop;
+  player.touch();
+}
+
 function togglePanels(player) {
   document.body.classList.toggle("bare");
   player.touch();
@@ -237,6 +277,7 @@ function showControls(player) {
   $("follow").value = player.follow === null ? "" : player.follow;
   $("colour").value = player.colourMode;
   $("heading").setAttribute("aria-pressed", player.headingUp);
+  $("loop").setAttribute("aria-pressed", player.loop);
   if ($("edit")) $("edit").setAttribute("aria-pressed", player.editing);
   for (const layer of LAYERS) {
     const chip = $(`layer-${layer}`);
@@ -312,7 +353,7 @@ function wirePane(pane, player) {
       pane.canvas.style.cursor = id === null ? "" : "pointer";
       if (id === null) return hide();
       const agent = pane.run.indexOf.get(id), box = pane.canvas.getBoundingClientRect();
-      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -2));
+      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -1));
       tip.hidden = false;
       tip.style.left = `${Math.min(box.left + x + 16, innerWidth - tip.offsetWidth - 8)}px`;
       tip.style.top = `${Math.min(box.top + y + 16, innerHeight - tip.offsetHeight - 8)}px`;
@@ -351,12 +392,17 @@ function wireKeys(player) {
     c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 3]),
     d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
     s: () => togglePanels(player),
-    0: () => player.show(null),
+    r: () => toggleLoop(player),
+    i: () => savePicture(player),
+    v: () => window.MediaRecorder && saveClip(player, $("clip")),
+    0: () => player.slid || player.show(null),
     m: () => $("edit") && player.toggleEditing(),
     "?": () => $("help").showModal(),
   };
   if (player.panes.length > 1)
-    player.panes.slice(0, 9).forEach((_, index) => { actions[index + 1] = () => player.show(index); });
+    player.panes.slice(0, 9).forEach((_, index) => {
+      actions[index + 1] = () => { player.show(index, Boolean(player.slid)); player.slid?.(); };
+    });
   for (const [, , action, keys] of KEYS)
     if (action) for (const key of keys) actions[key] = () => action(player);
   addEventListener("keydown", (event) => {

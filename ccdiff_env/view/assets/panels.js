@@ -17,12 +17,12 @@ function element(tag, className, text) {
 /** Captions of one agent at a step, as pairs of name and value. */
 function captionsOf(run, agent, at) {
   const { kind, category, length, width, drivenBy, id } = run.agents[agent];
-  const captions = [["kind", category || kind]];
-  if (kind !== "static") captions.push(["driven by", drivenBy]);
-  captions.push(["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`]);
+  const captions = kind === "static" ? [] : [["driven by", drivenBy]];
+  const lasting = [["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`], ["kind", category || kind], ["id", id]];
   const pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
-  if (!pose) return [...captions, ["state", "not in the scene now"], ["id", id]];
+  if (!pose) return [...captions, ["state", "not in the scene now"], ...lasting];
   const speed = Math.hypot(pose.vx, pose.vy);
+  if (run.arrived(agent, step)) captions.push(["state", "has reached its goal"]);
   if (kind !== "static") {
     captions.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
     const least = run.pairs(step)
@@ -35,14 +35,15 @@ function captionsOf(run, agent, at) {
   }
   captions.push(...planCaptions(run, agent, step));
   captions.push(["heading", `${Math.round(wrap(pose.heading) * 180 / Math.PI) || 0}°`]);
-  captions.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`], ["id", id]);
-  return captions;
+  captions.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`]);
+  return [...captions, ...lasting];
 }
 
 /** What the plan in force says of an agent. */
 function planCaptions(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];
+  if (run.agents[agent].driver === "ego" && !plan.follows_plan[row]) return [];
   const age = `made ${((step - plan.made_at) * run.dt).toFixed(1)} s ago`;
   const captions = [["plan", plan.follows_plan[row] ? age : `${age}, not followed`]];
   if (plan.guided[row]) captions.push(["guided, at a cost of", plan.realism_cost[row].toFixed(3)]);
@@ -113,7 +114,13 @@ class FiguresPanel {
     const canvas = element("canvas", "figure-curve");
     canvas.setAttribute("aria-hidden", "true");
     const values = series.map((_, i) => element("span", `figure-value run-${i % RUN_DASHES.length}`));
-    const title = element("span", "figure-name", name);
+    const title = element("button", "figure-name", name);
+    title.title = `${name}: large or small`;
+    title.setAttribute("aria-expanded", "false");
+    title.addEventListener("click", () => {
+      title.setAttribute("aria-expanded", row.classList.toggle("tall"));
+      this.redraw();
+    });
     if (unit) title.append(element("small", "", ` ${unit}`));
     row.append(title, canvas, ...values);
     this.container.append(row);
@@ -129,7 +136,12 @@ class FiguresPanel {
   get start() { return Math.min(...this.runs.map((run) => run.start)); }
   get end() { return Math.max(...this.runs.map((run) => run.end)); }
 
+  redraw() {
+    if (this.drawn) this.draw(...this.drawn);
+  }
+
   draw(time, colours) {
+    this.drawn = [time, colours];
     const ratio = window.devicePixelRatio || 1;
     for (const { canvas, values, series, low, high } of this.rows) {
       const width = canvas.clientWidth, height = canvas.clientHeight;
@@ -147,11 +159,20 @@ class FiguresPanel {
       context.globalAlpha = 0.5;
       context.fillRect(x(time) - 0.5, 0, 1, height);
       context.globalAlpha = 1;
+      if (height > 60) this.scale(context, low, high, height, colours);
       series.forEach((s, i) => {
         const value = s ? s[indexAt(this.runs[i], s, time)] : NaN;
         values[i].textContent = Number.isFinite(value) ? brief(value) : "–";
       });
     }
+  }
+
+  /** Least and greatest value of a large curve. */
+  scale(context, low, high, height, colours) {
+    context.fillStyle = colours.faint;
+    context.font = "10px system-ui, sans-serif";
+    context.fillText(brief(high), 2, 10);
+    context.fillText(brief(low), 2, height - 3);
   }
 
   curve(context, index, series, x, y, colours) {
@@ -221,21 +242,40 @@ class EventsPanel {
       });
       head.append(element("h3", "", `${title} · ${found.length}`), shown);
       const list = element("ul", "events");
-      list.append(...found.map((entry) => this.entry(entry, runs.length > 1, goTo)));
+      const told = merged(found);
+      const exact = told.filter(({ event }) => event.kind !== "overlap");
+      const noise = told.filter(({ event }) => event.kind === "overlap");
+      list.append(...exact.map((entry) => this.entry(entry, runs.length > 1, goTo)));
       container.append(head, list);
+      if (!noise.length) continue;
+      const fold = element("details"), rest = element("ul", "events");
+      rest.append(...noise.map((entry) => this.entry(entry, runs.length > 1, goTo)));
+      fold.append(element("summary", "", `overlaps with the log · ${noise.length}`), rest);
+      container.append(fold);
     }
     if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
   }
 
-  entry({ run, index, event }, several, goTo) {
+  entry({ run, indices, event }, several, goTo) {
     const item = element("li"), button = element("button", `event ${event.kind}`);
     button.append(element("span", "event-time", `${(event.step * run.dt).toFixed(1)} s`));
-    if (several) button.append(badge(index));
+    if (several) button.append(...indices.map(badge));
     button.append(element("span", "", event.text));
     button.addEventListener("click", () => goTo(run, event));
     item.append(button);
     return item;
   }
+}
+
+/** What happens at one moment in the same words in several runs is told once. */
+function merged(found) {
+  const told = new Map();
+  for (const { run, index, event } of found) {
+    const key = `${run.timeOf(event).toFixed(2)} ${event.text}`;
+    if (told.has(key)) told.get(key).indices.push(index);
+    else told.set(key, { run, indices: [index], event });
+  }
+  return [...told.values()];
 }
 
 /** The pairs that meet soonest at the cursor, those of the chosen agent first. */

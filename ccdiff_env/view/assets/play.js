@@ -2,7 +2,7 @@
 
 const form = document.getElementById("wishes"), frame = document.getElementById("frame");
 const state = document.getElementById("state"), undo = document.getElementById("undo");
-let moves = {}, waiting = 0;
+let moves = {}, waiting = 0, refused = []; // refused: what the address asks for and is not there
 
 function play() {
   clearTimeout(waiting);
@@ -23,6 +23,8 @@ function restore() {
   for (const [name, value] of words) {
     const field = form.elements[name];
     if (field?.type === "checkbox") field.checked = true;
+    else if (field?.options && ![...field.options].some((option) => option.value === value))
+      refused.push(`${name} ${value}`);
     else if (field) field.value = value;
   }
   try { moves = JSON.parse(words.get("moves") || "{}"); } catch { moves = {}; }
@@ -38,7 +40,11 @@ form.addEventListener("change", (event) => { if (event.target.name === "scene") 
 form.criticality.addEventListener("input", showLevel);
 document.getElementById("next").addEventListener("click", () => { form.seed.value = +form.seed.value + 1; play(); });
 undo.addEventListener("click", () => { moves = {}; play(); });
-frame.addEventListener("load", () => { state.textContent = "drag an agent: press M in the replay"; });
+frame.addEventListener("load", () => {
+  state.textContent = refused.length ? `there is no ${refused.join(", no ")}: this is ${form.scene.value}`
+    : "drag an agent: press M in the replay";
+  refused = [];
+});
 addEventListener("message", (event) => {
   if (event.source !== frame.contentWindow || event.origin !== location.origin) return;
   const { moved, east, north } = event.data;

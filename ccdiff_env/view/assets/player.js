@@ -4,6 +4,7 @@ const RATES = [0.25, 0.5, 1, 2, 4, 8];
 const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
 const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
 const COLOUR_MODES = ["driver", "kind", "speed"];
+const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
 /** One run on one canvas. */
@@ -44,6 +45,7 @@ class Pane {
     camera.apply(context, width, height, ratio);
     this.ground.draw(context, colours, pixel);
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
+    this.ground.fade(context, colours);
     const at = this.run.stepAt(player.time);
     if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
     this.actors.draw(context, at, {
@@ -95,6 +97,7 @@ class Pane {
 class Player {
   constructor(runs, stage, driverColours, changed) {
     this.runs = runs;
+    this.stage = stage;
     this.camera = new Camera();
     this.panes = runs.map((run, index) => new Pane(stage, run, index, driverColours));
     this.start = Math.min(...runs.map((run) => run.start));
@@ -105,6 +108,8 @@ class Player {
     this.playing = false;
     this.theme = "light";
     this.headingUp = false;
+    this.loop = false;
+    this.clip = null; // what records a clip, while it does
     this.colourMode = runs.every((run) => run.isLog) ? "kind" : "driver";
     this.layers = { ...LAYERS_AT_START };
     this.flags = { ego: true, guided: true, others: false };
@@ -118,6 +123,7 @@ class Player {
     this.changed = changed;
     this.dirty = true;
     this.before = 0;
+    this.show(null);
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -131,7 +137,8 @@ class Player {
     this.before = now;
     if (this.playing) {
       this.time = Math.min(this.time + elapsed * this.rate, this.end);
-      if (this.time >= this.end) this.playing = false;
+      if (this.time >= this.end && this.loop) this.time = this.start;
+      else if (this.time >= this.end) this.playing = false;
       this.dirty = true;
     }
     if (this.dirty) {
@@ -139,6 +146,7 @@ class Player {
       this.track();
       this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
       this.changed(this);
+      this.clip?.draw();
     }
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -192,13 +200,31 @@ class Player {
     this.touch();
   }
 
-  /** Give the stage to one run, or back to all of them. */
-  show(index) {
-    this.alone = index === this.alone || !this.panes[index] ? null : index;
+  /** Zoom so that whoever is near the ego is seen; a road that crosses a tall pane goes up. */
+  frameNeighbours() {
+    const { width, height } = this.panes[0], run = this.runs[0], at = run.stepAt(this.time);
+    const ego = run.indexOf.get(this.follow), here = ego === undefined ? null : run.pose(ego, at);
+    let reach = 0;
+    run.agents.forEach((_, agent) => {
+      const pose = here && !run.still[agent] && run.pose(agent, at);
+      const far = pose ? Math.hypot(pose.x - here.x, pose.y - here.y) : 0;
+      if (far < NEAR_M) reach = Math.max(reach, far);
+    });
+    reach = Math.max(Math.min(reach + 6, 38), 24);
+    this.camera.scale = Math.max(Math.min(width, height) / (2 * reach), 4.5);
+    if (height > 1.2 * width && here && run.moves(ego)) this.headingUp = true;
+  }
+
+  /** Give the stage to one run, or back to all of them; what has it keeps it where it is to stay. */
+  show(index, stay = false) {
+    this.alone = (index === this.alone && !stay) || !this.panes[index] ? null : index;
     this.panes.forEach((pane, i) => {
       pane.root.hidden = this.alone !== null && i !== this.alone;
       pane.enlarge.setAttribute("aria-pressed", i === this.alone);
     });
+    const seen = this.alone === null ? this.panes.length : 1;
+    this.stage.style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
+    document.body.classList.toggle("alone", this.alone !== null);
     this.touch();
   }
 
@@ -238,7 +264,11 @@ class Player {
   }
 
   toggleHeadingUp() {
-    this.headingUp = !this.headingUp;
+    this.headUp(!this.headingUp);
+  }
+
+  headUp(wanted) {
+    this.headingUp = wanted;
     if (!this.headingUp) this.camera.right = 0;
     if (this.headingUp && this.follow === null) this.follow = this.focus;
     this.touch();

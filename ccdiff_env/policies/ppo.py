@@ -1,10 +1,7 @@
-"""Train an ego with PPO in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
+"""PPO for an ego in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
 
-    python examples/train_ego_ppo.py --traffic replay idm --decisions 2e6
-
---scenes names others than the embedded ones. A run that was stopped goes on where its last
-checkpoint is: give it --resume. The policy is exported beside the checkpoint, for
-``ccdiff_env.policies.load``, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
+``ccdiff-env train-ego`` is its command. The policy is exported beside the checkpoint, for
+:func:`ccdiff_env.policies.load`, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
 """
 
 from __future__ import annotations
@@ -12,19 +9,21 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 from torch import nn
 
 import ccdiff_env
+from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.record.bank import load_bank
-from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.worlds.curriculum import SceneWeights
 from ccdiff_env.worlds.spaces import Layout
 
+Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
 GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
@@ -51,36 +50,6 @@ AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
 ASSISTED = {"assisted": {"delta_mps2": (-6.0, 6.0)}}
 PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_scene_arguments(parser, "train")
-    parser.add_argument(
-        "--bank", nargs="*", type=Path, default=[], help="folders of recorded traffic"
-    )
-    parser.add_argument(
-        "--traffic", nargs="+", default=["replay"], help="replay, idm, ccdiff, bank"
-    )
-    parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
-    parser.add_argument(
-        "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
-    )
-    parser.add_argument("--dynamics", default="assisted", help="assisted, unicycle or bicycle")
-    parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
-    parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
-    parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
-    parser.add_argument("--learning-rate", type=float, default=5e-4)
-    parser.add_argument(
-        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="first standard deviations"
-    )
-    parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--start", type=Path, help="checkpoint whose networks to begin with")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
-    parser.add_argument("--out", type=Path, default=Path("runs/train_ego_ppo"))
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
-    return parser.parse_args()
 
 
 class Worlds:
@@ -117,7 +86,7 @@ class Worlds:
         ttc = OBSERVATION["agent_columns"].index("ttc")
         self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
-        self.episodes: list[np.ndarray] = []
+        self.episodes: list[Floats] = []
         begun = [
             env.reset(seed=seed + part.start)
             for env, part in zip(self.envs, self.parts, strict=True)
@@ -127,7 +96,7 @@ class Worlds:
         self.chase, self.aside = args.failures, ASIDE if args.dynamics == "assisted" else 0.0
         self.failures = [SceneWeights(len(env.worlds.scenes)) for env in self.envs]
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, actions: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
         for env, part, playing, failures in zip(
@@ -159,6 +128,10 @@ class Worlds:
 class Agent(nn.Module):
     """Policy and value: all agents pass one network, the greatest of each feature stays."""
 
+    mean: torch.Tensor
+    var: torch.Tensor
+    count: torch.Tensor
+
     def __init__(self, layout: Layout, noise: tuple[float, ...]) -> None:
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
@@ -182,8 +155,9 @@ class Agent(nn.Module):
             )
             for out in (len(noise), 1)
         )
-        nn.init.orthogonal_(self.policy[-1].weight, 0.01)
-        nn.init.zeros_(self.policy[-1].bias)
+        *_, weight, bias = self.policy.parameters()
+        nn.init.orthogonal_(weight, 0.01)
+        nn.init.zeros_(bias)
         self.log_std = nn.Parameter(torch.tensor(noise).log())
         for name, value in (("mean", 0.0), ("var", 1.0)):
             self.register_buffer(name, torch.full((layout.size,), value))
@@ -266,7 +240,9 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     moved = 0.0
     for _ in range(EPOCHS):
-        for index in torch.randperm(len(advantage)).split(MINIBATCH):
+        order = torch.randperm(len(advantage))
+        for first in range(0, len(order), MINIBATCH):
+            index = order[first : first + MINIBATCH]
             with torch.autocast("cpu", torch.bfloat16, enabled=HALF):
                 mean, values = (out.float() for out in agent(data["x"][index]))
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
@@ -282,8 +258,8 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
     return moved
 
 
-def main() -> None:
-    args = arguments()
+def train(args: argparse.Namespace) -> None:
+    """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy."""
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
@@ -294,8 +270,10 @@ def main() -> None:
         "decision_steps": args.decision_steps,
     }
     training = {"reward": REWARD | (PRICES if assisted else {}), "start_spread_steps": 50}
-    args.out.mkdir(parents=True, exist_ok=True)
     checkpoint = args.out / "checkpoint.pt"
+    if args.resume and not checkpoint.is_file():
+        raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
+    args.out.mkdir(parents=True, exist_ok=True)
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
@@ -349,7 +327,3 @@ def main() -> None:
             kept = time.perf_counter()
     keep()
     print(f"policy in {args.out / 'ego.safetensors'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,118 @@
+"""``ccdiff-env compare``: the planners of two runs, scene by scene."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.intervals import are_few, mean_interval
+from ccdiff_env.bench.planner_report import over_seeds, permutation_p, short_name
+from ccdiff_env.bench.planners import TRAFFIC
+from ccdiff_env.bench.record import Record, Result
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.system.terminal import counted, say
+
+__all__ = ["compare"]
+
+#: Scenes that are listed, those that changed most.
+LISTED = 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("first", type=Path, metavar="RUN", help="run folder or submission")
+    parser.add_argument("second", type=Path, metavar="RUN", help="what is compared with it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the comparison."""
+    say(compare(Record.read(args.first), Record.read(args.second)))
+    return 0
+
+
+def compare(first: Record, second: Record) -> str:
+    """Return the differences of two runs of ``bench planners`` in Markdown, second less first.
+
+    A planner is compared with itself; where each run has one alone, with the other's.
+
+    Parameters
+    ----------
+    first, second
+        The runs.
+
+    Raises
+    ------
+    ConfigError
+        If they share no planner, or no traffic and scene.
+    DatasetError
+        If episodes are missing.
+    """
+    pairs = _pairs(first, second)
+    lines = [f"From {first.path} to {second.path}, paired by scene.", ""]
+    notes = {note for one, other in pairs for note in _differing(one, other)}
+    lines += [f"Not the same: {', '.join(sorted(notes))}.", ""] if notes else []
+    lines += ["| planner | traffic | scenes | first | second | difference | p |"]
+    lines += ["|---|---|---:|---:|---:|---:|---:|"]
+    changed: list[tuple[float, str]] = []
+    count = len(lines)
+    for one, other in pairs:
+        title = short_name(one.planner)
+        if other.planner != one.planner:
+            title += f", {short_name(other.planner)}"
+        for traffic in (t for t in one.rows if t in other.rows):
+            before, after = (_by_scene(result, traffic) for result in (one, other))
+            shared = [scene for scene in before if scene in after]
+            if not shared:
+                continue
+            a, b = (np.array([of[s]["score"] for s in shared]) for of in (before, after))
+            rows = [{"scene": s, "score": d} for s, d in zip(shared, b - a, strict=True)]
+            mean, low, high = mean_interval(rows, "score")
+            few = are_few(rows)
+            interval = "" if few else f" [{low:+.2f}, {high:+.2f}]"
+            p = "" if few else f"{permutation_p(b - a):.4f}"
+            label = TRAFFIC[traffic].label
+            lines.append(
+                f"| {title} | {label} | {len(shared)} | {a.mean():.2f} | {b.mean():.2f} | "
+                f"{mean:+.2f}{interval} | {p} |"
+            )
+            changed += [
+                (float(y - x), f"| {s} | {title} | {label} | {x:.2f} | {y:.2f} |")
+                for s, x, y in zip(shared, a, b, strict=True)
+                if x != y
+            ]
+    if len(lines) == count:
+        raise ConfigError(f"{first.path} and {second.path} share no traffic and scene")
+    changed.sort(key=lambda entry: (-abs(entry[0]), entry[1]))
+    lines += ["", f"{counted(len(changed), 'score')} changed."]
+    if changed:
+        lines += ["", "### Changed most", "", "| scene | planner | traffic | first | second |"]
+        lines += ["|---|---|---|---:|---:|", *(line for _, line in changed[:LISTED])]
+    return "\n".join(lines) + "\n"
+
+
+def _pairs(first: Record, second: Record) -> list[tuple[Result, Result]]:
+    ones, others = first.results(), second.results()
+    if len(ones) == len(others) == 1:
+        return [(ones[0], others[0])]
+    pairs = [(one, other) for one in ones for other in others if one.planner == other.planner]
+    if not pairs:
+        names = (", ".join(sorted({result.planner for result in of})) for of in (ones, others))
+        raise ConfigError("the runs share no planner: {}; {}".format(*names))
+    return pairs
+
+
+def _differing(one: Result, other: Result) -> list[str]:
+    """What the figures follow from that is not the same in both."""
+    notes = [] if one.heading == other.heading else [f"{one.heading} | {other.heading}"]
+    if one.planner_source != other.planner_source:
+        notes.append(f"the source of {short_name(one.planner)}")
+    return notes
+
+
+def _by_scene(result: Result, traffic: str) -> dict[str, Mapping[str, Any]]:
+    rows = over_seeds({(result.planner, traffic): result.rows[traffic]})
+    return {row["scene"]: row for row in rows[result.planner, traffic]}

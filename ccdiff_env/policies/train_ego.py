@@ -1,0 +1,69 @@
+"""``ccdiff-env train-ego``: the recipe of the shipped ego."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.scenes.arguments import add_scene_arguments
+
+#: Traffic of training; ``bank`` is what ``--bank`` recorded.
+TRAFFIC = ("replay", "idm", "ccdiff", "bank")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_scene_arguments(parser, "train")
+    parser.add_argument(
+        "--bank",
+        nargs="*",
+        type=Path,
+        default=[],
+        help="folders of recorded traffic (default: none)",
+    )
+    parser.add_argument(
+        "--traffic",
+        nargs="+",
+        default=["replay"],
+        help=f"traffic of training, of: {', '.join(TRAFFIC)}",
+    )
+    parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument(
+        "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
+    )
+    parser.add_argument(
+        "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
+    )
+    parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
+    parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
+    parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
+    parser.add_argument("--learning-rate", type=float, default=5e-4, help="of Adam, at first")
+    parser.add_argument(
+        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="first standard deviations"
+    )
+    parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
+    parser.add_argument("--seed", type=int, default=0, help="of networks and worlds")
+    parser.add_argument(
+        "--start", type=Path, help="checkpoint whose networks to begin with (default: random ones)"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
+    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train; print where the policy is."""
+    unknown = [name for name in args.traffic if name not in TRAFFIC]
+    if unknown:
+        raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
+    if ("bank" in args.traffic) != bool(args.bank):
+        raise ConfigError("--traffic bank and --bank FOLDER go together")
+    try:
+        from ccdiff_env.policies.ppo import train
+    except ModuleNotFoundError as error:
+        raise MissingFeatureError(
+            f"training needs {error.name}: pip install 'ccdiff-env[models]'"
+        ) from None
+    train(args)
+    return 0

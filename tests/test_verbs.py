@@ -1,0 +1,99 @@
+"""The command line: words that are wrong, folders that a typo leaves alone, small verbs."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from planner_run import raw, write_run
+
+from ccdiff_env import cli
+from ccdiff_env.bench.compare import compare
+from ccdiff_env.bench.record import Record
+from ccdiff_env.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("words", "usage", "said"),
+    [
+        ("viw left-turn-00", "usage: ccdiff-env [-h]", "did you mean view?"),
+        ("bench planers", "usage: ccdiff-env bench [-h]", "did you mean planners?"),
+        ("bench planners --out x --planers idm", "ccdiff-env bench planners", "mean --planners?"),
+        ("view left-turn-00 --trafic=idm", "usage: ccdiff-env view", "did you mean --traffic?"),
+        ("live", "usage: ccdiff-env live", "required: RUN"),
+    ],
+)
+def test_wrong_words_are_answered_by_their_verb(words, usage, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words.split())
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert usage in err
+    assert said in err
+
+
+RUN = ["--planners", "replay", "--traffic", "replay", "--limit", "1", "--seeds", "0", "--quiet"]
+
+
+def test_a_typo_leaves_no_folder_and_a_run_is_begun_anew_or_gone_on_with(tmp_path, capsys):
+    out = tmp_path / "run"
+    command = ["bench", "planners", "--out", str(out), *RUN]
+    for wrong in (["--planners", "replayy"], ["--traffic", "idmm"], ["--resume"]):
+        assert cli.main([*command, *wrong]) == 2
+        assert not out.exists()
+    assert "there is no run in" in capsys.readouterr().err
+    assert cli.main(command) == 0
+    assert "no interval" in (out / "table.md").read_text()
+    # planners may be added, and a run gone on with
+    assert cli.main([*command, "--planners", "replay,constant_velocity", "--resume"]) == 0
+    (out / "old.txt").write_text("old")
+    assert cli.main([*command, "--seeds", "1"]) == 2
+    assert cli.main([*command, "--seeds", "1", "--overwrite"]) == 0
+    assert not (out / "old.txt").exists()
+    assert json.loads((out / "run.json").read_text())["seeds"] == [1]
+    other = tmp_path / "letters"
+    other.mkdir()
+    (other / "letter.txt").write_text("dear")
+    command[3] = str(other)
+    assert cli.main([*command, "--overwrite"]) == 2
+    assert (other / "letter.txt").exists()
+
+
+def test_the_doctor_says_what_there_is_and_drives_a_world(capsys):
+    assert cli.main(["doctor"]) == 0
+    said = capsys.readouterr().out
+    for word in ("ccdiff-env", "Python", "processor", "torch", "cache", "41 scenes", "steps a sec"):
+        assert word in said
+    assert cli.main(["doctor", "--scenes", "nuscenes:/nowhere"]) == 1
+    assert "FAILS" in capsys.readouterr().out
+
+
+def test_two_runs_are_compared_scene_by_scene(tmp_path, capsys):
+    a = write_run(tmp_path / "a", raw("idm", "replay", [0.5] * 10))
+    b = write_run(tmp_path / "b", raw("idm", "replay", [0.5] * 8 + [0.75] * 2))
+    assert cli.main(["compare", str(a), str(b)]) == 0
+    said = capsys.readouterr().out
+    assert "+0.05" in said
+    assert "2 scores changed." in said
+    text = compare(Record.read(a), Record.read(a))
+    assert "| IDM | Log replay | 10 | 0.50 | 0.50 | +0.00 [+0.00, +0.00] | 1.0000 |" in text
+    assert "0 scores changed." in text
+    c = write_run(tmp_path / "c", raw("idm", "idm", [0.5] * 10))
+    with pytest.raises(ConfigError, match="share no traffic"):
+        compare(Record.read(a), Record.read(c))
+
+
+def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, capsys):
+    pytest.importorskip("torch")
+    out = tmp_path / "ego"
+    for words, said in (
+        (["--traffic", "imd"], "--traffic is 'imd'"),
+        (["--traffic", "bank"], "go together"),
+        (["--resume"], "there is no checkpoint in"),
+    ):
+        assert cli.main(["train-ego", "--out", str(out), *words]) == 2
+        assert said in capsys.readouterr().err
+        assert not out.exists()
+    assert cli.main(["train-ego", "--smoke", "--out", str(out), "--threads", "1"]) == 0
+    assert (out / "ego.safetensors").is_file()
+    assert "ego.safetensors" in capsys.readouterr().out
