@@ -19,6 +19,7 @@ pub mod raster;
 pub mod sampler;
 pub mod schedule;
 pub mod segments;
+pub mod tokens;
 pub mod traffic;
 pub mod trajectory_model;
 pub mod unicycle;

@@ -5,7 +5,7 @@ use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::guidance::Guidance;
-use crate::own::{self, Array, Inputs, Own, Place};
+use crate::own::{Array, Inputs, Own, Place};
 use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
@@ -26,7 +26,6 @@ impl OwnPlanner {
     /// # Errors
     /// [`crate::ModelError::Config`] for a network that needs torch, [`crate::ModelError::Checkpoint`] where a tensor does not fit.
     pub(crate) fn new(path: &Path, config: &ModelConfig, tensors: BTreeMap<String, Entry>) -> Result<Self> {
-        own::check(config)?;
         let weights = Weights::new(path, tensors);
         let network = Network::new(&Place::root(&weights), config);
         weights.finish()?;

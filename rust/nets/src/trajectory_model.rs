@@ -2,12 +2,14 @@
 
 pub use crate::planner::{Drawn, PlanOptions, Planner};
 
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, ModelKind};
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window, row_offsets};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
+use crate::own;
 use crate::own_planner::OwnPlanner;
 use crate::raster::MapBitmap;
+use crate::tokens::TokenPlanner;
 use crate::weights::{self, Entry};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -111,8 +113,12 @@ impl TrajectoryModel {
         tensors: BTreeMap<String, Entry>,
     ) -> Result<Self> {
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
-        let planner = OwnPlanner::new(path, &config, tensors)?;
-        Ok(Self::of(Box::new(planner), header, config, num_parameters))
+        own::check(&config)?;
+        let planner: Box<dyn Planner> = match config.kind {
+            ModelKind::Tokens => Box::new(TokenPlanner::new(path, &config, tensors)?),
+            _ => Box::new(OwnPlanner::new(path, &config, tensors)?),
+        };
+        Ok(Self::of(planner, header, config, num_parameters))
     }
 
     /// A network that plans are drawn from in whatever way.

@@ -63,7 +63,8 @@ fn bits(name: &str, sizes: &[usize]) -> Vec<Vec<u32>> {
         .map(|(window, bitmap)| PlanInput { window, bitmap: bitmap.as_ref(), seed: 7, guide: None })
         .collect();
     let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 3 });
-    let sampling = SampleOptions { solver_steps, num_samples: 2, guidance_weight: 1.0 };
+    let sampling =
+        SampleOptions { solver_steps, num_samples: 2, guidance_weight: 1.0, ..SampleOptions::default() };
     let options = PlanOptions { attention: true, ..sampling.into() };
     let of_plan = |p: &Plan| {
         let attention = p.attention_matrix().unwrap();
