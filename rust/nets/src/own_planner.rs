@@ -11,6 +11,7 @@ use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
 use crate::simnet::Simnet;
+use crate::tokens::TokenPlanner;
 use crate::weights::{Entry, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,6 +29,9 @@ pub(crate) fn planner(
     tensors: BTreeMap<String, Entry>,
 ) -> Result<Box<dyn Planner>> {
     own::check(config)?;
+    if config.kind == ModelKind::Tokens {
+        return Ok(Box::new(TokenPlanner::new(path, config, tensors)?));
+    }
     let weights = Weights::new(path, tensors);
     let root = Place::root(&weights);
     let planner: Box<dyn Planner> = match config.kind {
