@@ -14,7 +14,6 @@ from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.scenes import scene_names
@@ -22,6 +21,7 @@ from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tabl
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
+from ccdiff_env.policies.pdm import _Path
 
 VAL = "embedded/val"
 
