@@ -6,10 +6,19 @@ import sys
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from ccdiff_env import _native as _native
+try:
+    from ccdiff_env import _native as _native
+except ImportError as error:
+    if any(Path(__file__).parent.glob("_native.*[!i]")):
+        raise
+    raise ImportError(
+        f"{Path(__file__).parent} is the source folder, without compiled modules, before an "
+        "installed ccdiff_env on the path: leave this folder, or build them with make setup"
+    ) from error
 from ccdiff_env import config, errors, metrics, traffic
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs import (

@@ -270,3 +270,18 @@ def test_the_package_by_itself_loads_no_benchmark_and_no_page():
     assert [name for name in found if name.startswith("ccdiff_env.view.")] == [
         "ccdiff_env.view.notebook"
     ]
+
+
+def test_the_source_folder_by_itself_says_what_to_do(tmp_path):
+    """Beside an installed package Python takes the folder that it stands in."""
+    for file in (ROOT / "ccdiff_env").rglob("*.py"):
+        copied = tmp_path / file.relative_to(ROOT)
+        copied.parent.mkdir(parents=True, exist_ok=True)
+        copied.write_bytes(file.read_bytes())
+    (tmp_path / "ccdiff_env/_native.pyi").touch()
+    found = subprocess.run(
+        [sys.executable, "-c", "import ccdiff_env"], cwd=tmp_path, capture_output=True, text=True
+    )
+    last = found.stderr.strip().splitlines()[-1]
+    assert last.startswith("ImportError")
+    assert "leave this folder, or build them with make setup" in last
