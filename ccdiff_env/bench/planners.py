@@ -32,7 +32,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
-from ccdiff_env.errors import ConfigError, UnknownNameError, renamed
+from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.policies.pdm import PdmPlanner
 from ccdiff_env.policies.planners import Ego, Seat, ego_driver
 from ccdiff_env.record.episode import begin, recorders_of
@@ -87,7 +87,7 @@ def _critical(level: float, driver: str = "ccdiff", *, avoidable_only: bool = Fa
 
 def _named(label: str, name: str) -> Traffic:
     kind, _, path = name.partition(":")
-    if renamed("traffic", kind, {"chooser": "adversary"}) != "adversary":
+    if kind != "adversary":
         return Traffic(label, name)
     options = {"criticality": 1.0, "num_samples": 1, "replan_steps": REPLAN_STEPS}
     return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, adversary_policy=path)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, ShapeError, expect_shape, takes_former_names
+from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import NETWORKS, TrafficPlan
@@ -72,7 +72,6 @@ class RolloutEvent:
     at_fault: bool = False
 
 
-@takes_former_names(figures="info")
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps.
