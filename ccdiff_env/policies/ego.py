@@ -222,7 +222,7 @@ def save_ego(
     path
         File to write.
     tensors
-        State of the network as :mod:`ccdiff_env.policies.ppo` has it, tensors or arrays.
+        State of the network as :mod:`ccdiff_env.envs.ppo` has it, tensors or arrays.
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
     about
