@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
     "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
-    "train-ego": ("train an ego with PPO (resumes with --resume)", "policies.train_ego"),
+    "train-ego": ("train an ego with PPO (resumes with --resume)", "envs.train_ego"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "compare": ("two runs of bench planners: paired differences", "bench.compare"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),

@@ -24,9 +24,9 @@ import numpy as np
 from ccdiff_env.bench.episode import off_road
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.metrics import Motion
+from ccdiff_env.record import episode
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
-from ccdiff_env.worlds import Worlds
 
 #: Scenes that share a batch.
 CHUNK = 12
@@ -50,17 +50,11 @@ def play(scenes: SceneSet, ccdiff: dict[str, Any], world: dict[str, Any], seed: 
         **world,
     }
     config = WorldConfig().with_options(**options)
-    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
-    out, native = worlds.arrays(), worlds.native
-    native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
-    states = [[native.states(i)] for i in range(len(scenes))]
-    running = np.ones(len(scenes), np.bool_)
-    while running.any():
-        native.step(actions, out, running)
-        for i in np.flatnonzero(running).tolist():
-            states[i].append(native.states(i))
-        running &= ~out.done
+    worlds = episode.begin(scenes, config, seed)
+    states = [[worlds.native.states(i)] for i in range(len(scenes))]
+    for step in episode.play(worlds):
+        for i in np.flatnonzero(step.running).tolist():
+            states[i].append(worlds.native.states(i))
     names = ("position", "heading", "speed", "active")
     return [{n: np.stack([s[n] for s in one], axis=1) for n in names} for one in states]
 

@@ -6,11 +6,21 @@ import sys
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ccdiff_env import _native as _native
-from ccdiff_env import config, errors, metrics, traffic
+try:
+    from ccdiff_env import _native as _native
+except ImportError as error:
+    if any(Path(__file__).parent.glob("_native.*[!i]")):
+        raise
+    raise ImportError(
+        f"{Path(__file__).parent} is the source folder, without compiled modules, before an "
+        "installed ccdiff_env on the path: leave this folder, or build them with make setup"
+    ) from error
+from ccdiff_env import config, errors, metrics
+from ccdiff_env import traffic as traffic
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs import (
     AdversarySelectionEnv,
@@ -25,6 +35,7 @@ from ccdiff_env.envs import (
 )
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.metrics import causal
+from ccdiff_env.record.bank import load_bank, record_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
@@ -34,9 +45,6 @@ from ccdiff_env.scenes.gpudrive import load_gpudrive
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.version import __version__
 from ccdiff_env.view import notebook
-
-if TYPE_CHECKING:
-    from ccdiff_env.record.bank import load_bank, record_bank
 
 __all__ = [
     "AdversarySelectionEnv",
@@ -69,12 +77,8 @@ __all__ = [
     "replay",
 ]
 
-#: Former names of classes, for one release.
-_FORMER = {"RolloutPlan": "TrafficPlan"}
 #: Rooms that are imported when they are first named.
 _LAZY = ("bench", "models", "policies", "record", "worlds")
-#: Functions whose modules are imported when they are first named: they bring the benchmarks along.
-_LATE = {"load_bank": "record.bank", "record_bank": "record.bank"}
 #: Modules that have a short name here, too: ``ccdiff_env.causal``.
 _SHORT = {
     "bank": "record.bank",
@@ -114,10 +118,6 @@ notebook.install()
 
 
 def __getattr__(name: str) -> Any:
-    if name in _FORMER:
-        return getattr(traffic, errors.renamed("class", name, _FORMER))
     if name in _LAZY or name in _SHORT:
         return import_module(f"ccdiff_env.{name}")
-    if name in _LATE:
-        return getattr(import_module(f"ccdiff_env.{_LATE[name]}"), name)
     raise AttributeError(f"module 'ccdiff_env' has no attribute {name!r}")

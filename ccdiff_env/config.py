@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from ccdiff_env.errors import ConfigError, UnknownOptionError, renamed, takes_former_names
+from ccdiff_env.errors import ConfigError, UnknownOptionError
 from ccdiff_env.system.files import parsed_object
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic import (
@@ -63,19 +63,6 @@ __all__ = [
 
 #: A driver by name, or shares of drivers by name.
 Traffic: TypeAlias = str | Mapping[str, float]
-
-
-#: Former names of options, for one release.
-FORMER: dict[type[Any], dict[str, str]] = {
-    ObservationConfig: {"num_agents": "num_neighbors", "num_map_pieces": "num_map_segments"},
-    CcdiffConfig: {
-        "others": "background_driver",
-        "partners": "collision_targets",
-        "frozen": "parked_rule",
-    },
-}
-for _kind, _names in FORMER.items():
-    takes_former_names(**_names)(_kind)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +212,6 @@ def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
     hints = typing.get_type_hints(type(config))
     changes = {}
     for name, value in options.items():
-        name = renamed("option", name, FORMER.get(type(config), {}))
         if name not in hints:
             known = [path + n for n in hints]
             # those of a nested configuration are named by their path
@@ -262,8 +248,6 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
             return None
         if hint == Ranking and str(value).endswith(".json"):
             return read_ranking(value)
-        if hint == Ranking and isinstance(value, str):
-            value = renamed(path, value, {"distance": "distance_cliques"})
         if isinstance(value, Mapping) and set(value) == {"list"}:
             value = value["list"]
         if isinstance(value, Mapping):

@@ -6,12 +6,7 @@ refuses; each is also the built-in kind that fits, so that generic handlers work
 
 from __future__ import annotations
 
-import functools
-import warnings
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
-
-_T = TypeVar("_T")
+from typing import Any
 
 
 class CcdiffError(Exception):
@@ -83,34 +78,3 @@ def expect_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:
     got = getattr(array, "shape", type(array).__name__)
     if got != shape:
         raise ShapeError(f"{name} has shape {got}, expected {shape}")
-
-
-def renamed(what: str, name: str, names: Mapping[str, str]) -> str:
-    """Return a name, or what it is called now, with a :class:`DeprecationWarning`."""
-    if name not in names:
-        return name
-    message = f"{what} {name!r} is called {names[name]!r}; the old name goes with the next release"
-    warnings.warn(message, DeprecationWarning, stacklevel=3)
-    return names[name]
-
-
-def takes_former_names(**names: str) -> Callable[[type[_T]], type[_T]]:
-    """Let a dataclass take former names of its fields, and answer to them, with a warning."""
-
-    def decorate(kind: type[_T]) -> type[_T]:
-        init = kind.__init__
-
-        @functools.wraps(init)
-        def take(self: Any, *values: Any, **fields: Any) -> None:
-            former = {renamed("field", n, names): fields.pop(n) for n in names if n in fields}
-            init(self, *values, **former, **fields)
-
-        def answer(former: str) -> property:
-            return property(lambda self: getattr(self, renamed("field", former, names)))
-
-        kind.__init__ = take  # type: ignore[method-assign]
-        for former in names:
-            setattr(kind, former, answer(former))
-        return kind
-
-    return decorate

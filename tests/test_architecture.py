@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import importlib
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -219,27 +221,67 @@ def test_short_names_are_the_modules_of_rooms(name):
     assert found is getattr(ccdiff_env, name)
 
 
-#: Packages and modules that must not know those named: data, figures and records below
-#: environments, environments below benchmarks and views.
-FORBIDDEN = {
-    "ccdiff_env.envs": {"ccdiff_env.bench", "ccdiff_env.view", "ccdiff_env.cli"},
-    "ccdiff_env.metrics": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.view"},
-    "ccdiff_env.config": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.scenes"},
-    "ccdiff_env.scenes": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.config"},
-    "ccdiff_env.record.rollout": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.config"},
-    "ccdiff_env.models": {"ccdiff_env.envs", "ccdiff_env.bench", "ccdiff_env.view"},
-    "ccdiff_env.view": {"ccdiff_env.bench"},
-    "ccdiff_env.bench": {"ccdiff_env.cli"},
-}
+#: Rooms of the package; each may use those before it. The face, ``__init__``, is not one of them.
+ROOMS = [
+    "errors",
+    "system",
+    "scenes",
+    "metrics",
+    "traffic",
+    "config",
+    "models",
+    "worlds",
+    "policies",
+    "record",
+    "envs",
+    "view",
+    "bench",
+    "cli",
+]
 
 
-def test_rooms_of_the_package_do_not_know_those_above_them():
-    graph = python_graph()
+def test_rooms_of_the_package_use_those_before_them():
+    """Imports in functions and for types count, too."""
+    graph = {module: used for module, used in python_graph().items() if "." in module}
+    place = {room: i for i, room in enumerate(ROOMS)}
+    assert {module.split(".")[1] for module in graph} == set(ROOMS)
+    for module, all_used in graph.items():
+        room = place[module.split(".")[1]]
+        assert [used for used in all_used if "." not in used] == [], f"{module} knows the face"
+        up = [used for used in all_used if place[used.split(".")[1]] > room]
+        assert up == [], f"{module} imports {up}"
 
-    def in_room(module: str, room: str) -> bool:
-        return module == room or module.startswith(room + ".")
 
-    for room, above in FORBIDDEN.items():
-        for module in (m for m in graph if in_room(m, room)):
-            wrong = {used for used in graph[module] if any(in_room(used, up) for up in above)}
-            assert not wrong, f"{module} imports {sorted(wrong)}"
+@pytest.mark.parametrize(
+    ("module", "unknown"), [("config", "scenes"), ("record.rollout", "config")]
+)
+def test_modules_that_do_without_a_room_before_them(module, unknown):
+    used = python_graph()[f"ccdiff_env.{module}"]
+    assert [name for name in used if name.split(".")[1] == unknown] == []
+
+
+def test_the_package_by_itself_loads_no_benchmark_and_no_page():
+    code = "import ccdiff_env, sys; print(*(m for m in sys.modules if m.startswith('ccdiff_env.')))"
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert "ccdiff_env.envs" in found
+    assert [name for name in found if name.startswith("ccdiff_env.bench")] == []
+    assert [name for name in found if name.startswith("ccdiff_env.view.")] == [
+        "ccdiff_env.view.notebook"
+    ]
+
+
+def test_the_source_folder_by_itself_says_what_to_do(tmp_path):
+    """Beside an installed package Python takes the folder that it stands in."""
+    for file in (ROOT / "ccdiff_env").rglob("*.py"):
+        copied = tmp_path / file.relative_to(ROOT)
+        copied.parent.mkdir(parents=True, exist_ok=True)
+        copied.write_bytes(file.read_bytes())
+    (tmp_path / "ccdiff_env/_native.pyi").touch()
+    found = subprocess.run(
+        [sys.executable, "-c", "import ccdiff_env"], cwd=tmp_path, capture_output=True, text=True
+    )
+    last = found.stderr.strip().splitlines()[-1]
+    assert last.startswith("ImportError")
+    assert "leave this folder, or build them with make setup" in last

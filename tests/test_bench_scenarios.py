@@ -25,7 +25,6 @@ from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
     Scenario,
     ScenarioSet,
-    as_scene,
     ego_collisions,
     generate,
     load_scenario_set,
@@ -34,7 +33,7 @@ from ccdiff_env.bench.scenario_sets import (
 )
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
 
 VAL = "embedded/val"
 #: IDM collides in the first two, unavoidably in the first, and in none of the others.

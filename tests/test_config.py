@@ -8,14 +8,12 @@ import json
 import numpy as np
 import pytest
 
-from ccdiff_env import AdversarySelectionEnv, EgoEnv, _native
+from ccdiff_env import _native
 from ccdiff_env.config import (
     ActionConfig,
     ActionGrid,
     BicycleLimits,
-    CcdiffConfig,
     DeltaPoseLimits,
-    ObservationConfig,
     RewardConfig,
     UnicycleLimits,
     WorldConfig,
@@ -82,40 +80,6 @@ def test_dictionaries_change_only_the_fields_they_name():
 def test_shortcuts_are_fields_of_the_action():
     config = WorldConfig().with_options(dynamics="delta_pose", discrete=True)
     assert config.action == ActionConfig(dynamics=DeltaPoseLimits(), discrete=True)
-
-
-def test_a_former_name_of_an_option_warns_and_means_the_same():
-    expected = WorldConfig().with_options(observation={"num_neighbors": 3})
-    with pytest.warns(DeprecationWarning, match="'num_agents' is called 'num_neighbors'"):
-        assert WorldConfig().with_options(observation={"num_agents": 3}) == expected
-    with pytest.warns(DeprecationWarning, match="num_neighbors"):
-        former = ObservationConfig(num_agents=3)  # type: ignore[call-arg]
-    assert former == expected.observation
-    with pytest.warns(DeprecationWarning, match="num_neighbors"):
-        assert former.num_agents == 3  # type: ignore[attr-defined]
-    text = expected.to_json().replace("num_neighbors", "num_agents")
-    with pytest.warns(DeprecationWarning, match="num_neighbors"):
-        assert WorldConfig.from_json(text) == expected
-    with pytest.raises(TypeError, match="num_neighbors"):
-        ObservationConfig(num_agents=3, num_neighbors=4)  # type: ignore[call-arg]
-
-
-@pytest.mark.parametrize(
-    ("former", "name", "value"),
-    [
-        ("others", "background_driver", "replay"),
-        ("partners", "collision_targets", "all"),
-        ("frozen", "parked_rule", "standing"),
-    ],
-)
-def test_former_names_of_options_of_ccdiff_warn_and_mean_the_same(former, name, value):
-    expected = WorldConfig().with_options(ccdiff={name: value})
-    with pytest.warns(DeprecationWarning, match=f"{former!r} is called {name!r}"):
-        assert WorldConfig().with_options(ccdiff={former: value}) == expected
-    with pytest.warns(DeprecationWarning, match=name):
-        assert CcdiffConfig(**{former: value}) == expected.ccdiff
-    with pytest.warns(DeprecationWarning, match=name):
-        assert WorldConfig.from_json(expected.to_json().replace(name, former)) == expected
 
 
 def test_numpy_numbers_are_numbers():
@@ -201,12 +165,3 @@ def test_scaled_rewards_are_all_weights_times_the_factor():
     for field in (f for f in dataclasses.fields(RewardConfig) if f.name != "form"):
         expected = 0.2 * getattr(weights, field.name)
         assert getattr(scaled, field.name) == pytest.approx(expected)
-
-
-def test_a_former_argument_of_environments_warns_and_means_the_same():
-    options = {"size": (64, 48), "labels": False}
-    for kind in (EgoEnv, AdversarySelectionEnv):
-        with pytest.warns(DeprecationWarning, match="'picture' is called 'render_options'"):
-            env = kind(render_mode="rgb_array", picture=options)
-        env.reset(seed=0)
-        assert env.render().shape == (48, 64, 3)

@@ -81,7 +81,7 @@ def test_swerving_is_found_where_braking_does_not_do():
 
 
 def test_a_found_plan_is_free_of_collisions_when_driven():
-    from ccdiff_env.record.counterfactual import Steering
+    from ccdiff_env.policies.steering import Steering
 
     env = started(road(0.0, 10.0, wall(12.0, width=20.0)))
     before = env.snapshot()

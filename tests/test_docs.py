@@ -192,8 +192,6 @@ def test_help_of_every_option_says_what_it_does_and_its_default(verb):
     parser = VERBS[verb]
     one_of = {a for group in parser._mutually_exclusive_groups for a in group._group_actions}
     for action in parser._actions:
-        if action.help == argparse.SUPPRESS:  # former names
-            continue
         text = parser._get_formatter()._expand_help(action)
         words = text.partition("(default")[0]
         assert len(words.split()) > 1, (verb, action.option_strings)

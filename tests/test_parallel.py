@@ -202,8 +202,6 @@ def test_the_ranking_by_distance_is_that_of_brute_force(scenes):
     there = list(metres)
     got = key_agents.logged_vehicles(scene, step, "nearest")
     assert got == [0, *sorted(there, key=metres.__getitem__)]
-    with pytest.warns(DeprecationWarning, match="nearest"):
-        assert key_agents.logged_vehicles(scene, step, "distance") == got
     for ranking in key_agents.RANKINGS:
         ranked = key_agents.logged_vehicles(scene, step, ranking)
         assert sorted(ranked) == [0, *there]

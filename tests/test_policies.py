@@ -12,13 +12,13 @@ import ccdiff_env
 from ccdiff_env import WorldConfig, policies
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
+from ccdiff_env.envs import ppo
 from ccdiff_env.errors import (
     ConfigError,
     DatasetError,
     DatasetNotFoundError,
     ShapeError,
 )
-from ccdiff_env.policies import ppo
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene

@@ -13,7 +13,6 @@ from view_rollouts import plan_of
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
 from ccdiff_env.scenes.scenarionet import load_scenario_dict
-from ccdiff_env.traffic import TrafficPlan
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
 #: Arrays of a plan in files of the first format.
@@ -150,20 +149,6 @@ def test_plans_of_files_of_before_are_read(driven, tmp_path):
     assert np.isnan(again.samples[..., 2]).all()
     assert np.isnan(again.shift_sigmas).all()
     assert again.attention is None
-
-
-def test_former_names_of_plans_warn():
-    with pytest.warns(DeprecationWarning, match="'RolloutPlan' is called 'TrafficPlan'"):
-        assert ccdiff_env.RolloutPlan is TrafficPlan
-    plan = plan_of(3, [0], np.ones((2, 1, 4, 2), np.float32))
-    fields = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
-    fields["chosen"] = fields.pop("selected_sample")
-    with pytest.warns(DeprecationWarning, match="'chosen' is called 'selected_sample'"):
-        plan = TrafficPlan(**fields)
-    with pytest.warns(DeprecationWarning, match="follows_plan"):
-        assert plan.executed == [True]
-    with pytest.warns(DeprecationWarning, match="made_at"):
-        assert plan.step == 3
 
 
 @pytest.mark.parametrize("name", ["graph", "losses", "samples", "ranking", "selected_sample"])

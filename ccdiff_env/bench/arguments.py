@@ -73,21 +73,6 @@ class Listed(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
-class Former(argparse.Action):
-    """The former name of the option that stores in the same place; says so."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        super().__init__(option_strings, dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
-
-    def __call__(
-        self, parser: object, namespace: argparse.Namespace, values: Any, option: str | None = None
-    ) -> None:
-        """Store the value."""
-        now = f"--{self.dest}; the old name goes with the next release"
-        print(f"{option} is called {now}", file=sys.stderr)
-        setattr(namespace, self.dest, values)
-
-
 #: Tables of names for :class:`Listed`.
 METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (

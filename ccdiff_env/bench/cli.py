@@ -9,7 +9,6 @@ from typing import Any
 from ccdiff_env.bench.arguments import (
     METHODS,
     PLANNERS,
-    Former,
     Listed,
     Run,
     add_device,
@@ -22,7 +21,6 @@ from ccdiff_env.bench.arguments import (
     replan_steps,
 )
 from ccdiff_env.bench.planner_cli import add_planner_benchmark
-from ccdiff_env.errors import renamed
 from ccdiff_env.policies.planners import EGO_HELP
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -77,7 +75,6 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add_weights(parser)
     add_device(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
-    parser.add_argument("--human", action=Former, dest="listed")
     parser.set_defaults(run=_traffic)
 
 
@@ -94,7 +91,6 @@ def _traffic(args: argparse.Namespace) -> int:
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
     listed = None
     settings: dict[str, Any] = {}
-    methods = [renamed("method", name, {"ccdiff_human": "ccdiff_listed"}) for name in methods]
     if args.listed is not None:
         listed = read_ranking(args.listed)
         settings["listed"] = {name: list(ids) for name, ids in sorted(listed.items())}
@@ -248,7 +244,6 @@ def _add_learning(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = kinds.add_parser("learning", help="egos trained in different traffic, all compared")
     add_run_arguments(parser)
     add_other_scenes(parser, "train")
-    parser.add_argument("--lessons", action=Former, dest="stages")
     parser.add_argument(
         "--stages",
         default="replay,ccdiff,critical",

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-import ccdiff_env
 from ccdiff_env.bench.provenance import processor
+from ccdiff_env.envs import make_vec
 from ccdiff_env.errors import CcdiffError
 from ccdiff_env.scenes import cache_directory
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import coverage, load
 from ccdiff_env.system.terminal import say
+from ccdiff_env.system.version import __version__
 
 #: Packages of the extras that are of interest, and what they are for.
 PACKAGES = {
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print a table; the status is 1 where the world does not work."""
     rows = [
-        ("ccdiff-env", f"{ccdiff_env.__version__}, in {Path(ccdiff_env.__file__).parent}"),
+        ("ccdiff-env", f"{__version__}, in {Path(__file__).parents[1]}"),
         ("Python", platform.python_version()),
         ("system", f"{platform.system()} {platform.machine()}"),
         ("processor", f"{processor()}, {os.cpu_count()} cores"),
@@ -86,7 +87,7 @@ def _scenes(args: argparse.Namespace) -> str:
 
 def _speed() -> str:
     """Steps a second of one world with IDM traffic."""
-    env = ccdiff_env.make_vec(1, traffic="idm")
+    env = make_vec(1, traffic="idm")
     env.reset(seed=0)
     actions = np.zeros(env.action_space.shape or (), np.float32)
     steps, start = 0, time.perf_counter()

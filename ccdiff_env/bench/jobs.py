@@ -10,16 +10,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
-from threading import Thread
 from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.processes import end_with_parent
 
-__all__ = ["Job", "end_with_parent", "processor_seconds", "results", "run_jobs"]
+__all__ = ["Job", "processor_seconds", "results", "run_jobs"]
 
 Backend = Literal["local", "ray"]
 
@@ -140,18 +140,6 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
     with ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as pool:
         for future in as_completed([pool.submit(_run, job) for job in jobs]):
             yield future.result()
-
-
-def end_with_parent() -> None:
-    """Let this worker end when the process that began it has: else it would work on unseen."""
-
-    def watch() -> None:
-        parent = parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
 
 
 #: Figures of rows whose mean is shown while jobs are done, the first that there is.

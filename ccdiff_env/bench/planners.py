@@ -28,20 +28,20 @@ import numpy.typing as npt
 from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers
-from ccdiff_env.bench.pdm import PdmPlanner
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
-from ccdiff_env.errors import ConfigError, UnknownNameError, renamed
+from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.policies.pdm import PdmPlanner
 from ccdiff_env.policies.planners import Ego, Seat, ego_driver
-from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.episode import begin, recorders_of
+from ccdiff_env.record.episode import play as played
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_titles
 from ccdiff_env.view.captions import planner_title
-from ccdiff_env.worlds import Worlds
 
 __all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
 
@@ -87,7 +87,7 @@ def _critical(level: float, driver: str = "ccdiff", *, avoidable_only: bool = Fa
 
 def _named(label: str, name: str) -> Traffic:
     kind, _, path = name.partition(":")
-    if renamed("traffic", kind, {"chooser": "adversary"}) != "adversary":
+    if kind != "adversary":
         return Traffic(label, name)
     options = {"criticality": 1.0, "num_samples": 1, "replan_steps": REPLAN_STEPS}
     return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, adversary_policy=path)
@@ -336,42 +336,32 @@ def drive(
         driver=driver,
         ccdiff=dict(traffic.ccdiff),
     )
-    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
-    native, out = worlds.native, worlds.arrays()
-    native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    nothing = np.zeros((len(scenes), native.action_width), np.float32)
+    worlds = begin(scenes, config, seed)
     if seat is not None:
         seat.begin(worlds)
     path = traffic.adversary_policy
     adversary_policy = None if path is None else AdversaryPolicy(worlds, path)
+    nothing = np.zeros((len(scenes), worlds.native.action_width), np.float32)
+
+    def act(obs: npt.NDArray[np.float32], running: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
+        actions = nothing if seat is None else seat(obs, running)
+        if adversary_policy is not None:
+            adversary_policy.choose(running)
+        return actions
+
     names = worlds.column_names
-    recorders = {
-        i: Recorder(worlds, world_idx=i, planner=who)
-        for i, scene in enumerate(scenes)
-        if scene.name in record
-    }
-    for recorder in recorders.values():
-        recorder.start()
+    recorders = recorders_of(worlds, record, planner=who)
     tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
     columns: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
-    running = np.ones(len(scenes), np.bool_)
-    while running.any():
-        actions = nothing if seat is None else seat(out.obs[:, 0], running)
-        if adversary_policy is not None:
-            adversary_policy.choose(running)
-        rows = actions.astype(np.float32).reshape(len(scenes), 1, -1)
-        native.step(rows, out, running)
+    for running, actions, out in played(worlds, act, recorders=recorders):
         if adversary_policy is not None:
             adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
             columns[i].append(out.columns[i, 0].copy())
-            tapes[i].step(rows[i, 0], columns[i][-1])
-            if i in recorders:
-                recorders[i].step()
+            tapes[i].step(actions[i, 0], columns[i][-1])
             if out.done[i]:
-                metrics[i] = native.ended_metrics([i])[0, 0]
-        running &= ~out.done
+                metrics[i] = worlds.native.ended_metrics([i])[0, 0]
     found = [
         {
             "scene": scene.name,

@@ -14,14 +14,13 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.policies.planners import Seat
+from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.system.files import read_bytes
 
 __all__ = ["PROTOCOL", "Protocol"]
 
 _FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.0.json"
-#: Options that a planner may choose; the protocol fixes all others.
-CHOICES = ("action", "observation", "decision_steps")
 #: Arguments that the protocol fixes, beside the version of the tables.
 _FIXED = ("traffic", "seeds", "scenes", "split", "limit")
 
@@ -80,20 +79,8 @@ class Protocol:
         ConfigError
             If the planner asks for anything else; names it.
         """
-        world = WorldConfig.from_json(json.dumps(self.fields["world"])).with_options(dt_s=dt_s)
-        if seat is None:
-            return world
-        usual, asked = (json.loads(c.to_json()) for c in (WorldConfig(), seat.config))
-        free = (*CHOICES, "dt_s") if seat.trained_in(dt_s) else CHOICES
-        changed = [name for name in asked if asked[name] != usual[name] and name not in free]
-        if changed:
-            name = changed[0]
-            raise ConfigError(
-                f"{who}: env_options changes {name} to {asked[name]!r}, which {self.name} fixes at "
-                f"{json.loads(world.to_json())[name]!r}; a planner may choose action, "
-                "observation, decision_steps and dynamics"
-            )
-        return world.with_options(action=seat.config.action, observation=seat.config.observation)
+        world = WorldConfig.from_json(json.dumps(self.fields["world"]))
+        return world_of_seat(world, seat, who, fixed_by=self.name, dt_s=dt_s)
 
     def fix(self, args: argparse.Namespace) -> dict[str, Any]:
         """Fill in the arguments that a level fixes, where ``--protocol`` is given.

@@ -12,7 +12,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -25,7 +25,7 @@ from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.record.counterfactual import rollout_avoidability
-from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.files import (
     file_name,
@@ -160,21 +160,6 @@ class ScenarioSet:
         The ego's own log stays in it, so that route, goal and progress are the same in every set.
         """
         return as_scene(self.rollout(scene))
-
-
-def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
-    """Return the scene of a recorded episode with the logged path of its ego, to the log's end."""
-    ego = rollout.agent_ids.index("ego")
-    tracks = dict[str, Any](rollout.scene.tracks())
-    shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
-    changed: dict[str, Any] = {}
-    for field in ("position", "heading", "velocity", "valid"):
-        recorded = getattr(rollout, field)
-        changed[field] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
-        changed[field][:, : rollout.num_steps] = recorded
-        changed[field][ego] = tracks[field][ego, rollout.start_step :]
-    whole = replace(rollout, **changed, events=(), info={}, plans=())
-    return whole.to_scene(name or rollout.scene.name)
 
 
 def generate(

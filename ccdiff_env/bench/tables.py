@@ -51,11 +51,6 @@ FIGURES: dict[str, str] = {
     "gradient_cosine": "cosine of the gradients of realism and guidance",
     "graph_sparsity": "share of pairs that G does not join",
 }
-#: Former names of figures of a scene in run folders of an older release.
-FORMER = {
-    "off_road_parity": "off_road_reference_impl",
-    "comfort_parity": "comfort_reference_impl",
-}
 #: Figures that scenes without a road do not have.
 NEED_ROAD = ("orr", "orr_box", "orr_reference_impl")
 RESAMPLES = 1000
@@ -108,10 +103,6 @@ def condition_of(job: str) -> Condition:
     return Condition(unquote(method), None if k == "KFull" else int(k[1:]), int(steps[1:]))
 
 
-def _under_present_names(rows: Rows) -> Rows:
-    return [{FORMER.get(name, name): value for name, value in row.items()} for row in rows]
-
-
 def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     """Return the figures of one condition.
 
@@ -124,7 +115,6 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     seed
         Of the bootstrap.
     """
-    rows, log = _under_present_names(rows), _under_present_names(log)
     columns = {
         "scr": [row["collision"]["all"] for row in rows],
         "scr_new": [row["collision"]["new"] for row in rows],

@@ -21,9 +21,9 @@ from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.record.episode import begin, play
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import write_aside
-from ccdiff_env.worlds import Worlds
 
 __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 
@@ -109,13 +109,10 @@ def _drive(scene: Scene, ids: tuple[str, ...], steps: int, model: str | None) ->
         autoreset="disabled",
         dt_s=scene.dt,
     )
-    worlds = Worlds(SceneSet([scene]), config, num_worlds=1, num_threads=1)
-    native, out = worlds.native, worlds.arrays()
-    native.reset([0], [0], None, out)
-    columns = []
-    for _ in range(steps):
-        native.step(native.expert_actions(0)[None, :, : native.action_width], out)
-        columns.append(out.columns[0].copy())
+    worlds = begin(SceneSet([scene]), config, 0)
+    native = worlds.native
+    played = play(worlds, lambda *_: native.expert_actions(0)[:, : native.action_width], most=steps)
+    columns = [step.out.columns[0].copy() for step in played]
     names = worlds.column_names
     return {
         name: np.array(columns)[..., names.index(name)]

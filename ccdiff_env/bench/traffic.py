@@ -26,11 +26,10 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.metrics import Motion, causal
-from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, TrafficPlan
-from ccdiff_env.worlds import Worlds
 
 __all__ = ["episodes", "evaluate", "traffic_jobs"]
 
@@ -269,10 +268,9 @@ def episodes(
     )
     # a model given by its path drives under a name
     driver = config.traffic if isinstance(config.traffic, str) else method.driver
-    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
-    out, native = worlds.arrays(), worlds.native
-    everyone = list(range(len(scenes)))
-    native.reset([seed] * len(scenes), list(everyone), None, out)
+    worlds = begin(scenes, config, seed)
+    native = worlds.native
+    everyone = range(len(scenes))
     chosen = [
         _vehicles(scene).tolist()
         if own
@@ -290,27 +288,16 @@ def episodes(
             native.override_plan(i, guided=chosen[i][: method.num_guided], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[TrafficPlan]] = [[] for _ in everyone]
-    recorders = {
-        i: Recorder(worlds, world_idx=i, method=method.label)
-        for i in everyone
-        if scenes[i].name in record
-    }
-    for recorder in recorders.values():
-        recorder.start()
-    actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
-    running = list(everyone)
-    for step in range(HORIZON_STEPS):
-        if out.done.any():
-            break
-        native.step(actions, out)
-        for i in running:
+    recorders = recorders_of(worlds, record, method=method.label)
+    for step, (_, _, out) in enumerate(play(worlds, recorders=recorders, most=HORIZON_STEPS)):
+        for i in everyone:
             states[i].append(native.states(i))
             due = method.driver in NETWORKS and step % config.ccdiff.replan_steps == 0
             plan = worlds.explain(i) if due else None
             if plan is not None and plan.made_at == step:
                 plans[i].append(plan)
-        for recorder in recorders.values():
-            recorder.step()
+        if out.done.any():
+            break
     if own:
         chosen = [p[0].agents[p[0].follows_plan].tolist() if p else [] for p in plans]
     found = [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.errors import ConfigError, MissingFeatureError, renamed
+from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import Worlds
 
@@ -33,21 +33,14 @@ RENDER_OPTIONS: dict[str, Any] = {
 }
 
 
-def checked_render_options(
-    given: Mapping[str, Any] | None, options: dict[str, Any]
-) -> dict[str, Any]:
+def checked_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the options of images with defaults filled in.
-
-    ``options`` are other arguments of the environment: ``picture`` among them is the former name.
 
     Raises
     ------
     ConfigError
         If a name is unknown.
     """
-    names = {"picture": "render_options"}
-    for name in [name for name in options if renamed("argument", name, names) != name]:
-        given = options.pop(name)
     for name in given or {}:
         if name not in RENDER_OPTIONS:
             raise unknown("render option", str(name), RENDER_OPTIONS)

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.config import unknown
-from ccdiff_env.errors import renamed
 
 __all__ = ["RANKINGS", "KeyRanking", "logged_vehicles", "rank_agents", "ranking_named"]
 
@@ -24,14 +23,13 @@ RANKINGS: tuple[KeyRanking, ...] = ("cliques", "nearest", "ttc", "first", "rando
 
 
 def ranking_named(name: str) -> KeyRanking:
-    """Return the ranking of a name; ``"distance"`` is the former name of ``"nearest"``.
+    """Return the ranking of a name.
 
     Raises
     ------
     ConfigError
         For another name.
     """
-    name = renamed("ranking", name, {"distance": "nearest"})
     for known in RANKINGS:
         if name == known:
             return known

@@ -110,7 +110,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("human", "rgb_array"))
-        self._render_options = checked_render_options(render_options, options)
+        self._render_options = checked_render_options(render_options)
         chosen = scene_set(scenes)
         resolved = world_config(chosen, config, options, observation).with_options(
             autoreset="disabled"

@@ -142,7 +142,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("rgb_array",))
-        self._render_options = checked_render_options(render_options, options)
+        self._render_options = checked_render_options(render_options)
         chosen = scene_set(scenes)
         resolved = world_config(chosen, config, options, observation).with_options(
             autoreset=_AUTORESET[mode]

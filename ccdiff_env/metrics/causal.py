@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError, renamed, takes_former_names
+from ccdiff_env.errors import ShapeError
 
 TTC_CAP_S = 20.0
 """Times to contact are capped here, seconds."""
@@ -186,7 +186,6 @@ def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
     return (DISTANCE_CAP_M - np.clip(metres, 0.0, DISTANCE_CAP_M)) / np.float32(DISTANCE_CAP_M)
 
 
-@takes_former_names(joined="adjacency")
 @dataclass(frozen=True)
 class Graph:
     """The decision causal graph G."""
@@ -435,7 +434,7 @@ def rank(
         return array
 
     chosen, num_named, exact = _native.causal_rank(
-        renamed("ranker", ranker, {"distance": "distance_cliques", "given": "listed"}),
+        ranker,
         top_k,
         there,
         pairs("ttc", ttc),

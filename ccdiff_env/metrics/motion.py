@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import SceneError, ShapeError, renamed, takes_former_names
+from ccdiff_env.errors import SceneError, ShapeError
 
 Variant = Literal["all", "controlled", "new", "controlled_new"]
 
@@ -53,7 +53,6 @@ class Collisions:
         return matrix
 
 
-@takes_former_names(parity_rate="reference_impl_rate")
 @dataclass(frozen=True)
 class OffRoad:
     """Where agents are off the drivable area, and how often."""
@@ -243,8 +242,7 @@ class Motion:
             of the acceleration by cosine and sine of the heading in the world, as the release does.
         stride : steps between entries; 5 steps of 0.1 s as the release.
         """
-        name = renamed("axes", axes, {"parity": "reference_impl"})
-        histograms: npt.NDArray[np.float64] = self._native.comfort(name, stride)
+        histograms: npt.NDArray[np.float64] = self._native.comfort(axes, stride)
         return histograms
 
     def min_ttc(self) -> npt.NDArray[np.float32]:

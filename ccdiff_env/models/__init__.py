@@ -19,8 +19,6 @@ from ccdiff_env.errors import (
     ConfigError,
     DatasetNotFoundError,
     MissingFeatureError,
-    renamed,
-    takes_former_names,
 )
 from ccdiff_env.models.curves import Curves
 from ccdiff_env.models.training_loop import run_training
@@ -38,8 +36,6 @@ __all__ = [
 
 #: The release of torch whose libtorch the networks are built with.
 TORCH = "2.11.0"
-#: Former names of classes, for one release.
-_FORMER = {"Planner": "TrajectoryModel"}
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
@@ -140,7 +136,6 @@ def weights_path(
     return shipped_weights(one_step=denoising_steps == 1, routes=follow_route)
 
 
-@takes_former_names(chosen="selected_sample")
 @dataclass(frozen=True)
 class ScenePlan:
     """Plans for the vehicles of one scene at one step.
@@ -467,9 +462,3 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
         for key, value in changes.items()
     }
     return {**preset, **parts}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _FORMER:
-        raise AttributeError(f"module 'ccdiff_env.models' has no attribute {name!r}")
-    return globals()[renamed("class", name, _FORMER)]

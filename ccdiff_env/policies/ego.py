@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
+from ccdiff_env.policies.holding import Held
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import parsed_object, reading
@@ -196,7 +197,7 @@ class EgoPolicy:
             If the worlds do not fit.
         """
         self.check(worlds)
-        held, native = self.config.decision_steps, worlds.native
+        held = self.config.decision_steps
         if worlds.config.decision_steps not in (1, held):
             raise ConfigError(
                 f"policy: trained with decision_steps={held}, the worlds have "
@@ -204,17 +205,8 @@ class EgoPolicy:
             )
         if worlds.config.decision_steps == held:
             return self.act
-        present = np.zeros((worlds.num_worlds, native.action_width), np.float32)
-
-        def act(obs: npt.NDArray[Any]) -> F32:
-            elapsed = np.array([native.status(i).elapsed_steps for i in range(worlds.num_worlds)])
-            due = elapsed % held == 0
-            if due.any():
-                # of all worlds: products of matrices round with the number of rows
-                present[due] = self.act(obs)[due]
-            return present
-
-        return act
+        holding = Held(worlds, held)
+        return lambda obs: holding(lambda: self.act(obs))
 
 
 def save_ego(
@@ -230,7 +222,7 @@ def save_ego(
     path
         File to write.
     tensors
-        State of the network as :mod:`ccdiff_env.policies.ppo` has it, tensors or arrays.
+        State of the network as :mod:`ccdiff_env.envs.ppo` has it, tensors or arrays.
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
     about

@@ -26,6 +26,7 @@ from ccdiff_env.errors import (
     ShapeError,
 )
 from ccdiff_env.policies import SHIPPED, find_policy
+from ccdiff_env.policies.holding import Held
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import driver_names
@@ -150,15 +151,9 @@ class Seat:
         if isinstance(fit, Fit):
             fit.check(worlds.config, worlds.native.layout_json, self.name)
         self._worlds, self._given_worlds = worlds, given_worlds
-        width, discrete = worlds.native.action_width, worlds.native.num_actions is not None
-        self._shape = (worlds.num_worlds,) if discrete else (worlds.num_worlds, width)
         drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
         self._act = self._planner.drive(worlds) if drives else self._act
-        alone = worlds.config.decision_steps == 1 and not drives
-        self._held = self.config.decision_steps if alone else 1
-        self._present: npt.NDArray[Any] = np.zeros(
-            self._shape, np.int64 if discrete else np.float32
-        )
+        self._held = Held(worlds, 1 if drives else self.config.decision_steps)
         self.reset(range(worlds.num_worlds))
 
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
@@ -181,29 +176,25 @@ class Seat:
         ShapeError
             If the planner returns another shape, or numbers that are not finite.
         """
-        worlds = self._worlds
-        if worlds is None:  # a function by itself
+        if self._worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
-        due = np.ones(worlds.num_worlds, np.bool_) if active is None else active
-        if self._held > 1:
-            elapsed = [worlds.native.status(i).elapsed_steps for i in range(worlds.num_worlds)]
-            due = due & (np.asarray(elapsed) % self._held == 0)
-            if not due.any():
-                return self._present
-        given = obs if self._form == "flat" else worlds.layout.split(obs)
-        found = np.asarray(self._act(given))
-        if found.shape == (*self._shape, 1) and len(self._shape) == 1:
+        return self._held(lambda: self._decided(obs), active)
+
+    def _decided(self, obs: F32) -> npt.NDArray[Any]:
+        """Return what the planner decides, checked."""
+        assert self._worlds is not None
+        given = obs if self._form == "flat" else self._worlds.layout.split(obs)
+        found, shape = np.asarray(self._act(given)), self._held.shape
+        if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
-        if found.shape != self._shape or found.dtype.kind not in "iuf":
+        if found.shape != shape or found.dtype.kind not in "iuf":
             raise ShapeError(
                 f"{self.name} returned {found.dtype} {list(found.shape)} for {len(obs)} worlds, "
-                f"expected actions {list(self._shape)}"
+                f"expected actions {list(shape)}"
             )
         if not np.isfinite(found).all():
             raise ShapeError(f"{self.name} returned numbers that are not finite")
-        self._present = self._present.copy()
-        self._present[due] = found[due]
-        return self._present
+        return found
 
 
 class _Sb3:

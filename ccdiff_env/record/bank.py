@@ -18,19 +18,26 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.jobs import end_with_parent
-from ccdiff_env.bench.planners import Traffic, drive
-from ccdiff_env.bench.scenario_sets import OPTIONS, as_scene
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weights_path
+from ccdiff_env.policies.planners import ego_driver
 from ccdiff_env.record.counterfactual import rollout_avoidability
+from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
+from ccdiff_env.record.rollout import as_scene
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.processes import end_with_parent
 from ccdiff_env.worlds import Scenes, scene_set
 
 __all__ = ["load_bank", "record_bank"]
 
 FORMAT = "ccdiff-env bank 1"
+#: The world of every episode. It goes on to the end of the horizon, so that slower egos meet the
+#: same traffic.
+WORLD = WorldConfig().with_options(
+    on_collision="stop", on_off_road="ignore", terminate_at_goal=False, autoreset="disabled"
+)
 SETTINGS = "bank.json"
 #: Scenes that share a batch of the network, and a file.
 PIECE = 12
@@ -159,11 +166,20 @@ def _record(
 ) -> None:
     """Record one part and write its file."""
     scenes = SceneSet([Scene.from_bytes(data) for data in packed])
+    driver, seat = ego_driver(ego)
+    who = driver if seat is None else seat.name
+    fixed = world_of_seat(WORLD, seat, who, fixed_by="a bank", dt_s=scenes[0].dt)
     settings = {"criticality": criticality, "num_samples": 1}
-    traffic = Traffic(f"CCDiff, criticality {criticality:g}", "ccdiff", settings)
-    _, rollouts = drive(scenes, ego, traffic, seed=seed, options=OPTIONS, record=scenes.names)
+    config = fixed.with_options(traffic="ccdiff", driver=driver, ccdiff=settings)
+    worlds = begin(scenes, config, seed)
+    if seat is not None:
+        seat.begin(worlds)
+    recorders = recorders_of(worlds, scenes.names, planner=who)
+    for _ in play(worlds, seat, recorders=recorders):
+        pass
     parts = []
-    for name, rollout in rollouts.items():
+    for i, recorder in recorders.items():
+        name, rollout = scenes[i].name, recorder.rollout()
         found = rollout_avoidability(rollout) if avoidable_only else None
         if found is not None and not found.avoidable:
             continue

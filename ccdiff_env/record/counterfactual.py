@@ -5,28 +5,22 @@ All questions are asked of forks of a running environment or of a recorded rollo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import (
-    ActionConfig,
-    AssistedLimits,
-    BicycleLimits,
-    DeltaPoseLimits,
-    WorldConfig,
-)
-from ccdiff_env.envs.single import EgoEnv
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.policies.planners import Act, Ego, ego_driver
-from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.policies.planners import Ego, ego_driver
+from ccdiff_env.policies.steering import Steering
+from ccdiff_env.record.episode import begin, play
+from ccdiff_env.record.recorder import HasWorlds, Recorder, worlds_of
 from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.scenes import Scene, with_tracks
+from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.worlds import Worlds
-from ccdiff_env.worlds.snapshot import Snapshot
 
 __all__ = [
     "Attribution",
@@ -110,7 +104,7 @@ class Attribution:
 
 
 def branch(
-    env: EgoEnv,
+    env: HasWorlds | Worlds,
     *,
     ego: Ego,
     adversaries: Sequence[str] | None = None,
@@ -143,113 +137,51 @@ def branch(
     ConfigError
         If the traffic takes no adversaries, or the ego cannot be driven so from outside.
     """
-    fork = env.fork()
-    native = fork.worlds.native
-    if not native.begun(0):
+    worlds = worlds_of(env)
+    if not worlds.native.begun(0):
         raise ResetNeededError("branch: the environment was never reset")
+    fork = _fork(worlds)
+    native = fork.native
     if adversaries is not None:
         if not native.planners:
             raise ConfigError(
                 f"adversaries: traffic is {fork.config.traffic!r}, expected one that plans, as "
                 "'ccdiff'"
             )
-        ids = fork.scene.agent_ids
+        ids = fork.scenes[native.status(0).scene_idx].agent_ids
         native.override_plan(0, guided=[ids.index(one) for one in adversaries], criticality=None)
     act = _taken_over(fork, ego)
     recorder = Recorder(fork, planner=str(ego), source_step=native.status(0).elapsed_steps)
-    recorder.start()
-    done, count = False, 0
-    while not done and (steps is None or count < steps):
-        action = act(fork.worlds.observation(0))[0]
-        if fork.action_space.shape == ():
-            action = np.int64(np.ravel(action)[0])
-        _, _, terminated, truncated, _ = fork.step(action)
-        recorder.step()
-        done, count = terminated or truncated, count + 1
+    for _ in play(fork, act, recorders={0: recorder}, most=steps):
+        pass
     return recorder.rollout()
 
 
-def _taken_over(env: EgoEnv, ego: Ego) -> Act:
-    """Put somebody into the ego's seat; returns the function that makes its actions."""
-    driver, act = ego_driver(ego)
-    if act is not None:
-        if env.config.driver != "external":
-            raise ConfigError(f"ego: driver is {env.config.driver!r}, expected 'external'")
-        act.begin(env.worlds)
-        return act
-    if driver == "replay" and env.config.driver == "external":
-        return lambda _: env.worlds.native.expert_actions(0)
-    if driver != env.config.driver:
-        agent = env.worlds.native.slot_agents(0)[0]
-        env.worlds.native.assign(0, [] if agent is None else [agent], driver)
-    nothing = np.zeros((1, *(env.action_space.shape or ())), np.float32)
-    return lambda _: nothing.astype(np.int64) if env.action_space.shape == () else nothing
+def _fork(worlds: Worlds, num_worlds: int = 1, **options: Any) -> Worlds:
+    """Return new worlds in the state of the first one of ``worlds``, with other options."""
+    config = worlds.config.with_options(**options)
+    fork = Worlds(worlds.scenes, config, num_worlds=num_worlds, num_threads=1)
+    state = worlds.native.snapshot(0)
+    for i in range(num_worlds):
+        fork.native.restore(i, state)
+    return fork
 
 
-class Steering:
-    """Turns an acceleration and a distance from the route into normalised actions.
-
-    Parameters
-    ----------
-    worlds
-        Worlds whose first slot is steered, with continuous actions of the unicycle or bicycle.
-
-    Raises
-    ------
-    ConfigError
-        For indices of a grid, and for the delta-pose model.
-    """
-
-    def __init__(self, worlds: Worlds) -> None:
-        action: ActionConfig = worlds.config.action
-        if action.discrete or isinstance(action.dynamics, (AssistedLimits, DeltaPoseLimits)):
-            raise ConfigError(
-                "actions: plans of the ego need continuous actions of the unicycle or bicycle"
-            )
-        self._worlds = worlds
-        self._action = action
-        self._routes: dict[int, F32] = {}
-
-    def _route(self, world_idx: int) -> F32:
-        if world_idx not in self._routes:
-            route = self._worlds.native.route(world_idx, 0)
-            if route is None:
-                raise ConfigError("plans of the ego: the slot is empty")
-            self._routes[world_idx] = route[0]
-        return self._routes[world_idx]
-
-    def action(
-        self, world_idx: int, states: Any, ego: int, acceleration_mps2: float, offset_m: float
-    ) -> F32:
-        """Return the action [W] that steers towards the shifted route ahead (pure pursuit)."""
-        route = self._route(world_idx)
-        at, heading = states["position"][ego], float(states["heading"][ego])
-        speed = float(states["speed"][ego])
-        reach = max(4.0, 0.8 * speed)
-        nearest = int(np.argmin(((route - at) ** 2).sum(axis=1)))
-        beyond = np.linalg.norm(route[nearest:] - route[nearest], axis=1) >= reach
-        target = nearest + (int(np.argmax(beyond)) if beyond.any() else len(beyond) - 1)
-        before = route[max(target - 1, 0)]
-        way = route[target] - before if target > 0 else route[min(1, len(route) - 1)] - route[0]
-        way = way / max(float(np.linalg.norm(way)), 1e-6)
-        goal = route[target] + offset_m * np.array([-way[1], way[0]])
-        dx, dy = goal - at
-        angle = np.arctan2(dy, dx) - heading
-        angle = float(np.arctan2(np.sin(angle), np.cos(angle)))
-        curvature = 2.0 * np.sin(angle) / max(float(np.hypot(dx, dy)), 1.0)
-        limits = self._action
-        limit = (
-            limits.max_acceleration_mps2 if acceleration_mps2 > 0 else limits.max_deceleration_mps2
-        )
-        if isinstance(limits.dynamics, BicycleLimits):
-            length = float(
-                self._worlds.scenes[self._worlds.native.status(world_idx).scene_idx].sizes[ego, 0]
-            )
-            wheel = np.arctan(curvature * limits.dynamics.wheelbase_share * length)
-            turn = wheel / limits.max_steering_rad
-        else:
-            turn = curvature * speed / limits.max_yaw_rate_radps
-        return np.clip(np.array([acceleration_mps2 / limit, turn]), -1.0, 1.0).astype(np.float32)
+def _taken_over(worlds: Worlds, ego: Ego) -> Callable[..., npt.NDArray[Any]] | None:
+    """Put somebody into the ego's seat; returns what makes its actions, if not the world does."""
+    driver, seat = ego_driver(ego)
+    at_present = worlds.config.driver
+    if seat is not None:
+        if at_present != "external":
+            raise ConfigError(f"ego: driver is {at_present!r}, expected 'external'")
+        seat.begin(worlds)
+        return seat
+    if driver == "replay" and at_present == "external":
+        return lambda *_: worlds.native.expert_actions(0)
+    if driver != at_present:
+        agent = worlds.native.slot_agents(0)[0]
+        worlds.native.assign(0, [] if agent is None else [agent], driver)
+    return None
 
 
 def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
@@ -278,7 +210,7 @@ def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
 
 
 def avoidability(
-    env: EgoEnv,
+    env: HasWorlds | Worlds,
     *,
     num_samples: int = 128,
     horizon_s: float | None = None,
@@ -314,19 +246,19 @@ def avoidability(
     ConfigError
         If the ego takes no continuous actions from outside.
     """
-    config = env.config
+    worlds = worlds_of(env)
+    config, native = worlds.config, worlds.native
     if config.driver != "external":
         raise ConfigError(f"avoidability: driver is {config.driver!r}, expected 'external'")
-    if not env.worlds.native.begun(0):
+    if not native.begun(0):
         raise ResetNeededError("avoidability: the environment was never reset")
-    start = Snapshot.from_bytes(env.snapshot()).world
     plans = ego_plans(num_samples, seed)
-    left = config.horizon_steps - env.worlds.native.status(0).elapsed_steps
+    left = config.horizon_steps - native.status(0).elapsed_steps
     steps = left if horizon_s is None else min(round(horizon_s / config.dt_s), left)
     tried = 0
     for first in range(0, len(plans), batch):
         some = plans[first : first + batch]
-        safe = _try(env, start, some, steps, stay_on_road)
+        safe = _try(worlds, some, steps, stay_on_road)
         tried += len(some)
         if safe.any():
             return Avoidability(True, some[int(np.argmax(safe))], tried, int(safe.sum()))
@@ -334,36 +266,30 @@ def avoidability(
 
 
 def _try(
-    env: EgoEnv, start: bytes, plans: list[EgoPlan], steps: int, stay_on_road: bool
+    origin: Worlds, plans: list[EgoPlan], steps: int, stay_on_road: bool
 ) -> npt.NDArray[np.bool_]:
     """Whether each plan stays free of collisions; all run at once, from the same moment."""
-    config = env.config.with_options(decision_steps=1)
-    worlds = Worlds(env.worlds.scenes, config, num_worlds=len(plans), num_threads=1)
-    for i in range(len(plans)):
-        worlds.native.restore(i, start)
-    steering = Steering(worlds)
-    ego = int(worlds.native.slot_agents(0)[0] or 0)
-    names = worlds.column_names
-    collision, off_road = names.index("collision"), names.index("off_road")
-    safe = np.ones(len(plans), np.bool_)
-    running = np.ones(len(plans), np.bool_)
-    out = worlds.arrays()
-    actions = np.zeros((len(plans), 1, worlds.native.action_width), np.float32)
-    for t in range(steps):
-        if not running.any():
-            break
-        seconds = t * env.config.dt_s
-        for i in np.flatnonzero(running):
-            plan = plans[i]
+    worlds = _fork(origin, len(plans), decision_steps=1)
+    native, steering = worlds.native, Steering(worlds)
+    ego = int(native.slot_agents(0)[0] or 0)
+    begun = native.status(0).elapsed_steps
+    actions = np.zeros((len(plans), native.action_width), np.float32)
+
+    def act(_: F32, running: npt.NDArray[np.bool_]) -> F32:
+        for i in np.flatnonzero(running).tolist():
+            plan, status = plans[i], native.status(i)
+            seconds = (status.elapsed_steps - begun) * worlds.config.dt_s
             acceleration = plan.acceleration_mps2[int(seconds >= plan.switch_s)]
-            states = worlds.native.states(int(i))
-            actions[i, 0, :2] = steering.action(int(i), states, ego, acceleration, plan.offset_m)
-        worlds.native.step(actions, out, running)
-        hit = out.columns[:, 0, collision] > 0
-        if stay_on_road:
-            hit = hit | (out.columns[:, 0, off_road] > 0)
+            actions[i, :2] = steering.action(i, native.states(i), ego, acceleration, plan.offset_m)
+        return actions
+
+    causes = ("collision", "off_road") if stay_on_road else ("collision",)
+    columns = [worlds.column_names.index(name) for name in causes]
+    safe = np.ones(len(plans), np.bool_)
+    for step in play(worlds, act, most=steps):
+        hit = (step.out.columns[:, 0, columns] > 0).any(axis=1)
         safe &= ~hit
-        running &= ~hit & ~out.done
+        step.running[hit] = False
     return safe
 
 
@@ -396,15 +322,15 @@ def rollout_avoidability(
     history = rollout.start_step
     start = max(hits[0].step - round(before_s / rollout.dt_s), 0)
     end = hits[0].step + max(round(after_s / rollout.dt_s), 1)
-    config = WorldConfig(
+    config = WorldConfig().with_options(
         dt_s=rollout.dt_s,
         history_steps=history,
         horizon_steps=end - start,
         terminate_at_goal=False,
+        autoreset="disabled",
     )
-    env = EgoEnv(scenes=[_cut(scene, start, history + end + 2)], config=config)
-    env.reset(seed=0)
-    return avoidability(env, **options)
+    worlds = begin(SceneSet([_cut(scene, start, history + end + 2)]), config, 0)
+    return avoidability(worlds, **options)
 
 
 def _cut(scene: Scene, first: int, num_steps: int) -> Scene:
@@ -423,7 +349,7 @@ def _cut(scene: Scene, first: int, num_steps: int) -> Scene:
 
 
 def attribute(
-    env: EgoEnv, *, ego: Ego, reference: Ego = "idm", steps: int | None = None
+    env: HasWorlds | Worlds, *, ego: Ego, reference: Ego = "idm", steps: int | None = None
 ) -> Attribution:
     """Ask who a collision of the ego comes from, from the present moment of an environment on.
 

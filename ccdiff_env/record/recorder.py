@@ -30,6 +30,13 @@ class HasWorlds(Protocol):
         """The native worlds."""
 
 
+def worlds_of(env: HasWorlds | Worlds) -> Worlds:
+    """Return the worlds of an environment, of a wrapper of one, or worlds by themselves."""
+    unwrapped: Any = getattr(env, "unwrapped", env)
+    worlds: Worlds = getattr(unwrapped, "worlds", unwrapped)
+    return worlds
+
+
 def _in_words(traffic: str | Mapping[str, float]) -> str:
     """Traffic as one text: the name, or shares in percent."""
     if isinstance(traffic, str):
@@ -79,7 +86,7 @@ class Recorder:
 
     def __init__(self, env: HasWorlds | Worlds, *, world_idx: int = 0, **meta: Any) -> None:
         unwrapped: Any = getattr(env, "unwrapped", env)
-        self._worlds: Worlds = getattr(unwrapped, "worlds", unwrapped)
+        self._worlds = worlds_of(env)
         self._worlds.check_world(world_idx)
         held = self._worlds.config.decision_steps
         if held != 1:

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, ShapeError, expect_shape, takes_former_names
+from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import NETWORKS, TrafficPlan
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
 
-__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent"]
+__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "as_scene"]
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -72,7 +72,6 @@ class RolloutEvent:
     at_fault: bool = False
 
 
-@takes_former_names(figures="info")
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps.
@@ -374,3 +373,18 @@ def _event(
     if kind not in EVENT_KINDS:
         raise DatasetError(f"event of kind {kind!r}, expected one of {', '.join(EVENT_KINDS)}")
     return RolloutEvent(int(step), agent_id, partner_id, kind, bool(fault))
+
+
+def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
+    """Return the scene of a recorded episode with the logged path of its ego, to the log's end."""
+    ego = rollout.agent_ids.index("ego")
+    tracks = dict[str, Any](rollout.scene.tracks())
+    shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
+    changed: dict[str, Any] = {}
+    for part in ("position", "heading", "velocity", "valid"):
+        recorded = getattr(rollout, part)
+        changed[part] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
+        changed[part][:, : rollout.num_steps] = recorded
+        changed[part][ego] = tracks[part][ego, rollout.start_step :]
+    whole = dataclasses.replace(rollout, **changed, events=(), info={}, plans=())
+    return whole.to_scene(name or rollout.scene.name)

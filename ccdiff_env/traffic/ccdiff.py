@@ -11,7 +11,6 @@ from ccdiff_env.errors import (
     DatasetError,
     ShapeError,
     expect_shape,
-    takes_former_names,
 )
 from ccdiff_env.system.files import parsed_object, read_text, reading
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
@@ -37,7 +36,6 @@ NETWORKS = (
 )
 
 
-@takes_former_names(chosen="selected_sample", executed="follows_plan", step="made_at")
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrafficPlan(PlanFields):
     """A plan that a world follows, and what it was made from: M agents, N samples, T steps.

@@ -11,8 +11,6 @@ from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.load_report import LoadReport
-from ccdiff_env.view.page import page_html
-from ccdiff_env.view.render import pillow
 
 __all__ = ["install"]
 
@@ -32,6 +30,9 @@ def install() -> None:
 
 def rollout_html(rollout: Rollout) -> str:
     """Return the replay page in a frame that can do nothing but run its own scripts."""
+    # imported here: most programs show no notebook
+    from ccdiff_env.view.page import page_html
+
     page = html.escape(page_html(rollout), quote=True)
     return (
         f'<iframe sandbox="allow-scripts" title="{html.escape(repr(rollout), quote=True)}" '
@@ -42,6 +43,9 @@ def rollout_html(rollout: Rollout) -> str:
 
 def scene_html(scene: Scene) -> str:
     """Return an image of the middle of the log, and one line on the scene."""
+    # imported here: most programs show no notebook
+    from ccdiff_env.view.render import pillow
+
     line = html.escape(scene_line(scene))
     try:
         library = pillow()

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
+from ccdiff_env.traffic.python import AGENT_KINDS
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -24,7 +25,7 @@ _NUMBERS = {name: number for name, _, number in _native.drivers()}
 #: Who moves an agent; sets its colour. Further drivers look like one of these.
 DRIVERS = tuple(name for i, (name, number) in enumerate(_NUMBERS.items()) if i == number)
 #: Kinds of agents; set their shape.
-KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+KINDS = AGENT_KINDS
 #: Grounds that images are drawn on; the replay page has the same.
 THEMES = ("light", "dark")
 

@@ -95,6 +95,7 @@ def play_scene(
     # imported here: most pages are of recorded episodes
     from ccdiff_env.envs import EgoEnv
     from ccdiff_env.policies.planners import ego_driver
+    from ccdiff_env.record.episode import play
     from ccdiff_env.record.recorder import Recorder
 
     name, seat = ego_driver(driver)
@@ -106,15 +107,10 @@ def play_scene(
     env = EgoEnv(scenes=scene, traffic=traffic, driver=name, ccdiff=settings, **options)
     env.reset(seed=seed)
     recorder = Recorder(env, planner=driver)
-    recorder.start()
-    action, done = np.zeros(env.action_space.shape or (), np.float32), False
     if seat is not None:
         seat.begin(env.worlds)
-    while not done:
-        action = action if seat is None else seat(env.worlds.observation(0))[0]
-        _, _, terminated, truncated, _ = env.step(action)
-        recorder.step()
-        done = terminated or truncated
+    for _ in play(env.worlds, seat, recorders={0: recorder}):
+        pass
     env.close()
     return recorder.rollout()
 

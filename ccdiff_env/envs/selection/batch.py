@@ -13,7 +13,7 @@ from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.selection.episode import Outcome, SelectionEpisode
 from ccdiff_env.envs.selection.options import ActionMode, SelectionActions, SelectionReward
 from ccdiff_env.envs.selection.view import observation_space
-from ccdiff_env.errors import ConfigError, ResetNeededError, renamed
+from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.policies.planners import Ego, ego_driver
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 
@@ -144,7 +144,6 @@ class SelectionBatch:
 
     def baseline(self, world_idx: int, name: str, seed: int = 0) -> Any:
         """Return the action that an adversary policy of :data:`BASELINES` would take in a world."""
-        name = renamed("baseline", name, {"distance": "nearest"})
         if name not in BASELINES:
             raise unknown("baseline", str(name), BASELINES)
         ranking = BASELINES[name]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.envs.key_agents import KeyRanking, rank_agents
 from ccdiff_env.envs.selection.options import SelectionReward
+from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.worlds import Worlds
@@ -223,9 +224,6 @@ class SelectionEpisode:
         hits = [pair for pair in self._outcome.pairs if ego in pair]
         if self._recorder is None or not hits:
             return 0.0
-        # imported here: counterfactuals are asked of environments
-        from ccdiff_env.record.counterfactual import rollout_avoidability
-
         verdict = rollout_avoidability(self._recorder.rollout())
         if verdict is None or verdict.avoidable:
             return 0.0

@@ -90,7 +90,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         **options: Any,
     ) -> None:
         check_render_mode(render_mode, ("human", "rgb_array"))
-        self._render_options = checked_render_options(render_options, options)
+        self._render_options = checked_render_options(render_options)
         self._batch = SelectionBatch(
             1,
             scenes=scenes,

@@ -71,7 +71,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         **options: Any,
     ) -> None:
         check_render_mode(render_mode, ("rgb_array",))
-        self._render_options = checked_render_options(render_options, options)
+        self._render_options = checked_render_options(render_options)
         self._batch = SelectionBatch(
             num_envs,
             scenes=scenes,

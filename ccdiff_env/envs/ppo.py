@@ -15,10 +15,12 @@ import numpy as np
 import torch
 from torch import nn
 
-import ccdiff_env
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs import make_vec
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.record.bank import load_bank
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.worlds.curriculum import SceneWeights
 from ccdiff_env.worlds.spaces import Layout
@@ -55,16 +57,16 @@ SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 class Worlds:
     """Vector environments side by side, one for each traffic, as one batch of E worlds."""
 
-    def __init__(self, args: argparse.Namespace, config: ccdiff_env.WorldConfig, seed: int) -> None:
+    def __init__(self, args: argparse.Namespace, config: WorldConfig, seed: int) -> None:
         scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         # plans of one denoising step: two to three times as fast
         critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
         self.envs = [
-            ccdiff_env.make_vec(
+            make_vec(
                 each * count,
-                scenes=ccdiff_env.SceneSet(recorded) if traffic == "bank" else scenes,
+                scenes=SceneSet(recorded) if traffic == "bank" else scenes,
                 # the others of a bank met an ego that started where the log does
                 config=config.with_options(start_spread_steps=10) if traffic == "bank" else config,
                 traffic="replay" if traffic == "bank" else traffic,
@@ -277,7 +279,7 @@ def train(args: argparse.Namespace) -> None:
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
-    config = ccdiff_env.WorldConfig().with_options(**fitting, **training)
+    config = WorldConfig().with_options(**fitting, **training)
     worlds = Worlds(args, config, args.seed + done["decisions"])
     agent = Agent(worlds.envs[0].worlds.layout, tuple(args.noise))
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)

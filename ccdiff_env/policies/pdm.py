@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import IdmConfig
-from ccdiff_env.record.counterfactual import Steering
+from ccdiff_env.policies.steering import Steering
 from ccdiff_env.worlds import Worlds
 
 __all__ = ["PdmPlanner"]

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
     try:
-        from ccdiff_env.policies.ppo import train
+        from ccdiff_env.envs.ppo import train
     except ModuleNotFoundError as error:
         raise MissingFeatureError(
             f"training needs {error.name}: pip install 'ccdiff-env[models]'"

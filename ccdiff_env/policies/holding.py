@@ -1,0 +1,54 @@
+"""Actions of decisions, held for as many steps as they were trained to be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.worlds import Worlds
+
+__all__ = ["Held"]
+
+
+class Held:
+    """Holds the actions of a batch, unless the worlds do so themselves.
+
+    Parameters
+    ----------
+    worlds
+        E worlds, driven in their first slots.
+    steps
+        Steps of a decision.
+    """
+
+    def __init__(self, worlds: Worlds, steps: int) -> None:
+        self._worlds = worlds
+        self._steps = steps if worlds.config.decision_steps == 1 else 1
+        discrete = worlds.native.num_actions is not None
+        #: Shape of actions: [E, W], or [E] of indices.
+        self.shape = (worlds.num_worlds, worlds.native.action_width)[: 1 if discrete else 2]
+        dtype = np.int64 if discrete else np.float32
+        self._present: npt.NDArray[Any] = np.zeros(self.shape, dtype)
+
+    def __call__(
+        self, decide: Callable[[], npt.NDArray[Any]], active: npt.NDArray[np.bool_] | None = None
+    ) -> npt.NDArray[Any]:
+        """Return the present actions; ``decide`` makes them where a decision is due.
+
+        It makes those of all worlds, for products of matrices round with the number of rows.
+        ``active`` are the worlds [E] that go on, all by default.
+        """
+        num_worlds, native = self._worlds.num_worlds, self._worlds.native
+        due = np.ones(num_worlds, np.bool_) if active is None else active
+        if self._steps > 1:
+            elapsed = np.array([native.status(i).elapsed_steps for i in range(num_worlds)])
+            due = due & (elapsed % self._steps == 0)
+            if not due.any():
+                return self._present
+        found = decide()
+        self._present = self._present.copy()
+        self._present[due] = found[due]
+        return self._present

@@ -1,0 +1,133 @@
+"""Episodes in batches of worlds: one loop for benchmarks, banks, counterfactuals and pages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.policies.planners import Seat
+from ccdiff_env.record.recorder import Recorder
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.worlds import StepArrays, Worlds
+
+__all__ = ["Step", "begin", "play", "recorders_of", "world_of_seat"]
+
+F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+
+#: Options that a planner may choose where all others are fixed.
+CHOICES = ("action", "observation", "decision_steps")
+
+
+class Step(NamedTuple):
+    """One step of a batch of E worlds."""
+
+    #: Worlds that took it [E]; those that the caller clears take no further one.
+    running: Bool
+    #: Actions that led to it [E, C, W].
+    actions: F32
+    #: What came of it; the next step overwrites the arrays.
+    out: StepArrays
+
+
+def world_of_seat(
+    world: WorldConfig, seat: Seat | None, who: str, *, fixed_by: str, dt_s: float
+) -> WorldConfig:
+    """Return the configuration of an episode: what is fixed, and what a planner chooses.
+
+    Parameters
+    ----------
+    world
+        What is fixed.
+    seat
+        The planner; ``None`` for a driver of the world.
+    who, fixed_by
+        What errors call the planner, and what fixes the rest.
+    dt_s
+        Seconds of a step of the scenes.
+
+    Raises
+    ------
+    ConfigError
+        If the planner asks for anything else; names it.
+    """
+    world = world.with_options(dt_s=dt_s)
+    if seat is None:
+        return world
+    usual, asked = (json.loads(c.to_json()) for c in (WorldConfig(), seat.config))
+    free = (*CHOICES, "dt_s") if seat.trained_in(dt_s) else CHOICES
+    changed = [name for name in asked if asked[name] != usual[name] and name not in free]
+    if changed:
+        name = changed[0]
+        raise ConfigError(
+            f"{who}: env_options changes {name} to {asked[name]!r}, which {fixed_by} fixes at "
+            f"{json.loads(world.to_json())[name]!r}; a planner may choose action, "
+            "observation, decision_steps and dynamics"
+        )
+    return world.with_options(action=seat.config.action, observation=seat.config.observation)
+
+
+def begin(scenes: SceneSet, config: WorldConfig, seed: int) -> Worlds:
+    """Return worlds, one of each scene, at the beginning of episodes of a seed."""
+    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+    worlds.native.reset([seed] * len(scenes), list(range(len(scenes))), None, worlds.arrays())
+    return worlds
+
+
+def recorders_of(worlds: Worlds, names: Collection[str], **meta: Any) -> dict[int, Recorder]:
+    """Return recorders, by world, of the worlds that :func:`begin` made of scenes of some names.
+
+    ``meta`` are entries of :attr:`~ccdiff_env.Rollout.meta`.
+    """
+    chosen = (i for i, scene in enumerate(worlds.scenes) if scene.name in names)
+    return {i: Recorder(worlds, world_idx=i, **meta) for i in chosen}
+
+
+def play(
+    worlds: Worlds,
+    act: Callable[[F32, Bool], npt.NDArray[Any]] | None = None,
+    *,
+    recorders: Mapping[int, Recorder] = MappingProxyType({}),
+    most: int | None = None,
+) -> Iterator[Step]:
+    """Play the present episodes of all worlds to their ends; yields after every step.
+
+    Parameters
+    ----------
+    worlds
+        Worlds in episodes, without autoreset.
+    act
+        From the observations of the first slots [E, D] and the worlds that go on [E] to actions of
+        E·C·W numbers, or indices; for example a :class:`~ccdiff_env.policies.planners.Seat` that
+        has begun. ``None``: nobody is driven from outside.
+    recorders
+        Recorders by world, which are stepped here.
+    most
+        Steps at most.
+    """
+    native, out = worlds.native, worlds.last
+    if out is None:  # the worlds were restored
+        out = worlds.arrays()
+        for i in range(worlds.num_worlds):
+            native.observe(i, out.obs[i], None if out.bev is None else out.bev[i])
+    shape = (worlds.num_worlds, worlds.num_slots, native.action_width)
+    actions: F32 = np.zeros(shape, np.float32)
+    running = np.ones(worlds.num_worlds, np.bool_)
+    taken = 0
+    while running.any() and (most is None or taken < most):
+        if act is not None:
+            actions = act(out.obs[:, 0], running).astype(np.float32).reshape(shape)
+        native.step(actions, out, running)
+        for i, recorder in recorders.items():
+            if running[i]:
+                recorder.step()
+        yield Step(running, actions, out)
+        running &= ~out.done
+        taken += 1

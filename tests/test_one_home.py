@@ -1,0 +1,48 @@
+"""Facts that Rust and Python must both hold are the same in both."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ccdiff_env.bench.planners import COMFORT, TTC_BOUND_S
+from ccdiff_env.record.counterfactual import ego_plans
+from ccdiff_env.traffic.python import AGENT_KINDS
+from ccdiff_env.view import render
+
+RUST = Path(__file__).resolve().parents[1] / "rust"
+
+
+def numbers(file: str, constant: str) -> list[float]:
+    """Numbers in the value of a constant of a Rust file."""
+    text = (RUST / file).read_text(encoding="utf-8")
+    found = re.search(rf"const {constant}: [^=]*=([^;]*);", text)
+    assert found, constant
+    return [float(number) for number in re.findall(r"-?\d+\.\d+", found[1])]
+
+
+def test_comfort_and_times_to_contact_of_the_reward_are_those_of_the_score():
+    file = "sim/src/world/reward.rs"
+    limits = [COMFORT[name] for name in ("acceleration", "lateral_acceleration", "jerk")]
+    assert numbers(file, "COMFORT_BOUNDS") == [bound for pair in limits for bound in pair]
+    assert numbers(file, "LEAST_TTC_S") == [TTC_BOUND_S]
+
+
+def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():
+    file = "nets/src/traffic/way_out.rs"
+    accelerations, offsets = numbers(file, "ACCELERATIONS_MPS2"), numbers(file, "OFFSETS_M")
+    steady = ego_plans(len(accelerations) * len(offsets))
+    assert [(p.acceleration_mps2, p.offset_m) for p in steady] == [
+        ((a, a), d) for d in offsets for a in accelerations
+    ]
+
+
+def test_kinds_of_agents_have_one_list_in_each_language():
+    text = (RUST / "sim/src/scene/mod.rs").read_text(encoding="utf-8")
+    found = re.search(r'\[("vehicle", [^\]]*)\]\[self as usize\]', text)
+    assert found
+    assert tuple(re.findall(r'"(\w+)"', found[1])) == AGENT_KINDS == render.KINDS
+    page = (Path(render.__file__).parent / "assets/actors.js").read_text(encoding="utf-8")
+    kinds = re.search(r"KIND_COLOURS = \{\s*light: \{([^}]*)\}", page)
+    assert kinds
+    assert tuple(re.findall(r"(\w+):", kinds[1])) == ("ego", *AGENT_KINDS)
