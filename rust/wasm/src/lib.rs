@@ -76,6 +76,12 @@ pub extern "C" fn columns() -> *const f32 {
     PLAYGROUND.with_borrow(|playground| playground.out.columns.as_ptr())
 }
 
+/// The flat observation of the ego after the last step [D].
+#[unsafe(no_mangle)]
+pub extern "C" fn observation() -> *const f32 {
+    PLAYGROUND.with_borrow(|playground| playground.out.obs.as_ptr())
+}
+
 /// 1 where the episode has ended.
 #[unsafe(no_mangle)]
 pub extern "C" fn done() -> u32 {
