@@ -113,10 +113,10 @@ def play_drive(link: str) -> Rollout:
     """
     from ccdiff_env.envs import EgoEnv
     from ccdiff_env.record.recorder import Recorder
-    from ccdiff_env.scenes.sources import load
+    from ccdiff_env.scenes.sources import DEFAULT, load
 
     drive = read_drive(link)
-    scene = load(names=[drive.scene])[0]
+    scene = load(DEFAULT, names=[drive.scene])[0]
     env = EgoEnv(scenes=scene, config=world_config(drive.traffic, drive.criticality))
     env.reset(seed=0)
     recorder = Recorder(env, planner="you")

@@ -5,7 +5,7 @@
 #![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
 
 use super::shape::{PANEL, Product};
-#[cfg(any(test, not(target_arch = "x86_64")))]
+#[cfg(not(target_arch = "x86_64"))]
 use super::simd::Four;
 #[cfg(target_arch = "x86_64")]
 use super::simd::Level;
@@ -390,6 +390,7 @@ unsafe fn sparse_tile<V: Vector, const ROWS: usize, const WIDE: usize>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::simd::Plain;
     use super::*;
 
     #[test]
