@@ -1,8 +1,12 @@
 """Sphinx: `make docs` writes the site into docs/site."""
 
+import os
 import re
 import shutil
 from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
 
 project = "ccdiff-env"
 author = copyright = "the ccdiff-env authors"
@@ -22,6 +26,13 @@ nb_execution_raise_on_error = True
 html_theme = "furo"
 html_title = f"ccdiff-env {version}"
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_js_files = [("copy.js", {"defer": "defer"})]
+# blocks without a language are commands
+highlight_language = "bash"
+# where the site will stand, for the pictures of previews
+html_baseurl = os.environ.get("SITE_URL", "").removesuffix("/")
 # headings can be linked by their text, as on GitHub
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
@@ -35,3 +46,18 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
 napoleon_attr_annotations = False
+
+
+def _preview(
+    app: Sphinx, name: str, template: str, context: dict[str, Any], doctree: object
+) -> None:
+    """Title and picture of a page where its address is passed on."""
+    site = f"{html_baseurl}/" if html_baseurl else ""
+    tags = {"title": f"ccdiff-env: {context.get('title', '')}", "image": f"{site}_images/hero.gif"}
+    meta = "".join(f'<meta property="og:{key}" content="{text}">' for key, text in tags.items())
+    context["metatags"] = context.get("metatags", "") + meta
+
+
+def setup(app: Sphinx) -> None:
+    """Add the tags of previews."""
+    app.connect("html-page-context", _preview)

@@ -9,8 +9,10 @@ import pytest
 from browser_page import Page
 
 from ccdiff_env import EgoEnv
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
-from tools.playground import TRAFFIC, compiled, playground_html, target_is_installed, world_config
+from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, world_config
+from tools.playground import compiled, playground_html, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
 NAMES = ("cut-in-04", "pedestrians-00")
@@ -42,13 +44,14 @@ def visit(browser, page_file):
     yield go
     for page in pages:
         assert page.faults == []
-        assert len(page.requests) == 1
+        # the page itself, and its workers
+        assert len([r for r in page.requests if not r.startswith("blob:")]) == 1
         page.context.close()
 
 
 def played(name, traffic):
     """States [T, A, 5] (place, heading, velocity), presence [T, A] and figures [T, M] in Python."""
-    env = EgoEnv(scenes=embedded_scenes()[name], config=world_config(traffic))
+    env = EgoEnv(scenes=embedded_scenes()[name], config=world_config(traffic, 1.0))
     env.reset(seed=0)
     states, there, figures = [], [], []
 
@@ -74,14 +77,14 @@ def test_a_step_on_the_page_has_the_bits_of_a_step_in_python(visit, name, traffi
     states, there, figures = played(name, traffic)
     page = visit(f"#scene={name}&traffic={traffic}")
     bits = page.evaluate(
-        """actions => {
+        """async actions => {
           const bits = (values) => [...new Uint32Array(new Float32Array(values).buffer)];
           const columns = () => bits(drive.settings.columns.map((name) => drive.info[name]));
-          const all = [bits(drive.engine.states)], figures = [];
+          const all = [bits(drive.states)], figures = [];
           for (const action of actions) {
             if (drive.outcome) break;
-            drive.advance(action);
-            all.push(bits(drive.engine.states));
+            await drive.advance(action);
+            all.push(bits(drive.states));
             figures.push(columns());
           }
           return [all, figures];
@@ -107,9 +110,10 @@ def test_keys_drive_and_time_waits_for_the_first_one(visit):
     page.keyboard.up("w")
     page.keyboard.up("ArrowLeft")
     page.keyboard.press("r")
+    page.until("drive.steps === 0")
     assert page.evaluate("[drive.steps, drive.going, drive.held.size]") == [0, False, 0]
     page.keyboard.press("n")
-    page.until("drive.runs[0].title === 'pedestrians-00'")
+    page.until("drive.runs[0].title === 'pedestrians-00' && location.hash.includes('pedestrians')")
     assert page.url.endswith("#scene=pedestrians-00&traffic=idm")
     page.keyboard.press("?")
     assert page.is_visible("#help")
@@ -151,10 +155,68 @@ def test_nothing_keeps_people_from_using_it(visit, axe, scheme):
 def test_what_the_world_refuses_is_said(visit):
     page = visit()
     said = page.evaluate(
-        """() => {
-          try { drive.engine.reset('{"traffic": "nobody"}'); }
-          catch (error) { return error.message; }
-        }"""
+        """() => drive.engine.ask("reset", '{"traffic": "nobody"}').catch((e) => e.message)"""
     )
     assert "nobody" in said
-    assert page.evaluate("drive.engine.calls.load()") == 1
+    assert page.evaluate("drive.engine.ask('load', new Uint8Array(3)).catch((e) => e.message)")
+
+
+@pytest.mark.parametrize(
+    ("hash", "least"),
+    [
+        ("scene=cut-in-04&traffic=ccdiff&criticality=0&drive=c8b5a40", 5),
+        ("scene=cut-in-04&traffic=ccdiff&criticality=2&drive=b3f2a4j2a30", 5),
+        ("scene=pedestrians-00&traffic=ccdiff&criticality=1&drive=b10a20", 5),
+        ("scene=pedestrians-00&traffic=idm&drive=b10e3i3a20c12", 10),
+        ("scene=cut-in-04&traffic=replay&drive=b6c4d2a9", 10),
+    ],
+)
+def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
+    page = visit(f"#{hash}")
+    page.until("(drive.steps > 0 && !drive.going && !drive.asked) || drive.outcome", 60)
+    seen = page.evaluate(
+        """() => { const run = drive.runs[0];
+          return [drive.steps, drive.link, run.numSteps, ["x", "y", "heading", "vx", "vy", "valid"]
+            .map((name) => [...new Uint32Array(new Float32Array(run.a[name]).buffer)])]; }"""
+    )
+    steps, link, width, bits = seen
+    rollout = play_drive(link)
+    assert rollout.num_steps == steps + 1 > least
+    x, y, heading, vx, vy, valid = (
+        np.array(b, np.uint32).view(np.float32).reshape(-1, width)[:, : steps + 1] for b in bits
+    )
+    there = rollout.valid
+    assert np.array_equal(valid > 0, there)
+    for page_side, python_side in (
+        (x, rollout.position[..., 0]),
+        (y, rollout.position[..., 1]),
+        (heading, rollout.heading),
+        (vx, rollout.velocity[..., 0]),
+        (vy, rollout.velocity[..., 1]),
+    ):
+        assert np.array_equal(page_side[there], python_side[there])
+
+
+def test_an_end_card_names_the_rivals_and_the_closest_call(visit):
+    page = visit("#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=b150")
+    page.until("drive.outcome && drive.results.idm && drive.results.trained", 60)
+    text = page.inner_text("#card")
+    assert "closest call" in text
+    assert "IDM: " in text
+    assert "trained ego: " in text
+    assert "still driving" not in text
+
+
+@pytest.mark.parametrize(
+    ("link", "said"),
+    [
+        ("x#scene=cut-in-04&drive=b1", "no traffic"),
+        ("x#scene=cut-in-04&traffic=me&drive=b1", "'me'"),
+        ("x#scene=cut-in-04&traffic=idm&drive=z1", "'z1'"),
+        ("x#scene=cut-in-04&traffic=idm&drive=b999", "150"),
+        ("x#scene=cut-in-04&traffic=ccdiff&criticality=nan&drive=b1", "0 to 2"),
+    ],
+)
+def test_a_broken_link_is_refused_by_what_is_wrong(link, said):
+    with pytest.raises(ConfigError, match=said):
+        read_drive(link)

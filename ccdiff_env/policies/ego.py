@@ -109,13 +109,13 @@ class EgoPolicy:
         self._schema = schema
         worlds = _worlds(self.config)
         self.check(worlds)
-        self._size = worlds.layout.size
-        self._tensors = {name: tensors[name] for name in tensors}
+        self.size = worlds.layout.size
+        self.tensors = {name: tensors[name] for name in tensors}
         entries = {entry.name: entry for entry in worlds.layout.entries}
         rows, mask = entries["agents"], entries["agents_mask"]
-        self._rows = slice(rows.offset, rows.offset + rows.size)
-        self._mask = slice(mask.offset, mask.offset + mask.size)
-        self._shape = rows.shape
+        self.rows = slice(rows.offset, rows.offset + rows.size)
+        self.mask = slice(mask.offset, mask.offset + mask.size)
+        self.shape = rows.shape
         self._check_shapes(worlds.native.action_width)
 
     @property
@@ -124,21 +124,21 @@ class EgoPolicy:
         return {"config": self.config}
 
     def _check_shapes(self, width: int) -> None:
-        expected: dict[str, tuple[int, ...]] = {"mean": (self._size,), "std": (self._size,)}
-        before = self._shape[1]
+        expected: dict[str, tuple[int, ...]] = {"mean": (self.size,), "std": (self.size,)}
+        before = self.shape[1]
         for name in _LAYERS:
             if name == "policy.0":
-                before += self._size - self._shape[0] * (self._shape[1] + 1)
-            weight = self._tensors.get(f"{name}.weight", np.empty((0, 0)))
+                before += self.size - self.shape[0] * (self.shape[1] + 1)
+            weight = self.tensors.get(f"{name}.weight", np.empty((0, 0)))
             out = width if name == _LAYERS[-1] or not weight.ndim else int(weight.shape[0])
             expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
             before = out
         for name, shape in expected.items():
-            found = None if name not in self._tensors else self._tensors[name].shape
+            found = None if name not in self.tensors else self.tensors[name].shape
             if found != shape:
                 raise DatasetError(f"policy: {name} has shape {found}, expected {shape}")
-        if not (self._tensors["std"] > 0.0).all():
-            raise DatasetError(f"policy: std is {self._tensors['std'].min()}, expected above 0")
+        if not (self.tensors["std"] > 0.0).all():
+            raise DatasetError(f"policy: std is {self.tensors['std'].min()}, expected above 0")
 
     def check(self, worlds: Worlds) -> None:
         """Refuse worlds whose observations or actions are not those of the policy.
@@ -169,15 +169,15 @@ class EgoPolicy:
             If the observations have another width.
         """
         given = np.asarray(obs, np.float32)
-        if given.ndim != 2 or given.shape[1] != self._size:
-            raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self._size})")
-        t = self._tensors
+        if given.ndim != 2 or given.shape[1] != self.size:
+            raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self.size})")
+        t = self.tensors
         x = np.clip((given - t["mean"]) / t["std"], -5.0, 5.0)
-        rows = x[:, self._rows].reshape(-1, *self._shape)
+        rows = x[:, self.rows].reshape(-1, *self.shape)
         for name in _LAYERS[:2]:
             rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
-        seen = (rows * given[:, self._mask, None]).max(axis=1)
-        h = np.concatenate([x[:, : self._rows.start], x[:, self._mask.stop :], seen], axis=1)
+        seen = (rows * given[:, self.mask, None]).max(axis=1)
+        h = np.concatenate([x[:, : self.rows.start], x[:, self.mask.stop :], seen], axis=1)
         for name in _LAYERS[2:]:
             h = h @ t[f"{name}.weight"].T + t[f"{name}.bias"]
             if name != _LAYERS[-1]:

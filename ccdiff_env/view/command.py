@@ -21,6 +21,7 @@ from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages
+from ccdiff_env.view.link import is_drive
 from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import (
     LOG,
@@ -70,7 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="RUN_OR_SCENE",
-        help="file of a rollout, folder of them, or name of a scene; several are a grid",
+        help="file of a rollout, folder of them, name of a scene, or a link of the playground; "
+        "several are a grid",
     )
     parser.add_argument(
         "--compare",
@@ -143,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--traffic plays one scene: show others beside it with --compare")
     args.compare = others + args.compare
     folder = Path(args.what)
-    if folder.is_dir():
+    if not is_drive(args.what) and folder.is_dir():
         return _folder(args, folder, kinds)
     if args.traffic is None:
         _settle(args, PLAYED, "plays a scene: give --traffic, too")
@@ -191,6 +193,8 @@ def _runs(args: argparse.Namespace) -> list[Titled]:
 
 def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Titled:
     rollout = find_rollout(word, place_from(args), like=like)
+    if is_drive(word):
+        return Titled(rollout, "your drive")
     return Titled(rollout, Path(word).stem if Path(word).is_file() else word)
 
 

@@ -145,21 +145,25 @@ def local_html(name: str, parts: Mapping[str, str]) -> str:
             "title": f"ccdiff-env {name}",
             "colours": plain[plain.index(":root {") : plain.index("h1 {")],
             "style": part("local.css"),
-            "body": _filled(f"{name}.html", parts),
+            "body": _filled(part(f"{name}.html"), parts),
             "script": part(f"{name}.js"),
         },
     )
 
 
 def _page(template: str, parts: Mapping[str, str]) -> str:
-    """A filled template whose own script is the only one that a browser runs."""
+    return filled_page(part(template), parts)
+
+
+def filled_page(template: str, parts: Mapping[str, str]) -> str:
+    """Return a filled template whose own script is the only one that a browser runs."""
     script = f'\n(() => {{\n"use strict";\n{parts["script"]}\n}})();\n'
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return _filled(template, {**parts, "script": script, "policy": f"'sha256-{digest}'"})
 
 
 def _filled(template: str, parts: Mapping[str, str]) -> str:
-    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], part(template))
+    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], template)
 
 
 def address(

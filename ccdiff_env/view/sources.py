@@ -15,12 +15,12 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
+from ccdiff_env.view.link import MAX_CRITICALITY, is_drive, play_drive
 
 SAMPLES = 8
 """Samples per plan of CCDiff in episodes that are played for a page."""
 LOG = "log"
 """Stands for the log of the scene of the other run."""
-MAX_CRITICALITY = 2.0
 
 
 def check_criticality(level: float) -> None:
@@ -123,7 +123,7 @@ def find_rollout(
     Parameters
     ----------
     name
-        File of a rollout, else name of a scene. ``"log"`` is the log of ``like``.
+        File of a rollout, link to a drive, else name of a scene. ``"log"`` is the log of ``like``.
     place
         Where scenes are looked for, as :func:`ccdiff_env.load` takes it.
     like
@@ -136,6 +136,8 @@ def find_rollout(
     DatasetError
         If the file is damaged.
     """
+    if is_drive(name):
+        return play_drive(name)
     path = Path(name)
     if path.is_file():
         return Rollout.load(path)

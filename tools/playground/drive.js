@@ -11,53 +11,44 @@ const HELP = [
   ["N", "next scene"], ["P, space", "pause"], ["H", "heading up"], ["G", "outlines of the recording"],
   ["+ −", "zoom"], ["T", "dark or light"], ["?", "this help"],
 ];
+const KEYS = ["gas", "brake", "left", "right"];
+const RIVALS = { idm: "IDM", trained: "trained ego" };
 const SIDES = ["", "collision_front", "collision_rear", "collision_side"];
 
-/** The compiled module: scenes and worlds behind plain calls. */
+/** The worker's tasks, see engine.js, as promises. */
 class Engine {
-  constructor(instance) {
-    this.calls = instance.exports;
+  constructor(source) {
+    this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+    this.waiting = new Map();
+    this.worker.onmessage = ({ data: { id, value, error } }) => {
+      const { done, fail } = this.waiting.get(id);
+      this.waiting.delete(id);
+      if (error === undefined) done(value);
+      else fail(new Error(error));
+    };
   }
 
-  /** Bytes for the next call. */
-  give(bytes) {
-    const at = this.calls.room(bytes.length);
-    new Uint8Array(this.calls.memory.buffer, at, bytes.length).set(bytes);
+  ask(task, given) {
+    const id = this.last = (this.last || 0) + 1;
+    return new Promise((done, fail) => {
+      this.waiting.set(id, { done, fail });
+      this.worker.postMessage({ id, task, given });
+    });
   }
+}
 
-  check(failed) {
-    if (!failed) return;
-    const { memory, message, message_length } = this.calls;
-    const text = new Uint8Array(memory.buffer, message(), message_length());
-    throw new Error(new TextDecoder().decode(text));
+/** Keys of a drive as a link has them: a letter for those held, and for how many steps. */
+function written(keys) {
+  let text = "";
+  for (let i = 0, j; i < keys.length; i = j) {
+    for (j = i; j < keys.length && keys[j] === keys[i];) j++;
+    text += String.fromCharCode(97 + keys[i]) + (j - i);
   }
+  return text;
+}
 
-  load(bytes) {
-    this.give(bytes);
-    this.check(this.calls.load());
-  }
-
-  reset(config) {
-    this.give(new TextEncoder().encode(config));
-    this.check(this.calls.reset(0));
-  }
-
-  step(action) {
-    this.check(this.calls.step(...action));
-  }
-
-  /** Present states [A, 7], see rust/wasm. */
-  get states() {
-    const { memory, states, num_agents } = this.calls;
-    return new Float32Array(memory.buffer, states(), num_agents() * STATE).slice();
-  }
-
-  columns(names) {
-    const values = new Float32Array(this.calls.memory.buffer, this.calls.columns(), names.length);
-    return Object.fromEntries(names.map((name, i) => [name, values[i]]));
-  }
-
-  get done() { return this.calls.done() === 1; }
+function read(text) {
+  return [...text.matchAll(/([a-p])(\d{1,3})/g)].flatMap(([, held, count]) => Array(+count).fill(held.charCodeAt(0) - 97));
 }
 
 /** The ground, and on it the way of the ego's log with a ring at its end. */
@@ -82,13 +73,27 @@ class Way extends Ground {
     context.beginPath();
     context.arc(x[last], y[last], 2.2, 0, 2 * Math.PI);
     context.stroke();
+    if (this.rival) this.drawRival(context, pixel);
+  }
+
+  /** Outline of the ego to beat. */
+  drawRival(context, pixel) {
+    const { track, size: [length, width], step } = this.rival;
+    const at = Math.min(Math.round(step), track.length / STATE - 1) * STATE, [x, y, heading] = track.slice(at, at + 3);
+    context.save();
+    context.translate(x, y);
+    context.rotate(heading);
+    context.setLineDash([0.8, 0.5]);
+    context.lineWidth = Math.max(0.2, 2 * pixel);
+    context.strokeRect(-length / 2, -width / 2, length, width);
+    context.restore();
   }
 }
 
 /** State of the page. It has what a pane and the legend ask a player for. */
 class Drive {
-  constructor(engine, settings) {
-    Object.assign(this, { engine, settings });
+  constructor(engine, rivals, settings) {
+    Object.assign(this, { engine, rivals, settings });
     this.camera = new Camera();
     this.theme = "light";
     this.colourMode = "driver";
@@ -109,7 +114,8 @@ class Drive {
   async open(name) {
     const of = (kind) => document.querySelector(`script.${kind}[data-scene="${CSS.escape(name)}"]`);
     const [run, log, bytes] = await Promise.all([readRun(of("run")), readRun(of("run")), inflate(of("bytes"))]);
-    this.engine.load(new Uint8Array(bytes));
+    const scene = new Uint8Array(bytes);
+    await Promise.all([this.engine.ask("load", scene), this.rivals.ask("load", scene)]);
     this.runs = [run];
     this.log = log;
     $("stage").querySelectorAll(".pane").forEach((pane) => pane.remove());
@@ -121,12 +127,33 @@ class Drive {
     this.recording = new Actors(log, this.colours);
     wireMap(this.panes[0], this);
     this.camera.scale = Math.max(Math.min(this.panes[0].width, this.panes[0].height) / 75, 5);
-    this.begin();
+    await this.begin();
   }
 
-  /** Begin the scene again. */
-  begin() {
-    this.engine.reset(this.settings.configs[$("traffic").value]);
+  /** A configuration of the settings with the criticality of the slider. */
+  config(name) {
+    const config = this.settings.configs[name], ccdiff = config.policies.ccdiff;
+    if (!ccdiff) return JSON.stringify(config);
+    const criticality = +$("criticality").value, options = { ...ccdiff.ccdiff, criticality, num_samples: criticality > 0 ? 4 : 1 };
+    return JSON.stringify({ ...config, policies: { ccdiff: { ccdiff: options } } });
+  }
+
+  /** Begin the scene again; with the keys of a link, drive it so. */
+  async begin(script = null) {
+    const turn = this.turn = (this.turn || 0) + 1, traffic = $("traffic").value;
+    this.going = false;
+    const seen = await this.engine.ask("reset", this.config(traffic));
+    if (turn !== this.turn) return;
+    this.script = script;
+    this.keys = [];
+    this.closest = null;
+    this.asked = false;
+    $("card").hidden = true;
+    if (this.raced !== this.key) {
+      this.raced = this.key;
+      this.results = {};
+      this.race(this.key);
+    }
     const run = this.runs[0];
     run.a.valid.fill(0);
     run.a.pairStart.fill(0);
@@ -138,15 +165,45 @@ class Drive {
     this.owed = 0;
     this.going = false;
     this.outcome = null;
-    this.put();
-    document.body.classList.add("waits");
+    this.put(seen);
+    document.body.classList.toggle("waits", !script);
     $("outcome").replaceChildren();
+    this.going = Boolean(script);
     this.touch();
   }
 
+  /** Scene, traffic and criticality, as in the address. */
+  get key() {
+    const criticality = $("traffic").value === "ccdiff" ? `&criticality=${$("criticality").value}` : "";
+    return `scene=${$("scene").value}&traffic=${$("traffic").value}${criticality}`;
+  }
+
+  get link() {
+    return `${location.href.split("#")[0]}#${this.key}&drive=${written(this.keys)}`;
+  }
+
+  /** Let the rivals drive the same world, in their own worker. */
+  async race(key) {
+    const traffic = $("traffic").value;
+    for (const name of ["trained", "idm"]) {
+      const given = { config: this.config(`${traffic}_${name}`), trained: name === "trained" };
+      const found = await this.rivals.ask("rival", given);
+      if (this.key !== key) return;
+      this.results[name] = found;
+      if (name === "trained") this.panes[0].ground.rival = { track: found.track, size: this.size(0), step: 0 };
+      if (this.outcome) this.showCard();
+      this.touch();
+    }
+  }
+
+  size(i) {
+    const agent = this.runs[0].agents[i];
+    return [agent.length, agent.width];
+  }
+
   /** Write the present states into the run. */
-  put() {
-    const run = this.runs[0], { states } = this.engine, { policies, drivers } = this.settings;
+  put({ states, info, done }) {
+    const run = this.runs[0], { policies, drivers } = this.settings;
     run.agents.forEach((agent, i) => {
       const [x, y, heading, vx, vy, there, driver] = states.subarray(i * STATE, (i + 1) * STATE);
       const at = i * run.numSteps + this.steps;
@@ -156,18 +213,34 @@ class Drive {
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
     this.time = run.start + this.steps * run.dt;
-    this.info = this.engine.columns(this.settings.columns);
+    this.states = states;
+    this.done = done;
+    this.info = this.named(info);
+    for (let i = 1; i < run.agents.length; i++) {
+      const at = i * STATE;
+      if (!states[at + 5]) continue;
+      // between circles as wide as the bodies, along three of them: near enough for a figure
+      const distance_m = gap(states, this.size(0), states.subarray(at), this.size(i));
+      if (!this.closest || distance_m < this.closest.distance_m) this.closest = { distance_m, agent: i, step: this.steps };
+    }
+  }
+
+  /** Figures of a step by name. */
+  named(info) {
+    return Object.fromEntries(this.settings.columns.map((name, i) => [name, info[i]]));
   }
 
   /** One step of the world with a normalised action: acceleration and yaw rate. */
-  advance(action) {
-    this.engine.step(action);
+  async advance(action) {
+    const turn = this.turn, seen = await this.engine.ask("step", action);
+    if (turn !== this.turn) return;
+    this.slowest = Math.max(this.slowest || 0, seen.ms);
     this.steps += 1;
-    this.put();
+    this.put(seen);
     const { settings, info } = this;
     this.reward += settings.columns.filter((name) => name.startsWith("reward_"))
       .reduce((sum, name) => sum + info[name], 0);
-    if (this.engine.done) this.finish();
+    if (this.done) this.finish();
     this.touch();
   }
 
@@ -192,15 +265,34 @@ class Drive {
     }
     this.outcome = { tone, text };
     this.going = false;
+    this.showCard();
     $("outcome").replaceChildren(...verdict(this.outcome));
     $("said").textContent = text;
+  }
+
+  /** What became of it, the closest call, and the rivals. */
+  showCard() {
+    const { closest, results } = this, run = this.runs[0], lines = [];
+    if (closest) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
+    for (const [name, title] of Object.entries(RIVALS)) {
+      const found = results[name];
+      if (!found) lines.push(`${title}: still driving`);
+      else {
+        const info = this.named(found.info), what = info.collision ? "hit" : info.off_road ? "off the road" : info.goal_reached ? "goal" : "not at its goal";
+        lines.push(`${title}: ${what} at ${((found.track.length / STATE - 1) * run.dt).toFixed(1)} s`);
+      }
+    }
+    $("verdict").textContent = this.outcome.text;
+    $("verdict").className = this.outcome.tone;
+    $("lines").replaceChildren(...lines.map((line) => element("li", "", line)));
+    $("card").hidden = false;
   }
 
   /** A key or a button of the pad goes down or up. */
   hold(key, down) {
     if (down) this.held.add(key);
     else this.held.delete(key);
-    if (down && !this.going && !this.outcome && this.runs.length) {
+    if (down && !this.going && !this.outcome && this.runs.length && !this.script) {
       this.going = true;
       document.body.classList.remove("waits");
     }
@@ -214,28 +306,45 @@ class Drive {
     document.body.classList.toggle("waits", !this.going);
   }
 
-  /** What the keys that are held ask for. */
-  action() {
-    const wanted = this.held.has("left") - this.held.has("right"), most = STEER_PER_SECOND * STEP_SECONDS;
+  /** Keys of the next step as one number: those held, or those of the link. */
+  get mask() {
+    if (this.script) return this.script[this.steps] || 0;
+    return KEYS.reduce((sum, key, bit) => sum + (this.held.has(key) << bit), 0);
+  }
+
+  /** What keys ask for; ccdiff_env/view/link.py computes the same. */
+  action(mask = this.mask) {
+    const most = STEER_PER_SECOND * STEP_SECONDS, wanted = ((mask & 4) > 0) - ((mask & 8) > 0);
     this.steer += Math.min(Math.max(wanted - this.steer, -most), most);
-    return [this.held.has("brake") ? -1 : +this.held.has("gas"), this.steer];
+    return [mask & 2 ? -1 : mask & 1, this.steer];
+  }
+
+  /** The next step, by keys. */
+  async go() {
+    this.asked = true;
+    const { mask, turn } = this;
+    this.keys.push(mask);
+    await this.advance(this.action(mask));
+    if (turn !== this.turn) return;
+    this.asked = false;
+    if (this.script && this.steps >= this.script.length && !this.outcome) this.going = false;
   }
 
   frame(now) {
     const elapsed = Math.min((now - this.before) / 1000, 0.1);
     this.before = now;
     if (this.going) {
-      this.owed += elapsed;
-      while (this.owed >= STEP_SECONDS && this.going) {
+      this.owed = Math.min(this.owed + elapsed, 3 * STEP_SECONDS);
+      if (this.owed >= STEP_SECONDS && !this.asked) {
         this.owed -= STEP_SECONDS;
-        this.advance(this.action());
+        this.go();
       }
       // drawn one step late, so that there is a state before and one after
       const run = this.runs[0];
-      if (this.going) this.time = run.start + Math.max(this.steps - 1 + this.owed / STEP_SECONDS, 0) * run.dt;
+      if (this.going) this.time = run.start + Math.max(this.steps - 1 + Math.min(this.owed / STEP_SECONDS, 1), 0) * run.dt;
       this.dirty = true;
     }
-    if (this.dirty && this.panes.length) {
+    if (this.dirty && this.panes.length && this.info) {
       this.dirty = false;
       this.draw();
     }
@@ -252,6 +361,7 @@ class Drive {
       this.camera.y = pose.y + ahead * Math.sin(pose.heading);
     }
     pane.ground.colour = this.colours[this.theme].ego;
+    if (pane.ground.rival) pane.ground.rival.step = (this.time - run.start) / run.dt;
     pane.draw(this, { actors: this.recording, run: this.log });
     showLegend(this, this.settings);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
@@ -260,6 +370,18 @@ class Drive {
     $("heading").setAttribute("aria-pressed", this.headingUp);
     $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
+}
+
+/** Metres between two bodies, about: between three circles along each. */
+function gap(a, [lengthA, widthA], b, [lengthB, widthB]) {
+  const circles = (s, length, width) => [-1, 0, 1].map((k) => {
+    const along = k * Math.max(length - width, 0) / 2;
+    return [s[0] + along * Math.cos(s[2]), s[1] + along * Math.sin(s[2])];
+  });
+  let least = Infinity;
+  for (const [x, y] of circles(a, lengthA, widthA))
+    for (const [u, v] of circles(b, lengthB, widthB)) least = Math.min(least, Math.hypot(x - u, y - v));
+  return Math.max(least - (widthA + widthB) / 2, 0);
 }
 
 function wireMap(pane, drive) {
@@ -280,13 +402,29 @@ function wire(drive) {
   const asked = new URLSearchParams(location.hash.slice(1));
   if (names.includes(asked.get("scene"))) $("scene").value = asked.get("scene");
   if (asked.get("traffic") in drive.settings.traffic) $("traffic").value = asked.get("traffic");
+  if (asked.has("criticality")) $("criticality").value = asked.get("criticality");
   const opened = () => {
-    try { history.replaceState(null, "", `#scene=${$("scene").value}&traffic=${$("traffic").value}`); } catch { /* inside another page */ }
+    try { history.replaceState(null, "", `#${drive.key}`); } catch { /* inside another page */ }
     document.activeElement.blur();
     return drive.open($("scene").value);
   };
-  $("scene").addEventListener("change", opened);
-  $("traffic").addEventListener("change", opened);
+  const levelled = () => {
+    $("level").textContent = $("criticality").value;
+    $("level").closest("label").hidden = $("traffic").value !== "ccdiff";
+  };
+  levelled();
+  $("criticality").addEventListener("input", levelled);
+  $("traffic").addEventListener("change", levelled);
+  for (const id of ["scene", "traffic", "criticality"]) $(id).addEventListener("change", opened);
+  $("copy").addEventListener("click", async () => {
+    let said = "Link copied";
+    try { await navigator.clipboard.writeText(drive.link); } catch { said = "Copy the address"; }
+    try { history.replaceState(null, "", new URL(drive.link).hash); } catch { /* inside another page */ }
+    $("copy").textContent = said;
+    setTimeout(() => { $("copy").textContent = "Copy link"; }, 2000);
+  });
+  $("again").addEventListener("click", () => drive.begin());
+  $("next").addEventListener("click", () => actions.n());
   const toggle = { heading: () => { drive.headingUp = !drive.headingUp; }, ghost: () => { drive.layers.ghost = !drive.layers.ghost; } };
   const actions = {
     r: () => drive.begin(),
@@ -339,13 +477,18 @@ function wire(drive) {
     $("keys").append(row);
   }
   new ResizeObserver(() => drive.touch()).observe($("app"));
-  return opened();
+  const script = asked.has("drive") ? read(asked.get("drive")) : null;
+  return opened().then(() => script && drive.begin(script));
 }
 
 async function main() {
   const settings = JSON.parse($("settings").textContent);
-  const { instance } = await WebAssembly.instantiate(await inflate($("module")), {});
-  const drive = new Drive(new Engine(instance), settings);
+  const bytes = await Promise.all(["module", "weights", "ego"].map(async (id) => new Uint8Array(await inflate($(id)))));
+  const [module, weights, numbers] = bytes, source = $("engine").textContent;
+  const policy = { ...settings.ego, tensors: {}, numbers: numbers.buffer };
+  const engines = [new Engine(source), new Engine(source)];
+  await Promise.all(engines.map((e) => e.ask("open", { module, weights, policy, columns: settings.columns.length })));
+  const drive = new Drive(...engines, settings);
   setTheme(drive, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   await wire(drive);
   window.drive = drive; // for the curious, and for tests

@@ -100,6 +100,17 @@ impl TrajectoryModel {
         Self::own(path, header, config, tensors)
     }
 
+    /// As [`Self::load`], from the bytes of a file where there are no files; errors call it by `name`.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
+        let path = Path::new(name);
+        let (header, tensors) = weights::parse(path, bytes)?;
+        let config = described(path, &header)?;
+        Self::own(path, header, config, tensors)
+    }
+
     /// What [`weights::read`] has read, on the kernels of this crate.
     ///
     /// # Errors

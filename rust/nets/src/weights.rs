@@ -63,11 +63,18 @@ fn bytes_of(path: &Path) -> Result<Vec<u8>> {
 /// # Errors
 /// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
 pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
-    let bytes = bytes_of(path)?;
+    parse(path, &bytes_of(path)?)
+}
+
+/// Header and tensors of a file's bytes; errors name the path.
+///
+/// # Errors
+/// [`ModelError::Checkpoint`] where these are not the bytes of such a file.
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
     let foreign = |e: safetensors::SafeTensorError| {
         broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
     };
-    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(foreign)?;
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(foreign)?;
     let text = metadata
         .metadata()
         .as_ref()
@@ -78,7 +85,7 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)>
     if header["format"] != FORMAT {
         return Err(broken(path, "format", header["format"].to_string(), FORMAT.to_string()));
     }
-    let file = SafeTensors::deserialize(&bytes).map_err(foreign)?;
+    let file = SafeTensors::deserialize(bytes).map_err(foreign)?;
     let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
     let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));
     match header.get(CHECKSUM) {

@@ -1,7 +1,7 @@
 //! One world in a web page: plain functions over linear memory, called from JavaScript.
 //!
 //! Texts and bytes come in by [`room`]: it makes room, JavaScript writes there, the next call reads it. Calls that may fail
-//! return 1, and [`message`] says why. Log replay, constant velocity and IDM drive; there is one thread.
+//! return 1, and [`message`] says why. Log replay, constant velocity, IDM and, with its weights, CCDiff drive; there is one thread.
 #![allow(unsafe_code, reason = "names that JavaScript finds; there is no unsafe block")]
 
 mod playground;
@@ -39,6 +39,12 @@ pub extern "C" fn load() -> u32 {
     attempt(Playground::load)
 }
 
+/// Takes the weights of CCDiff: the bytes of their file.
+#[unsafe(no_mangle)]
+pub extern "C" fn weights() -> u32 {
+    attempt(Playground::weights)
+}
+
 /// Begins an episode of the scene with the configuration that was given, as `WorldConfig.to_json` in Python writes it.
 #[unsafe(no_mangle)]
 pub extern "C" fn reset(seed: u32) -> u32 {
@@ -68,6 +74,12 @@ pub extern "C" fn states() -> *const f32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn columns() -> *const f32 {
     PLAYGROUND.with_borrow(|playground| playground.out.columns.as_ptr())
+}
+
+/// The flat observation of the ego after the last step [D].
+#[unsafe(no_mangle)]
+pub extern "C" fn observation() -> *const f32 {
+    PLAYGROUND.with_borrow(|playground| playground.out.obs.as_ptr())
 }
 
 /// 1 where the episode has ended.

@@ -1,7 +1,10 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
+use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
+use ccdiff_nets::trajectory_model::TrajectoryModel;
 use ccdiff_nuscenes::decode_scene;
-use ccdiff_sim::policy::Driver;
+use ccdiff_sim::options::read;
+use ccdiff_sim::policy::{Driver, TrafficPolicy};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::sync::Arc;
@@ -48,6 +51,8 @@ pub(crate) struct Playground {
     pub(crate) states: Vec<f32>,
     /// Output of the last step.
     pub(crate) out: Arrays,
+    /// Bytes of the weights of CCDiff.
+    weights: Vec<u8>,
     scene: Option<Arc<Scene>>,
     world: Option<VecWorld>,
 }
@@ -64,11 +69,34 @@ impl Playground {
         Ok(())
     }
 
+    /// Keeps the weights of CCDiff, checked.
+    pub(crate) fn weights(&mut self) -> Result<(), String> {
+        self.weights = std::mem::take(&mut self.given);
+        TrajectoryModel::from_bytes("weights", &self.weights).map(|_| ()).map_err(|e| e.to_string())
+    }
+
+    /// CCDiff as a configuration of worlds has it; nobody where it has none.
+    fn traffic(
+        &self,
+        options: &str,
+        scene: &Arc<Scene>,
+    ) -> Result<Vec<(String, Box<dyn TrafficPolicy>)>, String> {
+        let options: serde_json::Value = serde_json::from_str(options).map_err(|e| e.to_string())?;
+        let Some(asked) = options["policies"]["ccdiff"].get("ccdiff") else { return Ok(Vec::new()) };
+        let config: CcdiffConfig = read("ccdiff", &asked.to_string()).map_err(|e| e.to_string())?;
+        let model = TrajectoryModel::from_bytes("weights", &self.weights).map_err(|e| e.to_string())?;
+        let policy = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
+        let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
+        policy.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
+        Ok(vec![("ccdiff".into(), Box::new(policy))])
+    }
+
     pub(crate) fn reset(&mut self, seed: u64) -> Result<(), String> {
         let text = String::from_utf8(std::mem::take(&mut self.given)).map_err(|e| e.to_string())?;
         let config = WorldConfig::from_json(&text).map_err(|e| e.to_string())?;
         let scene = self.scene.clone().ok_or("reset before load")?;
-        let mut world = VecWorld::new(vec![scene], config, 1, 1, Vec::new()).map_err(|e| e.to_string())?;
+        let policies = self.traffic(&text, &scene)?;
+        let mut world = VecWorld::new(vec![scene], config, 1, 1, policies).map_err(|e| e.to_string())?;
         self.out = Arrays::of(&world);
         let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], mask: None };
         world.reset(&request, self.out.buffers()).map_err(|e| e.to_string())?;

@@ -303,9 +303,66 @@ mod x86 {
     );
 }
 
-/// Four numbers in plain Rust, which compilers turn into NEON or simd128.
+/// simd128: the bits of SSE2.
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+mod wasm {
+    use super::Vector;
+    use std::arch::wasm32::*;
+
+    // SAFETY of all: the caller's promises are those of the intrinsics
+    impl Vector for v128 {
+        const LANES: usize = 4;
+
+        #[inline(always)]
+        unsafe fn load(from: *const f32) -> Self {
+            unsafe { v128_load(from.cast()) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, to: *mut f32) {
+            unsafe { v128_store(to.cast(), self) }
+        }
+
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self {
+            f32x4_splat(x)
+        }
+
+        #[inline(always)]
+        unsafe fn plus_product(self, a: Self, b: Self) -> Self {
+            f32x4_add(self, f32x4_mul(a, b))
+        }
+
+        #[inline(always)]
+        unsafe fn or_zero(self) -> Self {
+            f32x4_pmax(f32x4_splat(0.0), self)
+        }
+
+        #[inline(always)]
+        unsafe fn or(self, other: Self) -> Self {
+            v128_or(self, other)
+        }
+
+        #[inline(always)]
+        unsafe fn nonzero(self) -> u32 {
+            u32::from(i32x4_bitmask(f32x4_ne(self, f32x4_splat(0.0))))
+        }
+    }
+}
+
+/// The vector of processors of other families.
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+pub(super) type Four = std::arch::wasm32::v128;
+/// The vector of processors of other families.
+#[cfg(not(any(target_arch = "x86_64", all(target_arch = "wasm32", target_feature = "simd128"))))]
+pub(super) type Four = Plain;
+
+/// Four numbers in plain Rust, which compilers turn into NEON.
 #[derive(Clone, Copy)]
-#[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "of other processors, and of tests"))]
+#[cfg_attr(
+    any(target_arch = "x86_64", target_arch = "wasm32"),
+    allow(dead_code, reason = "of other processors, and of tests")
+)]
 pub(super) struct Plain([f32; 4]);
 
 impl Vector for Plain {

@@ -5,10 +5,10 @@
 #![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
 
 use super::shape::{PANEL, Product};
+#[cfg(not(target_arch = "x86_64"))]
+use super::simd::Four;
 #[cfg(target_arch = "x86_64")]
 use super::simd::Level;
-#[cfg(any(test, not(target_arch = "x86_64")))]
-use super::simd::Plain;
 use super::simd::{Checked, Vector};
 
 /// Computes a product at a level. With `skips`, inputs that are zero in all rows of a tile are left out, which no sum feels as
@@ -61,7 +61,7 @@ pub(super) fn multiply(
     #[cfg(not(target_arch = "x86_64"))]
     {
         let _ = level;
-        unsafe { if skips { sparse_product::<Plain>(p, sides) } else { product::<Plain, 4>(p, sides) } }
+        unsafe { if skips { sparse_product::<Four>(p, sides) } else { product::<Four, 4>(p, sides) } }
     }
 }
 
@@ -390,6 +390,7 @@ unsafe fn sparse_tile<V: Vector, const ROWS: usize, const WIDE: usize>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::simd::Plain;
     use super::*;
 
     #[test]

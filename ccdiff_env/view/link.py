@@ -1,0 +1,130 @@
+"""Links of the playground: a drive is its scene, its traffic and the keys that were held."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.record.rollout import Rollout
+
+__all__ = ["HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "world_config"]
+
+HORIZON_STEPS = 150
+#: Who drives the others, as the page offers it.
+TRAFFIC = {"ccdiff": "CCDiff", "idm": "IDM", "replay": "as recorded"}
+#: Most that the steering moves in a step: full lock in a quarter of a second.
+STEER_PER_STEP = 4 * 0.1
+MAX_CRITICALITY = 2.0
+
+
+def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
+    """Return the configuration that the page plays with."""
+    samples = 4 if criticality > 0.0 else 1
+    network = {"denoising_steps": 1, "num_samples": samples, "criticality": criticality}
+    options = {"ccdiff": network} if traffic == "ccdiff" else {}
+    return WorldConfig().with_options(
+        traffic=traffic, horizon_steps=HORIZON_STEPS, autoreset="disabled", **options
+    )
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive on the page.
+
+    Parameters
+    ----------
+    scene
+        Name of an embedded scene.
+    traffic
+        Who drives the others: one of :data:`TRAFFIC`.
+    criticality
+        Strength of CCDiff's guidance, 0 to 2.
+    keys
+        Keys held in each step, [T]: accelerate 1, brake 2, left 4, right 8, added up.
+    """
+
+    scene: str
+    traffic: str
+    criticality: float
+    keys: tuple[int, ...]
+
+    def actions(self) -> npt.NDArray[np.float32]:
+        """Return normalised accelerations and yaw rates [T, 2], as the page computes them."""
+        steer, actions = 0.0, []
+        for held in self.keys:
+            wanted = float(bool(held & 4)) - float(bool(held & 8))
+            steer += min(max(wanted - steer, -STEER_PER_STEP), STEER_PER_STEP)
+            actions.append((-1.0 if held & 2 else float(held & 1), steer))
+        return np.array(actions, np.float32).reshape(-1, 2)
+
+
+def is_drive(text: str) -> bool:
+    """Return whether a word of the command line is a link to a drive."""
+    return "#" in text and "drive=" in text
+
+
+def read_drive(link: str) -> Drive:
+    """Read a link that *Copy link* has made.
+
+    Raises
+    ------
+    ConfigError
+        If a part of the link is missing, unknown or out of range.
+    """
+    found = {name: values[-1] for name, values in parse_qs(urlsplit(link).fragment).items()}
+    if missing := {"scene", "traffic", "drive"} - set(found):
+        raise ConfigError(f"link: no {min(missing)}, expected scene, traffic and drive")
+    if found["traffic"] not in TRAFFIC:
+        raise ConfigError(
+            f"link: traffic is {found['traffic']!r}, expected one of {', '.join(TRAFFIC)}"
+        )
+    try:
+        criticality = float(found.get("criticality", "0"))
+    except ValueError:
+        criticality = float("nan")
+    if not 0.0 <= criticality <= MAX_CRITICALITY:
+        raise ConfigError(f"link: criticality is {found['criticality']!r}, expected 0 to 2")
+    drive = found["drive"]
+    runs = re.findall(r"([a-p])([1-9][0-9]{0,2})", drive)
+    keys = tuple(ord(held) - ord("a") for held, count in runs for _ in range(int(count)))
+    if "".join(map("".join, runs)) != drive or len(keys) > HORIZON_STEPS:
+        raise ConfigError(
+            f"link: drive is {drive[:40]!r}, expected letters a to p, each with its number of "
+            f"steps, {HORIZON_STEPS} in all at most"
+        )
+    return Drive(found["scene"], found["traffic"], criticality, keys)
+
+
+def play_drive(link: str) -> Rollout:
+    """Play a link again: the states have the bits that they had on the page.
+
+    Raises
+    ------
+    ConfigError
+        If the link is not one.
+    UnknownNameError
+        If there is no such scene.
+    """
+    from ccdiff_env.envs import EgoEnv
+    from ccdiff_env.record.recorder import Recorder
+    from ccdiff_env.scenes.sources import DEFAULT, load
+
+    drive = read_drive(link)
+    scene = load(DEFAULT, names=[drive.scene])[0]
+    env = EgoEnv(scenes=scene, config=world_config(drive.traffic, drive.criticality))
+    env.reset(seed=0)
+    recorder = Recorder(env, planner="you")
+    recorder.start()
+    for action in drive.actions():
+        _, _, terminated, truncated, _ = env.step(action)
+        recorder.step()
+        if terminated or truncated:
+            break
+    env.close()
+    return recorder.rollout()

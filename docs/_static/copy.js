@@ -1,0 +1,13 @@
+// A button that copies, on each block of code.
+for (const block of document.querySelectorAll("div.highlight")) {
+  const button = document.createElement("button");
+  button.className = "copy";
+  button.textContent = "Copy";
+  button.addEventListener("click", async () => {
+    await navigator.clipboard.writeText(block.querySelector("pre").textContent);
+    button.textContent = "Copied";
+    setTimeout(() => { button.textContent = "Copy"; }, 1500);
+  });
+  block.style.position = "relative";
+  block.append(button);
+}
