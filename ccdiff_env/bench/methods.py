@@ -230,6 +230,17 @@ for _name in ("ccdiff", "ccdiff_equal", "ctg"):
         guidance={"objectives": _OVER_SPEED},
     )
 
+# next tokens: guided, one draw, careful, with routes told and without
+METHODS["tokens"] = Method("Tokens", "tokens", ccdiff=_GUIDED)
+for _routes, _told in (("", {}), ("_routes", {"follow_route": True})):
+    _label = "Tokens with routes" if _told else "Tokens"
+    METHODS[f"tokens{_routes}_one_sample"] = Method(
+        f"{_label}, no guidance, N=1", "tokens", ccdiff=_told
+    )
+    METHODS[f"tokens{_routes}_careful"] = Method(
+        f"{_label}, careful", "tokens", ccdiff={**_told, "careful": True}
+    )
+
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(
     f"{name}{suffix}"

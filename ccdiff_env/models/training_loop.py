@@ -72,6 +72,8 @@ def run_training(
                 f", minADE {errors['min_ade_m']:.2f} m, constant velocity "
                 f"{errors['constant_velocity_ade_m']:.2f} m"
             )
+            if "nats" in errors:
+                said += f", {errors['nats']:.3f} nats, {errors['nats_untold']:.3f} without routes"
 
     try:
         while True:

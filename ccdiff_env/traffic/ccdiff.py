@@ -33,6 +33,7 @@ NETWORKS = (
     "bits",
     "ctg",
     "ctgpp",
+    "tokens",
 )
 
 

@@ -453,6 +453,9 @@ class CcdiffConfig:
     num_samples: int = 1
     #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
     cfg_weight: float = 1.0
+    #: What the logits of tokens are divided by: below 1 the likely ones are drawn more often (> 0);
+    #: 1 for other networks.
+    temperature: float = 1.0
     #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
     tie_first_knot: bool = False
     #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
@@ -476,12 +479,14 @@ class CcdiffConfig:
     #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
     background_driver: BackgroundDriver = "ccdiff"
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
-    #: configured (>= 0). Worlds may be told another one at any time.
+    #: configured (>= 0). Tokens: guided vehicles take the best of 1 + 15 times so many draws.
+    #: Worlds may be told another one at any time.
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
     #: Whether plans of worlds that are not guided are moved too: off contacts and back onto the
-    #: road, at the cost of the gradients.
+    #: road, at the cost of the gradients. Tokens: whether they are the first of 8 draws without
+    #: either in 1.5 s.
     careful: bool = False
     #: Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
     mask_guidance: bool = True

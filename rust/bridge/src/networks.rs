@@ -120,7 +120,12 @@ impl PyTrajectoryModel {
             return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
         }
         let options = PlanOptions {
-            sampling: SampleOptions { solver_steps, num_samples, guidance_weight },
+            sampling: SampleOptions {
+                solver_steps,
+                num_samples,
+                guidance_weight,
+                ..SampleOptions::default()
+            },
             guidance: guidance.map(|text| read("guidance", text)).transpose().map_err(from_sim)?,
             attention,
             gradient_statistics,

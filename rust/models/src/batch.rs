@@ -5,6 +5,7 @@ use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
 use crate::sampler::Rows;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
+use ccdiff_nets::tokens::{NEAR, NEAR_NUMBERS, TokenInputs, near_columns, own_columns};
 use tch::{Device, Kind, Tensor};
 
 /// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.
@@ -28,10 +29,65 @@ pub struct Batch {
     pub image: Option<Tensor>,
     /// Routes ahead [R, 1 + 2 P], see [`SceneFeatures::route`]; `None` for a network that knows none.
     pub route: Option<Tensor>,
+    /// Inputs of a network of tokens; empty for others.
+    pub tokens: TokenBatch,
     /// Physical first knots of plans that start with one, [R].
     pub first_knots: Vec<Option<[f32; 2]>>,
     /// Seed of each row's own noise, [R]; `None`: noise of the world's seed.
     pub noise_seeds: Vec<Option<u64>>,
+}
+
+/// Inputs of tokens, see [`TokenInputs`]; empty tensors for other networks.
+#[derive(Debug, Default)]
+pub struct TokenBatch {
+    /// Own numbers [R, own].
+    pub own: Tensor,
+    /// Neighbours [R, near, numbers].
+    pub near: Tensor,
+    /// Yaw rates now, rad/s, [R].
+    pub yaw_rate_radps: Vec<f32>,
+    /// Whether motion is known now, [R].
+    pub known: Vec<bool>,
+}
+
+impl TokenBatch {
+    fn new(scenes: &[&SceneFeatures], device: Device) -> Self {
+        let of = |part: fn(&TokenInputs) -> &Vec<f32>| -> Vec<f32> {
+            scenes.iter().flat_map(|s| part(&s.tokens)).copied().collect()
+        };
+        let yaw_rate_radps = of(|t| &t.yaw_rate_radps);
+        let rows = yaw_rate_radps.len() as i64;
+        if rows == 0 {
+            return Self::default();
+        }
+        let put = |numbers: Vec<f32>, size: &[i64]| Tensor::from_slice(&numbers).view(size).to_device(device);
+        Self {
+            own: put(of(|t| &t.own), &[rows, -1]),
+            near: put(of(|t| &t.near), &[rows, NEAR as i64, NEAR_NUMBERS as i64]),
+            yaw_rate_radps,
+            known: scenes.iter().flat_map(|s| &s.tokens.known).copied().collect(),
+        }
+    }
+
+    /// The same rows with what comes from the route times `keep` [R, 1].
+    fn with_routes_kept(mut self, keep: &Tensor, num_points: usize) -> Self {
+        let told = |columns: Vec<bool>| Tensor::from_slice(&columns).to_device(keep.device());
+        let hide = |told: Tensor, keep: &Tensor| told.logical_not().logical_or(keep).to_kind(Kind::Float);
+        if !self.yaw_rate_radps.is_empty() {
+            self.own *= hide(told(own_columns(num_points).map(|c| c.1).collect()), keep);
+            self.near *= hide(told(near_columns().map(|c| c.1).collect()), &keep.unsqueeze(1));
+        }
+        self
+    }
+
+    fn shallow_clone(&self) -> Self {
+        Self {
+            own: self.own.shallow_clone(),
+            near: self.near.shallow_clone(),
+            yaw_rate_radps: self.yaw_rate_radps.clone(),
+            known: self.known.clone(),
+        }
+    }
 }
 
 /// Logged futures of the rows of a batch.
@@ -102,6 +158,7 @@ impl Batch {
         });
         Ok(Self {
             scene_sizes,
+            tokens: TokenBatch::new(scenes, device),
             first_knots: scenes.iter().flat_map(|s| s.first_action.iter().copied()).collect(),
             route: (!route.is_empty()).then(|| put(Tensor::from_slice(&route), &[r, -1])),
             noise_seeds: scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect(),
@@ -145,6 +202,7 @@ impl Batch {
         });
         Self {
             scene_sizes: self.scene_sizes.clone(),
+            tokens: self.tokens.shallow_clone(),
             first_knots: self.first_knots.clone(),
             route: self.route.as_ref().map(Tensor::shallow_clone),
             noise_seeds: self.noise_seeds.clone(),
@@ -162,6 +220,8 @@ impl Batch {
     #[must_use]
     pub fn with_routes_dropped(mut self, dropped: &Tensor) -> Self {
         let keep = dropped.logical_not().unsqueeze(1);
+        let points = self.route.as_ref().map_or(0, |route| (route.size()[1] - 1) / 2);
+        self.tokens = self.tokens.with_routes_kept(&keep, points as usize);
         self.route = self.route.map(|route| route * keep);
         self
     }

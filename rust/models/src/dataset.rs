@@ -1,12 +1,13 @@
 //! Training samples from scenes: (scene, step) pairs whose features are built on demand, in parallel.
 
 pub use ccdiff_nets::features::vehicles;
+use ccdiff_nets::traffic::STATIONARY_REACH_M;
 
 use crate::batch::{Batch, Targets};
-use crate::config::{ModelConfig, Normalisation};
+use crate::config::{ModelConfig, ModelKind, Normalisation};
 use crate::error::{ModelError, Result};
 use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
-use crate::lateral_perturbation::LateralPerturbation;
+use crate::lateral_perturbation::{LateralPerturbation, RECOVERY_S};
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
 use crate::raster::MapBitmap;
@@ -16,6 +17,9 @@ use ccdiff_sim::world::Route;
 use rayon::prelude::*;
 use std::sync::Arc;
 use tch::Device;
+
+/// Seconds until a pushed vehicle is back on its log, for tokens.
+const TOKEN_RECOVERY_S: f32 = 2.0;
 
 /// A scene with what is computed once about it.
 #[derive(Debug)]
@@ -165,12 +169,20 @@ impl Dataset {
         let (prepared, step) = (&self.scenes[scene_idx as usize], step as usize);
         let scene = &prepared.scene;
         let at = |a: usize| scene.tracks.position[scene.at(a, step)];
+        let tokens = self.config.kind == ModelKind::Tokens;
+        let parked = |a: usize| prepared.routes.get(a).is_some_and(Route::is_parked);
         let mut present: Vec<usize> =
             prepared.vehicles.iter().copied().filter(|a| scene.is_valid(*a, step)).collect();
         if let Some(&centre) = present.first() {
             let distance = |a: usize| (at(a) - at(centre)).norm();
             present.retain(|a| distance(*a) <= self.config.agents_within_m);
             present.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b)));
+            if tokens {
+                // as worlds are planned for: parked vehicles are seen near those that move
+                let moving: Vec<usize> = present.iter().copied().filter(|a| !parked(*a)).collect();
+                let near = |a: usize| moving.iter().any(|b| (at(a) - at(*b)).norm() < STATIONARY_REACH_M);
+                present.retain(|a| !parked(*a) || near(*a));
+            }
             present.truncate(self.config.max_agents);
         }
         let mut window = Window::from_scene(scene, step, &present, self.config.history_steps);
@@ -179,6 +191,11 @@ impl Dataset {
         let moves: Vec<Option<Move>> = (0..present.len())
             .zip(first..)
             .map(|(row, slot)| {
+                if tokens {
+                    // changes of speed are what is learned
+                    let push = LateralPerturbation::draw(&noise?, slot, speeds[row])?;
+                    return Move::Aside(push).applied(&mut window, row);
+                }
                 let drawn = Move::draw(&noise?, slot, speeds[row], || {
                     let (back, ahead) = (self.config.history_steps, self.config.horizon_steps);
                     (Trail::new(scene, present[row], step, back, ahead), self.config.dt_s as f32)
@@ -191,14 +208,24 @@ impl Dataset {
             window.tell_routes(routes, &self.config.route_points_m);
         }
         let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
+        let recovery_s = if tokens { TOKEN_RECOVERY_S } else { RECOVERY_S };
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
             Some(Move::Aside(push)) => {
-                push.recover(pose, ahead as f32 * self.config.dt_s as f32, speeds[row])
+                push.recover(pose, ahead as f32 * self.config.dt_s as f32, speeds[row], recovery_s)
             }
             Some(Move::Along(_, _, future)) => future.get(ahead - 1).copied().unwrap_or(pose),
             None => pose,
         };
-        let futures = features::futures(scene, step, &present, &features, &self.config, adapt);
+        let mut futures = features::futures(scene, step, &present, &features, &self.config, adapt);
+        if tokens {
+            // who never moves has no token
+            let steps = self.config.horizon_steps;
+            for (agent, valid) in features.agents.iter().zip(futures.valid.chunks_exact_mut(steps)) {
+                if parked(present[*agent]) {
+                    valid.fill(false);
+                }
+            }
+        }
         Ok((features, futures))
     }
 

@@ -2,7 +2,7 @@
 //!
 //! Ours, not the paper's: in closed loop the network meets states that no log holds; without such samples small errors
 //! grow. The current pose is moved sideways and turned, the history moves along rigidly, and the future joins the log
-//! again after [`RECOVERY_S`] on a cubic that starts in the turned direction.
+//! again after [`RECOVERY_S`] (tokens: after 2 s) on a cubic that starts in the turned direction.
 
 use crate::features::Window;
 use crate::noise::Noise;
@@ -17,7 +17,7 @@ const HEADING_RAD: (f32, f32) = (0.05, 0.12);
 /// Slower agents are left alone, metres per second.
 const LEAST_SPEED_MPS: f32 = 2.0;
 /// Seconds until the log is joined again.
-const RECOVERY_S: f32 = 3.0;
+pub(crate) const RECOVERY_S: f32 = 3.0;
 
 /// How far an agent is pushed off its path.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,18 +54,18 @@ impl LateralPerturbation {
         }
     }
 
-    /// Moves a logged future pose, `seconds` after now, to the path that leads back.
-    pub(crate) fn recover(&self, pose: Pose2, seconds: f32, speed_mps: f32) -> Pose2 {
-        if seconds >= RECOVERY_S {
+    /// Moves a logged future pose, `seconds` after now, to the path that leads back in `recovery_s`.
+    pub(crate) fn recover(&self, pose: Pose2, seconds: f32, speed_mps: f32, recovery_s: f32) -> Pose2 {
+        if seconds >= recovery_s {
             return pose;
         }
         let speed = speed_mps.max(LEAST_SPEED_MPS);
-        let s = seconds / RECOVERY_S;
-        let rate = RECOVERY_S * speed * libm::tanf(self.heading_rad);
+        let s = seconds / recovery_s;
+        let rate = recovery_s * speed * libm::tanf(self.heading_rad);
         let offset =
             self.lateral_m * (2.0 * s * s * s - 3.0 * s * s + 1.0) + rate * (s * s * s - 2.0 * s * s + s);
         let slope =
-            (self.lateral_m * (6.0 * s * s - 6.0 * s) + rate * (3.0 * s * s - 4.0 * s + 1.0)) / RECOVERY_S;
+            (self.lateral_m * (6.0 * s * s - 6.0 * s) + rate * (3.0 * s * s - 4.0 * s + 1.0)) / recovery_s;
         let moved = pose.to_outer(Vector2::new(0.0, offset).into());
         Pose2::new(moved.x, moved.y, pose.heading_rad + libm::atan2f(slope, speed))
     }
@@ -80,15 +80,16 @@ mod tests {
         let push = LateralPerturbation { lateral_m: 0.7, heading_rad: -0.1 };
         let speed = 8.0;
         let log = |t: f32| Pose2::new(speed * t, 3.0, 0.0);
-        let start = push.recover(log(0.0), 0.0, speed);
+        let start = push.recover(log(0.0), 0.0, speed, RECOVERY_S);
         assert!((start.position.y - 3.7).abs() < 1e-5 && (start.heading_rad + 0.1).abs() < 1e-5);
-        assert_eq!(push.recover(log(3.1), 3.1, speed), log(3.1));
+        assert_eq!(push.recover(log(3.1), 3.1, speed, RECOVERY_S), log(3.1));
         // the heading is that of the path itself
         for i in 0..29 {
             let (a, b) = (0.1 * i as f32, 0.1 * (i + 1) as f32);
-            let (p, q) = (push.recover(log(a), a, speed), push.recover(log(b), b, speed));
+            let (p, q) =
+                (push.recover(log(a), a, speed, RECOVERY_S), push.recover(log(b), b, speed, RECOVERY_S));
             let along = q.position - p.position;
-            let middle = push.recover(log(0.5 * (a + b)), 0.5 * (a + b), speed);
+            let middle = push.recover(log(0.5 * (a + b)), 0.5 * (a + b), speed, RECOVERY_S);
             assert!((libm::atan2f(along.y, along.x) - middle.heading_rad).abs() < 2e-3);
         }
     }

@@ -23,6 +23,7 @@ mod optimiser;
 pub mod plan_model;
 pub mod plan_space;
 pub mod sampler;
+pub mod tokens;
 pub mod torch;
 pub mod torch_model;
 pub mod train;

@@ -9,6 +9,7 @@ use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
+use crate::tokens::Tokens;
 use crate::torch::Torch;
 use crate::train::TrainConfig;
 use ccdiff_nets::ccdiff::Network;
@@ -25,6 +26,11 @@ pub trait PlanModel: Debug + Send {
 
     /// Loss of one batch of a training step, with its gradient.
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor;
+
+    /// Sum of the negative logarithms of the probabilities of the logged tokens, and their number; `None` for other networks.
+    fn nats(&self, _batch: &Batch, _targets: &Targets) -> Option<(f64, usize)> {
+        None
+    }
 
     /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves the plans on the way.
     ///
@@ -111,6 +117,7 @@ pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
         ModelKind::Ctg => Box::new(Diffusion::new(HalfUnet::new(p, config))?),
         ModelKind::Simnet => Box::new(Simnet::new(p, config)),
         ModelKind::Bits => Box::new(Bits::new(p, config)?),
+        ModelKind::Tokens => Box::new(Tokens::new(p, config)),
         ModelKind::Trafficsim | ModelKind::TrafficsimPort | ModelKind::Strive => {
             Box::new(Cvae::new(p, config))
         }

@@ -194,6 +194,13 @@ impl Backend for Torch {
         y.transpose(1, 2).flatten(2, 3)
     }
 
+    fn pool(q: &Tensor, elements: &Tensor, heads: i64) -> Tensor {
+        let q = q.view([q.size()[0], heads, -1]);
+        let scale = (q.size()[2] as f64).sqrt();
+        let weights = (q.bmm(&elements.transpose(1, 2)) / scale).softmax(-1, Kind::Float);
+        weights.bmm(elements).flatten(1, 2).unsqueeze(1)
+    }
+
     fn attend_others(
         q: &Tensor,
         (k, v): &KeyValue<Self>,

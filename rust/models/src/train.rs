@@ -68,6 +68,16 @@ impl TrainConfig {
             Self { drop_graph: if kind == ModelKind::Ccdiff { paper.drop_graph } else { 0.0 }, ..paper };
         match name {
             "paper" => Ok(paper),
+            "fast" if kind == ModelKind::Tokens => Ok(Self {
+                batch_scenes: 160,
+                learning_rate: 1.5e-3,
+                warmup_steps: 200,
+                ema_start: 200,
+                drop_route: 0.5,
+                clip_norm: 1.0,
+                perturb: true,
+                ..paper
+            }),
             "fast" => Ok(Self {
                 batch_scenes: 24,
                 learning_rate: 1e-3,
@@ -117,6 +127,8 @@ pub struct Validation {
     pub constant_velocity_fde_m: f64,
     /// Agents counted.
     pub num_agents: usize,
+    /// Mean negative logarithm of the probabilities of the logged tokens, with routes and without; of a network of tokens.
+    pub nats: Option<[f64; 2]>,
 }
 
 /// A training run.
@@ -293,10 +305,12 @@ impl Trainer {
     /// # Errors
     /// What features, sampling and libtorch refuse.
     pub fn validate(&self, held_out: &Dataset, count: usize, options: SampleOptions) -> Result<Validation> {
+        // tokens are cheap, and their logarithms vary
+        let count = if self.model.kind == ModelKind::Tokens { 8 * count } else { count };
         let count = count.clamp(1, held_out.len());
         let indices: Vec<usize> = (0..count).map(|i| i * held_out.len() / count).collect();
         guarded(false, "validation", || {
-            let mut errors = Errors::default();
+            let (mut errors, mut nats) = (Errors::default(), [(0.0, 0); 2]);
             for chunk in indices.chunks(32) {
                 let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
@@ -305,8 +319,16 @@ impl Trainer {
                 let n = options.num_samples as i64;
                 let states = model.space().states(&knots, &batch.speed_mps.repeat([n]));
                 errors.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
+                let mut add = |at: usize, batch: &Batch| {
+                    let found = model.nats(batch, &targets).unwrap_or_default();
+                    nats[at] = (nats[at].0 + found.0, nats[at].1 + found.1);
+                };
+                add(0, &batch);
+                let all = Tensor::ones([batch.num_rows()], (Kind::Bool, self.store.device()));
+                add(1, &batch.with_routes_dropped(&all));
             }
-            Ok(errors.means())
+            let found = (nats[0].1 > 0).then(|| nats.map(|(sum, count)| sum / count as f64));
+            Ok(Validation { nats: found, ..errors.means() })
         })
     }
 
@@ -444,6 +466,7 @@ impl Errors {
             constant_velocity_ade_m: mean(4),
             constant_velocity_fde_m: mean(5),
             num_agents: self.num_agents,
+            nats: None,
         }
     }
 }

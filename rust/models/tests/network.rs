@@ -207,7 +207,12 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     let bitmap = model.bitmap(&scene).unwrap();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
     let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
-    let options = SampleOptions { solver_steps: Some(2), num_samples: 2, guidance_weight: 1.1 };
+    let options = SampleOptions {
+        solver_steps: Some(2),
+        num_samples: 2,
+        guidance_weight: 1.1,
+        ..SampleOptions::default()
+    };
     let plan = model.plan(&[view], &options.into()).unwrap().remove(0);
     assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * 52 * 2, 2 * 3 * 52 * 6));
     assert!(plan.states.iter().all(|v| v.is_finite()));
@@ -245,7 +250,12 @@ fn a_worlds_samples_depend_on_its_own_seed_and_not_on_its_neighbours() {
     let (a, b) = (features_of(&scene, 40, &config), features_of(&scene, 60, &config));
     let draw = |scenes: &[&SceneFeatures], seeds: &[u64], solver_steps, weight| {
         let batch = Batch::new(scenes, &config, Device::Cpu).unwrap();
-        let options = SampleOptions { solver_steps, num_samples: 2, guidance_weight: weight };
+        let options = SampleOptions {
+            solver_steps,
+            num_samples: 2,
+            guidance_weight: weight,
+            ..SampleOptions::default()
+        };
         tch::no_grad(|| sampler::sample(&network, &schedule, &batch, seeds, options, None).unwrap().knots)
     };
     let few = Some(4);

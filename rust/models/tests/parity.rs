@@ -80,7 +80,8 @@ fn every_form_has_the_same_plans_on_both() {
         let mut torch = torch_model::load(&path, Device::Cpu).unwrap();
         let guidance_weight = if model.kind == ModelKind::Ccdiff { 1.4 } else { 1.0 };
         for (solver_steps, num_samples) in [(Some(1), 1), (Some(4), 3)] {
-            let sampling = SampleOptions { solver_steps, num_samples, guidance_weight };
+            let sampling =
+                SampleOptions { solver_steps, num_samples, guidance_weight, ..SampleOptions::default() };
             let (a, b) = (plan(&mut own, &scene, sampling), plan(&mut torch, &scene, sampling));
             let far = |a: &[f32], b: &[f32]| {
                 assert_eq!(a.len(), b.len());

@@ -137,6 +137,9 @@ pub trait Backend: Debug + Sized {
     /// Softmax attention of queries over keys and values of the same row.
     fn attend(q: &Self::Tensor, kv: &KeyValue<Self>, heads: i64, mask: Option<&Self::Mask>) -> Self::Tensor;
 
+    /// Softmax attention of a row's only token [R, 1, heads · w] over elements [R, K, w], which are keys and values of every head.
+    fn pool(q: &Self::Tensor, elements: &Self::Tensor, heads: i64) -> Self::Tensor;
+
     /// Attention of every token over the same token of the rows in its slots: of the others, or itself if there are none, with
     /// what the edges add to keys and values.
     fn attend_others(

@@ -1,9 +1,14 @@
 //! What a network is: sizes, map view, graph thresholds, normalisation. Stored with the weights.
 
 use crate::error::{ModelError, Result};
+use crate::tokens;
 use ccdiff_sim::causal::graph::GraphThresholds;
 use ccdiff_sim::options::{Table, above, at_least, within};
 use ccdiff_sim::{choices, options};
+
+/// Places on a route that the network of tokens is told of, metres ahead.
+const ROUTE_POINTS_M: [f32; 16] =
+    [0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0, 40.0, 45.0, 50.0, 55.0, 60.0];
 
 /// The tables of networks.
 pub const TABLES: &[&Table] = &[&ModelConfig::TABLE, &MapConfig::TABLE, &Normalisation::TABLE];
@@ -28,12 +33,14 @@ choices! {
         Ctg = "ctg",
         /// Scene diffusion over a graph of distances.
         Ctgpp = "ctgpp",
+        /// Each agent's next token of a grid of motions.
+        Tokens = "tokens",
     }
 }
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ccdiff,
         Self::Simnet,
         Self::Trafficsim,
@@ -42,6 +49,7 @@ impl ModelKind {
         Self::Bits,
         Self::Ctg,
         Self::Ctgpp,
+        Self::Tokens,
     ];
 
     /// The kind of a name.
@@ -52,7 +60,7 @@ impl ModelKind {
         Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| ModelError::Config {
             field: "model",
             got: format!("{name:?}"),
-            expected: "ccdiff, simnet, trafficsim, trafficsim_port, strive, bits, ctg or ctgpp",
+            expected: "ccdiff, simnet, trafficsim, trafficsim_port, strive, bits, ctg, ctgpp or tokens",
         })
     }
 
@@ -66,9 +74,9 @@ impl ModelKind {
         matches!(self, Self::Ccdiff | Self::Ctgpp)
     }
 
-    /// Whether it reads agents by the trunk that all but the scene diffusions share.
+    /// Whether it reads agents by the trunk that all but the scene diffusions and tokens share.
     fn has_trunk(self) -> bool {
-        !self.attends()
+        !self.attends() && self != Self::Tokens
     }
 }
 
@@ -291,7 +299,29 @@ impl ModelConfig {
         let config = Self::preset(preset)?;
         match kind {
             ModelKind::Ccdiff => Ok(config),
+            ModelKind::Tokens => Self::tokens(config).validated(),
             _ => Self { kind, neighbour_order: NeighbourOrder::Distance, ..config }.validated(),
+        }
+    }
+
+    /// Tokens in a preset's sizes: lines of the map, a memory of 6 s, plans of 2.5 s.
+    fn tokens(preset: Self) -> Self {
+        let map = preset.map.map(|map| MapConfig { encoder: MapEncoder::Polylines, ..map });
+        Self {
+            kind: ModelKind::Tokens,
+            neighbour_order: NeighbourOrder::Distance,
+            history_steps: tokens::HISTORY_STEPS,
+            horizon_steps: 5 * tokens::TOKEN_STEPS,
+            knot_stride: 1,
+            width: 96,
+            edge_width: 64,
+            feed_forward: 192,
+            temporal_layers: 2,
+            max_neighbours: tokens::NEAR,
+            max_agents: 32,
+            route_points_m: ROUTE_POINTS_M.to_vec(),
+            map,
+            ..preset
         }
     }
 
@@ -314,9 +344,21 @@ impl ModelConfig {
             let got = self.history.name().to_owned();
             return fail("model.history", got, "a summary, as in \"fast\", for this model");
         }
-        if !self.route_points_m.is_empty() && self.kind != ModelKind::Ccdiff {
+        if self.kind == ModelKind::Tokens {
+            let lines = self.map.as_ref().is_some_and(|m| m.encoder == MapEncoder::Polylines);
+            if !lines || self.history_steps != tokens::HISTORY_STEPS || self.knot_stride != 1 {
+                let (steps, stride) = (self.history_steps, self.knot_stride);
+                let got = format!("a history of {steps} steps, knots of {stride}");
+                return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
+            }
+            if self.horizon_steps <= tokens::TOKEN_STEPS {
+                return fail("model.horizon_steps", self.horizon_steps.to_string(), "more than a token's 5");
+            }
+        }
+        let told = matches!(self.kind, ModelKind::Ccdiff | ModelKind::Tokens);
+        if !self.route_points_m.is_empty() && !told {
             let got = format!("{} points for {}", self.route_points_m.len(), self.kind.name());
-            return fail("model.route_points_m", got, "none: CCDiff alone may know routes");
+            return fail("model.route_points_m", got, "none: CCDiff and tokens alone may know routes");
         }
         if self.route_points_m.len() > 64 {
             let got = format!("{} points", self.route_points_m.len());
@@ -328,7 +370,7 @@ impl ModelConfig {
                 (map.size_px.to_string(), "a multiple of 8 with the agent inside the raster");
             return fail("model.map.size_px", got, expected);
         }
-        if map.encoder == MapEncoder::Polylines && (map.history_channels || !self.kind.attends()) {
+        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.kind.has_trunk()) {
             let got = map.encoder.name().to_owned();
             return fail(
                 "model.map.encoder",

@@ -8,10 +8,11 @@ mod window;
 pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
-use crate::config::{MapEncoder, ModelConfig, NeighbourOrder};
+use crate::config::{MapEncoder, ModelConfig, ModelKind, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::raster::{self, MapBitmap};
 use crate::segments;
+use crate::tokens::{self, TokenInputs};
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
@@ -66,6 +67,8 @@ pub struct SceneFeatures {
     /// Whether the agent's route is told (0 or 1), then places ahead on it in the agent's frame, x and y, [M, 1 + 2 P]; zero
     /// where it is not told. Empty for a network that knows no routes.
     pub route: Vec<f32>,
+    /// Inputs of a network of tokens; empty for others.
+    pub tokens: TokenInputs,
 }
 
 /// Logged futures of the M agents of a [`SceneFeatures`], in their agent frames.
@@ -156,6 +159,7 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         segments: Vec::new(),
         graph,
         ttc_s: ttc_now,
+        tokens: TokenInputs::default(),
     };
     if let Some(map) = &config.map {
         match map.encoder {
@@ -164,6 +168,9 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
                 features.image = raster::images(&features, window, bitmap, map)
             }
         }
+    }
+    if config.kind == ModelKind::Tokens {
+        features.tokens = tokens::inputs(window, &features, config);
     }
     Ok(features)
 }

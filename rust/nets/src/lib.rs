@@ -20,6 +20,7 @@ pub mod sampler;
 pub mod schedule;
 pub mod segments;
 pub mod simnet;
+pub mod tokens;
 pub mod traffic;
 pub mod trajectory_model;
 pub mod trunk;

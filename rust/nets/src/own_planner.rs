@@ -11,6 +11,7 @@ use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
 use crate::simnet::Simnet;
+use crate::tokens::TokenPlanner;
 use crate::weights::{Entry, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,6 +35,7 @@ pub(crate) fn planner(
         ModelKind::Simnet => {
             Box::new(Regressor { network: Simnet::new(&root, config), space: PlanSpace::new(config) })
         }
+        ModelKind::Tokens => Box::new(TokenPlanner::new(&root, config)),
         _ => {
             let schedule = Schedule::cosine(config.diffusion_steps)?;
             Box::new(Denoiser { network: Network::new(&root, config), schedule })

@@ -61,6 +61,15 @@ impl PlanOptions {
                 (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
             return Err(ModelError::Config { field: "guidance_weight", got, expected });
         }
+        if kind == ModelKind::Tokens {
+            // a choice among draws
+            if let Some(guidance) = &mut self.guidance {
+                guidance.gradient_steps = 0;
+            }
+        } else if self.sampling.temperature != 1.0 {
+            let (got, expected) = (self.sampling.temperature.to_string(), "1: this model draws no tokens");
+            return Err(ModelError::Config { field: "temperature", got, expected });
+        }
         if kind.denoises() && self.sampling.solver_steps != Some(1) {
             return Ok(self);
         }

@@ -6,7 +6,7 @@ use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;
 use ccdiff_sim::options;
-use ccdiff_sim::options::{at_least, within};
+use ccdiff_sim::options::{above, at_least, within};
 
 options! {
     /// How plans are drawn from a network.
@@ -20,6 +20,8 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
         guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
+        /// What the logits of tokens are divided by: below 1 the likely ones are drawn more often; 1 for other networks.
+        temperature: f64 = 1.0, range above(0.0);
     }
 }
 

@@ -14,6 +14,16 @@ pub const NUM_SEGMENTS: usize = 64;
 /// Numbers per segment: both ends x, y, 1 for 20 m; middle x, y and the agent's place along and beside the segment's line, 1 for
 /// 5 m and more; cosine and sine of the direction; nearness of the middle; availability; the kind, one of 8.
 pub const SEGMENT_FEATURES: usize = 20;
+/// Numbers of a segment that change sign in a mirror.
+pub const SEGMENT_ODD: [bool; SEGMENT_FEATURES] = {
+    let mut odd = [false; SEGMENT_FEATURES];
+    let mut y = 1;
+    while y < 10 {
+        odd[y] = true;
+        y += 2;
+    }
+    odd
+};
 /// The straight way ahead of an agent: so long, metres,
 const WAY_M: f32 = 10.0;
 /// longer by so many seconds of its speed,

@@ -65,7 +65,8 @@ fn bits(name: &str, sizes: &[usize]) -> Vec<Vec<u32>> {
     let denoises = model.config().kind.denoises();
     let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 3 }).filter(|_| denoises);
     let solver_steps = solver_steps.or(SampleOptions::default().solver_steps);
-    let sampling = SampleOptions { solver_steps, num_samples: 2, guidance_weight: 1.0 };
+    let sampling =
+        SampleOptions { solver_steps, num_samples: 2, guidance_weight: 1.0, ..SampleOptions::default() };
     let options = PlanOptions { attention: true, ..sampling.into() };
     let of_plan = |p: &Plan| {
         let attention = p.attention_matrix().unwrap_or_default();

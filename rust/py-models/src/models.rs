@@ -117,7 +117,8 @@ impl PyTrainer {
         guidance_weight: f64,
     ) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(held_out) = &self.held_out else { return Ok(None) };
-        let options = SampleOptions { solver_steps, num_samples, guidance_weight };
+        let options =
+            SampleOptions { solver_steps, num_samples, guidance_weight, ..SampleOptions::default() };
         let v = py.detach(|| lock(&self.run).validate(held_out, count, options)).map_err(from_model)?;
         let dict = PyDict::new(py);
         dict.set_item("min_ade_m", v.min_ade_m)?;
@@ -127,6 +128,10 @@ impl PyTrainer {
         dict.set_item("constant_velocity_ade_m", v.constant_velocity_ade_m)?;
         dict.set_item("constant_velocity_fde_m", v.constant_velocity_fde_m)?;
         dict.set_item("num_agents", v.num_agents)?;
+        if let Some([told, untold]) = v.nats {
+            dict.set_item("nats", told)?;
+            dict.set_item("nats_untold", untold)?;
+        }
         Ok(Some(dict))
     }
 

@@ -42,7 +42,7 @@ const fn kind(name: &'static str, title: &'static str, drawn: DrawStyle, make: O
 }
 
 /// The kinds. A new one is a line here; `replay` and `constant_velocity` have no options and are always there.
-const KINDS: [Kind; 10] = [
+const KINDS: [Kind; 11] = [
     kind("idm", "IDM", DrawStyle::Idm, Some(idm)),
     kind("python", "Python model", DrawStyle::Other, Some(python)),
     kind("ccdiff", "CCDiff", DrawStyle::Ccdiff, None),
@@ -53,6 +53,7 @@ const KINDS: [Kind; 10] = [
     kind("bits", "BITS", DrawStyle::Ccdiff, None),
     kind("ctg", "CTG", DrawStyle::Ccdiff, None),
     kind("ctgpp", "CTG++", DrawStyle::Ccdiff, None),
+    kind("tokens", "Tokens", DrawStyle::Ccdiff, None),
 ];
 
 /// Adds the functions of this file to the module.

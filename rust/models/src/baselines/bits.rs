@@ -224,7 +224,7 @@ impl PlanModel for Bits {
         let goal = [x, y, heading.select(1, 0), heading.select(1, 1), border];
         let knots = self.plans(&seen.state.repeat([n as i64, 1]), &goal);
         if let Some(guide) = guide.as_deref_mut() {
-            guide.choose_against(to_vec(&self.predicted(&seen)))?;
+            guide.choose_against(to_vec(&self.predicted(&seen)), None)?;
         }
         Ok(Samples { knots: moved(&knots, guide)?, attention: None })
     }

@@ -141,6 +141,8 @@ options! {
         /// Leading actions of the plan that may be moved; `None`: all. With knots several steps apart, a knot may be moved
         /// where the first step nearest to it is one of these.
         executed_steps: Option<usize> = None, range at_least(1.0);
+        /// Leading steps of the plan that collision losses look at; `None`: all.
+        seen_steps: Option<usize> = None, range at_least(1.0);
         /// Choice among samples.
         filter_weights: FilterWeights = FilterWeights::Signed;
     }

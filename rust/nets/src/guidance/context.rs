@@ -122,7 +122,7 @@ impl<'a> GuidanceContext<'a> {
                 .map(|a| guide.target_speeds_mps.and_then(|v| v[*a]).filter(|v| v.is_finite()))
                 .collect(),
             speed_limit_mps: guide.speed_limit_mps,
-            step_weights: step_weights(config.discount, model.horizon_steps),
+            step_weights: seen_weights(config, model.horizon_steps),
         })
     }
 
@@ -130,6 +130,13 @@ impl<'a> GuidanceContext<'a> {
     pub fn num_agents(&self) -> usize {
         self.poses.len()
     }
+}
+
+/// The weights of the steps that losses look at, 0 for later ones.
+fn seen_weights(config: &GuidanceConfig, num_steps: usize) -> Vec<f32> {
+    let mut weights = step_weights(config.discount, num_steps);
+    weights.iter_mut().skip(config.seen_steps.unwrap_or(num_steps)).for_each(|w| *w = 0.0);
+    weights
 }
 
 /// γ^t / Σ γ^t for t in 0..T.

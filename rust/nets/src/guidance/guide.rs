@@ -31,6 +31,8 @@ pub struct Guidance<'a> {
     sums: Option<Vec<GradientSums>>,
     /// Predicted knots of all rows [R, knots, 2], against which each agent's sample is selected for itself.
     predicted: Option<Vec<f32>>,
+    /// Draws among which a row chooses at a guidance scale of 1; `None`: all.
+    draws: Option<usize>,
 }
 
 /// A denoising step as guidance sees it.
@@ -127,6 +129,7 @@ impl<'a> Guidance<'a> {
             shift_sq: vec![0.0; num_samples * rows],
             sums,
             predicted: None,
+            draws: None,
         })
     }
 
@@ -208,18 +211,30 @@ impl<'a> Guidance<'a> {
     }
 
     /// Has each agent's sample selected for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
-    /// of all agents of a world is one future.
+    /// of all agents of a world is one future. With `draws`, a guided agent chooses among its first ones, so many at a guidance
+    /// scale of 1, and who is not guided beside it takes the very first.
     ///
     /// # Errors
     /// [`ModelError::Shape`] for knots of another length.
-    pub fn choose_against(&mut self, predicted: Vec<f32>) -> Result<()> {
+    pub fn choose_against(&mut self, predicted: Vec<f32>, draws: Option<usize>) -> Result<()> {
         let expected = self.sizes.iter().sum::<usize>() * self.knots.width();
         if predicted.len() != expected {
             let (got, expected) = (predicted.len().to_string(), expected.to_string());
             return Err(ModelError::Shape { what: "predicted knots", got, expected });
         }
-        self.predicted = Some(predicted);
+        (self.predicted, self.draws) = (Some(predicted), draws);
         Ok(())
+    }
+
+    /// Samples among which each agent of a world chooses, [M].
+    fn choices(&self, context: &GuidanceContext<'_>) -> Vec<usize> {
+        let (n, anybody) = (self.num_samples, context.guided.contains(&true));
+        let of = |guided: &bool| match self.draws.filter(|_| anybody) {
+            None => n,
+            Some(_) if !guided => 1,
+            Some(draws) => n.min(1 + (context.guidance_scale * (draws - 1) as f32).round() as usize),
+        };
+        context.guided.iter().map(of).collect()
     }
 
     /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
@@ -340,8 +355,11 @@ impl<'a> Guidance<'a> {
                     scratch.roll(context, &self.knots, agent, predicted);
                 }
             }
-            let choose = if predicted.is_some() { choose_per_agent } else { choose_samples };
-            let selected_sample = choose(self.config, &losses, n, m);
+            let selected_sample = if predicted.is_some() {
+                choose_per_agent(self.config, &losses, n, &self.choices(context))
+            } else {
+                choose_samples(self.config, &losses, n, m)
+            };
             let shift = |a: usize| self.shift_sq[selected_sample[a] * rows + offsets[world] + a].sqrt();
             let sums = self
                 .sums

@@ -127,7 +127,7 @@ pub fn choose_samples(
     num_agents: usize,
 ) -> Vec<usize> {
     if !config.objectives.iter().any(Objective::is_joint) {
-        return choose_per_agent(config, losses, num_samples, num_agents);
+        return choose_per_agent(config, losses, num_samples, &vec![num_samples; num_agents]);
     }
     let sum = |sample: usize| -> f64 {
         (0..num_agents).map(|agent| weighted(config, losses, num_samples, num_agents, sample, agent)).sum()
@@ -135,15 +135,15 @@ pub fn choose_samples(
     vec![least(num_samples, sum); num_agents]
 }
 
-/// The sample of least weighted losses [J, N, M] of each agent.
+/// The sample of least weighted losses [J, N, M] of each agent, among its first `choices` [M].
 pub(super) fn choose_per_agent(
     config: &GuidanceConfig,
     losses: &[f32],
     num_samples: usize,
-    num_agents: usize,
+    choices: &[usize],
 ) -> Vec<usize> {
-    let of = |agent| least(num_samples, |s| weighted(config, losses, num_samples, num_agents, s, agent));
-    (0..num_agents).map(of).collect()
+    let score = |sample, agent| weighted(config, losses, num_samples, choices.len(), sample, agent);
+    choices.iter().enumerate().map(|(agent, count)| least(*count, |s| score(s, agent))).collect()
 }
 
 /// Weighted sum of the losses [J, N, M] of a sample of an agent.

@@ -26,8 +26,11 @@ pub struct Own;
 /// [`ModelError::Config`] names what they lack.
 pub fn check(config: &ModelConfig) -> Result<()> {
     let fail = |field, got: &str, expected| Err(ModelError::Config { field, got: got.into(), expected });
+    if config.kind == ModelKind::Tokens {
+        return Ok(());
+    }
     if !config.kind.attends() && config.kind != ModelKind::Simnet {
-        return fail("model.kind", config.kind.name(), "\"ccdiff\", \"ctgpp\" or \"simnet\" without torch");
+        return fail("model.kind", config.kind.name(), "\"ccdiff\", \"ctgpp\", \"simnet\" or \"tokens\" without torch");
     }
     if config.history != HistoryTokens::Summary {
         return fail("model.history", config.history.name(), "\"summary\" without torch");
@@ -305,52 +308,14 @@ impl Backend for Own {
     }
 
     fn attend(q: &Array, (k, v): &KeyValue<Self>, heads: i64, _: Option<&Infallible>) -> Array {
-        let (level, heads, d, queries, keys) = (Checked::now(), heads as usize, q.width, q.tokens, k.tokens);
-        let head = d / heads;
-        let wide = queries.next_multiple_of(PANEL);
-        let head_wide = head.next_multiple_of(PANEL);
-        let (mut turned, mut scores) = (vec![0.0; d * wide], vec![0.0; keys * wide]);
-        // values of a head in columns of their own, where they are no whole panels
-        let (mut values, mut mixed) = (vec![0.0; keys * head_wide], vec![0.0; queries * head_wide]);
-        let mut out = vec![0.0; q.numbers.len()];
-        let rows = q.numbers.chunks_exact(q.row()).zip(k.numbers.chunks_exact(k.row()));
-        let rows = rows.zip(v.numbers.chunks_exact(v.row())).zip(out.chunks_exact_mut(q.row()));
-        for (((q, k), v), out) in rows {
-            kernels::transpose(level, q, d, &mut turned, wide);
-            for h in 0..heads {
-                let key = Strided { numbers: &k[h * head..], row: d, step: 1 };
-                kernels::matmul(
-                    level,
-                    key,
-                    (keys, head, wide),
-                    (&turned[h * head * wide..], wide),
-                    &mut scores,
-                    wide,
-                );
-                kernels::softmax_columns(level, &mut scores, wide, 1.0 / (head as f32).sqrt());
-                let weights = Strided { numbers: &scores, row: 1, step: wide };
-                if head == head_wide {
-                    kernels::matmul(
-                        level,
-                        weights,
-                        (queries, keys, head),
-                        (&v[h * head..], d),
-                        &mut out[h * head..],
-                        d,
-                    );
-                    continue;
-                }
-                for (to, from) in values.chunks_exact_mut(head_wide).zip(v.chunks_exact(d)) {
-                    to[..head].copy_from_slice(&from[h * head..(h + 1) * head]);
-                }
-                let shape = (queries, keys, head_wide);
-                kernels::matmul(level, weights, shape, (&values, head_wide), &mut mixed, head_wide);
-                for (to, from) in out.chunks_exact_mut(d).zip(mixed.chunks_exact(head_wide)) {
-                    to[h * head..(h + 1) * head].copy_from_slice(&from[..head]);
-                }
-            }
-        }
-        q.like(out)
+        attended(q, k, v, heads)
+    }
+
+    fn pool(q: &Array, elements: &Array, heads: i64) -> Array {
+        // a head is a query of its own
+        let heads = heads as usize;
+        let queries = Array::new(heads, q.width / heads.max(1), q.numbers.clone());
+        q.like(attended(&queries, elements, elements, 1).numbers)
     }
 
     fn attend_others(
@@ -454,4 +419,54 @@ fn mixed(
         &mut attention,
     );
     (q.like(out), attention)
+}
+
+/// Softmax attention of the queries of a row to its keys.
+fn attended(q: &Array, k: &Array, v: &Array, heads: i64) -> Array {
+    let (level, heads, d, queries, keys) = (Checked::now(), heads as usize, q.width, q.tokens, k.tokens);
+    let head = d / heads;
+    let wide = queries.next_multiple_of(PANEL);
+    let head_wide = head.next_multiple_of(PANEL);
+    let (mut turned, mut scores) = (vec![0.0; d * wide], vec![0.0; keys * wide]);
+    // values of a head in columns of their own, where they are no whole panels
+    let (mut values, mut mixed) = (vec![0.0; keys * head_wide], vec![0.0; queries * head_wide]);
+    let mut out = vec![0.0; q.numbers.len()];
+    let rows = q.numbers.chunks_exact(q.row()).zip(k.numbers.chunks_exact(k.row()));
+    let rows = rows.zip(v.numbers.chunks_exact(v.row())).zip(out.chunks_exact_mut(q.row()));
+    for (((q, k), v), out) in rows {
+        kernels::transpose(level, q, d, &mut turned, wide);
+        for h in 0..heads {
+            let key = Strided { numbers: &k[h * head..], row: d, step: 1 };
+            kernels::matmul(
+                level,
+                key,
+                (keys, head, wide),
+                (&turned[h * head * wide..], wide),
+                &mut scores,
+                wide,
+            );
+            kernels::softmax_columns(level, &mut scores, wide, 1.0 / (head as f32).sqrt());
+            let weights = Strided { numbers: &scores, row: 1, step: wide };
+            if head == head_wide {
+                kernels::matmul(
+                    level,
+                    weights,
+                    (queries, keys, head),
+                    (&v[h * head..], d),
+                    &mut out[h * head..],
+                    d,
+                );
+                continue;
+            }
+            for (to, from) in values.chunks_exact_mut(head_wide).zip(v.chunks_exact(d)) {
+                to[..head].copy_from_slice(&from[h * head..(h + 1) * head]);
+            }
+            let shape = (queries, keys, head_wide);
+            kernels::matmul(level, weights, shape, (&values, head_wide), &mut mixed, head_wide);
+            for (to, from) in out.chunks_exact_mut(d).zip(mixed.chunks_exact(head_wide)) {
+                to[h * head..(h + 1) * head].copy_from_slice(&from[..head]);
+            }
+        }
+    }
+    q.like(out)
 }

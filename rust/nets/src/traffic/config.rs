@@ -4,10 +4,11 @@ use crate::config::ModelKind;
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::sampler::SampleOptions;
+use crate::tokens::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use crate::trajectory_model::PlanOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
-use ccdiff_sim::options::{Form, Setting, at_least, within};
+use ccdiff_sim::options::{Form, Setting, above, at_least, within};
 use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
@@ -146,6 +147,8 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch in classifier-free guidance.
         cfg_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
+        /// What the logits of tokens are divided by: below 1 the likely ones are drawn more often; 1 for other networks.
+        temperature: f64 = 1.0, range above(0.0);
         /// Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
         tie_first_knot: bool = false;
         /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
@@ -165,13 +168,13 @@ options! {
         rerank: bool = true;
         /// Who drives the vehicles that are not guided; `"ccdiff"`: the network itself.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
-        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured. Worlds may
-        /// be told another one at any time.
+        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured. Tokens: guided
+        /// vehicles take the best of 1 + 15 times so many draws. Worlds may be told another one at any time.
         criticality: Real = 0.0, range at_least(0.0);
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
         /// Whether plans of worlds that are not guided are moved too: off contacts and back onto the road, at the cost of
-        /// the gradients.
+        /// the gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
         careful: bool = false;
         /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
         mask_guidance: bool = true;
@@ -211,8 +214,9 @@ impl CcdiffConfig {
                 expected: "1 up to the horizon of the plans",
             });
         }
-        self.guided()?.validated()?;
-        self.unguided().validated()?;
+        // how plans are drawn has the same ranges for all kinds
+        self.guided(ModelKind::Ccdiff)?.validated()?;
+        self.unguided(ModelKind::Ccdiff).validated()?;
         Ok(())
     }
 
@@ -240,21 +244,27 @@ impl CcdiffConfig {
             Ranking::Gradient if !kind.denoises() => {
                 fail("ccdiff.ranking", "gradient".into(), "one without scores: this network does not denoise")
             }
-            _ => self.guided()?.of_kind(kind).map(drop),
+            _ => self.guided(kind)?.of_kind(kind).map(drop),
         }
     }
 
-    /// How the plans of worlds with guidance are drawn.
+    /// How the plans of worlds with guidance are drawn. Those of tokens are the best of as many draws as the criticality asks for.
     ///
     /// # Errors
     /// [`ModelError::Config`] for an unknown preset or settings of another form.
-    pub fn guided(&self) -> Result<PlanOptions> {
+    pub fn guided(&self, kind: ModelKind) -> Result<PlanOptions> {
         let guidance = match &self.guidance {
             GuidanceChoice::Preset(name) => GuidanceConfig::preset(name)?,
             GuidanceChoice::Settings(settings) => (**settings).clone(),
         };
         Ok(PlanOptions {
-            sampling: self.sampling(),
+            sampling: match kind {
+                ModelKind::Tokens => {
+                    let more = ((GUIDED_DRAWS - 1) as f32 * self.criticality.max(1.0)).ceil() as usize;
+                    self.sampling(self.num_samples.max(1 + more))
+                }
+                _ => self.sampling(self.num_samples),
+            },
             guidance: Some(guidance),
             attention: self.explain,
             gradient_statistics: self.explain,
@@ -262,27 +272,36 @@ impl CcdiffConfig {
     }
 
     /// How the plans of worlds without guidance are drawn: of several samples the one that touches least and stays on
-    /// the road is taken, as in the released code (reference.md#sampling). [`Self::careful`] moves them as well.
-    pub fn unguided(&self) -> PlanOptions {
+    /// the road is taken, as in the released code (reference.md#sampling). [`Self::careful`] moves them as well; those of tokens
+    /// are the first that does neither in [`CAREFUL_STEPS`].
+    pub fn unguided(&self, kind: ModelKind) -> PlanOptions {
         let objectives = |collision| {
             vec![
                 Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
                 Objective::MapCollision(MapCollision { weight: 1.0 }),
             ]
         };
-        let filter = match self.careful {
-            true => GuidanceConfig {
-                objectives: objectives(-AgentCollision::default().weight),
-                ..GuidanceConfig::rl()
-            },
-            false => GuidanceConfig {
-                objectives: objectives(1.0),
-                gradient_steps: 0,
-                ..GuidanceConfig::released()
-            },
+        let careful = GuidanceConfig {
+            objectives: objectives(-AgentCollision::default().weight),
+            ..GuidanceConfig::rl()
+        };
+        let (filter, num_samples) = match (self.careful, kind) {
+            (true, ModelKind::Tokens) => (
+                GuidanceConfig { gradient_steps: 0, seen_steps: Some(CAREFUL_STEPS), ..careful },
+                self.num_samples.max(CAREFUL_DRAWS),
+            ),
+            (true, _) => (careful, self.num_samples),
+            (false, _) => (
+                GuidanceConfig {
+                    objectives: objectives(1.0),
+                    gradient_steps: 0,
+                    ..GuidanceConfig::released()
+                },
+                self.num_samples,
+            ),
         };
         PlanOptions {
-            sampling: self.sampling(),
+            sampling: self.sampling(num_samples),
             guidance: (self.careful || self.num_samples > 1).then_some(filter),
             attention: self.explain,
             gradient_statistics: false,
@@ -290,11 +309,12 @@ impl CcdiffConfig {
     }
 
     /// Options of the sampler.
-    pub fn sampling(&self) -> SampleOptions {
+    pub fn sampling(&self, num_samples: usize) -> SampleOptions {
         SampleOptions {
             solver_steps: self.denoising_steps,
-            num_samples: self.num_samples,
+            num_samples,
             guidance_weight: self.cfg_weight,
+            temperature: self.temperature,
         }
     }
 

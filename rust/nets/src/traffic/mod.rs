@@ -18,6 +18,8 @@ pub use config::{
     ParkedRule, Ranking,
 };
 
+pub use planned_agents::STATIONARY_REACH_M;
+
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::raster::MapBitmap;
@@ -89,8 +91,8 @@ impl PlannedTraffic {
             let expected = "false: these weights were trained without routes";
             return Err(ModelError::Config { field: "ccdiff.follow_route", got: "true".into(), expected });
         }
-        copies[0].check_solver_steps(config.sampling().solver_steps)?;
-        let (guided, unguided) = (config.guided()?, config.unguided());
+        copies[0].check_solver_steps(config.denoising_steps)?;
+        let (guided, unguided) = (config.guided(model.kind)?, config.unguided(model.kind));
         let copies = SyncWrapper::new(copies);
         Ok(Self { copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }

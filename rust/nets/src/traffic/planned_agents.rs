@@ -12,7 +12,7 @@ use ccdiff_sim::scene::{AgentKind, EGO_ID};
 use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
-const STATIONARY_REACH_M: Real = 20.0;
+pub const STATIONARY_REACH_M: Real = 20.0;
 /// Logged speed below which a vehicle counts as standing, m/s (reference.md#sampling).
 const STATIONARY_MPS: Real = 0.5;
 /// Vehicles beside each other by at most this are in one lane, metres.

@@ -200,6 +200,7 @@ impl PlannedTraffic {
             solver_steps: Some(if greedy { 1 } else { 2 }),
             num_samples: 1,
             guidance_weight: 1.0,
+            ..SampleOptions::default()
         };
         let guidance = if greedy { None } else { self.guided.guidance.clone() };
         let options = PlanOptions { sampling, guidance, attention: greedy, gradient_statistics: !greedy };
