@@ -32,6 +32,8 @@ const WAY_S: f32 = 4.0;
 const LONGEST_WAY_M: f32 = 50.0;
 /// Farther from it nothing is seen, metres.
 const REACH_M: f32 = 80.0;
+/// So far one looks first, metres.
+const FIRST_REACH_M: f32 = 20.0;
 
 /// The lines of a map that agents may see: all but walkways, whose edges are mostly those of the road.
 pub(crate) fn of_map(map: &Map) -> Vec<Segment> {
@@ -72,8 +74,14 @@ fn nearest(segments: &[Segment], frame: &Pose2, way_m: f32) -> Vec<Segment> {
         let beyond = middle.x - middle.x.clamp(0.0, way_m);
         (beyond * beyond + middle.y * middle.y) * farness(segment.kind).powi(2)
     };
-    let mut near: Vec<(f32, usize)> = segments.iter().map(squared).zip(0..).collect();
-    near.retain(|(squared, _)| *squared < REACH_M * REACH_M);
+    let within = |reach_m: f32| -> Vec<(f32, usize)> {
+        segments.iter().map(squared).zip(0..).filter(|(squared, _)| *squared < reach_m * reach_m).collect()
+    };
+    // mostly there are enough of them nearby
+    let mut near = within(FIRST_REACH_M);
+    if near.len() < NUM_SEGMENTS {
+        near = within(REACH_M);
+    }
     let order = |a: &(f32, usize), b: &(f32, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
     if near.len() > NUM_SEGMENTS {
         near.select_nth_unstable_by(NUM_SEGMENTS, order);

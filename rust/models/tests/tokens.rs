@@ -1,0 +1,109 @@
+//! What tokens are learned from: mirrored rows are rows of a mirrored world, and untold routes are hidden everywhere.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod common;
+
+use ccdiff_models::batch::{Batch, TokenBatch};
+use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::dataset::Dataset;
+use ccdiff_models::features::{self, SceneFeatures, Window};
+use ccdiff_models::raster::MapBitmap;
+use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::train::{TrainConfig, Trainer};
+use ccdiff_nets::segments::SEGMENT_ODD;
+use ccdiff_nets::tokens::{near_columns, own_columns};
+use ccdiff_sim::geom::Point2;
+use ccdiff_sim::scene::{Map, Scene};
+use std::sync::Arc;
+use tch::{Device, Kind, Tensor};
+
+fn config() -> ModelConfig {
+    ModelConfig::of(ModelKind::Tokens, "fast").unwrap()
+}
+
+/// Three vehicles that drive and turn, on lanes with a divider; `side` -1 mirrors all of it.
+fn town(side: f32) -> Scene {
+    let rows = [[0.0, 1.0, 0.02, 7.0, 0.3], [14.0, -2.5, -0.05, 5.0, -0.1], [30.0, 4.0, 3.0, 6.0, 0.2]];
+    let rows = rows.map(|[x, y, yaw, speed, acceleration]| [x, side * y, side * yaw, speed, acceleration]);
+    let mut scene = Scene::clone(&common::scene(&rows, 110));
+    for (at, heading) in scene.tracks.heading_rad.iter_mut().enumerate() {
+        // they turn, too
+        *heading += side * 1e-5 * ((at % 110) as f32).powi(2);
+    }
+    let line = |y: f32, end: f32| vec![Point2::new(-90.0, side * y), Point2::new(90.0, side * end)];
+    let map = Map {
+        lane_dividers: vec![line(0.0, 4.0)],
+        road_dividers: vec![line(5.0, 9.0), line(-4.0, -4.0)],
+        ..Map::default()
+    };
+    Scene { map: Arc::new(map), ..scene }
+}
+
+fn seen(side: f32) -> SceneFeatures {
+    let (scene, config) = (town(side), config());
+    let mut window = Window::from_scene(&scene, 70, &[0, 1, 2], config.history_steps);
+    let place = |k: f32| Point2::new(10.0 + 5.0 * k, side * (1.0 + 0.2 * k * k));
+    window.routes = vec![(0..16u8).map(|k| place(f32::from(k))).collect(), Vec::new(), Vec::new()];
+    let bitmap = MapBitmap::from_scene(&scene, config.map.as_ref().unwrap()).unwrap();
+    features::build(&window, Some(&bitmap), &config).unwrap()
+}
+
+#[test]
+fn mirrored_rows_are_those_of_the_mirrored_world() {
+    let (a, b) = (seen(1.0), seen(-1.0));
+    let own: Vec<bool> = own_columns(16).map(|c| c.0).collect();
+    let near: Vec<bool> = near_columns().map(|c| c.0).collect();
+    let parts = [
+        (&a.tokens.own, &b.tokens.own, own),
+        (&a.tokens.near, &b.tokens.near, near),
+        (&a.segments, &b.segments, SEGMENT_ODD.to_vec()),
+    ];
+    for (k, (a, b, odd)) in parts.into_iter().enumerate() {
+        for (at, (x, y)) in a.iter().zip(b).enumerate() {
+            let sign = if odd[at % odd.len()] { -1.0 } else { 1.0 };
+            assert!((x - sign * y).abs() < 1e-4, "part {k}, number {}: {x} and {y}", at % odd.len());
+        }
+        // each column that may change sign is told apart by some row
+        let told = |column: usize| a.chunks(odd.len()).any(|row| row[column] != 0.0);
+        assert!((0..odd.len()).filter(|c| odd[*c]).all(told), "part {k}");
+    }
+}
+
+#[test]
+fn rows_whose_route_is_dropped_are_those_that_were_never_told() {
+    let config = config();
+    let told = seen(1.0);
+    let mut untold = seen(1.0);
+    let mut window = Window::from_scene(&town(1.0), 70, &[0, 1, 2], config.history_steps);
+    window.routes = Vec::new();
+    let bitmap = MapBitmap::from_scene(&town(1.0), config.map.as_ref().unwrap()).unwrap();
+    untold.clone_from(&features::build(&window, Some(&bitmap), &config).unwrap());
+    let batch = |f: &SceneFeatures| Batch::new(&[f], &config, Device::Cpu).unwrap();
+    let all = Tensor::ones([3], (Kind::Bool, Device::Cpu));
+    let (dropped, never) = (batch(&told).with_routes_dropped(&all).tokens, batch(&untold).tokens);
+    let same = |of: fn(&TokenBatch) -> &Tensor| of(&dropped).equal(of(&never));
+    assert!(same(|t| &t.own) && same(|t| &t.near));
+    assert!(!batch(&told).tokens.near.equal(&never.near));
+}
+
+#[test]
+fn a_run_learns_the_tokens_of_its_log_and_goes_on_where_it_stopped() {
+    let data = || Dataset::new(vec![common::closing_pair()], &config(), 3).unwrap();
+    let training = TrainConfig { batch_scenes: 8, ..TrainConfig::preset("fast", ModelKind::Tokens).unwrap() };
+    let run = || common::seeded(|| Trainer::new(config(), training.clone(), data(), Device::Cpu).unwrap());
+    let mut whole = run();
+    let before = whole.validate(&data(), 2, SampleOptions::default()).unwrap().nats.unwrap();
+    let losses = whole.run(30).unwrap();
+    assert!(losses[29] < losses[0] - 1.0, "{losses:?}");
+    let after = whole.validate(&data(), 2, SampleOptions::default()).unwrap().nats.unwrap();
+    assert!(after[0] < before[0] - 1.0, "{after:?}");
+    let path = std::env::temp_dir().join(format!("ccdiff-tokens-{}.safetensors", std::process::id()));
+    let mut first = run();
+    assert_eq!(first.run(10).unwrap(), losses[..10]);
+    first.save(&path).unwrap();
+    let mut second = run();
+    second.resume(&path).unwrap();
+    assert_eq!(second.run(20).unwrap(), losses[10..]);
+    std::fs::remove_file(&path).unwrap();
+}
