@@ -154,8 +154,8 @@ def test_rooms_of_the_simulator_use_those_before_them():
 
 
 def test_the_simulator_names_no_network():
-    """The crates are called after the package; "bits" is a word, too."""
-    names = "|".join(sorted(set(NETWORKS) - {"bits"}))
+    """The crates are called after the package; "bits" and "tokens" are words, too."""
+    names = "|".join(sorted(set(NETWORKS) - {"bits", "tokens"}))
     pattern = re.compile(rf"\b(?i:{names})\b(?![-_](?:sim|env))|\bBITS\b")
     files = sorted((ROOT / "rust/sim/src").rglob("*.rs"))
     texts = {file.name: file.read_text(encoding="utf-8") for file in files}

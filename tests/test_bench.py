@@ -40,7 +40,7 @@ def test_the_floor_replays_the_log():
 
 
 @pytest.mark.parametrize(
-    "method", ["ccdiff", "simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp"]
+    "method", ["ccdiff", "simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp", "tokens"]
 )
 def test_no_network_moves_a_scene_in_which_it_drives_nobody(method):
     (row,) = evaluate(

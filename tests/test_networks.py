@@ -30,9 +30,10 @@ OWN = (
     "ccdiff_equal_fast",
     "ctgpp_fast",
     "simnet_fast",
+    "tokens_fast",
 )
 #: Those of them that denoise, and attend to each other.
-SCENE_DIFFUSIONS = tuple(name for name in OWN if name != "simnet_fast")
+SCENE_DIFFUSIONS = tuple(name for name in OWN if name not in ("simnet_fast", "tokens_fast"))
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
 
 
@@ -136,7 +137,7 @@ def test_a_scene_has_the_same_plan_alone_and_among_others(name):
         assert a["states"].tobytes() == b["states"].tobytes()
 
 
-@pytest.mark.parametrize("traffic", ["ccdiff", "ctgpp", "simnet"])
+@pytest.mark.parametrize("traffic", ["ccdiff", "ctgpp", "simnet", "tokens"])
 def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
     options = {"traffic": traffic}
     batch = digests(8, num_threads=1, **options)
@@ -164,6 +165,7 @@ print(env.explain() is not None, "torch" in sys.modules and sys.modules["torch"]
         "traffic='ctgpp'",
         "traffic='simnet'",
         "traffic='simnet', simnet={'criticality': 1.0}",
+        "traffic='tokens', tokens={'follow_route': True, 'careful': True}",
         "traffic='ccdiff', ccdiff={'criticality': 1.0, 'denoising_steps': 1}",
         "traffic='ccdiff', ccdiff={'follow_route': True, 'num_samples': 3, 'cfg_weight': 1.3}",
     ],

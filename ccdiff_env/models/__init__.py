@@ -355,7 +355,7 @@ def train(
         Scenes for the validation curve.
     model
         Which network: ``"ccdiff"`` or one of its rivals, ``"simnet"``, ``"trafficsim"``,
-        ``"trafficsim_port"``, ``"strive"``, ``"bits"``, ``"ctg"``, ``"ctgpp"`` (docs/rivals.md).
+        ``"trafficsim_port"``, ``"strive"``, ``"bits"``, ``"ctg"``, ``"ctgpp"``, ``"tokens"`` (docs/rivals.md).
     preset
         ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
     steps, minutes
