@@ -1,6 +1,6 @@
 //! The grid of tokens: a change of speed in half a second, and the yaw rate at its end.
 
-/// Bins on each axis; the middle one is exactly 0.
+/// Bins on each axis; the middle one is round 0.
 pub const BINS: usize = 21;
 /// Tokens.
 pub const TOKENS: usize = BINS * BINS;
@@ -34,11 +34,11 @@ impl Axis {
         if value < 0.0 { BINS / 2 - away } else { BINS / 2 + away }
     }
 
-    /// A value of a bin, evenly drawn by `share` in [0, 1) between its edges; 0 in the middle one.
+    /// A value of a bin, evenly drawn by `share` in [0, 1) between its edges.
     pub(super) fn value(&self, bin: usize, share: f32) -> f32 {
         let away = bin.abs_diff(BINS / 2);
         if away == 0 {
-            return 0.0;
+            return (2.0 * share - 1.0) * self.edge(0);
         }
         let (inner, outer) = (self.edge(away - 1), self.edge(away));
         let value = inner + share * (outer - inner);
@@ -62,7 +62,8 @@ mod tests {
                 let value = axis.value(bin, share);
                 assert_eq!(axis.bin(value), bin);
                 assert_eq!(axis.bin(-value), BINS - 1 - bin);
-                assert_eq!(axis.value(BINS - 1 - bin, share), -value);
+                let mirrored = axis.value(BINS - 1 - bin, if bin == BINS / 2 { 1.0 - share } else { share });
+                assert!((mirrored + value).abs() < 1e-6);
             }
             assert_eq!((axis.bin(1e3), axis.bin(-1e3)), (BINS - 1, 0));
         }
