@@ -164,7 +164,7 @@ print(env.explain() is not None, "torch" in sys.modules and sys.modules["torch"]
         "traffic='ctgpp'",
         "traffic='simnet'",
         "traffic='simnet', simnet={'criticality': 1.0}",
-        "traffic='tokens', ccdiff={'follow_route': True, 'careful': True}",
+        "traffic='tokens', tokens={'follow_route': True, 'careful': True}",
         "traffic='ccdiff', ccdiff={'criticality': 1.0, 'denoising_steps': 1}",
         "traffic='ccdiff', ccdiff={'follow_route': True, 'num_samples': 3, 'cfg_weight': 1.3}",
     ],

@@ -29,15 +29,13 @@ pub(crate) fn planner(
     tensors: BTreeMap<String, Entry>,
 ) -> Result<Box<dyn Planner>> {
     own::check(config)?;
-    if config.kind == ModelKind::Tokens {
-        return Ok(Box::new(TokenPlanner::new(path, config, tensors)?));
-    }
     let weights = Weights::new(path, tensors);
     let root = Place::root(&weights);
     let planner: Box<dyn Planner> = match config.kind {
         ModelKind::Simnet => {
             Box::new(Regressor { network: Simnet::new(&root, config), space: PlanSpace::new(config) })
         }
+        ModelKind::Tokens => Box::new(TokenPlanner::new(&root, config)),
         _ => {
             let schedule = Schedule::cosine(config.diffusion_steps)?;
             Box::new(Denoiser { network: Network::new(&root, config), schedule })

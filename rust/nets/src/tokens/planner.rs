@@ -10,9 +10,6 @@ use crate::plan_space::PlanSpace;
 use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::Rows;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use crate::weights::{Entry, Weights};
-use std::collections::BTreeMap;
-use std::path::Path;
 
 /// A network with the space of its plans.
 #[derive(Debug)]
@@ -24,14 +21,9 @@ pub(crate) struct TokenPlanner {
 
 impl TokenPlanner {
     /// The network of a file's tensors.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-    pub(crate) fn new(path: &Path, config: &ModelConfig, tensors: BTreeMap<String, Entry>) -> Result<Self> {
-        let weights = Weights::new(path, tensors);
-        let network = Network::new(&Place::root(&weights), config);
-        weights.finish()?;
-        Ok(Self { network, space: PlanSpace::new(config), config: config.clone() })
+    pub(crate) fn new(root: &Place<'_>, config: &ModelConfig) -> Self {
+        let network = Network::new(root, config);
+        Self { network, space: PlanSpace::new(config), config: config.clone() }
     }
 }
 
