@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.sources import find_scene
 from tools import gallery, readme_video, task_videos
 
 HERO = Path(__file__).resolve().parents[1] / "docs/hero.gif"
@@ -43,7 +44,11 @@ def test_criticality_alone_makes_the_collision_of_the_image():
 
 
 def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):
-    index = gallery.write_gallery(tmp_path / "gallery", num_pages=2).read_text(encoding="utf-8")
+    scenes = [find_scene(name) for name in ("cut-in-04", "tee-crossing-01")]
+    index = gallery.write_gallery(tmp_path / "gallery", scenes).read_text(encoding="utf-8")
+    # the story first: reached in realistic traffic, hit in critical traffic
+    assert index.index("tee-crossing-01.html") < index.index("cut-in-04.html")
+    assert "realistic: ego reached its goal" in index
     pages = sorted((tmp_path / "gallery").glob("*-*.html"))
     assert len(pages) == 2
     for page in pages:

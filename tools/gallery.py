@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import write_page
 from ccdiff_env.view.index import entry, index_page
@@ -28,22 +30,22 @@ MOVES_MPS = 0.5
 RANKS = (False, True)
 
 
-def write_gallery(folder: Path, num_pages: int = NUM_PAGES) -> Path:
+def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
     """Write the pages, those that tell the story first; returns the index.
 
     The ego follows its log in both runs: the traffic alone differs.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    scenes = [*embedded_scenes("val"), *embedded_scenes("train")]
+    scenes = scenes or [*embedded_scenes("val"), *embedded_scenes("train")]
     runs = [
         tuple(
             play_scene(scene, traffic="ccdiff", driver="replay", ccdiff={"criticality": level})
             for level in (1.0, 0.0)
         )
-        for scene in (scenes if num_pages > 1 else scenes[:1])
+        for scene in scenes
     ]
     entries = []
-    for critical, realistic in sorted(runs, key=lambda pair: _rank(*pair))[:num_pages]:
+    for critical, realistic in sorted(runs, key=lambda pair: _rank(*pair))[:NUM_PAGES]:
         name = critical.scene.name
         page = folder / f"{name}.html"
         home = ("index.html", "all replays")

@@ -126,7 +126,7 @@ def add_traffic(
 def add_device(parser: argparse.ArgumentParser) -> None:
     """Add where networks run."""
     parser.add_argument(
-        "--device", default="cpu", help="where networks run: cpu, cuda or cuda:N (with torch)"
+        "--device", default="cpu", help="where networks run: cpu or cuda (with torch)"
     )
 
 
