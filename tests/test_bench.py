@@ -14,7 +14,6 @@ from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.pdm import _Path
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.scenes import scene_names
@@ -168,19 +167,6 @@ def test_tables_of_periods_show_methods_that_plan_and_lines_join_neighbours(tmp_
     lines = _lines([c for c in table if c.method == "ccdiff"])
     assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
     assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
-
-
-def test_projections_on_a_path_agree_with_shapely():
-    shapely = pytest.importorskip("shapely")
-    rng = np.random.default_rng(0)
-    points = np.cumsum(rng.normal(1.0, 0.8, (30, 2)), axis=0)
-    path, line = _Path(points), shapely.LineString(points)
-    queries = points[rng.integers(30, size=50)] + rng.normal(0, 2.0, (50, 2))
-    found = path.project(queries)
-    for (s, side), query in zip(found, queries, strict=True):
-        point = shapely.Point(query)
-        assert abs(side) <= line.distance(point) + 1e-9
-        assert line.interpolate(s).distance(point) == pytest.approx(line.distance(point), abs=1e-6)
 
 
 def test_the_score_of_a_planner_is_the_product_and_the_weighted_mean_by_hand():
