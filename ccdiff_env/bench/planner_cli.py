@@ -45,7 +45,9 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--protocol",
         help="what fixes scenes, traffic and seeds, planner-1.0 (default: the options choose them)",
     )
-    parser.add_argument("--level", help="scenes of the protocol: smoke, mini, val (default: smoke)")
+    parser.add_argument(
+        "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
+    )
     add_device(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
