@@ -60,7 +60,6 @@ _REASONS = {
 #: What built-in planners are, where the name alone does not say it.
 _TITLES = {
     "idm": "IDM, log's path and speed",
-    "lane_idm": "IDM on lanes",
     "replay": "Log replay",
 }
 #: Planners that all others are compared with: from outside, and the privileged one.
