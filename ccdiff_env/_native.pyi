@@ -367,6 +367,12 @@ class WorldStatus:
         """Steps since the episode began."""
 
 @final
+class Planner:
+    """A planner of the package: ``"pdm"`` or ``"idm"``."""
+
+    def __new__(cls, kind: str) -> Planner: ...
+
+@final
 class VecWorld:
     """E worlds over scenes; one thread at a time, never in a forked child."""
 
@@ -489,6 +495,9 @@ class VecWorld:
 
     def route(self, world_idx: int, slot_idx: int) -> tuple[F32, tuple[float, float]] | None:
         """Return the route [P, 2] of a slot's agent, and its goal."""
+
+    def planner_actions(self, planner: Planner, active: list[bool] | None = None) -> F32:
+        """Return a planner's actions [E, W] in the first slots; zeros where not active [E]."""
 
     def contacts(self, world_idx: int) -> list[tuple[int, int, str, float, bool]]:
         """Return contacts: agent, partner, side hit, closing speed m/s, at fault."""

@@ -21,7 +21,6 @@ from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tabl
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
-from ccdiff_env.policies.pdm import _Path
 
 VAL = "embedded/val"
 
@@ -166,19 +165,6 @@ def test_tables_of_periods_show_methods_that_plan_and_lines_join_neighbours(tmp_
     lines = _lines([c for c in table if c.method == "ccdiff"])
     assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
     assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
-
-
-def test_projections_on_a_path_agree_with_shapely():
-    shapely = pytest.importorskip("shapely")
-    rng = np.random.default_rng(0)
-    points = np.cumsum(rng.normal(1.0, 0.8, (30, 2)), axis=0)
-    path, line = _Path(points), shapely.LineString(points)
-    queries = points[rng.integers(30, size=50)] + rng.normal(0, 2.0, (50, 2))
-    found = path.project(queries)
-    for (s, side), query in zip(found, queries, strict=True):
-        point = shapely.Point(query)
-        assert abs(side) <= line.distance(point) + 1e-9
-        assert line.interpolate(s).distance(point) == pytest.approx(line.distance(point), abs=1e-6)
 
 
 def test_the_score_of_a_planner_is_the_product_and_the_weighted_mean_by_hand():

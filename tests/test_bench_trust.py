@@ -338,6 +338,15 @@ def test_discrete_actions_are_played_again():
 # the protocol
 
 
+def test_the_city_is_fixed_by_200_hashes_and_shares_no_scene_with_training():
+    level = PROTOCOL.fields["levels"]["city"]
+    scenes = {scene.name: scene.hash for scene in ccdiff_env.embedded_scenes(level["embedded"])}
+    assert len(scenes) == 200
+    assert scenes == level["hashes"]
+    others = {scene.hash for scene in ccdiff_env.embedded_scenes()}
+    assert not others & set(scenes.values())
+
+
 def test_the_protocol_fixes_scenes_and_weights():
     level = PROTOCOL.fields["levels"]["smoke"]
     scenes = {scene.name: scene.hash for scene in ccdiff_env.embedded_scenes(level["embedded"])}
@@ -359,7 +368,7 @@ def test_the_protocol_fixes_scenes_and_weights():
         (["--version", "v1.0-mini"], "--version: planner-1.0 fixes it"),
         (["--level", "val"], "--level val of planner-1.0 takes --dataroot"),
         (["--dataroot", "x"], "--level smoke of planner-1.0 takes no --dataroot"),
-        (["--level", "vla"], "no level 'vla', there is smoke, mini, val"),
+        (["--level", "vla"], "no level 'vla', there is smoke, city, mini, val"),
         (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.0"),
     ],
 )
@@ -433,8 +442,8 @@ def test_below_ten_scenes_nothing_is_compared():
 
 def test_scenes_are_what_is_resampled_not_seeds():
     parts = dict.fromkeys(
-        ("no_at_fault_collision", "collision", "on_road", "progress", "ttc", "comfort",
-         "speed_limit", "success"), 1.0,
+        ("no_at_fault_collision", "collision", "on_road", "makes_progress", "right_way", "progress",
+         "ttc", "comfort", "speed_limit", "success"), 1.0,
     )  # fmt: skip
     rows = [
         {**parts, "scene": scene, "seed": seed, "score": value}

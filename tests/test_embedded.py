@@ -122,15 +122,17 @@ def test_scenes_load_without_losses_and_only_once():
     assert scenes is ccdiff_env.embedded_scenes()
     assert "tracks dropped                   0" in str(scenes.report)
     splits = embedded_splits()
-    assert set(splits) == {"train", "val"}
-    assert not set(splits["train"]) & set(splits["val"])
+    assert set(splits) == {"train", "val", "city"}
+    assert len({name for names in splits.values() for name in names}) == sum(
+        map(len, splits.values())
+    )
     for split, names in splits.items():
         assert ccdiff_env.embedded_scenes(split).names == names
         assert {n.rsplit("-", 1)[0] for n in names} == {k.name for k in KINDS}
 
 
 def test_an_unknown_split_is_refused():
-    with pytest.raises(UnknownNameError, match="expected one of all, train, val"):
+    with pytest.raises(UnknownNameError, match="expected one of all, train, val, city"):
         ccdiff_env.embedded_scenes("test")
 
 

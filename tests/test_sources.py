@@ -62,7 +62,10 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("nuscene:/a", "no source 'nuscene' (did you mean 'nuscenes'?)"),
         ("/data/nuscenes", "no source ''"),
         ("", "no source ''"),
-        ("embedded/vall", "no split 'vall', expected one of train, val, all (did you mean 'val'"),
+        (
+            "embedded/vall",
+            "no split 'vall', expected one of train, val, city, all (did you mean 'val'",
+        ),
         ("embedded:/a", "':/a' after 'embedded'"),
         ("embedded/", "no split ''"),
         ("scenarionet", "no path"),

@@ -15,7 +15,7 @@ import re
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,23 @@ class Table:
     columns: dict[str, Column]
 
 
+_PLANNERS = Table(
+    "bench planners --protocol planner-1.0 --level smoke --planners "
+    "constant_velocity,lane_idm,idm,pdm,ego,ego_replay,ccdiff,replay",
+    "headlines.csv",
+    ("planner",),
+    {
+        "mean": Column("mean"),
+        "worst": Column("worst"),
+        "replay": Column("replay", interval=False),
+        "IDM calm": Column("idm-calm", interval=False),
+        "IDM": Column("idm", interval=False),
+        "IDM hasty": Column("idm-hasty", interval=False),
+        "CCDiff 0": Column("ccdiff", interval=False),
+        "CCDiff 1": Column("ccdiff-1", interval=False),
+        "CCDiff 2": Column("ccdiff-2", interval=False),
+    },
+)
 _SCR, _ORR = Column("scr"), Column("orr", 2, interval=False)
 _FDE, _CFD = Column("fde", 1, interval=False), Column("cfd", 1, interval=False)
 _COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
@@ -57,6 +74,8 @@ _TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
 _GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
 
 TABLES: dict[str, Table] = {
+    "planners_smoke": _PLANNERS,
+    "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
     "realism": Table(
         "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_one_step_one_sample",
@@ -102,7 +121,8 @@ TABLES: dict[str, Table] = {
 def record(name: str, source: str, workers: int, folder: Path) -> None:
     """Run the command of a table, and keep what the docs show."""
     table = TABLES[name]
-    command = [*shlex.split(table.command), "--scenes", source, "--workers", str(workers)]
+    scenes = [] if "--protocol" in table.command else ["--scenes", source]
+    command = [*shlex.split(table.command), *scenes, "--workers", str(workers)]
     run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--out", str(folder), "--quiet"]
     subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
     about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
@@ -148,6 +168,7 @@ def _kept(table: Table, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
 def render(name: str) -> str:
     """Return the table of a name, in Markdown, from what its run kept."""
     from ccdiff_env.bench.methods import METHODS
+    from ccdiff_env.bench.planner_report import title_of
 
     table = TABLES[name]
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
@@ -156,7 +177,10 @@ def render(name: str) -> str:
         "|" + "---|" * (len(table.keys) + len(table.columns)),
     ]
     for row in kept["rows"]:
-        cells = [METHODS[row[k]].label if row[k] in METHODS else row[k] for k in table.keys]
+        if table.keys == ("planner",):
+            cells = [title_of(row["planner"])]
+        else:
+            cells = [METHODS[row[k]].label if row[k] in METHODS else row[k] for k in table.keys]
         for column in table.columns.values():
             value, low, high = (
                 np.nan if v is None else v * column.factor for v in row[column.name]

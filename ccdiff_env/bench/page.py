@@ -29,7 +29,7 @@ TERMS = {
     "K": "number of controlled vehicles",
     "ttc": "share of scenes without a time to contact below 0.95 s",
     "IDM": "intelligent driver model",
-    "PDM-Closed": "rule-based planner that tries proposals in simulation, as PDM-Closed does",
+    "PDM-Closed": "rule-based planner that tries proposals in simulation and drives the best",
     "CCDiff": "the diffusion model that drives the traffic",
 }
 

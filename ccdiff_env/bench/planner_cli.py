@@ -36,7 +36,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_run_arguments(parser, several_seeds=True)
     parser.add_argument(
         "--planners",
-        default="constant_velocity,idm,pdm,replay",
+        default="constant_velocity,lane_idm,idm,pdm,replay",
         help=f"comma-separated, of: {PLANNERS}",
     )
     traffic = add_traffic(parser, None)  # the protocol can tell whether it was given
@@ -45,7 +45,9 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--protocol",
         help="what fixes scenes, traffic and seeds, planner-1.0 (default: the options choose them)",
     )
-    parser.add_argument("--level", help="scenes of the protocol: smoke, mini, val (default: smoke)")
+    parser.add_argument(
+        "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
+    )
     add_device(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)

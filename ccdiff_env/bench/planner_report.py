@@ -42,6 +42,8 @@ _PARTS = (
     "no_at_fault_collision",
     "collision",
     "on_road",
+    "makes_progress",
+    "right_way",
     "progress",
     "ttc",
     "comfort",
@@ -56,7 +58,12 @@ _REASONS = {
     "ttc": "close call",
 }
 #: What built-in planners are, where the name alone does not say it.
-_TITLES = {"idm": "IDM, log's path and speed", "replay": "Log replay"}
+_TITLES = {
+    "idm": "IDM, log's path and speed",
+    "replay": "Log replay",
+}
+#: Planners that all others are compared with: from outside, and the privileged one.
+_BASES = ("lane_idm", "idm")
 #: Scores from here on are no bad ones: such scenes are listed where they have a replay alone.
 BAD_BELOW = 0.7
 _STATISTICS = PROTOCOL.fields["statistics"]
@@ -133,9 +140,9 @@ def _table(found: Results, planner: str, traffic: Sequence[str]) -> npt.NDArray[
 
 
 def comparison(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], base: str = "idm"
+    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = _BASES
 ) -> str:
-    """Return paired differences of planners in Markdown: against IDM, and the best other one.
+    """Return paired differences of planners in Markdown: against both IDM, and the best other one.
 
     Parameters
     ----------
@@ -143,8 +150,8 @@ def comparison(
         One row per scene, the same scenes in all traffic.
     planners, traffic
         Which.
-    base
-        IDM, by its name among the planners.
+    bases
+        Both IDM, by their names among the planners.
     """
     count = len(next(iter(found.values())))
     if len(planners) < 2:
@@ -161,7 +168,7 @@ def comparison(
     ]
     for planner in planners:
         best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
-        for other in dict.fromkeys([base, best]):
+        for other in dict.fromkeys([*bases, best]):
             if other not in scores or other == planner:
                 continue
             pairs = scores[planner] - scores[other]
@@ -191,7 +198,7 @@ def write_report(
     pages: Mapping[tuple[str, str, str], str] | None = None,
     privileged: Collection[str] = (),
 ) -> None:
-    """Write ``scores.csv``, tables (``.md``) and ``robustness.png``.
+    """Write ``scores.csv``, ``headlines.csv``, tables (``.md``) and ``robustness.png``.
 
     Parameters
     ----------
@@ -219,6 +226,7 @@ def write_report(
     write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
     found = over_seeds(found)
     write_aside(folder / "comparison.md", comparison(found, planners, traffic))
+    _write_headlines(found, planners, traffic, folder / "headlines.csv")
     lines = [verdict(found, planners, traffic), ""]
     lines += [*summary(found, planners, traffic, privileged, opens=True), ""]
     for name in traffic:
@@ -237,6 +245,22 @@ def write_report(
     lines.append(f"Means over scenes and seeds. {brackets(found.values())}{best}")
     write_aside(folder / "table.md", "\n".join(lines) + "\n")
     _plot(found, planners, traffic, folder / "robustness.png")
+
+
+def _write_headlines(
+    found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path
+) -> None:
+    """Write mean, worst and each traffic's score of every planner, with intervals, as CSV."""
+    with writing(path) as file:
+        writer = csv.writer(file)
+        names = ["mean", "worst", *traffic]
+        ends = ("", "_low", "_high")
+        writer.writerow(["planner", *(name + end for name in names for end in ends)])
+        for planner in planners:
+            heads = headlines(found, planner, traffic)
+            heads |= {name: mean_interval(found[planner, name], "score") for name in traffic}
+            figures = [figure for name in names for figure in heads[name]]
+            writer.writerow([planner, *("" if np.isnan(f) else f"{f:.6f}" for f in figures)])
 
 
 def short_name(planner: str) -> str:

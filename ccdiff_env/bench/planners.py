@@ -33,8 +33,7 @@ from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.policies.pdm import PdmPlanner
-from ccdiff_env.policies.planners import Ego, Seat, ego_driver
+from ccdiff_env.policies.planners import Ego, ego_driver
 from ccdiff_env.record.episode import begin, recorders_of
 from ccdiff_env.record.episode import play as played
 from ccdiff_env.record.rollout import Rollout
@@ -146,7 +145,7 @@ def planner_jobs(
     source
         The scenes, a text of :func:`ccdiff_env.load`.
     planners
-        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, a policy of
+        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, ``lane_idm``, a policy of
         :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
         :func:`play`.
@@ -165,7 +164,7 @@ def planner_jobs(
             raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
     privileged = {}
     for planner in planners:
-        driver, seat = _seat(planner)
+        driver, seat = ego_driver(planner)
         PROTOCOL.world(seat, planner, scenes_of(source)[0].dt)
         privileged[planner] = driver in READ_THE_LOG if seat is None else seat.privileged
     parts = chunks(scene_names(source), CHUNK)
@@ -273,11 +272,6 @@ def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None]
         raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
 
 
-def _seat(planner: Ego) -> tuple[str, Seat | None]:
-    """Return the driver of the ego's slot, and who makes its actions."""
-    return ("external", Seat(PdmPlanner, "pdm")) if planner == "pdm" else ego_driver(planner)
-
-
 def play(
     scenes: SceneSet,
     planner: Ego,
@@ -327,7 +321,7 @@ def drive(
     dict
         The recorded episodes by name of the scene.
     """
-    driver, seat = _seat(planner)
+    driver, seat = ego_driver(planner)
     who = driver if seat is None else seat.name
     config = PROTOCOL.world(seat, who, scenes[0].dt).with_options(
         **(options or {}),

@@ -28,6 +28,7 @@ COLOURS = {
     "idm": "#a89100",
     "replay": "#8c96a3",
     "constant_velocity": "#c26fa4",
+    "lane_idm": "#d1bb3a",
     "pdm": "#3b8fd4",
 }
 #: For all others, in their order.

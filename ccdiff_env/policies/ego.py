@@ -206,7 +206,7 @@ class EgoPolicy:
         if worlds.config.decision_steps == held:
             return self.act
         holding = Held(worlds, held)
-        return lambda obs: holding(lambda: self.act(obs))
+        return lambda obs: holding(lambda _: self.act(obs))
 
 
 def save_ego(

@@ -34,11 +34,14 @@ class Held:
         self._present: npt.NDArray[Any] = np.zeros(self.shape, dtype)
 
     def __call__(
-        self, decide: Callable[[], npt.NDArray[Any]], active: npt.NDArray[np.bool_] | None = None
+        self,
+        decide: Callable[[npt.NDArray[np.bool_]], npt.NDArray[Any]],
+        active: npt.NDArray[np.bool_] | None = None,
     ) -> npt.NDArray[Any]:
         """Return the present actions; ``decide`` makes them where a decision is due.
 
-        It makes those of all worlds, for products of matrices round with the number of rows.
+        It makes those of all worlds, for products of matrices round with the number of rows, and is
+        told which are due [E].
         ``active`` are the worlds [E] that go on, all by default.
         """
         num_worlds, native = self._worlds.num_worlds, self._worlds.native
@@ -48,7 +51,7 @@ class Held:
             due = due & (elapsed % self._steps == 0)
             if not due.any():
                 return self._present
-        found = decide()
+        found = decide(due)
         self._present = self._present.copy()
         self._present[due] = found[due]
         return self._present

@@ -20,13 +20,16 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.errors import (
+    CcdiffError,
     ConfigError,
     DatasetError,
     MissingFeatureError,
+    PolicyError,
     ShapeError,
 )
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.policies.holding import Held
+from ccdiff_env.policies.rules import RULES
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import driver_names
@@ -41,7 +44,7 @@ F32 = npt.NDArray[np.float32]
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *SHIPPED))}, module:name of a planner, "
+    f"the ego, of: {', '.join((*driver_names(), *RULES, *SHIPPED))}, module:name of a planner, "
     "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
     "runs the code in it: trust whoever made it)"
 )
@@ -175,16 +178,27 @@ class Seat:
         ------
         ShapeError
             If the planner returns another shape, or numbers that are not finite.
+        PolicyError
+            If the planner raises; names it, the scenes and their steps.
         """
         if self._worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
-        return self._held(lambda: self._decided(obs), active)
+        return self._held(lambda due: self._decided(obs, due), active)
 
-    def _decided(self, obs: F32) -> npt.NDArray[Any]:
+    def _decided(self, obs: F32, due: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
         """Return what the planner decides, checked."""
         assert self._worlds is not None
         given = obs if self._form == "flat" else self._worlds.layout.split(obs)
-        found, shape = np.asarray(self._act(given)), self._held.shape
+        try:
+            found, shape = np.asarray(self._act(given)), self._held.shape
+        except CcdiffError:
+            raise
+        except Exception as error:
+            where = ", ".join(map(self._where, np.flatnonzero(due)[:3].tolist()))
+            more = f" and {due.sum() - 3} more" if due.sum() > 3 else ""
+            raise PolicyError(
+                f"{self.name}: {type(error).__name__}: {error} (in {where}{more})"
+            ) from error
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
         if found.shape != shape or found.dtype.kind not in "iuf":
@@ -195,6 +209,11 @@ class Seat:
         if not np.isfinite(found).all():
             raise ShapeError(f"{self.name} returned numbers that are not finite")
         return found
+
+    def _where(self, world_idx: int) -> str:
+        assert self._worlds is not None
+        status = self._worlds.native.status(world_idx)
+        return f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps}"
 
 
 class _Sb3:
@@ -288,11 +307,12 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     Parameters
     ----------
     ego
-        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a policy of
-        :mod:`ccdiff_env.policies` by name, or its file (``.safetensors``); a :class:`Planner`, a
-        class of one, a function from observations [N, D] to actions [N, ...], or ``module:name``
-        of these (``module:name?option=value`` with options); an object with ``predict`` as those of
-        stable-baselines3; or the path of a policy that stable-baselines3 saved.
+        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; ``"pdm"`` or
+        ``"lane_idm"``; a policy of :mod:`ccdiff_env.policies` by name, or its file
+        (``.safetensors``); a :class:`Planner`, a class of one, a function from observations
+        [N, D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
+        options); an object with ``predict`` as those of stable-baselines3; or the path of a
+        policy that stable-baselines3 saved.
 
     Raises
     ------
@@ -307,9 +327,11 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
             return "external", load_sb3(ego)
         if ":" in name:
             return "external", Seat(named_object(name, "planner"), name)
+        if name in RULES:
+            return "external", Seat(RULES[name], name)
         policy = find_policy(name)
         if policy is None:
-            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *SHIPPED])
+            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *RULES, *SHIPPED])
         return "external", Seat(policy, name)
     named = getattr(ego, "__name__", type(ego).__name__)
     if hasattr(ego, "predict"):

@@ -57,7 +57,7 @@ SOURCES: dict[str, Source] = {
             _embedded,
             splits=embedded_splits,
             usual={"": {"train": "train", "test": "val"}},
-            kept_out=("val",),
+            kept_out=("val", "city"),
             lacks="recorded traffic: it is simulated",
         ),
         Source(

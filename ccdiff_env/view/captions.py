@@ -18,6 +18,7 @@ DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 PLANNER_TITLES = {
     "ego": "trained ego",
     "ego_replay": "ego trained in log replay",
+    "lane_idm": "IDM on lanes",
     "pdm": "PDM-Closed",
 }
 

@@ -8,7 +8,7 @@ from typing import Any
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["worlds_view"]
+__all__ = ["behind", "worlds_view"]
 
 #: What can be read, of each kind of object; a mapping says what its own parts show.
 _SCENE = dict.fromkeys(
@@ -26,6 +26,7 @@ _NATIVE = dict.fromkeys(
         "num_actions",
         "num_worlds",
         "off_road",
+        "planner_actions",
         "route",
         "slot_agents",
         "slot_alive",
@@ -76,6 +77,11 @@ class _View:
 
     def __len__(self) -> int:
         return len(self._target)
+
+
+def behind(shown: Any) -> Any:
+    """Return what a view shows, for functions of the package that only read it."""
+    return shown._target if isinstance(shown, _View) else shown
 
 
 def worlds_view(worlds: Worlds, who: str) -> Any:

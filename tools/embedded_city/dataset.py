@@ -13,17 +13,17 @@ from pathlib import Path
 from ccdiff_env.scenes.embedded import VERSION
 from tools.embedded_city.layout import LOCATION, build_city
 from tools.embedded_city.maps import MapWriter, mask_png
-from tools.embedded_city.scenes import SHIPPED, Density, build_scenes
+from tools.embedded_city.scenes import SHIPPED, Recipe, build_scenes
 from tools.embedded_city.tables import write_tables
 
 ZIP_TIME = (2020, 1, 1, 0, 0, 0)
 
 
-def generate(density: Density = SHIPPED) -> dict[str, bytes]:
+def generate(recipe: Recipe = SHIPPED) -> dict[str, bytes]:
     """Return the members of the data set by path; the same bytes at every call."""
     city = build_city()
-    scenes = list(build_scenes(city, density))
-    splits = {split: [s.name for s in scenes if s.split == split] for split in ("train", "val")}
+    scenes = list(build_scenes(city, recipe))
+    splits = {s.split: [t.name for t in scenes if t.split == s.split] for s in scenes}
     out = {f"{VERSION}/{name}.json": _rows(rows) for name, rows in write_tables(scenes).items()}
     out[f"maps/expansion/{LOCATION}.json"] = _dump(MapWriter(city).write())
     out[f"maps/{LOCATION}.png"] = mask_png(city)

@@ -58,18 +58,23 @@ FIRST_DRAWS: dict[str, int] = {
 
 
 @dataclass(frozen=True)
-class Density:
-    """How full the city is."""
+class Recipe:
+    """What makes a set: how full the city is, how many scenes, and their draws."""
 
     num_most: int
     """Actors of a scene, at most."""
     gap_m: float
     """Room that a driver of the background finds at its start."""
     first_draws: Mapping[str, int]
+    seed: str = SEED
+    num_scenes: int | None = None
+    """Scenes of a split ``city``, spread over the kinds; by default ``train`` and ``val`` of each
+    kind."""
 
 
-SHIPPED = Density(20, 13.0, FIRST_DRAWS)
-DENSE = Density(60, 8.5, {})
+SHIPPED = Recipe(20, 13.0, FIRST_DRAWS)
+DENSE = Recipe(60, 8.5, {})
+CITY = Recipe(20, 13.0, {}, "ccdiff-city-1", 200)
 
 
 @dataclass(frozen=True)
@@ -89,28 +94,37 @@ class LoggedScene:
         return len(self.tracks[0].poses)
 
 
-def build_scenes(city: City, density: Density = SHIPPED) -> Iterator[LoggedScene]:
+def build_scenes(city: City, recipe: Recipe = SHIPPED) -> Iterator[LoggedScene]:
     """Yield all scenes of the set."""
     area = DrivableArea(city)
-    for kind in KINDS:
-        for number in range(kind.train + kind.val):
-            name = f"{kind.name}-{number:02d}"
-            split = "train" if number < kind.train else "val"
-            yield LoggedScene(name, split, kind, *_tracks(city, area, kind, name, density))
+    for name, split, kind in _listed(recipe.num_scenes):
+        yield LoggedScene(name, split, kind, *_tracks(city, area, kind, name, recipe))
+
+
+def _listed(num_scenes: int | None) -> Iterator[tuple[str, str, ScenarioKind]]:
+    """Yield name, split and kind of all scenes."""
+    for i, kind in enumerate(KINDS):
+        if num_scenes is None:
+            for number in range(kind.train + kind.val):
+                split = "train" if number < kind.train else "val"
+                yield f"{kind.name}-{number:02d}", split, kind
+        else:
+            for number in range(len(range(i, num_scenes, len(KINDS)))):
+                yield f"{kind.name}-{number:03d}", "city", kind
 
 
 def _tracks(
-    city: City, area: DrivableArea, kind: ScenarioKind, name: str, density: Density
+    city: City, area: DrivableArea, kind: ScenarioKind, name: str, recipe: Recipe
 ) -> tuple[list[Track], int]:
     """Return the tracks of the first draw that passes all checks, and its number."""
-    for number in range(density.first_draws.get(name, 0), NUM_TRIES):
-        draw = Draw(f"{SEED}/{name}/{number}")
+    for number in range(recipe.first_draws.get(name, 0), NUM_TRIES):
+        draw = Draw(f"{recipe.seed}/{name}/{number}")
         builder = ScenarioBuilder(city, draw)
         kind.build(builder)
         if any(not _is_apart(builder, i) for i in range(len(builder.actors))):
             continue
-        most = density.num_most
-        add_background_actors(builder, draw.whole(most - 7, most), density.gap_m)
+        most = recipe.num_most
+        add_background_actors(builder, draw.whole(most - 7, most), recipe.gap_m)
         Simulation(builder.actors).run(DURATION_S)
         if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2, most):
             return tracks, number

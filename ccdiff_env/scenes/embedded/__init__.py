@@ -1,5 +1,6 @@
 """Embedded scenes: a small procedural city and its traffic, shipped as a data set in the nuScenes
-schema. ``python -m ccdiff_env.scenes.embedded --out DIR`` writes it as files.
+schema. ``python -m ccdiff_env.scenes.embedded --out DIR`` writes it as files. A second set, the
+split ``city``, has 200 other scenes of the same streets: planners are compared on it.
 
 ``tools/embedded_city`` of the repository generates it.
 """
@@ -17,17 +18,20 @@ from ccdiff_env.errors import DatasetError, UnknownNameError
 from ccdiff_env.scenes import SceneSet, load_nuscenes
 from ccdiff_env.system.files import write_aside
 
-__all__ = ["SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
+__all__ = ["CITY", "SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
 
 VERSION = "v1.0-embedded"
 #: The zipped data set, in the package.
 SHIPPED = "data/embedded.zip"
+#: The set that planners are compared on, zipped.
+CITY = "data/city.zip"
 
 
 @cache
 def embedded_splits() -> dict[str, tuple[str, ...]]:
-    """Return the names of the embedded scenes by split, ``train`` and ``val``."""
-    return {name: tuple(names) for name, names in json.loads(shipped()["splits.json"]).items()}
+    """Return the names of the embedded scenes by split: ``train``, ``val`` and ``city``."""
+    splits = {**json.loads(shipped()["splits.json"]), **json.loads(shipped(CITY)["splits.json"])}
+    return {name: tuple(names) for name, names in splits.items()}
 
 
 @cache
@@ -39,7 +43,7 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     Parameters
     ----------
     split
-        ``"train"``, ``"val"``, or ``"all"`` (``None``).
+        ``"train"``, ``"val"``, ``"city"``, or ``"all"`` of train and val (``None``).
 
     Returns
     -------
@@ -56,14 +60,14 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     splits = embedded_splits()
     if split is not None and split not in splits:
         raise UnknownNameError(f"unknown split {split!r}, expected one of all, {', '.join(splits)}")
-    names = splits[split] if split is not None else tuple(n for s in splits.values() for n in s)
+    names = splits["train"] + splits["val"] if split is None else splits[split]
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
-        unpack(Path(folder))
+        unpack(Path(folder), CITY if split == "city" else SHIPPED)
         return load_nuscenes(folder, VERSION, scenes=names, interpolation="linear", cache=False)
 
 
-def shipped() -> dict[str, bytes]:
-    """Return the members of the shipped data set by path.
+def shipped(file: str = SHIPPED) -> dict[str, bytes]:
+    """Return the members of a shipped data set by path.
 
     Raises
     ------
@@ -71,15 +75,15 @@ def shipped() -> dict[str, bytes]:
         If the package lacks the file or it is damaged.
     """
     try:
-        with as_file(files("ccdiff_env") / SHIPPED) as path, zipfile.ZipFile(path) as archive:
+        with as_file(files("ccdiff_env") / file) as path, zipfile.ZipFile(path) as archive:
             return {name: archive.read(name) for name in archive.namelist()}
     except (OSError, zipfile.BadZipFile) as error:
-        raise DatasetError(f"the package's {SHIPPED} cannot be read: {error}") from error
+        raise DatasetError(f"the package's {file} cannot be read: {error}") from error
 
 
-def unpack(folder: Path) -> None:
-    """Write the shipped data set below a folder."""
-    for name, data in shipped().items():
+def unpack(folder: Path, file: str = SHIPPED) -> None:
+    """Write a shipped data set below a folder."""
+    for name, data in shipped(file).items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_aside(path, data)

@@ -7,6 +7,7 @@ mod logged_batch;
 mod map_queries;
 mod metrics;
 mod networks;
+mod planner;
 mod python_policy;
 mod render;
 mod scene;
@@ -34,6 +35,7 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     metrics::register(m)?;
     networks::register(m)?;
     drivers::register(m)?;
+    planner::register(m)?;
     render::register(m)?;
     scene::register(m)?;
     schemas::register(m)?;

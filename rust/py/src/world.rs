@@ -2,6 +2,7 @@
 
 use crate::drivers;
 use crate::enter::{ProcessGuard, enter, flags};
+use crate::planner::PyPlanner;
 use crate::render::{CentreArg, theme_of};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
@@ -433,6 +434,18 @@ impl PyVecWorld {
         slot_idx: usize,
     ) -> PyResult<world_state::Route<'py>> {
         world_state::route(py, self.world.slot_route(world_idx, slot_idx).map_err(from_sim)?)
+    }
+
+    /// Actions [E, W] of a planner in the first slots; zeros in worlds that are not `active` [E].
+    #[pyo3(signature = (planner, active=None))]
+    fn planner_actions<'py>(
+        &self,
+        py: Python<'py>,
+        planner: &mut PyPlanner,
+        active: Option<Vec<bool>>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        self.home.check()?;
+        planner.actions(py, &self.world, active)
     }
 
     /// Pairs of agents that touch: (agent, partner, side of the agent that is hit, closing speed m/s, at fault).

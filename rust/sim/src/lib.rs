@@ -8,6 +8,7 @@ pub mod geom;
 pub mod metrics;
 pub mod observe;
 pub mod options;
+pub mod planner;
 pub mod policy;
 pub mod scene;
 mod simd_dispatch;

@@ -20,8 +20,9 @@ pub struct Idm {
     pub config: IdmConfig,
 }
 
-/// Acceleration of the model, m/s², between −`max_braking` and `acceleration`.
-fn acceleration(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Real, Real)>) -> Real {
+/// Acceleration of the model towards a desired speed, behind a leader (gap in metres, its speed), m/s², between
+/// −`max_braking` and `acceleration`.
+pub fn idm_towards(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Real, Real)>) -> Real {
     let (a, b) = (idm.acceleration_mps2, idm.deceleration_mps2);
     let ratio = speed / desired.max(0.1);
     // above the desired speed a driver slows down comfortably, not as hard as the power law asks
@@ -48,7 +49,7 @@ impl Idm {
             .min(route.curve_speed_mps(s + speed * 0.5));
         let ahead =
             leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
-        acceleration(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
+        idm_towards(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
     }
 }
 
@@ -99,8 +100,8 @@ mod tests {
     #[test]
     fn free_road_keeps_the_desired_speed() {
         let idm = IdmConfig::default();
-        assert!(acceleration(&idm, 10.0, 10.0, None).abs() < 1e-5);
-        assert!((acceleration(&idm, 0.0, 10.0, None) - idm.acceleration_mps2).abs() < 1e-6);
+        assert!(idm_towards(&idm, 10.0, 10.0, None).abs() < 1e-5);
+        assert!((idm_towards(&idm, 0.0, 10.0, None) - idm.acceleration_mps2).abs() < 1e-6);
     }
 
     #[test]
@@ -109,12 +110,12 @@ mod tests {
         let idm = IdmConfig::default();
         let (v, v0) = (8.0f32, 12.0f32);
         let gap = (idm.min_gap_m + v * idm.headway_s) / (1.0 - (v / v0).powf(idm.exponent)).sqrt();
-        assert!(acceleration(&idm, v, v0, Some((gap, v))).abs() < 1e-4);
+        assert!(idm_towards(&idm, v, v0, Some((gap, v))).abs() < 1e-4);
     }
 
     #[test]
     fn a_wall_ahead_brakes_hard() {
         let idm = IdmConfig::default();
-        assert_eq!(acceleration(&idm, 15.0, 15.0, Some((5.0, 0.0))), -idm.max_braking_mps2);
+        assert_eq!(idm_towards(&idm, 15.0, 15.0, Some((5.0, 0.0))), -idm.max_braking_mps2);
     }
 }

@@ -16,7 +16,7 @@ mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
 pub use driver::Driver;
-pub use idm::{Idm, idm_acceleration};
+pub use idm::{Idm, idm_acceleration, idm_towards};
 pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
 };

@@ -1,0 +1,173 @@
+"""What planners need of places that nobody has taken yet, and how a trajectory becomes actions.
+
+All places are in the scene's frame: x, y in metres, heading in radians. Functions take the worlds
+that a planner was made with.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.config import UnicycleLimits
+from ccdiff_env.errors import ConfigError, expect_shape
+from ccdiff_env.scenes import map_queries
+from ccdiff_env.worlds.worlds_view import behind
+
+__all__ = ["Tracker", "curve_speed", "lane_ahead", "overlap", "road_distance"]
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+
+def _scene(worlds: Any, world_idx: int) -> Any:
+    return behind(worlds.scenes[worlds.native.status(world_idx).scene_idx])
+
+
+def road_distance(worlds: Any, world_idx: int, points: npt.ArrayLike) -> F32:
+    """Return distances [M] of points [M, 2] to the road's edge, m, negative off the road.
+
+    Raises
+    ------
+    SceneError
+        If the map has no road.
+    """
+    at = np.asarray(points, np.float32)
+    return map_queries.road_distance(_scene(worlds, world_idx), at)
+
+
+def lane_ahead(
+    worlds: Any, world_idx: int, poses: npt.ArrayLike, **options: Any
+) -> map_queries.LaneAhead:
+    """Return the lanes of poses [M, 3]: offset, heading error and the way ahead in their frames.
+
+    ``options`` are those of :func:`ccdiff_env.scenes.map_queries.lane_ahead`.
+    """
+    at = np.asarray(poses, np.float32)
+    return map_queries.lane_ahead(_scene(worlds, world_idx), at[:, :2], at[:, 2], **options)
+
+
+def overlap(boxes: npt.ArrayLike, others: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Return whether boxes [..., 5] and others [..., 5] share a point (separating axes).
+
+    Parameters
+    ----------
+    boxes, others
+        x, y, heading, length, width; the leading axes are broadcast.
+
+    Raises
+    ------
+    ShapeError
+        If the last axis is another.
+    """
+    for name, array in (("boxes", boxes), ("others", others)):
+        shape = np.shape(array)
+        expect_shape(name, np.asarray(array), (*shape[:-1], 5))
+    a, b = np.broadcast_arrays(np.asarray(boxes, np.float64), np.asarray(others, np.float64))
+    offset, turn = b[..., :2] - a[..., :2], b[..., 2] - a[..., 2]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    meets = np.ones(a.shape[:-1], np.bool_)
+    for own, other in ((a, b), (b, a)):
+        c, s = np.cos(own[..., 2]), np.sin(own[..., 2])
+        along = np.abs(offset[..., 0] * c + offset[..., 1] * s)
+        across = np.abs(offset[..., 1] * c - offset[..., 0] * s)
+        meets &= 2 * along <= own[..., 3] + cos * other[..., 3] + sin * other[..., 4]
+        meets &= 2 * across <= own[..., 4] + sin * other[..., 3] + cos * other[..., 4]
+    return meets
+
+
+def curve_speed(
+    route: npt.ArrayLike, *, lateral_mps2: float = 3.0, braking_mps2: float = 2.0
+) -> F64:
+    """Return the greatest speeds [P] that curves at and ahead of a route's points allow, m/s.
+
+    Parameters
+    ----------
+    route
+        Points [P, 2] about a metre apart, P of at least 2, such as ``worlds.native.route`` gives.
+    lateral_mps2
+        Acceleration sideways at which curves are taken.
+    braking_mps2
+        Braking ahead of them.
+
+    Raises
+    ------
+    ShapeError
+        For another shape.
+    """
+    points = np.asarray(route, np.float64)
+    expect_shape("route", points, (max(len(points), 2) if points.ndim else 2, 2))
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    middle = np.cumsum(lengths) - 0.5 * lengths
+    # over three metres, so that kinks of the sampling are no curves
+    reach = np.arange(len(headings))
+    low, high = np.maximum(reach - 1, 0), np.minimum(reach + 2, len(headings) - 1)
+    turn = np.abs(headings[high] - headings[low]) / np.maximum(middle[high] - middle[low], 0.5)
+    speeds = np.sqrt(lateral_mps2 / np.maximum(turn, 1e-4))
+    speeds = np.append(speeds, speeds[-1])
+    for i in range(len(lengths) - 1, -1, -1):
+        speeds[i] = min(speeds[i], np.sqrt(speeds[i + 1] ** 2 + 2 * braking_mps2 * lengths[i]))
+    return speeds
+
+
+class Tracker:
+    """Turns trajectories into actions of the unicycle: constant acceleration, pure pursuit.
+
+    Parameters
+    ----------
+    worlds
+        Worlds of a planner, with continuous actions of the unicycle.
+    reach_s
+        How far ahead the trajectory is aimed at.
+
+    Raises
+    ------
+    ConfigError
+        For other dynamics, and for indices of a grid.
+    """
+
+    def __init__(self, worlds: Any, reach_s: float = 0.5) -> None:
+        action = worlds.config.action
+        if action.discrete or not isinstance(action.dynamics, UnicycleLimits):
+            raise ConfigError("action: a tracker needs continuous actions of the unicycle")
+        self._native, self._dt = worlds.native, worlds.config.dt_s
+        self._reach = max(round(reach_s / self._dt), 1)
+        self._limits = action
+
+    def __call__(self, trajectories: npt.ArrayLike) -> F32:
+        """Return actions [E, 2] that follow trajectories [E, T, 3] in the scenes' frames.
+
+        Pose t is where the first slot shall be after t + 1 time steps of the world. Worlds whose
+        slot is empty get zeros.
+
+        Raises
+        ------
+        ShapeError
+            For another shape.
+        """
+        native, wanted = self._native, np.asarray(trajectories, np.float64)
+        steps = max(wanted.shape[1], 1) if wanted.ndim == 3 else 1
+        expect_shape("trajectories", wanted, (native.num_worlds, steps, 3))
+        actions = np.zeros((native.num_worlds, 2), np.float32)
+        aim = min(self._reach, wanted.shape[1])
+        limits, time_s = self._limits, aim * self._dt
+        for i in range(native.num_worlds):
+            agent = native.slot_agents(i)[0]
+            if agent is None or not native.slot_alive(i)[0]:
+                continue
+            states = native.states(i)
+            heading, speed = float(states["heading"][agent]), float(states["speed"][agent])
+            x, y = wanted[i, aim - 1, :2] - states["position"][agent]
+            ahead = x * np.cos(heading) + y * np.sin(heading)
+            left = y * np.cos(heading) - x * np.sin(heading)
+            acceleration = 2.0 * (ahead - speed * time_s) / time_s**2
+            yaw_rate = speed * 2.0 * left / max(ahead**2 + left**2, 1.0)
+            rises = acceleration > 0
+            most = limits.max_acceleration_mps2 if rises else limits.max_deceleration_mps2
+            action = acceleration / most, yaw_rate / limits.max_yaw_rate_radps
+            actions[i] = np.clip(action, -1.0, 1.0)
+        return actions

@@ -1,0 +1,158 @@
+//! Planners that drive an agent through its action: PDM-Closed, and the intelligent driver model on the centre line.
+//!
+//! PDM-Closed (Dauner, Hallgarten, Geiger, Chitta: "Parting with Misconceptions about Learning-based Vehicle Motion
+//! Planning", CoRL 2023): proposals along the centre line are rolled out, scored and the best one's first action is driven.
+
+mod centre_line;
+mod forecast;
+mod proposals;
+mod score;
+
+pub use centre_line::CentreLine;
+
+use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
+use crate::error::{Result, SimError};
+use crate::events::leader;
+use crate::geom::{Real, math};
+use crate::policy::idm_towards;
+use crate::state::{AgentStates, Footprint};
+use crate::world::{IdmConfig, PreparedScene, VecWorld, WorldStatus};
+use forecast::Forecast;
+use proposals::{Proposal, Rollout, steering};
+use std::sync::Arc;
+
+/// What drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlannerKind {
+    /// Proposals, rolled out and scored.
+    Pdm,
+    /// The intelligent driver model of the worlds, along the centre line at the road's limit.
+    Idm,
+}
+
+/// Drives the first slot of worlds. Holds nothing but centre lines: the action follows from the present alone.
+#[derive(Debug)]
+pub struct Planner {
+    kind: PlannerKind,
+    /// Scene, agent and its centre line, of each world [E].
+    lines: Vec<Option<(usize, usize, Arc<CentreLine>)>>,
+}
+
+/// What a planner knows of one world.
+pub(crate) struct Scene<'a> {
+    pub prepared: &'a PreparedScene,
+    pub states: &'a AgentStates,
+    pub ego: usize,
+    pub dt_s: Real,
+    pub line: &'a CentreLine,
+}
+
+impl Scene<'_> {
+    pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {
+        &self.prepared.footprints[agent_idx]
+    }
+}
+
+impl Planner {
+    /// A planner for any number of worlds.
+    pub fn new(kind: PlannerKind) -> Self {
+        Self { kind, lines: Vec::new() }
+    }
+
+    /// The action of a world's first slot in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics.
+    pub fn act(&mut self, world: &VecWorld, world_idx: usize) -> Result<Action> {
+        if let Dynamics::Assisted(_) = world.decoder().dynamics() {
+            let expected = "a model of motion by itself".into();
+            return Err(SimError::Config {
+                field: "action.dynamics".into(),
+                got: "assisted".into(),
+                expected,
+            });
+        }
+        let status = world.status(world_idx)?;
+        let seat = world.slot_agents(world_idx)?.first().copied().flatten();
+        let Some(ego) = seat.filter(|ego| status.states.active[*ego]) else { return Ok(Action::default()) };
+        let prepared = world.prepared(status.scene_idx)?;
+        let line = self.line(world, world_idx, &status, &prepared, ego);
+        let dt_s = world.config().dt_s;
+        let scene = Scene { prepared: &prepared, states: status.states, ego, dt_s, line: &line };
+        let action = match self.kind {
+            PlannerKind::Pdm => pdm(&scene),
+            PlannerKind::Idm => idm(&scene, &world.config().idm),
+        };
+        Ok(encoded(world, &scene, action))
+    }
+
+    fn line(
+        &mut self,
+        world: &VecWorld,
+        world_idx: usize,
+        status: &WorldStatus<'_>,
+        prepared: &PreparedScene,
+        ego: usize,
+    ) -> Arc<CentreLine> {
+        if self.lines.len() < world.num_worlds() {
+            self.lines.resize(world.num_worlds(), None);
+        }
+        if let Some((scene_idx, agent, line)) = &self.lines[world_idx]
+            && (*scene_idx, *agent) == (status.scene_idx, ego)
+        {
+            return Arc::clone(line);
+        }
+        let limit_mps = world.config().speed_limit_mps;
+        let route = &prepared.routes[ego].path;
+        let line = Arc::new(CentreLine::new(&prepared.scene.map, route, limit_mps));
+        self.lines[world_idx] = Some((status.scene_idx, ego, Arc::clone(&line)));
+        line
+    }
+}
+
+/// Acceleration (m/s²) and yaw rate (rad/s) as an action of the world's own dynamics.
+fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real; 2]) -> Action {
+    let (decoder, ego) = (world.decoder(), scene.ego);
+    let physical = match decoder.dynamics() {
+        Dynamics::Unicycle(_) => [acceleration, yaw_rate, 0.0],
+        other => {
+            let from = scene.states.kin_state(ego);
+            let mut to = from;
+            let footprint = scene.footprint(ego);
+            Dynamics::default().step(&mut to, [acceleration, yaw_rate, 0.0], scene.dt_s, footprint);
+            other.inverse(&from, &to, scene.dt_s, footprint)
+        }
+    };
+    decoder.encode(&physical)
+}
+
+fn pdm(scene: &Scene<'_>) -> [Real; 2] {
+    let forecast = Forecast::new(scene);
+    let proposals = Proposal::all();
+    let rollouts: Vec<Rollout> = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
+    score::best_action(scene, &forecast, &proposals, &rollouts)
+}
+
+/// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.
+fn idm(scene: &Scene<'_>, idm: &IdmConfig) -> [Real; 2] {
+    let (states, ego, line) = (scene.states, scene.ego, scene.line);
+    let speed = states.speed_mps[ego].max(0.0);
+    let place = line.project(states.position(ego), None);
+    let now = line.at(place.s_m);
+    let wanted = now.limit_mps.min(line.at(place.s_m + 0.5 * speed).curve_speed_mps);
+    let footprints = &scene.prepared.footprints;
+    let ahead = leader(states, footprints, line.polyline(), place.s_m, ego, idm.anticipation_s);
+    let acceleration = idm_towards(idm, speed, wanted, ahead.map(|l| (l.gap_m, l.speed_mps)));
+    let heading_error = math::wrap_angle(states.heading_rad[ego] - now.heading_rad);
+    [
+        acceleration,
+        steering(&UnicycleLimits::default(), speed, now.curvature_1pm, heading_error, place.lateral_m),
+    ]
+}
+
+/// The state of the unicycle at an agent's present.
+pub(crate) fn present(scene: &Scene<'_>) -> KinState {
+    let mut state = scene.states.kin_state(scene.ego);
+    state.speed_mps = state.speed_mps.max(0.0);
+    state
+}

@@ -1,0 +1,170 @@
+"""The package's planners that follow rules, and what planners are given, against other code."""
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
+from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.policies.planners import Seat, ego_driver
+from ccdiff_env.policies.planning import (
+    Tracker,
+    curve_speed,
+    lane_ahead,
+    overlap,
+    road_distance,
+)
+from ccdiff_env.worlds import Worlds
+
+REPLAY = Traffic("log", "replay")
+
+
+def begun(scenes, **options):
+    """Worlds that stand at their start, and their arrays."""
+    config = WorldConfig(driver="external", controlled="ego", num_slots=1, **options)
+    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+    out = worlds.arrays()
+    worlds.native.reset([0] * len(scenes), list(range(len(scenes))), None, out)
+    return worlds, out
+
+
+@pytest.fixture(scope="module")
+def val():
+    return ccdiff_env.embedded_scenes("val")
+
+
+def driven(scenes, name, **options):
+    """Speeds [T, E] of planners in worlds of their own, 40 steps."""
+    worlds, out = begun(scenes, **options)
+    seat = ego_driver(name)[1]
+    seat.begin(worlds)
+    speeds = []
+    for _ in range(40):
+        actions = seat(out.obs[:, 0]).astype(np.float32).reshape(len(scenes), 1, -1)
+        worlds.native.step(actions, out)
+        egos = [worlds.native.slot_agents(i)[0] for i in range(len(scenes))]
+        speeds.append([worlds.native.states(i)["speed"][a] for i, a in enumerate(egos)])
+    return np.array(speeds)
+
+
+@pytest.mark.parametrize("name", ["pdm", "lane_idm"])
+def test_a_batch_drives_as_each_world_alone(val, name):
+    together = driven(val[:3], name)
+    alone = [driven(val[i : i + 1], name)[:, 0] for i in range(3)]
+    assert np.array_equal(together, np.stack(alone, axis=1))
+
+
+def test_pdm_drives_better_than_constant_velocity_and_keeps_to_its_lanes(val):
+    rows = {name: play(val, name, REPLAY) for name in ("pdm", "constant_velocity")}
+    mean = {name: np.mean([row["score"] for row in found]) for name, found in rows.items()}
+    assert mean["pdm"] > 0.85 > mean["constant_velocity"]
+    assert all(row["on_road"] == row["right_way"] == 1.0 for row in rows["pdm"])
+
+
+def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):
+    scenes = [scene for scene in val if scene.name.startswith("free-curve")]
+    worlds, out = begun(scenes)
+    seat = ego_driver("lane_idm")[1]
+    seat.begin(worlds)
+    idm = worlds.config.idm
+    ego = worlds.native.slot_agents(0)[0]
+    speed = float(worlds.native.states(0)["speed"][ego])
+    wanted = seat(out.obs[:, 0])[0, 0]
+    low, high = (bound for bound in (-8.0, 4.0))
+    acceleration = wanted * (high if wanted > 0 else -low)
+    free = idm.acceleration_mps2 * (1 - (speed / worlds.config.speed_limit_mps) ** idm.exponent)
+    assert acceleration <= free + 1e-4  # curves and leaders slow it, nothing else does
+    assert acceleration >= -idm.max_braking_mps2
+
+
+def test_planners_take_the_bicycle_and_refuse_assisted_dynamics(val):
+    action = ActionConfig(dynamics=BicycleLimits())
+    assert np.abs(driven(val[:1], "pdm", action=action) - driven(val[:1], "pdm")).max() < 0.5
+    with pytest.raises(ConfigError, match="assisted"):
+        driven(val[:1], "pdm", action=ActionConfig(dynamics=AssistedLimits()))
+
+
+def test_what_a_planner_raises_names_it_its_scene_and_step(val):
+    def broken(obs):
+        raise KeyError("speed")
+
+    worlds, out = begun(val[:1])
+    seat = Seat(broken, "mine:broken")
+    seat.begin(worlds)
+    with pytest.raises(PolicyError, match=f"mine:broken: KeyError.*{val[0].name} at step 0"):
+        seat(out.obs[:, 0])
+
+
+def test_overlap_agrees_with_shapely():
+    shapely = pytest.importorskip("shapely")
+    affinity = pytest.importorskip("shapely.affinity")
+    rng = np.random.default_rng(0)
+    low, high = [-4, -4, -4, 1, 1], [4, 4, 4, 5, 5]
+    rows = [rng.uniform(low, high, (300, 5)) for _ in range(2)]
+
+    def polygon(box):
+        x, y, heading, length, width = box
+        flat = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
+        return affinity.translate(affinity.rotate(flat, heading, (0, 0), use_radians=True), x, y)
+
+    expected = [polygon(a).intersects(polygon(b)) for a, b in zip(*rows, strict=True)]
+    assert 50 < sum(expected) < 250
+    assert overlap(*rows).tolist() == expected
+    with pytest.raises(ShapeError, match="boxes"):
+        overlap(np.zeros((3, 4)), np.zeros(5))
+
+
+def test_curve_speed_of_a_circle_is_that_of_its_radius():
+    angle = np.arange(0, 3.0, 1 / 20.0)
+    speeds = curve_speed(20.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    assert speeds[5:-5] == pytest.approx(np.sqrt(3.0 * 20.0), rel=0.01)
+    straight = curve_speed(np.column_stack([np.arange(50.0), np.zeros(50)]))
+    assert straight.min() > 100.0
+    with pytest.raises(ShapeError, match="route"):
+        curve_speed(np.zeros((1, 2)))
+
+
+def test_a_tracker_follows_the_log(val):
+    scenes = val[:2]
+    worlds, out = begun(scenes)
+    tracker = Tracker(worlds)
+    tracks = [scene.tracks() for scene in scenes]
+    egos = [worlds.native.slot_agents(i)[0] for i in range(2)]
+    for _ in range(40):
+        step = worlds.native.status(0).step_idx
+        ahead = slice(step + 1, step + 9)
+        poses = [
+            np.column_stack([t["position"][a, ahead], t["heading"][a, ahead]])
+            for t, a in zip(tracks, egos, strict=True)
+        ]
+        worlds.native.step(tracker(np.stack(poses))[:, None], out)
+    step = worlds.native.status(0).step_idx
+    for i, (track, ego) in enumerate(zip(tracks, egos, strict=True)):
+        away = worlds.native.states(i)["position"][ego] - track["position"][ego, step]
+        assert np.hypot(*away) < 0.5
+    with pytest.raises(ShapeError, match="trajectories"):
+        tracker(np.zeros((2, 0, 3)))
+
+
+def test_queries_of_places_work_with_what_a_planner_is_given(val):
+    seen = []
+
+    class Asks:
+        def __init__(self, worlds):
+            self.worlds = worlds
+
+        def __call__(self, obs):
+            native = self.worlds.native
+            states, ego = native.states(0), native.slot_agents(0)[0]
+            pose = [[*states["position"][ego], states["heading"][ego]]]
+            seen.append(road_distance(self.worlds, 0, np.array(pose)[:, :2])[0])
+            seen.append(abs(lane_ahead(self.worlds, 0, pose).lateral_m[0]))
+            return np.zeros((len(obs), 2), np.float32)
+
+    worlds, out = begun(val[:1])
+    seat = Seat(Asks, "asks")
+    seat.begin(worlds)
+    seat(out.obs[:, 0])
+    assert seen[0] > 1.0
+    assert seen[1] < 1.0
