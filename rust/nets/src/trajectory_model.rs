@@ -2,7 +2,7 @@
 
 pub use crate::planner::{Drawn, PlanOptions, Planner};
 
-use crate::config::{ModelConfig, ModelKind};
+use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::{self, SceneFeatures, Window, row_offsets};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
