@@ -30,8 +30,11 @@ pub fn check(config: &ModelConfig) -> Result<()> {
         return Ok(());
     }
     if !config.kind.attends() && config.kind != ModelKind::Simnet {
-        let expected = "\"ccdiff\", \"ctgpp\", \"simnet\" or \"tokens\" without torch";
-        return fail("model.kind", config.kind.name(), expected);
+        return fail(
+            "model.kind",
+            config.kind.name(),
+            "\"ccdiff\", \"ctgpp\", \"simnet\" or \"tokens\" without torch",
+        );
     }
     if config.history != HistoryTokens::Summary {
         return fail("model.history", config.history.name(), "\"summary\" without torch");
