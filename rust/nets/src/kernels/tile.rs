@@ -411,4 +411,23 @@ mod tests {
         unsafe { product::<Plain, 4>(&p, sides) };
         assert_eq!(plain, own);
     }
+
+    #[test]
+    fn what_is_zero_is_left_out_without_a_trace() {
+        for (rows, inputs, panels) in [(1, 3, 1), (13, 20, 1), (7, 33, 2), (9, 70, 5)] {
+            let (p, mut a, b) = super::super::shape::tests::example(rows, inputs, panels);
+            for x in a.iter_mut().filter(|x| **x < 0.7) {
+                *x = 0.0;
+            }
+            let bias: Vec<f32> = (0..panels * PANEL).map(|i| i as f32 * 0.1 - 3.0).collect();
+            let bits = |level, skips| {
+                let mut out = vec![0.0; rows * panels * PANEL];
+                multiply(Checked::at_most(level), &p, &a, &b, Some(&bias), &mut out, skips);
+                out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
+            };
+            for level in Level::available() {
+                assert_eq!(bits(level, true), bits(Level::Base, false));
+            }
+        }
+    }
 }

@@ -53,8 +53,8 @@ pub fn check(config: &ModelConfig) -> Result<()> {
 impl Own {
     fn linear_of(x: &Array, layer: &Packed, relu: bool) -> Array {
         let mut numbers = Vec::new();
-        kernels::linear(Checked::now(), &x.numbers, layer, x.sparse, relu, &mut numbers);
-        Array { tokens: x.tokens, width: layer.columns, numbers, sparse: relu }
+        kernels::linear(Checked::now(), &x.numbers, layer, relu, &mut numbers);
+        Array { tokens: x.tokens, width: layer.columns, numbers }
     }
 }
 
@@ -186,8 +186,7 @@ impl Backend for Own {
 
     fn lines(batch: &Inputs<'_>) -> Option<Array> {
         let numbers = batch.numbers(|s| &s.segments);
-        let (tokens, width) = (NUM_SEGMENTS, SEGMENT_FEATURES);
-        (!numbers.is_empty()).then_some(Array { tokens, width, numbers, sparse: true })
+        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
     }
 
     fn raster_tokens(raster: &Raster, batch: &Inputs<'_>, _: bool) -> Option<Array> {
@@ -296,7 +295,7 @@ impl Backend for Own {
                 numbers.extend_from_slice(&greatest);
             }
         }
-        Array { tokens: x.tokens, width: 2 * x.width, numbers, sparse: x.sparse }
+        Array::new(x.tokens, 2 * x.width, numbers)
     }
 
     fn rows_of(table: &Array, step: &usize) -> Array {

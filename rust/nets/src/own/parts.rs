@@ -10,14 +10,12 @@ pub struct Array {
     pub(super) tokens: usize,
     pub(super) width: usize,
     pub(super) numbers: Vec<f32>,
-    /// Whether most are zero, as behind a ReLU: layers then skip those that are. No number depends on it.
-    pub(super) sparse: bool,
 }
 
 impl Array {
     /// Numbers in this shape; the rows follow.
     pub(crate) fn new(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
-        Self { tokens, width, numbers, sparse: false }
+        Self { tokens, width, numbers }
     }
 
     /// The numbers, row by row.
