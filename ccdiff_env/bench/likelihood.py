@@ -65,11 +65,12 @@ class Feature:
         return found
 
 
+#: Where signs are, 0 lies within a bin: vehicles that stand have values about it.
 _KINEMATIC = {
     "speed": Feature(0.0, 25.0, 25),
-    "acceleration": Feature(-6.0, 6.0, 24),
-    "yaw_rate": Feature(-0.6, 0.6, 24),
-    "yaw_acceleration": Feature(-2.0, 2.0, 20),
+    "acceleration": Feature(-6.25, 6.25, 25),
+    "yaw_rate": Feature(-0.625, 0.625, 25),
+    "yaw_acceleration": Feature(-2.1, 2.1, 21),
 }
 #: Features by name; units of SI. ``_half_s``: of states every half second, which hold less noise.
 FEATURES: dict[str, Feature] = {
