@@ -23,7 +23,7 @@ USERS = {
     "bridge": {"sim", "nets"},
     "py": {"sim", "nuscenes", "render", "nets", "bridge"},
     "py-models": {"sim", "models", "bridge"},
-    "wasm": {"sim", "nuscenes"},
+    "wasm": {"sim", "nuscenes", "nets"},
 }
 
 #: Rooms of the simulator; each may use those before it.
@@ -41,6 +41,7 @@ SIM_ROOMS = [
     "observe",
     "policy",
     "world",
+    "planner",
 ]
 
 #: Circles that are still there, by one file of each; none may be added.
