@@ -21,11 +21,14 @@ def numbers(file: str, constant: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.\d+", found[1])]
 
 
-def test_comfort_and_times_to_contact_of_the_reward_are_those_of_the_score():
+def test_limits_of_reward_and_of_pdm_are_those_of_the_score():
     file = "sim/src/world/reward.rs"
     limits = [COMFORT[name] for name in ("acceleration", "lateral_acceleration", "jerk")]
     assert numbers(file, "COMFORT_BOUNDS") == [bound for pair in limits for bound in pair]
     assert numbers(file, "LEAST_TTC_S") == [TTC_BOUND_S]
+    # PDM-Closed: braking, acceleration, sideways, jerk
+    expected = [*limits[0], limits[1][1], limits[2][1]]
+    assert numbers("sim/src/planner/score.rs", "COMFORT") == expected
 
 
 def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():
