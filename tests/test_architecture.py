@@ -41,6 +41,7 @@ SIM_ROOMS = [
     "observe",
     "policy",
     "world",
+    "planner",
 ]
 
 #: Circles that are still there, by one file of each; none may be added.
