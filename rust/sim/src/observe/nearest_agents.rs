@@ -59,7 +59,7 @@ impl NearestAgents {
         measure(states, agent_idx, reach_sq, &mut self.distance_sq);
         let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
         let limit_sq = limit_sq.min(reach_sq);
-        self.near.resize(num_agents, 0);
+        self.near.resize(num_agents + BLOCK, 0);
         let mut num_near = 0;
         gather(&self.distance_sq, limit_sq, &mut self.near, &mut num_near);
         self.sort(num_near);
@@ -82,13 +82,16 @@ impl NearestAgents {
             return Real::INFINITY;
         }
         // an agent of another scene may be none of this one
-        let far = |j: &u32| self.distance_sq.get(*j as usize).copied().unwrap_or(Real::INFINITY);
-        let (fours, rest) = last.as_chunks::<4>();
-        // four at a time: each maximum waits for the one before
-        let farthest = fours
-            .iter()
-            .fold([0.0; 4], |most: [Real; 4], four| std::array::from_fn(|k| most[k].max(far(&four[k]))));
-        rest.iter().map(far).chain(farthest).fold(0.0, Real::max)
+        let far = |j: u32| self.distance_sq.get(j as usize).copied().unwrap_or(Real::INFINITY);
+        // several at a time, and one instruction each, which `max` is not
+        let mut farthest = [0.0; BLOCK];
+        for block in last.chunks(BLOCK) {
+            for (farthest, j) in farthest.iter_mut().zip(block) {
+                let far = far(*j);
+                *farthest = if far > *farthest { far } else { *farthest };
+            }
+        }
+        farthest.into_iter().fold(0.0, Real::max)
     }
 
     /// Puts the first of the gathered keys in order: a few by counting for each those of fewer steps, many by the
@@ -153,24 +156,21 @@ simd_dispatch! {
         distance_sq[agent_idx] = Real::INFINITY;
     }
 
-    /// Writes the keys of the agents within a distance, and their number.
-    fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64], num_keys: &mut usize) {
+    /// Writes the keys of the agents within a distance, and their number; the keys need room for one block more.
+    fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64], num_keys: &mut usize)
+    with pack [Fn(&[Real; BLOCK], (Real, u32)) -> ([u64; BLOCK], usize)] = pack, pack_avx2 {
         let mut n = 0;
         for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
-            let first = block_idx * BLOCK;
-            if let Some(block) = block.first_chunk::<BLOCK>()
-                && block.iter().fold(true, |all, d| all & (*d <= limit_sq))
-                && let Some(to) = keys[n..].first_chunk_mut::<BLOCK>()
-            {
-                *to = std::array::from_fn(|lane| key(block[lane], first + lane));
-                n += BLOCK;
-                continue;
+            let mut distances = [Real::INFINITY; BLOCK];
+            match block.first_chunk::<BLOCK>() {
+                Some(block) => distances = *block,
+                None => distances[..block.len()].copy_from_slice(block),
             }
-            for (lane, d) in block.iter().enumerate() {
-                // written always, kept if near: no branch to guess
-                keys[n] = key(*d, first + lane);
-                n += usize::from(*d <= limit_sq);
+            let (packed, num_near) = pack(&distances, (limit_sq, (block_idx * BLOCK) as u32));
+            if let Some(to) = keys.get_mut(n..).and_then(|keys| keys.first_chunk_mut::<BLOCK>()) {
+                *to = packed;
             }
+            n += num_near;
         }
         *num_keys = n;
     }
@@ -193,6 +193,59 @@ simd_dispatch! {
             *ranks = count(own, &steps[..num_keys]);
         }
     }
+}
+
+/// The keys of those of a block's agents, counted from a first one, that are within a limit, then whatever else; and
+/// their number.
+#[inline(always)]
+fn pack(distance_sq: &[Real; BLOCK], (limit_sq, first): (Real, u32)) -> ([u64; BLOCK], usize) {
+    let (mut keys, mut n) = ([0; BLOCK], 0);
+    for (lane, d) in distance_sq.iter().enumerate() {
+        // written always, kept if near: no branch to guess
+        keys[n % BLOCK] = key(*d, first as usize + lane);
+        n += usize::from(*d <= limit_sq);
+    }
+    (keys, n)
+}
+
+/// For each set of a block's agents, by its bits, these one after the other, a byte each.
+#[cfg(target_arch = "x86_64")]
+static AGENTS_OF: [[u8; BLOCK]; 1 << BLOCK] = {
+    let mut agents = [[0; BLOCK]; 1 << BLOCK];
+    let mut set = 0;
+    while set < agents.len() {
+        let (mut lane, mut n) = (0, 0);
+        while lane < BLOCK {
+            if set >> lane & 1 == 1 {
+                agents[set][n] = lane as u8;
+                n += 1;
+            }
+            lane += 1;
+        }
+        set += 1;
+    }
+    agents
+};
+
+/// [`pack`] in vectors.
+#[cfg(target_arch = "x86_64")]
+#[inline]
+#[target_feature(enable = "avx2")]
+#[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
+fn pack_avx2(distance_sq: &[Real; BLOCK], (limit_sq, first): (Real, u32)) -> ([u64; BLOCK], usize) {
+    use std::arch::x86_64::*;
+    // SAFETY: eight floats
+    let distance_sq: __m256 = unsafe { std::mem::transmute(*distance_sq) };
+    let near = _mm256_cmp_ps::<_CMP_LE_OQ>(distance_sq, _mm256_set1_ps(limit_sq));
+    let set = _mm256_movemask_ps(near) as usize % (1 << BLOCK);
+    let lanes = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(AGENTS_OF[set])));
+    let bits = _mm256_castps_si256(_mm256_permutevar8x32_ps(distance_sq, lanes));
+    let agents = _mm256_add_epi32(lanes, _mm256_set1_epi32(first as i32));
+    // keys 0, 1, 4, 5 and 2, 3, 6, 7
+    let (a, b) = (_mm256_unpacklo_epi32(agents, bits), _mm256_unpackhi_epi32(agents, bits));
+    let keys = [_mm256_permute2x128_si256::<0x20>(a, b), _mm256_permute2x128_si256::<0x31>(a, b)];
+    // SAFETY: eight numbers of 64 bits
+    (unsafe { std::mem::transmute::<[__m256i; 2], [u64; BLOCK]>(keys) }, set.count_ones() as usize)
 }
 
 /// For each of some numbers the count of others that are less.
@@ -273,6 +326,21 @@ mod tests {
     }
     #[cfg(target_arch = "x86_64")]
     proptest! {
+        #[test]
+        #[allow(unsafe_code, reason = "the function is called where the processor has the instructions")]
+        fn both_ways_to_pack_agree(
+            whole in prop::array::uniform8(0u8..9), limit in 0u8..9, first in 0u32..1 << 20, beyond in 0usize..BLOCK,
+        ) {
+            let mut distance_sq = whole.map(Real::from);
+            distance_sq[beyond] = Real::INFINITY;
+            if std::arch::is_x86_feature_detected!("avx2") {
+                // SAFETY: just asked
+                let (wide, n) = unsafe { pack_avx2(&distance_sq, (limit.into(), first)) };
+                let (keys, num_near) = pack(&distance_sq, (limit.into(), first));
+                prop_assert_eq!((&wide[..n], n), (&keys[..num_near], num_near));
+            }
+        }
+
         #[test]
         #[allow(unsafe_code, reason = "the function is called where the processor has the instructions")]
         fn both_ways_to_count_agree(
