@@ -148,9 +148,13 @@ class WorldConfig(WorldOptions):
 
     def takes_ccdiff(self) -> bool:
         """Return whether somebody drives by a network without options of its own."""
+        return bool(self.sharing())
+
+    def sharing(self) -> set[str]:
+        """Return the networks by which somebody drives with the options of ``ccdiff``."""
         shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
         drivers = {*shares, self.driver, *self.drivers.values()}
-        return bool(drivers & (set(NETWORKS) - set(self.policies)))
+        return drivers & (set(NETWORKS) - set(self.policies))
 
     def with_criticality(self, criticality: float) -> WorldConfig:
         """Return the configuration with one criticality for all networks."""
@@ -165,7 +169,10 @@ class WorldConfig(WorldOptions):
         return config.with_options(ccdiff={"criticality": criticality})
 
     def to_json(self) -> str:
-        """Return the configuration as JSON, as Rust reads it."""
+        """Return the configuration as JSON, as Rust reads it.
+
+        Of networks it holds the options of those that somebody drives by.
+        """
         return json.dumps(_plain(self), allow_nan=False)
 
     @classmethod
@@ -308,7 +315,7 @@ def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict
     """Options in which drivers that are objects, or paths to import, are policies by name."""
     found: dict[str, Any] = {}
     for kind in KINDS:
-        if kind in options and kind not in ("idm", "ccdiff"):
+        if kind in options and kind not in _fields_of(WorldConfig):
             found[kind] = {kind: options.pop(kind)}
     for field_name in ("traffic", "driver"):
         value = options.get(field_name)
@@ -436,7 +443,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, WorldConfig):
         own = {name: {p.kind: _plain(p.options)} for name, p in value.policies.items()}
         options = fields.pop("ccdiff")
-        fields["policies"] = {name: {name: options} for name in NETWORKS} | own
+        # under CCDiff's name as well: so readers tell them from options of one network
+        sharing = {"ccdiff", *value.sharing()} if value.sharing() else ()
+        fields["policies"] = {name: {name: options} for name in sorted(sharing)} | own
     if isinstance(value, PythonTraffic):
         fields["model"] = value.described
     if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):

@@ -19,7 +19,7 @@ from ccdiff_env.config import (
     WorldConfig,
 )
 from ccdiff_env.errors import CcdiffError, ConfigError
-from ccdiff_env.models import require_networks
+from ccdiff_env.traffic import NETWORKS
 
 
 def as_float32(value):
@@ -33,11 +33,24 @@ def as_float32(value):
 
 def test_defaults_are_those_of_rust():
     rust = json.loads(_native.default_world_config())
-    require_networks()
-    from ccdiff_env import _models
-
-    rust["policies"] = json.loads(_models.default_policies())
     assert as_float32(json.loads(WorldConfig().to_json())) == as_float32(rust)
+
+
+def test_json_holds_the_options_of_networks_that_drive_alone():
+    def held(**options):
+        return set(json.loads(WorldConfig().with_options(**options).to_json())["policies"])
+
+    assert held(traffic="idm") == set()
+    assert held(traffic="ccdiff") == {"ccdiff"}
+    assert held(traffic={"ctg": 0.5, "idm": 0.5}) == {"ccdiff", "ctg"}
+    assert held(traffic="simnet", simnet={"criticality": 1.0}) == {"simnet"}
+
+
+def test_json_of_before_with_the_options_of_all_networks_is_read():
+    config = WorldConfig().with_options(traffic="ctg", ccdiff={"criticality": 0.5})
+    fields = json.loads(config.to_json())
+    fields["policies"] = {name: {name: fields["policies"]["ctg"]["ctg"]} for name in NETWORKS}
+    assert WorldConfig.from_json(json.dumps(fields)) == config
 
 
 @pytest.mark.parametrize(
