@@ -85,7 +85,7 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
     many = 0
     for a, b in zip(plans(ours, name, **options), plans(torch, name, **options), strict=True):
         assert a["agents"].tolist() == b["agents"].tolist()
-        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 1e-4
+        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 2e-4
         np.testing.assert_allclose(a["actions"], b["actions"], atol=1e-4)
         if name not in SCENE_DIFFUSIONS:
             assert a["attention"] is None
@@ -110,7 +110,7 @@ def test_so_they_are_on_real_scenes(name, data_root):
         *(plans(model, name, found=scenes) for model in (own(name), torch)), strict=True
     ):
         farthest = max(farthest, np.abs(a["states"][..., :2] - b["states"][..., :2]).max())
-    assert 0.0 < farthest < 1e-4
+    assert 0.0 < farthest < 2e-4
 
 
 def digest(found) -> str:

@@ -57,6 +57,9 @@ pub(crate) struct Playground {
     world: Option<VecWorld>,
 }
 
+/// Drivers by name.
+type Drivers = Vec<(String, Box<dyn TrafficPolicy>)>;
+
 impl Playground {
     pub(crate) fn num_agents(&self) -> usize {
         self.states.len() / STATE
@@ -76,11 +79,7 @@ impl Playground {
     }
 
     /// CCDiff as a configuration of worlds has it; nobody where it has none.
-    fn traffic(
-        &self,
-        options: &str,
-        scene: &Arc<Scene>,
-    ) -> Result<Vec<(String, Box<dyn TrafficPolicy>)>, String> {
+    fn traffic(&self, options: &str, scene: &Arc<Scene>) -> Result<Drivers, String> {
         let options: serde_json::Value = serde_json::from_str(options).map_err(|e| e.to_string())?;
         let Some(asked) = options["policies"]["ccdiff"].get("ccdiff") else { return Ok(Vec::new()) };
         let config: CcdiffConfig = read("ccdiff", &asked.to_string()).map_err(|e| e.to_string())?;
