@@ -119,6 +119,7 @@ impl Neighbours {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::batch::TokenBatch;
     use crate::config::ModelConfig;
     use crate::features::{EDGE_FEATURES, HISTORY_FEATURES};
     use tch::Device;
@@ -154,6 +155,7 @@ mod tests {
             first_knots: vec![None; 2],
             route: None,
             noise_seeds: vec![None; 2],
+            tokens: TokenBatch::default(),
         };
         let states = Tensor::from_slice(&[drive(10.0), drive(speed_mps)].concat()).view([2, STEPS, 6]);
         (batch, Targets { states, valid: Tensor::ones([2, STEPS], (Kind::Float, Device::Cpu)) })
