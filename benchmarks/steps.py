@@ -7,8 +7,9 @@ its processor time; more: per second of the clock. Best of some rounds.
 
 - *make_vec*: the vector environment on the embedded scenes, default configuration; ``copy=False``
   and ``info="end"`` as a learner would choose, and the defaults (``copy=True, info="full"``).
-- *equal work*: the worlds beneath, 64 vehicles of one scene all controlled, with 7 + 63 x 7 +
-  200 x 7 = 1,848 floats each: the work that other simulators' figures are quoted for.
+- *equal work*: the worlds beneath, all vehicles controlled, with 7 + 63 x 7 + 200 x 7 = 1,848
+  floats each: the work that other simulators' figures are quoted for. ``--scenes`` names real
+  roads: the eight scenes of most vehicles, before the embedded city with 64 of them.
 
 The last lines say how much resident memory one more world takes, its share of the arrays included.
 """
@@ -20,7 +21,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,7 +73,7 @@ class Steps:
     step: Callable[[], object]
     envs: int
     threads: int
-    agents: int
+    agents: float
     floats: int
 
     def report(self, name: str, rounds: int) -> None:
@@ -80,7 +81,7 @@ class Steps:
         s = best_s(self.step, self.threads, rounds)
         slots = self.envs * self.agents
         print(
-            f"{name:<36}{self.envs:>6}{self.threads:>4}{self.agents:>5}{self.floats:>6}"
+            f"{name:<36}{self.envs:>6}{self.threads:>4}{self.agents:>5.0f}{self.floats:>6}"
             f"{self.envs / s:>13,.0f}{slots / s:>13,.0f}{s * 1e9 / slots:>9,.0f}",
             flush=True,
         )
@@ -122,18 +123,25 @@ def vector_env(envs: int, traffic: str, threads: int, **options: object) -> Step
     return Steps(lambda: env.step(actions), envs, threads, 1, env.single_observation_space.shape[0])
 
 
-def equal_work(envs: int, threads: int) -> Steps:
-    """Return the worlds beneath with all agents controlled, as what steps them."""
+def vehicles(scene: Scene) -> int:
+    """Return how many vehicles are there when an episode starts."""
+    there = scene.tracks()["valid"][:, WorldConfig().history_steps]
+    return int((there & (np.array(scene.agent_types) == "vehicle")).sum())
+
+
+def equal_work(scenes: Sequence[Scene], envs: int, threads: int) -> Steps:
+    """Return the worlds beneath with all vehicles controlled, as what steps them."""
+    slots = max(map(vehicles, scenes))
     config = WorldConfig(
         controlled="vehicles",
-        num_slots=VEHICLES,
+        num_slots=slots,
         on_collision="ignore",
         on_off_road="ignore",
         terminate_at_goal=False,
         horizon_steps=91,
         autoreset="same_step",
         observation=ObservationConfig(
-            num_neighbors=VEHICLES - 1,
+            num_neighbors=63,
             num_route_points=0,
             num_map_segments=200,
             radius_m=200.0,
@@ -151,23 +159,27 @@ def equal_work(envs: int, threads: int) -> Steps:
             map_columns=("x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"),
         ),
     )
-    worlds = Worlds(scene_set(crowded()), config, num_worlds=envs, num_threads=threads)
+    worlds = Worlds(scene_set(list(scenes)), config, num_worlds=envs, num_threads=threads)
     out = worlds.arrays()
     worlds.native.reset(list(range(envs)), [None] * envs, None, out)
-    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (envs, VEHICLES, 2)).astype(np.float32)
-    return Steps(
-        lambda: worlds.native.step(actions, out), envs, threads, VEHICLES, out.obs.shape[-1]
-    )
+    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (envs, slots, 2)).astype(np.float32)
+    there = sum(a is not None for i in range(envs) for a in worlds.native.slot_agents(i)) / envs
+    return Steps(lambda: worlds.native.step(actions, out), envs, threads, there, out.obs.shape[-1])
 
 
-def table(rounds: int) -> None:
-    """Print all figures."""
+def table(rounds: int, source: str | None) -> None:
+    """Print all figures, those of real roads first."""
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     heads = ("E", "n", "C", "D", "scene-st/s", "agent-st/s", "ns/as")
     widths = (6, 4, 5, 6, 13, 13, 9)
     print("E worlds, n threads, C controlled agents each, D floats of observation each")
     print(" " * 36 + "".join(f"{head:>{w}}" for head, w in zip(heads, widths, strict=True)))
     sizes = ((1, 1), (64, 1), (1024, 1), (1024, threads))
+    if source is not None:
+        real = sorted(ccdiff_env.load(source), key=vehicles, reverse=True)[:8]
+        equal_work(real[:1], 1, 1).report(f"equal work, {real[0].name}", rounds)
+        equal_work(real[:1], 64, 1).report(f"equal work, {real[0].name}", rounds)
+        equal_work(real, 64, 1).report("equal work, eight scenes", rounds)
     for traffic in ("replay", "idm"):
         for envs, n in sizes:
             steps = vector_env(envs, traffic, n, copy=False, info="end")
@@ -175,7 +187,7 @@ def table(rounds: int) -> None:
     for envs in (1, 1024):
         vector_env(envs, "replay", 1).report("make_vec, replay, copy, full info", rounds)
     for envs, n in sizes:
-        equal_work(envs, n).report("equal work", rounds)
+        equal_work([crowded()], envs, n).report("equal work, embedded city", rounds)
     if Path("/proc/self/statm").exists():
         for kind in RESIDENT:
             print(f"{kind}: {memory_per_world_kib(kind):.0f} KiB for one more world and its arrays")
@@ -184,7 +196,7 @@ def table(rounds: int) -> None:
 #: What memory is measured of.
 RESIDENT: dict[str, Callable[[int], Steps]] = {
     "make_vec": lambda envs: vector_env(envs, "replay", 1, copy=False, info="end"),
-    "equal work": lambda envs: equal_work(envs, 1),
+    "equal work": lambda envs: equal_work([crowded()], envs, 1),
 }
 
 
@@ -192,10 +204,11 @@ def main() -> None:
     """Parse options; print the table, or the memory that this process needs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="rounds of 0.2 s per figure")
+    parser.add_argument("--scenes", help="source of real roads, as ccdiff_env.load takes it")
     parser.add_argument("--resident", nargs=2, metavar=("KIND", "E"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.resident is None:
-        table(options.rounds)
+        table(options.rounds, options.scenes)
     else:
         kind, envs = options.resident
         steps = RESIDENT[kind](int(envs))

@@ -2,7 +2,8 @@
 
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
-pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``.
+pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
+the columns A and B alone.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ _PLANNERS = Table(
         "CCDiff 0": Column("ccdiff", interval=False),
         "CCDiff 1": Column("ccdiff-1", interval=False),
         "CCDiff 2": Column("ccdiff-2", interval=False),
+        "tokens": Column("tokens", interval=False),
     },
 )
 _SCR, _ORR = Column("scr"), Column("orr", 2, interval=False)
@@ -77,8 +79,9 @@ TABLES: dict[str, Table] = {
     "planners_smoke": _PLANNERS,
     "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
     "realism": Table(
-        "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
-        "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_one_step_one_sample",
+        "bench realism --samples 8 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
+        "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,tokens_careful,"
+        "tokens_routes_one_sample,tokens_routes_careful",
         "likelihoods.csv",
         ("method",),
         {
@@ -165,12 +168,15 @@ def _kept(table: Table, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
     return kept
 
 
-def render(name: str) -> str:
-    """Return the table of a name, in Markdown, from what its run kept."""
+def render(name: str, chosen: str | None = None) -> str:
+    """Return the table of a name, in Markdown, from what its run kept; all columns by default."""
     from ccdiff_env.bench.methods import METHODS
     from ccdiff_env.bench.planner_report import title_of
 
     table = TABLES[name]
+    if chosen is not None:
+        heads = [head.strip() for head in chosen.split(",")]
+        table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
     lines = [
         "| " + " | ".join([*table.keys, *table.columns]) + " |",
@@ -196,9 +202,11 @@ def rendered(page: str) -> str:
     """Return a page with its tables written anew."""
 
     def table(found: re.Match[str]) -> str:
-        return f"{found[1]}\n{render(found[2])}\n<!-- end -->"
+        return f"{found[1]}\n{render(found[2], found[3])}\n<!-- end -->"
 
-    return re.sub(r"(<!-- results: (\w+) -->)\n.*?<!-- end -->", table, page, flags=re.DOTALL)
+    return re.sub(
+        r"(<!-- results: (\w+)(?:; ([^>]+))? -->)\n.*?<!-- end -->", table, page, flags=re.DOTALL
+    )
 
 
 def main() -> None:
@@ -214,7 +222,7 @@ def main() -> None:
     args = parser.parse_args()
     for name in () if args.render else args.names or TABLES:
         record(name, args.scenes, args.workers, args.runs / name)
-    for page in (ROOT / "docs").glob("*.md"):
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         old = page.read_text(encoding="utf-8")
         new = rendered(old)
         if new != old:
