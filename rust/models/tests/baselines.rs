@@ -60,7 +60,10 @@ fn plans(
     let inputs: Vec<_> = worlds
         .iter()
         .map(|(scene, step, _)| {
-            (Window::from_scene(scene, *step, &vehicles(scene), 31), model.bitmap(scene).unwrap())
+            (
+                Window::from_scene(scene, *step, &vehicles(scene), model.config().history_steps),
+                model.bitmap(scene).unwrap(),
+            )
         })
         .collect();
     let views: Vec<PlanInput<'_>> = inputs
@@ -205,7 +208,7 @@ fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
         let options = PlanOptions { guidance: Some(sought(-50.0)), ..samples(2) };
         let mut model = trained(kind, 1);
         // step 0: hardly any history; the window's bitmap is left out: no road anywhere
-        let window = Window::from_scene(&scene, 0, &[0], 31);
+        let window = Window::from_scene(&scene, 0, &[0], model.config().history_steps);
         let guide = Some(WorldGuidance::new(&[true]));
         let view = PlanInput { window: &window, bitmap: None, seed: 0, guide };
         let plan = model.plan(&[view], &options).unwrap().remove(0);
