@@ -194,7 +194,8 @@ def render(name: str, chosen: str | None = None) -> str:
             bounds = (low, high) if column.interval else (np.nan, np.nan)
             cells.append(cell((value, *bounds), column.digits))
         lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", f"`{kept['command']}`, {kept['scenes']}, {kept['date']}."]
+    command = f"`{kept['command']}`, " if chosen is None else ""
+    lines += ["", f"{command}{kept['scenes']}, {kept['date']}."]
     return "\n".join(lines)
 
 

@@ -87,7 +87,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     """
     if scenes is None:
         scenes = [embedded_scenes()[name] for name in SCENES]
-    ego = load_ego(files("ccdiff_env").joinpath("data/ego.safetensors"))
+    ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
     places, start = {}, 0
     for name, tensor in ego.tensors.items():
         places[name] = (start, tensor.size)
