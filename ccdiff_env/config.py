@@ -88,7 +88,8 @@ class WorldConfig(WorldOptions):
         }
         object.__setattr__(self, "policies", own)
         for name, policy in own.items():
-            if name in (*driver_names(), "external") and (name == "idm" or name != policy.kind):
+            kind = KINDS.get(name)
+            if name == "external" or (kind and (kind.always or name != policy.kind)):
                 raise ConfigError(f"config: policies: {name!r} is a driver already")
         known = driver_names(own)
         shares = (self.traffic,) if isinstance(self.traffic, str) else tuple(self.traffic)
@@ -295,20 +296,21 @@ def _policy(path: str, value: Any) -> Policy:
     """A driver under a name of its own: options of its kind, or ``{kind: options}``."""
     if isinstance(value, Policy):
         return value
-    if isinstance(value, (IdmConfig, CcdiffConfig, PythonTraffic)):
+    if type(value) in (kind.options for kind in KINDS.values()):
         return Policy.of(value)
+    known = {name: kind.options for name, kind in KINDS.items() if kind.options is not None}
     if not isinstance(value, Mapping) or len(value) != 1:
-        kinds = ", ".join(KINDS)
+        kinds = ", ".join(known)
         raise ConfigError(f"config: {path} is {value!r}, expected {{kind: options}} of {kinds}")
     ((kind, options),) = value.items()
-    if kind not in KINDS:
-        raise unknown(path, str(kind), KINDS)
-    if kind == "python" and isinstance(options, Mapping):
+    if kind not in known:
+        raise unknown(path, str(kind), known)
+    if known[kind] is PythonTraffic and isinstance(options, Mapping):
         try:
             return Policy(kind, PythonTraffic(**options))
         except TypeError as error:
             raise ConfigError(f"config: {path}: {error}") from None
-    return Policy(kind, _nested(f"{path}.{kind}", options, KINDS[kind], None))
+    return Policy(kind, _nested(f"{path}.{kind}", options, known[kind], None))
 
 
 def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from ccdiff_env.models import guidance_preset, shipped_weights
+from ccdiff_env.traffic import KINDS, NETWORKS
 
 __all__ = ["METHODS", "OWN_RANKINGS", "PAPER_METHODS", "REORDERED", "Method", "NamedDrivers"]
 
@@ -107,7 +108,7 @@ METHODS: dict[str, Method] = NamedDrivers(
     {
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
-        "idm": Method("IDM", "idm"),
+        "idm": Method(KINDS["idm"].title, "idm"),
         "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
         "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
         "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
@@ -174,24 +175,18 @@ for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
 
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
 _NETWORKS = {
-    "simnet": "SimNet",
-    "trafficsim": "TrafficSim",
-    "trafficsim_port": "TrafficSim, as ported",
-    "strive": "STRIVE",
-    "bits": "BITS",
-    "ctg": "CTG",
-    "ctgpp": "CTG++",
+    **{name: KINDS[name].title for name in NETWORKS if name not in ("ccdiff", "tokens")},
     "ccdiff_equal": "CCDiff, equal training",
 }
 for _name, _label in _NETWORKS.items():
-    # a regression has one plan
-    _own: dict[str, Any] = {"num_samples": 1 if _name == "simnet" else 5}
     _driver = _name.removesuffix("_equal")
+    _one = KINDS[_driver].one_plan
+    _own: dict[str, Any] = {"num_samples": 1 if _one else 5}
     if _driver != _name:
         _own["weights"] = str(shipped_weights(_name))
     METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
     METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
-    if _name != "simnet":
+    if not _one:
         METHODS[f"{_name}_one_sample"] = Method(
             f"{_label}, no guidance, N=1", _driver, ccdiff={**_own, "num_samples": 1}
         )
@@ -231,9 +226,9 @@ for _name in ("ccdiff", "ccdiff_equal", "ctg"):
     )
 
 # next tokens: guided, one draw, careful, with routes told and without
-METHODS["tokens"] = Method("Tokens", "tokens", ccdiff=_GUIDED)
+METHODS["tokens"] = Method(KINDS["tokens"].title, "tokens", ccdiff=_GUIDED)
 for _routes, _told in (("", {}), ("_routes", {"follow_route": True})):
-    _label = "Tokens with routes" if _told else "Tokens"
+    _label = KINDS["tokens"].title + (" with routes" if _told else "")
     METHODS[f"tokens{_routes}_one_sample"] = Method(
         f"{_label}, no guidance, N=1", "tokens", ccdiff=_told
     )

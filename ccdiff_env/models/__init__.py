@@ -24,6 +24,7 @@ from ccdiff_env.models.curves import Curves
 from ccdiff_env.models.training_loop import run_training
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.files import reading
+from ccdiff_env.traffic import KINDS
 
 __all__ = [
     "ScenePlan",
@@ -120,7 +121,7 @@ def weights_path(
 ) -> Path:
     """Return the file of weights of a kind given by name (``"fast"``) or path.
 
-    CCDiff has ``fast`` networks of its own for one denoising step, for routes, and for both.
+    Some have ``fast`` networks of their own for one denoising step, for routes, and for both.
 
     Raises
     ------
@@ -131,9 +132,9 @@ def weights_path(
         if not Path(weights).is_file():
             raise DatasetNotFoundError(f'weights: no file {weights}; "fast" is the shipped network')
         return Path(weights)
-    if model != "ccdiff":
-        return shipped_weights(model)
-    return shipped_weights(one_step=denoising_steps == 1, routes=follow_route)
+    known = KINDS[model].weights
+    one_step = "one_step" in known and denoising_steps == 1
+    return shipped_weights(model, one_step=one_step, routes="routes" in known and follow_route)
 
 
 @dataclass(frozen=True)
@@ -349,9 +350,7 @@ def train(
     held_out
         Scenes for the validation curve.
     model
-        Which network: ``"ccdiff"`` or one of its rivals, ``"simnet"``, ``"trafficsim"``,
-        ``"trafficsim_port"``, ``"strive"``, ``"bits"``, ``"ctg"``, ``"ctgpp"``, ``"tokens"``
-        (docs/rivals.md).
+        Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
     preset
         ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
     steps, minutes

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
-from ccdiff_env.traffic import NETWORKS, TrafficPlan
+from ccdiff_env.traffic import TrafficPlan, driver_names
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
 
 __all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "as_scene"]
@@ -28,7 +28,7 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
 #: Drivers of rollouts that name none in their own table.
-DRIVER_NAMES = ("external", "replay", "constant_velocity", "idm", *NETWORKS)
+DRIVER_NAMES = ("external", *driver_names())
 #: Kinds of events.
 EVENT_KINDS = (
     "collision_front",

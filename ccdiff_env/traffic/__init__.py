@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from ccdiff_env.traffic.ccdiff import (
-    NETWORKS,
     PAPER_PROTOCOL,
     TrafficPlan,
     read_ranking,
 )
-from ccdiff_env.traffic.kinds import KINDS, Policy, driver_names, driver_titles
+from ccdiff_env.traffic.kinds import KINDS, NETWORKS, Kind, Policy, driver_names, driver_titles
 from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 
@@ -18,6 +17,7 @@ __all__ = [
     "PAPER_PROTOCOL",
     "CcdiffConfig",
     "IdmConfig",
+    "Kind",
     "LoggedFuture",
     "Policy",
     "PythonTraffic",

@@ -1,4 +1,4 @@
-"""Traffic of planning networks: their names, the paper's protocol, and what their plans say."""
+"""Traffic of planning networks: the paper's protocol, and what plans say."""
 
 from __future__ import annotations
 
@@ -16,24 +16,10 @@ from ccdiff_env.system.files import parsed_object, read_text, reading
 from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
 
 __all__ = [
-    "NETWORKS",
     "PAPER_PROTOCOL",
     "TrafficPlan",
     "read_ranking",
 ]
-
-#: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
-NETWORKS = (
-    "ccdiff",
-    "simnet",
-    "trafficsim",
-    "trafficsim_port",
-    "strive",
-    "bits",
-    "ctg",
-    "ctgpp",
-    "tokens",
-)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,29 +1,54 @@
-"""The kinds of drivers, and the options that each of them takes."""
+"""The kinds of drivers, as Rust declares them, and the options that each of them takes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from ccdiff_env import _native
-from ccdiff_env.traffic.ccdiff import NETWORKS
+from ccdiff_env.traffic import options as tables
 from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
 from ccdiff_env.traffic.python import PythonTraffic
 
-__all__ = ["KINDS", "Options", "Policy", "driver_names", "driver_titles"]
+__all__ = ["KINDS", "NETWORKS", "Kind", "Options", "Policy", "driver_names", "driver_titles"]
 
 #: Options of a driver.
 Options: TypeAlias = IdmConfig | CcdiffConfig | PythonTraffic
 
-#: Kinds of drivers that take options, and the class of their options: all networks take the same.
-KINDS: dict[str, type[Options]] = {
-    "idm": IdmConfig,
-    "python": PythonTraffic,
-    **dict.fromkeys(NETWORKS, CcdiffConfig),
-}
-#: Drivers without options.
-PLAIN = ("replay", "constant_velocity")
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What is known of a kind of driver."""
+
+    #: Name in configurations.
+    name: str
+    #: Name in legends and tables.
+    title: str
+    #: Class of its options; ``None``: it takes none.
+    options: type[Options] | None
+    #: Whether every environment has one under this name.
+    always: bool
+    #: Shipped weights of a network: ``"fast"`` and variants.
+    weights: tuple[str, ...] = ()
+    #: Whether a network denoises its plans.
+    denoises: bool = False
+    #: Whether plans of a network attend to each other.
+    attends: bool = False
+    #: Whether a network has one plan, whatever the noise.
+    one_plan: bool = False
+
+
+def _read(fields: dict[str, Any]) -> Kind:
+    name = fields["options"]
+    options = PythonTraffic if name == "PythonOptions" else getattr(tables, str(name), None)
+    return Kind(**{**fields, "options": options, "weights": tuple(fields.get("weights", ()))})
+
+
+#: All kinds of drivers by name.
+KINDS: dict[str, Kind] = {kind.name: kind for kind in map(_read, _native.driver_kinds())}
+#: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
+NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.weights)
 
 
 @dataclass(frozen=True)
@@ -33,7 +58,7 @@ class Policy:
     Parameters
     ----------
     kind
-        One of :data:`KINDS`.
+        One of :data:`KINDS` that takes options.
     options
         Its options.
     """
@@ -44,13 +69,12 @@ class Policy:
     @classmethod
     def of(cls, options: Options) -> Policy:
         """Return the driver that options are of; those of planning networks are CCDiff's."""
-        kind = next(name for name, known in KINDS.items() if isinstance(options, known))
-        return cls(kind, options)
+        return cls(next(n for n, kind in KINDS.items() if kind.options is type(options)), options)
 
 
 def driver_names(own: Iterable[str] = ()) -> tuple[str, ...]:
     """Return the names under which traffic can be driven, with ``own`` ones."""
-    usual = (*PLAIN, "idm", *NETWORKS)
+    usual = tuple(name for name, kind in KINDS.items() if kind.options is not PythonTraffic)
     return (*usual, *(name for name in own if name not in usual))
 
 

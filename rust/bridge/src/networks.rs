@@ -12,7 +12,7 @@ use ccdiff_nets::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryMode
 use ccdiff_sim::geom::Region;
 use ccdiff_sim::options::read;
 use ccdiff_sim::scene::{LaneIndex, Scene};
-use ccdiff_sim::world::Route;
+use ccdiff_sim::stage::Route;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict};

@@ -81,7 +81,12 @@ fn main() {
             let guide = WorldGuidance { road: Some(&road), ..WorldGuidance::new(&who) };
             let worlds: Vec<_> = features
                 .iter()
-                .map(|f| Some(GuidanceContext::new(&guide, &window, f, &model, &config).unwrap()))
+                .map(|f| {
+                    Some(
+                        GuidanceContext::new(&guide, &window, f, &model, config.discount, config.seen_steps)
+                            .unwrap(),
+                    )
+                })
                 .collect();
             let mut guide = Guidance::new(&config, &model, worlds, &[VEHICLES; WORLDS], 1, false).unwrap();
             let ms = least_ms(|| {

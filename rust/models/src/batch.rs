@@ -3,9 +3,10 @@
 use crate::config::{MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
-use crate::sampler::Rows;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use ccdiff_nets::tokens::{NEAR, NEAR_NUMBERS, TokenInputs, near_columns, own_columns};
+use ccdiff_nets::features::TokenInputs;
+use ccdiff_nets::sampler::Rows;
+use ccdiff_nets::tokens::{NEAR, NEAR_NUMBERS, near_columns, own_columns};
 use tch::{Device, Kind, Tensor};
 
 /// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.

@@ -7,7 +7,12 @@ use ccdiff_nets::weights::{self, CHECKSUM, Entry, FORMAT, HEADER, broken, checks
 use safetensors::tensor::{Dtype, TensorView, serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
-use tch::{Kind, Tensor};
+use tch::{Kind, Tensor, nn};
+
+/// All variables of a store by name, in a fixed order.
+pub(crate) fn variables(store: &nn::VarStore) -> BTreeMap<String, Tensor> {
+    store.variables().into_iter().collect()
+}
 
 /// Writes f32 tensors and a header, an object. The file appears whole or not at all.
 ///

@@ -4,7 +4,7 @@ pub use ccdiff_nets::features::vehicles;
 use ccdiff_nets::traffic::STATIONARY_REACH_M;
 
 use crate::batch::{Batch, Targets};
-use crate::config::{ModelConfig, ModelKind, Normalisation};
+use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result};
 use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::lateral_perturbation::{LateralPerturbation, RECOVERY_S};
@@ -13,7 +13,7 @@ use crate::noise::Noise;
 use crate::raster::MapBitmap;
 use ccdiff_sim::geom::Pose2;
 use ccdiff_sim::scene::{LaneIndex, Scene};
-use ccdiff_sim::world::Route;
+use ccdiff_sim::stage::Route;
 use rayon::prelude::*;
 use std::sync::Arc;
 use tch::Device;
@@ -169,7 +169,8 @@ impl Dataset {
         let (prepared, step) = (&self.scenes[scene_idx as usize], step as usize);
         let scene = &prepared.scene;
         let at = |a: usize| scene.tracks.position[scene.at(a, step)];
-        let tokens = self.config.kind == ModelKind::Tokens;
+        let network = self.config.network()?;
+        let tokens = network.samples_tokens;
         let parked = |a: usize| prepared.routes.get(a).is_some_and(Route::is_parked);
         let mut present: Vec<usize> =
             prepared.vehicles.iter().copied().filter(|a| scene.is_valid(*a, step)).collect();
@@ -207,7 +208,7 @@ impl Dataset {
             let routes = present.iter().map(|agent| &prepared.routes[*agent]);
             window.tell_routes(routes, &self.config.route_points_m);
         }
-        let features = features::build(&window, prepared.bitmap.as_ref(), &self.config)?;
+        let features = (network.features)(&window, prepared.bitmap.as_ref(), &self.config)?;
         let recovery_s = if tokens { TOKEN_RECOVERY_S } else { RECOVERY_S };
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
             Some(Move::Aside(push)) => {

@@ -1,33 +1,26 @@
-//! Plans by denoising: what a denoising network is, its loss, its proposals.
+//! Plans by denoising: the loss of a denoising network, and its proposals.
 
 use crate::batch::{Batch, Targets};
+use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{PlanModel, Taught, TrainingStep};
+use crate::plan_model::{PlanModel, Taught, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
-use crate::sampler::{self, SampleOptions, Samples};
+use crate::sampler::{self, Denoiser, SampleOptions, Samples};
 use crate::schedule::Schedule;
-use std::fmt::Debug;
-use tch::{Kind, Tensor};
+use crate::torch::Torch;
+use ccdiff_nets::ccdiff::Network;
+use tch::{Kind, Tensor, nn};
 
-/// A network from noisy plans to clean ones.
-pub trait Denoiser: Debug + Send {
-    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
-    type Context;
+/// CCDiff.
+pub(crate) const CCDIFF: TorchKind =
+    TorchKind { name: "ccdiff", build: scene_diffusion, fast: |settings| settings };
+/// CTG++.
+pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
 
-    /// The space of its plans.
-    fn space(&self) -> &PlanSpace;
-
-    /// Encodes a batch. `train` switches batch normalisation.
-    fn encode(&self, batch: &Batch, train: bool) -> Self::Context;
-
-    /// The same context for N samples: rows are repeated sample by sample, [N · R].
-    fn repeated(context: &Self::Context, samples: i64) -> Self::Context;
-
-    /// Predicts clean knots [R, knots, 2] from noisy ones at diffusion steps [R] (int64), with the attention between
-    /// agents [R, K, tokens] of a network that has it.
-    fn predict(&self, context: &Self::Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>);
+fn scene_diffusion(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
+    Ok(Box::new(Diffusion::new(Network::<Torch>::new(p, config))?))
 }
 
 /// A denoising network with its schedule.

@@ -15,11 +15,11 @@ mod collision;
 pub mod dataset;
 pub mod diffusion;
 pub mod grad;
+pub mod kinds;
 mod lateral_perturbation;
 mod layers;
 mod longitudinal_perturbation;
 mod losses;
-mod optimiser;
 pub mod plan_model;
 pub mod plan_space;
 pub mod sampler;
@@ -34,7 +34,7 @@ pub use ccdiff_nets::{
     config, error, features, guidance, noise, raster, schedule, segments, traffic, trajectory_model,
 };
 
-pub use config::{ModelConfig, ModelKind};
+pub use config::ModelConfig;
 pub use error::{ModelError, Result};
 
 use torch_sys as _;

@@ -1,18 +1,13 @@
 //! What every planning network is to the rest of the crate: a loss to train it, proposals to plan with.
 
-use crate::baselines::{Bits, Cvae, HalfUnet, Simnet};
 use crate::batch::{Batch, Targets};
-use crate::config::{ModelConfig, ModelKind};
-use crate::diffusion::Diffusion;
+use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
-use crate::tokens::Tokens;
-use crate::torch::Torch;
 use crate::train::TrainConfig;
-use ccdiff_nets::ccdiff::Network;
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 
@@ -43,6 +38,17 @@ pub trait PlanModel: Debug + Send {
         options: SampleOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples>;
+}
+
+/// A network on torch: its file declares one, `kinds.rs` lists it.
+#[derive(Debug, Clone, Copy)]
+pub struct TorchKind {
+    /// Name of its [`ccdiff_nets::NetworkKind`].
+    pub name: &'static str,
+    /// Makes it with fresh weights under a path.
+    pub build: fn(&nn::Path, &ModelConfig) -> Result<Box<dyn PlanModel>>,
+    /// Its settings of training in the preset `fast`, from those of most networks.
+    pub fast: fn(TrainConfig) -> TrainConfig,
 }
 
 /// What a teacher plans for a batch in several denoising steps.
@@ -105,21 +111,4 @@ pub(crate) fn with_routes_dropped(batch: Batch, config: &TrainConfig, step: u64)
 /// The numbers that move a step's agents off their log.
 pub(crate) fn pushes(config: &TrainConfig, step: u64) -> Noise {
     stream_of(config, step, STREAMS - 1)
-}
-
-/// A network with fresh weights under a path.
-///
-/// # Errors
-/// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
-pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
-    Ok(match config.kind {
-        ModelKind::Ccdiff | ModelKind::Ctgpp => Box::new(Diffusion::new(Network::<Torch>::new(p, config))?),
-        ModelKind::Ctg => Box::new(Diffusion::new(HalfUnet::new(p, config))?),
-        ModelKind::Simnet => Box::new(Simnet::new(p, config)),
-        ModelKind::Bits => Box::new(Bits::new(p, config)?),
-        ModelKind::Tokens => Box::new(Tokens::new(p, config)),
-        ModelKind::Trafficsim | ModelKind::TrafficsimPort | ModelKind::Strive => {
-            Box::new(Cvae::new(p, config))
-        }
-    })
 }

@@ -3,12 +3,32 @@
 pub use ccdiff_nets::sampler::{Rows, SampleOptions};
 
 use crate::batch::Batch;
-use crate::diffusion::Denoiser;
 use crate::error::Result;
 use crate::guidance::Guidance;
+use crate::plan_space::PlanSpace;
 use crate::schedule::Schedule;
 use ccdiff_nets::sampler::{self, Draws, Predict};
+use std::fmt::Debug;
 use tch::{Device, Kind, Tensor};
+
+/// A network from noisy plans to clean ones.
+pub trait Denoiser: Debug + Send {
+    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
+    type Context;
+
+    /// The space of its plans.
+    fn space(&self) -> &PlanSpace;
+
+    /// Encodes a batch. `train` switches batch normalisation.
+    fn encode(&self, batch: &Batch, train: bool) -> Self::Context;
+
+    /// The same context for N samples: rows are repeated sample by sample, [N · R].
+    fn repeated(context: &Self::Context, samples: i64) -> Self::Context;
+
+    /// Predicts clean knots [R, knots, 2] from noisy ones at diffusion steps [R] (int64), with the attention between
+    /// agents [R, K, tokens] of a network that has it.
+    fn predict(&self, context: &Self::Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>);
+}
 
 /// What a sampling run gives.
 #[derive(Debug)]

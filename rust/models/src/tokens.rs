@@ -4,15 +4,29 @@ use crate::batch::{Batch, Targets};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::plan_model::{PlanModel, TrainingStep};
+use crate::plan_model::{PlanModel, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples, to_vec};
 use crate::torch::Torch;
+use crate::train::TrainConfig;
 use ccdiff_nets::segments::SEGMENT_ODD;
 use ccdiff_nets::tokens::{
-    BINS, Network, Now, TOKEN_STEPS, TOKENS, drawn, near_columns, own_columns, token_of,
+    BINS, NUM_TOKENS, Network, Now, TOKEN_STEPS, drawn, near_columns, own_columns, token_of,
 };
 use tch::{Kind, Tensor, nn};
+
+/// Tokens.
+pub(crate) const TOKENS: TorchKind = TorchKind {
+    name: "tokens",
+    build: |p, config| Ok(Box::new(Tokens::new(p, config))),
+    fast: |settings| TrainConfig {
+        batch_scenes: 160,
+        learning_rate: 1.5e-3,
+        drop_route: 0.5,
+        collision_weight: 0.0,
+        ..settings
+    },
+};
 
 /// Share of a label that is spread over the tokens beside it, by a Gaussian of one bin on each axis.
 const SMOOTHED: f64 = 0.1;
@@ -163,6 +177,6 @@ impl PlanModel for Tokens {
 
 /// Index [L, 1] of tokens of bins [L, 2].
 fn token(bins: &Tensor) -> Tensor {
-    debug_assert_eq!(TOKENS, BINS * BINS);
+    debug_assert_eq!(NUM_TOKENS, BINS * BINS);
     (bins.select(1, 0) * BINS as i64 + bins.select(1, 1)).unsqueeze(1)
 }

@@ -2,11 +2,11 @@
 
 use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};
-use crate::diffusion::Denoiser;
 use crate::layers::inputs;
 use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
+use crate::sampler::Denoiser;
 use ccdiff_nets::backend::{Backend, KeyValue};
 use ccdiff_nets::ccdiff::{Context, Network};
 use ccdiff_nets::layers::embed::ROUTE_SCALE_M;

@@ -1,17 +1,18 @@
 //! Networks of weight files on torch.
 
 use crate::batch::Batch;
-use crate::checkpoint;
+use crate::checkpoint::{self, variables};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::grad::guarded;
 use crate::guidance::Guidance;
-use crate::optimiser::variables;
-use crate::plan_model::{self, PlanModel};
+use crate::kinds::build;
+use crate::plan_model::PlanModel;
 use crate::sampler::{Samples, to_vec};
 use crate::traffic::{CcdiffConfig, PlannedTraffic};
-use crate::trajectory_model::{Drawn, PlanOptions, Planner, TrajectoryModel, described};
+use crate::trajectory_model::{Drawn, PlanOptions, Planner, TrajectoryModel};
+use ccdiff_nets::kinds::described;
 use ccdiff_nets::traffic::planning_pool;
 use ccdiff_nets::weights::{self, Entry};
 use std::collections::BTreeMap;
@@ -44,7 +45,7 @@ impl TorchModel {
     ) -> Result<Self> {
         guarded(false, "loading weights", || {
             let mut store = nn::VarStore::new(device);
-            let network = plan_model::build(&store.root(), config)?;
+            let network = build(&store.root(), config)?;
             store.freeze();
             checkpoint::fill(path, &checkpoint::tensors(entries), "", &mut variables(&store))?;
             Ok(Self { network, store, device })
@@ -112,7 +113,7 @@ fn on_torch(
 ) -> Result<TrajectoryModel> {
     let model = TorchModel::of(path, &config, entries, device)?;
     let num_parameters = entries.values().map(|(_, numbers)| numbers.len()).sum();
-    Ok(TrajectoryModel::of(Box::new(model), header, config, num_parameters))
+    TrajectoryModel::of(Box::new(model), header, config, num_parameters)
 }
 
 /// Traffic of a weight file, of whatever kind of network. On the processor worlds are planned for on `num_threads` threads, in

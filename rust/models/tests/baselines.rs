@@ -5,17 +5,18 @@
 mod common;
 
 use ccdiff_models::ModelError;
-use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, GuidanceConfig, MapCollision, Objective, WorldGuidance,
 };
-use ccdiff_models::plan_model::build;
+use ccdiff_models::kinds::build;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_nets::kinds::{NETWORKS, named};
 use ccdiff_sim::scene::Scene;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -23,8 +24,8 @@ use tch::{Device, Tensor, nn};
 
 const STEPS: usize = 52;
 
-fn rivals() -> impl Iterator<Item = ModelKind> {
-    ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::Ccdiff)
+fn rivals() -> impl Iterator<Item = &'static str> {
+    NETWORKS.iter().map(|network| network.kind.name).filter(|kind| *kind != "ccdiff")
 }
 
 fn temporary(name: &str) -> PathBuf {
@@ -33,19 +34,19 @@ fn temporary(name: &str) -> PathBuf {
     folder.join(name)
 }
 
-fn trainer(kind: ModelKind) -> Trainer {
+fn trainer(kind: &'static str) -> Trainer {
     let config = ModelConfig::of(kind, "fast").unwrap();
     let data = Dataset::new(vec![common::closing_pair()], &config, 20).unwrap();
-    let preset = TrainConfig::preset("fast", kind).unwrap();
+    let preset = TrainConfig::of(kind, "fast").unwrap();
     let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ema_start: 2, ..preset };
     common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap())
 }
 
 /// A model trained for some steps.
-fn trained(kind: ModelKind, steps: usize) -> TrajectoryModel {
+fn trained(kind: &'static str, steps: usize) -> TrajectoryModel {
     let mut run = trainer(kind);
     run.run(steps).unwrap();
-    let path = temporary(&format!("{}-{steps}.safetensors", kind.name()));
+    let path = temporary(&format!("{}-{steps}.safetensors", kind));
     run.export(&path, &serde_json::json!({})).unwrap();
     torch_model::load(&path, Device::Cpu).unwrap()
 }
@@ -90,14 +91,14 @@ fn close(a: &[f32], b: &[f32], within: f32) -> bool {
 #[test]
 fn every_network_has_the_tabulated_number_of_parameters() {
     for (kind, want) in [
-        (ModelKind::Ccdiff, 384_530),
-        (ModelKind::Simnet, 219_690),
-        (ModelKind::TrafficsimPort, 267_634),
-        (ModelKind::Trafficsim, 348_202),
-        (ModelKind::Strive, 295_018),
-        (ModelKind::Bits, 274_740),
-        (ModelKind::Ctg, 365_154),
-        (ModelKind::Ctgpp, 384_530),
+        ("ccdiff", 384_530),
+        ("simnet", 219_690),
+        ("trafficsim_port", 267_634),
+        ("trafficsim", 348_202),
+        ("strive", 295_018),
+        ("bits", 274_740),
+        ("ctg", 365_154),
+        ("ctgpp", 384_530),
     ] {
         let store = nn::VarStore::new(Device::Cpu);
         common::seeded(|| build(&store.root(), &ModelConfig::of(kind, "fast").unwrap()).unwrap());
@@ -114,7 +115,7 @@ fn every_network_learns_one_batch() {
         let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
         let (first, last) = (mean(&losses[..2]), mean(&losses[60..]));
         // a denoiser starts from a plan that shows the answer where the noise is small
-        let share = if kind.denoises() { 0.6 } else { 0.35 };
+        let share = if named(kind).unwrap().denoises { 0.6 } else { 0.35 };
         assert!(last < share * first, "{kind:?}: {first} {last}");
     }
 }
@@ -124,16 +125,16 @@ fn a_resumed_run_continues_bit_for_bit_and_its_weights_plan() {
     for kind in rivals() {
         let (mut whole, mut again) = (trainer(kind), trainer(kind));
         whole.run(2).unwrap();
-        let state = temporary(&format!("{}-state.safetensors", kind.name()));
+        let state = temporary(&format!("{}-state.safetensors", kind));
         whole.save(&state).unwrap();
         again.resume(&state).unwrap();
         assert_eq!(whole.run(2).unwrap(), again.run(2).unwrap(), "{kind:?}");
-        let files = ["whole", "again"].map(|n| temporary(&format!("{}-{n}.safetensors", kind.name())));
+        let files = ["whole", "again"].map(|n| temporary(&format!("{}-{n}.safetensors", kind)));
         whole.export(&files[0], &serde_json::json!({})).unwrap();
         again.export(&files[1], &serde_json::json!({})).unwrap();
         assert_eq!(std::fs::read(&files[0]).unwrap(), std::fs::read(&files[1]).unwrap(), "{kind:?}");
         let mut model = torch_model::load(&files[0], Device::Cpu).unwrap();
-        assert_eq!(model.header()["kind"], kind.name());
+        assert_eq!(model.header()["kind"], kind);
         let plan =
             plans(&mut model, &[(&common::closing_pair(), 40, 1)], &samples(2), None).unwrap().remove(0);
         assert_eq!((plan.actions.len(), plan.states.len()), (2 * 3 * STEPS * 2, 2 * 3 * STEPS * 6));
@@ -155,10 +156,10 @@ fn a_worlds_plans_depend_on_its_own_seed_and_samples_differ_where_they_are_drawn
         assert!(close(&both[1].actions, &turned[0].actions, 2e-3), "{kind:?}");
         let one = 3 * STEPS * 2;
         let differ = !close(&both[0].actions[..one], &both[0].actions[one..2 * one], 1e-4);
-        assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
+        assert_eq!(differ, kind != "simnet", "{kind:?}");
         let other_seed = plans(&mut model, &[(&scene, 40, 8)], &samples(5), None).unwrap();
         let differ = !close(&both[0].actions, &other_seed[0].actions, 1e-4);
-        assert_eq!(differ, kind != ModelKind::Simnet, "{kind:?}");
+        assert_eq!(differ, kind != "simnet", "{kind:?}");
     }
 }
 
@@ -181,7 +182,7 @@ fn guidance_closes_in_or_keeps_away_as_the_sign_says_and_moves_nobody_else() {
     let worlds: Vec<_> = (0..3).map(|seed| (&scene, 40, seed)).collect();
     let guided = [true, false, false];
     // a denoiser trained on one future alone finds back to it whatever guidance did
-    for kind in rivals().filter(|kind| !kind.denoises()) {
+    for kind in rivals().filter(|kind| !named(kind).unwrap().denoises) {
         let mut model = trained(kind, 40);
         let mut closeness = |weight: f32, steps: usize| -> (f32, Vec<Plan>) {
             let guidance = Some(GuidanceConfig { gradient_steps: steps, ..sought(weight) });
@@ -228,7 +229,7 @@ fn a_future_without_a_log_trains_to_finite_losses() {
     for kind in rivals() {
         let config = ModelConfig::of(kind, "fast").unwrap();
         let data = Dataset::new(vec![Arc::clone(&scene)], &config, 12).unwrap();
-        let training = TrainConfig { batch_scenes: 3, ..TrainConfig::preset("fast", kind).unwrap() };
+        let training = TrainConfig { batch_scenes: 3, ..TrainConfig::of(kind, "fast").unwrap() };
         let mut run = common::seeded(|| Trainer::new(config, training, data, Device::Cpu).unwrap());
         assert!(run.run(3).unwrap().iter().all(|l| l.is_finite()), "{kind:?}");
     }
@@ -237,18 +238,18 @@ fn a_future_without_a_log_trains_to_finite_losses() {
 #[test]
 fn what_means_nothing_to_a_network_is_refused_by_name() {
     let scene = common::closing_pair();
-    let refused = |kind: ModelKind, sampling: SampleOptions| {
+    let refused = |kind: &'static str, sampling: SampleOptions| {
         let mut model = trained(kind, 1);
         plans(&mut model, &[(&scene, 40, 0)], &sampling.into(), None).unwrap_err().to_string()
     };
     let default = SampleOptions::default();
     let weighted = SampleOptions { guidance_weight: 1.5, ..default };
     let many = SampleOptions { solver_steps: None, ..default };
-    assert!(refused(ModelKind::Ctg, weighted).contains("guidance_weight"));
-    assert!(refused(ModelKind::Simnet, many).contains("solver"));
-    assert!(ModelConfig::of(ModelKind::Ctg, "paper").unwrap_err().to_string().contains("history"));
-    assert!(ModelKind::named("gtc").unwrap_err().to_string().contains("ctgpp"));
-    let blind = ModelConfig { map: None, ..ModelConfig::of(ModelKind::Bits, "fast").unwrap() };
+    assert!(refused("ctg", weighted).contains("guidance_weight"));
+    assert!(refused("simnet", many).contains("solver"));
+    assert!(ModelConfig::of("ctg", "paper").unwrap_err().to_string().contains("history"));
+    assert!(named("gtc").unwrap_err().to_string().contains("ctgpp"));
+    let blind = ModelConfig { map: None, ..ModelConfig::of("bits", "fast").unwrap() };
     let store = nn::VarStore::new(Device::Cpu);
     assert!(build(&store.root(), &blind).unwrap_err().to_string().contains("map"));
 }

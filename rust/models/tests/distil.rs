@@ -6,7 +6,7 @@ mod common;
 
 use ccdiff_models::ModelError;
 use ccdiff_models::checkpoint;
-use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
@@ -27,7 +27,7 @@ fn network() -> ModelConfig {
 }
 
 fn training(teacher_steps: usize) -> TrainConfig {
-    let preset = TrainConfig::preset("fast", ModelKind::Ccdiff).unwrap();
+    let preset = TrainConfig::of("ccdiff", "fast").unwrap();
     TrainConfig {
         batch_scenes: 4,
         warmup_steps: 0,
@@ -108,7 +108,7 @@ fn teachers_that_do_not_fit_are_refused() {
     let wider = ModelConfig { width: 128, ..network() };
     refused(run(wider, training(5)).taught_by(&teacher), "another network");
     refused(run(network(), training(0)).taught_by(&teacher), "teacher_steps is 0");
-    let simnet = ModelConfig::of(ModelKind::Simnet, "fast").unwrap();
+    let simnet = ModelConfig::of("simnet", "fast").unwrap();
     let regressor = temporary("simnet.safetensors");
     run(simnet.clone(), training(0)).export(&regressor, &serde_json::json!({})).unwrap();
     refused(run(simnet, training(5)).taught_by(&regressor), "denoises");

@@ -5,7 +5,7 @@
 mod common;
 
 use ccdiff_models::batch::Batch;
-use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig, ModelKind};
+use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig};
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
@@ -179,7 +179,7 @@ fn quick(batch_scenes: usize) -> TrainConfig {
         batch_scenes,
         warmup_steps: 0,
         perturb: false,
-        ..TrainConfig::preset("fast", ModelKind::Ccdiff).unwrap()
+        ..TrainConfig::of("ccdiff", "fast").unwrap()
     }
 }
 

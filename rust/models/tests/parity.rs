@@ -4,7 +4,7 @@
 
 mod common;
 
-use ccdiff_models::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig, ModelKind};
+use ccdiff_models::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
@@ -22,7 +22,7 @@ fn exported(name: &str, model: &ModelConfig) -> PathBuf {
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join(format!("{name}.safetensors"));
     let data = Dataset::new(vec![common::closing_pair()], model, 10).unwrap();
-    let preset = TrainConfig::preset("fast", model.kind).unwrap();
+    let preset = TrainConfig::of(model.kind.as_str(), "fast").unwrap();
     let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ..preset };
     let mut run = common::seeded(|| Trainer::new(model.clone(), training, data, Device::Cpu).unwrap());
     // routes begin silent
@@ -73,17 +73,18 @@ fn every_form_has_the_same_plans_on_both() {
         ("routes", ModelConfig { route_points_m: vec![5.0, 10.0], ..fast() }),
         ("odd", ModelConfig { width: 50, heads: 5, edge_width: 21, feed_forward: 33, ..fast() }),
         ("deep", ModelConfig { temporal_layers: 2, edge_layers: 3, knot_stride: 2, ..fast() }),
-        ("ctgpp", ModelConfig::of(ModelKind::Ctgpp, "fast").unwrap()),
-        ("tokens", ModelConfig::of(ModelKind::Tokens, "fast").unwrap()),
+        ("ctgpp", ModelConfig::of("ctgpp", "fast").unwrap()),
+        ("tokens", ModelConfig::of("tokens", "fast").unwrap()),
     ];
     let scene = town();
     for (name, model) in forms {
         let path = exported(name, &model);
         let mut own = TrajectoryModel::load(&path).unwrap();
         let mut torch = torch_model::load(&path, Device::Cpu).unwrap();
-        let guidance_weight = if model.kind == ModelKind::Ccdiff { 1.4 } else { 1.0 };
-        let first = if model.kind.denoises() { Some(1) } else { Some(5) };
-        let later = if model.kind.denoises() { Some(4) } else { Some(5) };
+        let network = model.network().unwrap();
+        let guidance_weight = if network.causal { 1.4 } else { 1.0 };
+        let first = if network.denoises { Some(1) } else { Some(5) };
+        let later = if network.denoises { Some(4) } else { Some(5) };
         for (solver_steps, num_samples) in [(first, 1), (later, 3)] {
             let sampling =
                 SampleOptions { solver_steps, num_samples, guidance_weight, ..SampleOptions::default() };
@@ -94,7 +95,7 @@ fn every_form_has_the_same_plans_on_both() {
             };
             let states = far(&a.states, &b.states);
             let [of_a, of_b] = [&a, &b].map(|plan| plan.attention_matrix().unwrap_or_default());
-            assert_eq!(of_a.is_empty(), !model.kind.attends());
+            assert_eq!(of_a.is_empty(), !network.attends);
             let attention = far(&of_a, &of_b);
             assert!(states < 1e-4 && attention < 1e-5, "{name}: {states} {attention}");
             assert!(a.features.is_edge.iter().filter(|e| **e).count() > 7, "{name}: nobody sees anybody");
@@ -113,7 +114,7 @@ fn what_own_kernels_lack_is_named() {
         (per_step, "model.history is per_step"),
         (res_net, "model.map.encoder is res_net18"),
         (ModelConfig { map: Some(narrow), ..ModelConfig::fast() }, "model.map.feature_width is 32"),
-        (ModelConfig::of(ModelKind::Strive, "fast").unwrap(), "model.kind is strive"),
+        (ModelConfig::of("strive", "fast").unwrap(), "model.kind is strive"),
     ] {
         let text = ccdiff_nets::own::check(&config).unwrap_err().to_string();
         assert!(text.contains(field) && text.contains("without torch"), "{text}");

@@ -4,7 +4,7 @@
 
 mod common;
 
-use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::features::{self, Window, route_ahead};
 use ccdiff_models::torch_model;
@@ -12,7 +12,7 @@ use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::Route;
+use ccdiff_sim::stage::Route;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tch::Device;
@@ -31,7 +31,7 @@ fn network(points_m: &[f32]) -> ModelConfig {
 }
 
 fn training() -> TrainConfig {
-    let preset = TrainConfig::preset("fast", ModelKind::Ccdiff).unwrap();
+    let preset = TrainConfig::of("ccdiff", "fast").unwrap();
     TrainConfig { batch_scenes: 4, warmup_steps: 0, perturb: false, drop_route: 0.3, ..preset }
 }
 
@@ -144,10 +144,9 @@ fn a_fork_is_taken_as_the_route_says() {
 
 #[test]
 fn routes_are_refused_where_they_mean_nothing() {
-    let ctg =
-        ModelConfig { route_points_m: POINTS_M.to_vec(), ..ModelConfig::of(ModelKind::Ctg, "fast").unwrap() };
+    let ctg = ModelConfig { route_points_m: POINTS_M.to_vec(), ..ModelConfig::of("ctg", "fast").unwrap() };
     for (model, words) in
-        [(ctg, "CCDiff alone"), (network(&[1.0; 65]), "at most 64"), (network(&[-1.0]), "route_points_m")]
+        [(ctg, "knows no routes"), (network(&[1.0; 65]), "at most 64"), (network(&[-1.0]), "route_points_m")]
     {
         let text = model.validated().unwrap_err().to_string();
         assert!(text.contains("route_points_m") && text.contains(words), "{text}");

@@ -5,21 +5,21 @@
 mod common;
 
 use ccdiff_models::batch::{Batch, TokenBatch};
-use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
-use ccdiff_models::features::{self, SceneFeatures, Window};
+use ccdiff_models::features::{SceneFeatures, Window};
 use ccdiff_models::raster::MapBitmap;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_nets::segments::SEGMENT_ODD;
-use ccdiff_nets::tokens::{near_columns, own_columns};
+use ccdiff_nets::tokens::{self, near_columns, own_columns};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::scene::{Map, Scene};
 use std::sync::Arc;
 use tch::{Device, Kind, Tensor};
 
 fn config() -> ModelConfig {
-    ModelConfig::of(ModelKind::Tokens, "fast").unwrap()
+    ModelConfig::of("tokens", "fast").unwrap()
 }
 
 /// Three vehicles that drive and turn, on lanes with a divider; `side` -1 mirrors all of it.
@@ -46,7 +46,7 @@ fn seen(side: f32) -> SceneFeatures {
     let place = |k: f32| Point2::new(10.0 + 5.0 * k, side * (1.0 + 0.2 * k * k));
     window.routes = vec![(0..16u8).map(|k| place(f32::from(k))).collect(), Vec::new(), Vec::new()];
     let bitmap = MapBitmap::from_scene(&scene, config.map.as_ref().unwrap()).unwrap();
-    features::build(&window, Some(&bitmap), &config).unwrap()
+    tokens::build(&window, Some(&bitmap), &config).unwrap()
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn rows_whose_route_is_dropped_are_those_that_were_never_told() {
     let mut window = Window::from_scene(&town(1.0), 70, &[0, 1, 2], config.history_steps);
     window.routes = Vec::new();
     let bitmap = MapBitmap::from_scene(&town(1.0), config.map.as_ref().unwrap()).unwrap();
-    untold.clone_from(&features::build(&window, Some(&bitmap), &config).unwrap());
+    untold.clone_from(&tokens::build(&window, Some(&bitmap), &config).unwrap());
     let batch = |f: &SceneFeatures| Batch::new(&[f], &config, Device::Cpu).unwrap();
     let all = Tensor::ones([3], (Kind::Bool, Device::Cpu));
     let (dropped, never) = (batch(&told).with_routes_dropped(&all).tokens, batch(&untold).tokens);
@@ -90,7 +90,7 @@ fn rows_whose_route_is_dropped_are_those_that_were_never_told() {
 #[test]
 fn a_run_learns_the_tokens_of_its_log_and_goes_on_where_it_stopped() {
     let data = || Dataset::new(vec![common::closing_pair()], &config(), 3).unwrap();
-    let training = TrainConfig { batch_scenes: 8, ..TrainConfig::preset("fast", ModelKind::Tokens).unwrap() };
+    let training = TrainConfig { batch_scenes: 8, ..TrainConfig::of("tokens", "fast").unwrap() };
     let run = || common::seeded(|| Trainer::new(config(), training.clone(), data(), Device::Cpu).unwrap());
     let mut whole = run();
     let before = whole.validate(&data(), 2, SampleOptions::default()).unwrap().nats.unwrap();

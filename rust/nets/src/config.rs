@@ -1,83 +1,41 @@
 //! What a network is: sizes, map view, graph thresholds, normalisation. Stored with the weights.
 
 use crate::error::{ModelError, Result};
-use crate::tokens;
 use ccdiff_sim::causal::graph::GraphThresholds;
-use ccdiff_sim::options::{Table, above, at_least, within};
+use ccdiff_sim::options::{Form, Setting, Table, above, at_least, within};
 use ccdiff_sim::{choices, options};
-
-/// Places on a route that the network of tokens is told of, metres ahead.
-const ROUTE_POINTS_M: [f32; 16] =
-    [0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0, 40.0, 45.0, 50.0, 55.0, 60.0];
+use serde::{Deserialize, Serialize};
 
 /// The tables of networks.
 pub const TABLES: &[&Table] = &[&ModelConfig::TABLE, &MapConfig::TABLE, &Normalisation::TABLE];
 
-choices! {
-    /// Which network it is, by its name in files, options and tables.
-    #[derive(Clone, Copy, Eq, Default)]
-    pub enum ModelKind {
-        /// Scene diffusion over the decision causal graph.
-        Ccdiff = "ccdiff" default,
-        /// One plan per agent by regression.
-        Simnet = "simnet",
-        /// Latents of all agents decoded jointly, after the paper.
-        Trafficsim = "trafficsim",
-        /// Latents of each agent under a fixed prior, as ported by others.
-        TrafficsimPort = "trafficsim_port",
-        /// Latents of each agent under a learned prior, optimised.
-        Strive = "strive",
-        /// Goals on a grid, a policy that drives to them, a choice among them.
-        Bits = "bits",
-        /// Diffusion of each agent's actions.
-        Ctg = "ctg",
-        /// Scene diffusion over a graph of distances.
-        Ctgpp = "ctgpp",
-        /// Each agent's next token of a grid of motions.
-        Tokens = "tokens",
+/// Which network it is, by its name in files, options and tables: one of [`crate::kinds::NETWORKS`]. Files that name none are of
+/// CCDiff.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct KindName(String);
+
+impl KindName {
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        &self.0
     }
 }
 
-impl ModelKind {
-    /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Ccdiff,
-        Self::Simnet,
-        Self::Trafficsim,
-        Self::TrafficsimPort,
-        Self::Strive,
-        Self::Bits,
-        Self::Ctg,
-        Self::Ctgpp,
-        Self::Tokens,
-    ];
-
-    /// The kind of a name.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] for any other name.
-    pub fn named(name: &str) -> Result<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| ModelError::Config {
-            field: "model",
-            got: format!("{name:?}"),
-            expected: "ccdiff, simnet, trafficsim, trafficsim_port, strive, bits, ctg, ctgpp or tokens",
-        })
+impl From<&str> for KindName {
+    fn from(name: &str) -> Self {
+        Self(name.into())
     }
+}
 
-    /// Whether plans are denoised step by step.
-    pub fn denoises(self) -> bool {
-        matches!(self, Self::Ccdiff | Self::Ctg | Self::Ctgpp)
+impl Default for KindName {
+    fn default() -> Self {
+        "ccdiff".into()
     }
+}
 
-    /// Whether plans attend to each other, so that there is attention to tell of.
-    pub fn attends(self) -> bool {
-        matches!(self, Self::Ccdiff | Self::Ctgpp)
-    }
-
-    /// Whether it reads agents by the trunk that all but the scene diffusions and tokens share.
-    fn has_trunk(self) -> bool {
-        !self.attends() && self != Self::Tokens
-    }
+impl Setting for KindName {
+    const FORM: Form = Form::Text;
 }
 
 choices! {
@@ -173,9 +131,9 @@ options! {
     /// Differs from the released code: the map is attended to (reference.md#map), every social layer is masked by G.
     #[derive(Clone)]
     pub struct ModelConfig {
-        /// Which network.
+        /// Which network, by name.
         #[serde(default)]
-        kind: ModelKind = ModelKind::Ccdiff;
+        kind: KindName = KindName::default();
         /// Name of the preset this came from.
         preset: String = "paper".into();
         /// History steps, the current one included.
@@ -291,46 +249,12 @@ impl ModelConfig {
         }
     }
 
-    /// A kind of network in a preset's sizes. All but CCDiff see neighbours by distance.
-    ///
-    /// # Errors
-    /// As [`Self::preset`].
-    pub fn of(kind: ModelKind, preset: &str) -> Result<Self> {
-        let config = Self::preset(preset)?;
-        match kind {
-            ModelKind::Ccdiff => Ok(config),
-            ModelKind::Tokens => Self::tokens(config).validated(),
-            _ => Self { kind, neighbour_order: NeighbourOrder::Distance, ..config }.validated(),
-        }
-    }
-
-    /// Tokens in a preset's sizes: lines of the map, a memory of 6 s, plans of 2.5 s.
-    fn tokens(preset: Self) -> Self {
-        let map = preset.map.map(|map| MapConfig { encoder: MapEncoder::Polylines, ..map });
-        Self {
-            kind: ModelKind::Tokens,
-            neighbour_order: NeighbourOrder::Distance,
-            history_steps: tokens::HISTORY_STEPS,
-            horizon_steps: 5 * tokens::TOKEN_STEPS,
-            knot_stride: 1,
-            width: 96,
-            edge_width: 64,
-            feed_forward: 192,
-            temporal_layers: 2,
-            max_neighbours: tokens::NEAR,
-            max_agents: 32,
-            route_points_m: ROUTE_POINTS_M.to_vec(),
-            map,
-            ..preset
-        }
-    }
-
-    /// Checks every range, and that the sizes fit together: a header of a weight file could say anything.
+    /// Checks every range, and that the sizes fit together.
     ///
     /// # Errors
     /// [`ModelError::Config`] and [`ModelError::Sim`] name the first field that is wrong.
-    pub fn validated(self) -> Result<Self> {
-        options::check("model", &self)?;
+    pub(crate) fn check_sizes(&self) -> Result<()> {
+        options::check("model", self)?;
         let fail =
             |field: &'static str, got: String, expected| Err(ModelError::Config { field, got, expected });
         if self.width % self.heads != 0 || self.width % 2 != 0 {
@@ -340,48 +264,20 @@ impl ModelConfig {
         if !self.horizon_steps.is_multiple_of(self.knot_stride) {
             return fail("model.knot_stride", self.knot_stride.to_string(), "a divisor of horizon_steps");
         }
-        if self.kind.has_trunk() && self.history != HistoryTokens::Summary {
-            let got = self.history.name().to_owned();
-            return fail("model.history", got, "a summary, as in \"fast\", for this model");
-        }
-        if self.kind == ModelKind::Tokens {
-            let lines = self.map.as_ref().is_some_and(|m| m.encoder == MapEncoder::Polylines);
-            if !lines || self.history_steps != tokens::HISTORY_STEPS || self.knot_stride != 1 {
-                let (steps, stride) = (self.history_steps, self.knot_stride);
-                let got = format!("a history of {steps} steps, knots of {stride}");
-                return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
-            }
-            if self.horizon_steps <= tokens::TOKEN_STEPS {
-                return fail("model.horizon_steps", self.horizon_steps.to_string(), "more than a token's 5");
-            }
-        }
-        let told = matches!(self.kind, ModelKind::Ccdiff | ModelKind::Tokens);
-        if !self.route_points_m.is_empty() && !told {
-            let got = format!("{} points for {}", self.route_points_m.len(), self.kind.name());
-            return fail("model.route_points_m", got, "none: CCDiff and tokens alone may know routes");
-        }
         if self.route_points_m.len() > 64 {
             let got = format!("{} points", self.route_points_m.len());
             return fail("model.route_points_m", got, "at most 64");
         }
-        let Some(map) = &self.map else { return Ok(self) };
+        let Some(map) = &self.map else { return Ok(()) };
         if map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {
             let (got, expected) =
                 (map.size_px.to_string(), "a multiple of 8 with the agent inside the raster");
             return fail("model.map.size_px", got, expected);
         }
-        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.kind.has_trunk()) {
-            let got = map.encoder.name().to_owned();
-            return fail(
-                "model.map.encoder",
-                got,
-                "an encoder of rasters for history channels and this model",
-            );
-        }
         if map.rounds.len() > 64 {
             return fail("model.map.rounds", format!("{} rounds", map.rounds.len()), "at most 64");
         }
-        Ok(self)
+        Ok(())
     }
 
     /// Number of action knots, which is the number of future tokens.

@@ -3,20 +3,21 @@
 //! Everything is agent-centric (reference.md#frames): for agent i the origin is its position at the current step and +x its
 //! heading. Numbers are physical here; the network normalises them.
 
+mod scene;
 mod window;
 
+pub use scene::{Futures, SceneFeatures, TokenInputs, row_offsets, vehicles};
 pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
-use crate::config::{MapEncoder, ModelConfig, ModelKind, NeighbourOrder};
+use crate::config::{MapEncoder, ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::raster::{self, MapBitmap};
 use crate::segments;
-use crate::tokens::{self, TokenInputs};
 use crate::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
-use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
+use ccdiff_sim::scene::Scene;
 use std::cmp::Ordering;
 
 /// Numbers per history step: x, y, cos yaw, sin yaw, v, length, width, availability.
@@ -32,74 +33,6 @@ const EDGE_RANGE: f32 = 20.0;
 const CORRIDOR_MARGIN_M: f32 = 1.0;
 /// Headways are taken at this speed at least, metres per second, so that who stands sees who is close ahead.
 const HEADWAY_SPEED_MPS: f32 = 2.0;
-
-/// Inputs of the M agents of one scene that are there now.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SceneFeatures {
-    /// Index in the window of each of the M agents.
-    pub agents: Vec<usize>,
-    /// Pose now, scene frame, [M].
-    pub poses: Vec<Pose2>,
-    /// Speed now, [M].
-    pub speed_mps: Vec<f32>,
-    /// Histories [M, H, 8], see [`HISTORY_FEATURES`]; zero where not available.
-    pub history: Vec<f32>,
-    /// Neighbour slots per agent K, at least 1. Slot 0 is the agent itself.
-    pub num_slots: usize,
-    /// Agent (0..M) in each slot, [M, K]; unused slots hold the agent itself.
-    pub neighbours: Vec<usize>,
-    /// Whether a slot is an edge of the decision causal graph G to another agent, [M, K]; false for slot 0.
-    pub is_edge: Vec<bool>,
-    /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`EDGE_FEATURES`].
-    pub edges: Vec<f32>,
-    /// Map raster [M, size, size, channels] coded as bytes, see [`raster`]; empty for a map-blind network.
-    pub image: Vec<u8>,
-    /// Lines of the map near each agent [M, 64, 20]; empty without an encoder of polylines.
-    pub segments: Vec<f32>,
-    /// Decision causal graph over the M agents.
-    pub graph: CausalGraph,
-    /// Times to contact now, seconds, [M, M].
-    pub ttc_s: Vec<f32>,
-    /// Action that the plan starts with, [M].
-    pub first_action: Vec<Option<[f32; 2]>>,
-    /// Seed of the agent's own noise, [M].
-    pub noise_seed: Vec<Option<u64>>,
-    /// Whether the agent's route is told (0 or 1), then places ahead on it in the agent's frame, x and y, [M, 1 + 2 P]; zero
-    /// where it is not told. Empty for a network that knows no routes.
-    pub route: Vec<f32>,
-    /// Inputs of a network of tokens; empty for others.
-    pub tokens: TokenInputs,
-}
-
-/// Logged futures of the M agents of a [`SceneFeatures`], in their agent frames.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Futures {
-    /// States x, y, v, yaw, acceleration, yaw rate, [M, T, 6]; zero where not valid.
-    pub states: Vec<f32>,
-    /// Whether the step is logged, [M, T].
-    pub valid: Vec<bool>,
-}
-
-/// Indices of a scene's vehicles, the ego first. The network drives vehicles alone.
-pub fn vehicles(scene: &Scene) -> Vec<usize> {
-    let mut list: Vec<usize> = (0..scene.num_agents())
-        .filter(|a| scene.agents[*a].kind == AgentKind::Vehicle || scene.agents[*a].id == EGO_ID)
-        .collect();
-    list.sort_by_key(|a| scene.agents[*a].id != EGO_ID);
-    list
-}
-
-/// Rows of each scene of a list, counted from the first.
-pub fn row_offsets(scene_sizes: &[usize]) -> Vec<usize> {
-    scene_sizes
-        .iter()
-        .scan(0, |next, size| {
-            let start = *next;
-            *next += size;
-            Some(start)
-        })
-        .collect()
-}
 
 /// Builds the inputs of one scene.
 ///
@@ -163,14 +96,13 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
     };
     if let Some(map) = &config.map {
         match map.encoder {
-            MapEncoder::Polylines => features.segments = segments::seen(&features, bitmap),
+            MapEncoder::Polylines => {
+                features.segments = segments::seen(&features, bitmap.map_or(&[], MapBitmap::segments))
+            }
             MapEncoder::ResNet18 | MapEncoder::Light => {
                 features.image = raster::images(&features, window, bitmap, map)
             }
         }
-    }
-    if config.kind == ModelKind::Tokens {
-        features.tokens = tokens::inputs(window, &features, config);
     }
     Ok(features)
 }

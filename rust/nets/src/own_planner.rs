@@ -1,17 +1,16 @@
 //! Networks as plans are drawn from them on the kernels of this crate.
 
 use crate::ccdiff::{Context, Network};
-use crate::config::{ModelConfig, ModelKind};
+use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::guidance::Guidance;
-use crate::own::{self, Array, Inputs, Own, Place};
+use crate::own::{Array, Inputs, Own, Place};
 use crate::plan_space::PlanSpace;
 use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
 use crate::simnet::Simnet;
-use crate::tokens::TokenPlanner;
 use crate::weights::{Entry, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,30 +18,34 @@ use std::path::Path;
 /// Worlds that share a batch: as many as leave a layer's numbers in the cache.
 const MOST_WORLDS: usize = 2;
 
-/// The network of a file's tensors.
+/// Scene diffusion with the tensors of a file.
 ///
 /// # Errors
 /// [`crate::ModelError::Config`] for a network that needs torch, [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-pub(crate) fn planner(
+pub(crate) fn denoiser(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
 ) -> Result<Box<dyn Planner>> {
-    own::check(config)?;
     let weights = Weights::new(path, tensors);
-    let root = Place::root(&weights);
-    let planner: Box<dyn Planner> = match config.kind {
-        ModelKind::Simnet => {
-            Box::new(Regressor { network: Simnet::new(&root, config), space: PlanSpace::new(config) })
-        }
-        ModelKind::Tokens => Box::new(TokenPlanner::new(&root, config)),
-        _ => {
-            let schedule = Schedule::cosine(config.diffusion_steps)?;
-            Box::new(Denoiser { network: Network::new(&root, config), schedule })
-        }
-    };
+    let network = Network::new(&Place::root(&weights), config);
     weights.finish()?;
-    Ok(planner)
+    Ok(Box::new(Denoiser { network, schedule: Schedule::cosine(config.diffusion_steps)? }))
+}
+
+/// SimNet with the tensors of a file.
+///
+/// # Errors
+/// As [`denoiser`].
+pub(crate) fn regressor(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    let weights = Weights::new(path, tensors);
+    let network = Simnet::new(&Place::root(&weights), config);
+    weights.finish()?;
+    Ok(Box::new(Regressor { network, space: PlanSpace::new(config) }))
 }
 
 /// Plans of clean knots, sample by sample.

@@ -1,9 +1,9 @@
 //! What plans are drawn from, and how.
 
-use crate::config::{ModelConfig, ModelKind};
-use crate::error::{ModelError, Result};
+use crate::config::ModelConfig;
+use crate::error::Result;
 use crate::features::SceneFeatures;
-use crate::guidance::{Clip, Guidance, GuidanceConfig};
+use crate::guidance::{Guidance, GuidanceConfig};
 use crate::sampler::SampleOptions;
 use std::fmt::Debug;
 
@@ -46,46 +46,6 @@ impl PlanOptions {
         executed
             .map_or(config.num_knots(), |steps| steps.div_ceil(config.knot_stride))
             .min(config.num_knots())
-    }
-
-    /// The options as a kind of network takes them: what means nothing to it is refused, or not reported.
-    ///
-    /// Networks that do not denoise, or in one step alone, are guided at once on their plan, with as many gradient steps as
-    /// the guided denoising steps of the default sampler take together.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] names the option.
-    pub(crate) fn of_kind(mut self, kind: ModelKind) -> Result<Self> {
-        if self.sampling.guidance_weight > 1.0 && kind != ModelKind::Ccdiff {
-            let (got, expected) =
-                (self.sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
-            return Err(ModelError::Config { field: "guidance_weight", got, expected });
-        }
-        if kind == ModelKind::Tokens {
-            // a choice among draws
-            if let Some(guidance) = &mut self.guidance {
-                guidance.gradient_steps = 0;
-            }
-        } else if self.sampling.temperature != 1.0 {
-            let (got, expected) = (self.sampling.temperature.to_string(), "1: this model draws no tokens");
-            return Err(ModelError::Config { field: "temperature", got, expected });
-        }
-        if kind.denoises() && self.sampling.solver_steps != Some(1) {
-            return Ok(self);
-        }
-        let default = SampleOptions::default().solver_steps;
-        if !kind.denoises() && self.sampling.solver_steps != default {
-            let (got, expected) =
-                (format!("{:?}", self.sampling.solver_steps), "the default: this model does not denoise");
-            return Err(ModelError::Config { field: "solver_steps", got, expected });
-        }
-        self.gradient_statistics &= kind.denoises();
-        if let (Some(guidance), Some(steps)) = (&mut self.guidance, default) {
-            guidance.gradient_steps *= steps - 1;
-            guidance.clip = Clip::Sigma;
-            guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
-        }
-        Ok(self)
     }
 }
 

@@ -4,7 +4,6 @@
 //! into pieces of at most 5 m, and an agent sees those nearest to the straight way ahead of it.
 
 use crate::features::SceneFeatures;
-use crate::raster::MapBitmap;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::observe::{MapSegments, Segment, SegmentKind};
 use ccdiff_sim::scene::Map;
@@ -51,10 +50,9 @@ fn farness(kind: SegmentKind) -> f32 {
 
 /// Segments of all agents of a scene, [M, [`NUM_SEGMENTS`], [`SEGMENT_FEATURES`]], nearest to the way ahead first; zero where
 /// there are fewer.
-pub(crate) fn seen(features: &SceneFeatures, bitmap: Option<&MapBitmap>) -> Vec<f32> {
+pub(crate) fn seen(features: &SceneFeatures, segments: &[Segment]) -> Vec<f32> {
     let per_agent = NUM_SEGMENTS * SEGMENT_FEATURES;
     let mut out = vec![0.0; features.agents.len() * per_agent];
-    let segments = bitmap.map_or(&[][..], MapBitmap::segments);
     let agents = features.poses.iter().zip(&features.speed_mps);
     for ((frame, speed_mps), rows) in agents.zip(out.chunks_exact_mut(per_agent)) {
         let way_m = (WAY_M + WAY_S * speed_mps).clamp(0.0, LONGEST_WAY_M);

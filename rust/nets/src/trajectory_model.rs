@@ -4,9 +4,10 @@ pub use crate::planner::{Drawn, PlanOptions, Planner};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::features::{self, SceneFeatures, Window, row_offsets};
+use crate::features::{SceneFeatures, Window, row_offsets};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
-use crate::own_planner;
+use crate::kind::NetworkKind;
+use crate::kinds::{check_own, described};
 use crate::raster::MapBitmap;
 use crate::weights::{self, Entry};
 use rayon::prelude::*;
@@ -64,20 +65,6 @@ impl Plan {
     }
 }
 
-/// What a weight file says of its network: header and configuration, checked.
-///
-/// # Errors
-/// [`ModelError::Checkpoint`], [`ModelError::Config`].
-pub fn described(path: &Path, header: &serde_json::Value) -> Result<ModelConfig> {
-    let config = weights::field::<ModelConfig>(path, header, "model")?.validated()?;
-    let kind: String = weights::field(path, header, "kind")?;
-    if kind != config.kind.name() {
-        let expected = format!("weights of {:?}", config.kind.name());
-        return Err(weights::broken(path, "kind", format!("{kind:?}"), expected));
-    }
-    Ok(config)
-}
-
 /// A loaded network.
 #[derive(Debug)]
 pub struct TrajectoryModel {
@@ -87,6 +74,7 @@ pub struct TrajectoryModel {
     config: ModelConfig,
     /// The network's configuration as features are built from it.
     inputs: ModelConfig,
+    network: &'static NetworkKind,
 }
 
 impl TrajectoryModel {
@@ -122,18 +110,28 @@ impl TrajectoryModel {
         tensors: BTreeMap<String, Entry>,
     ) -> Result<Self> {
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
-        let planner = own_planner::planner(path, &config, tensors)?;
-        Ok(Self::of(planner, header, config, num_parameters))
+        check_own(&config)?;
+        let planner = config.network()?.own()?(path, &config, tensors)?;
+        Self::of(planner, header, config, num_parameters)
     }
 
     /// A network that plans are drawn from in whatever way.
+    ///
+    /// # Errors
+    /// As [`ModelConfig::network`].
     pub fn of(
         planner: Box<dyn Planner>,
         header: serde_json::Value,
         config: ModelConfig,
         num_parameters: usize,
-    ) -> Self {
-        Self { planner, header, num_parameters, inputs: config.clone(), config }
+    ) -> Result<Self> {
+        let network = config.network()?;
+        Ok(Self { planner, header, num_parameters, inputs: config.clone(), config, network })
+    }
+
+    /// What is known of the network.
+    pub fn network(&self) -> &'static NetworkKind {
+        self.network
     }
 
     /// What plans are drawn from.
@@ -192,10 +190,10 @@ impl TrajectoryModel {
     /// # Errors
     /// [`ModelError::Shape`] for windows or guides of the wrong length, [`ModelError::Config`] for bad options.
     pub fn plan(&mut self, worlds: &[PlanInput<'_>], options: &PlanOptions) -> Result<Vec<Plan>> {
-        let options = options.clone().validated()?.of_kind(self.config().kind)?;
+        let options = self.network.options(options.clone().validated()?)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
         let config = &self.config;
-        let build = |w: &PlanInput<'_>| features::build(w.window, w.bitmap, &self.inputs);
+        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.bitmap, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {
@@ -215,7 +213,7 @@ impl TrajectoryModel {
             Some(guide) => guide.report(&drawn.knots)?,
             None => vec![None; worlds.len()],
         };
-        if !config.kind.denoises() {
+        if !self.network.denoises {
             for report in reports.iter_mut().flatten() {
                 report.realism_cost.fill(f32::NAN);
                 report.shift_sigmas.fill(f32::NAN);
@@ -258,7 +256,12 @@ fn guide_of<'a>(
         return Ok(None);
     };
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
-        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, config)).transpose()
+        world
+            .guide
+            .map(|g| {
+                GuidanceContext::new(&g, world.window, features, model, config.discount, config.seen_steps)
+            })
+            .transpose()
     };
     let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
     let samples = options.sampling.num_samples;

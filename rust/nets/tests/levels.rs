@@ -62,7 +62,7 @@ fn bits(name: &str, sizes: &[usize]) -> Vec<Vec<u32>> {
         .zip(&bitmaps)
         .map(|(window, bitmap)| PlanInput { window, bitmap: bitmap.as_ref(), seed: 7, guide: None })
         .collect();
-    let denoises = model.config().kind.denoises();
+    let denoises = model.network().denoises;
     let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 3 }).filter(|_| denoises);
     let solver_steps = solver_steps.or(SampleOptions::default().solver_steps);
     let sampling =

@@ -2,7 +2,7 @@
 
 use ccdiff_bridge::errors::{from_model, from_sim, py};
 use ccdiff_bridge::{Handed, PyTrajectoryModel};
-use ccdiff_models::config::{ModelConfig, ModelKind};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
@@ -38,9 +38,8 @@ fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 #[pyfunction]
 #[pyo3(signature = (name, model="ccdiff"))]
 fn model_preset(name: &str, model: &str) -> PyResult<(String, String)> {
-    let kind = ModelKind::named(model).map_err(from_model)?;
-    let model = ModelConfig::of(kind, name).map_err(from_model)?;
-    Ok((to_json(&model)?, to_json(&TrainConfig::preset(name, kind).map_err(from_model)?)?))
+    let training = TrainConfig::of(model, name).map_err(from_model)?;
+    Ok((to_json(&ModelConfig::of(model, name).map_err(from_model)?)?, to_json(&training)?))
 }
 
 /// Model and training settings of a training state, as JSON.

@@ -6,17 +6,15 @@ use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::torch_model::planned_traffic;
 use ccdiff_models::traffic::CcdiffConfig;
 use ccdiff_models::train::TrainConfig;
-use ccdiff_models::{ModelKind, config, guidance};
+use ccdiff_models::{config, guidance};
 use ccdiff_sim::options::Table;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(config_tables, module)?)?;
-    module.add_function(wrap_pyfunction!(default_policies, module)?)?;
     module.add_function(wrap_pyfunction!(traffic_policy, module)?)
 }
 
@@ -26,15 +24,6 @@ fn config_tables() -> PyResult<String> {
     let own: [&Table; 3] = [&CcdiffConfig::TABLE, &SampleOptions::TABLE, &TrainConfig::TABLE];
     let tables = [&own, guidance::TABLES, config::TABLES].concat();
     serde_json::to_string(&tables).map_err(|e| py::ConfigError::new_err(e.to_string()))
-}
-
-/// Default options of the kinds that are policies by their own name, as JSON in the form of `WorldConfig::policies`.
-#[pyfunction]
-fn default_policies() -> String {
-    let options = serde_json::json!(CcdiffConfig::default());
-    let kinds: BTreeMap<_, _> =
-        ModelKind::ALL.map(|kind| (kind.name(), serde_json::json!({ kind.name(): options }))).into();
-    serde_json::json!(kinds).to_string()
 }
 
 /// A policy of worlds with this step over these scenes, on torch, which plans on this many threads; `options` is a

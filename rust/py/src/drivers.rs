@@ -1,15 +1,16 @@
-//! The kinds of drivers that there are, and the policies of a batch of worlds: the one place that names them.
+//! The kinds of drivers that there are, and the policies of a batch of worlds.
 
-use crate::python_policy::PythonPolicy;
+use crate::python_policy::{self, PythonPolicy};
 use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_nets::NetworkKind;
+use ccdiff_nets::kinds::NETWORKS;
 use ccdiff_render::DrawStyle;
-use ccdiff_sim::options::{self, Setting};
-use ccdiff_sim::policy::Idm;
+use ccdiff_sim::options;
+use ccdiff_sim::policy::{self, Kind};
 use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
-use pyo3::types::PyCapsule;
-use serde::de::DeserializeOwned;
+use pyo3::types::{PyCapsule, PyDict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -18,61 +19,37 @@ struct Recipe<'a> {
     /// Name in the batch.
     name: &'a str,
     /// Options as JSON.
-    options: &'a Value,
+    options: Value,
     /// The object behind a Python model.
     model: Option<&'a Py<PyAny>>,
 }
 
-type Make = fn(&Recipe<'_>) -> PyResult<Policy>;
-
-/// A kind of policy that takes options of its own.
-struct Kind {
-    /// Name in configurations.
-    name: &'static str,
-    /// Name in reports.
-    title: &'static str,
-    /// Whose colour it has in images.
-    drawn: DrawStyle,
-    /// How it is made here; policies with a network are made by `_models`.
-    make: Option<Make>,
+/// All kinds: the simulator's, Python's, the networks.
+fn kinds() -> impl Iterator<Item = &'static Kind> {
+    let own = policy::KINDS.iter().chain([&python_policy::KIND]);
+    own.chain(NETWORKS.iter().map(|network| &network.kind))
 }
 
-const fn kind(name: &'static str, title: &'static str, drawn: DrawStyle, make: Option<Make>) -> Kind {
-    Kind { name, title, drawn, make }
+fn of(name: &str) -> Option<&'static Kind> {
+    kinds().find(|kind| kind.name == name)
 }
-
-/// The kinds. A new one is a line here; `replay` and `constant_velocity` have no options and are always there.
-const KINDS: [Kind; 11] = [
-    kind("idm", "IDM", DrawStyle::Idm, Some(idm)),
-    kind("python", "Python model", DrawStyle::Other, Some(python)),
-    kind("ccdiff", "CCDiff", DrawStyle::Ccdiff, None),
-    kind("simnet", "SimNet", DrawStyle::Ccdiff, None),
-    kind("trafficsim", "TrafficSim", DrawStyle::Ccdiff, None),
-    kind("trafficsim_port", "TrafficSim (port)", DrawStyle::Ccdiff, None),
-    kind("strive", "STRIVE", DrawStyle::Ccdiff, None),
-    kind("bits", "BITS", DrawStyle::Ccdiff, None),
-    kind("ctg", "CTG", DrawStyle::Ccdiff, None),
-    kind("ctgpp", "CTG++", DrawStyle::Ccdiff, None),
-    kind("tokens", "Tokens", DrawStyle::Ccdiff, None),
-];
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(networks_wanted, module)?)?;
+    module.add_function(wrap_pyfunction!(driver_kinds, module)?)?;
     module.add_function(wrap_pyfunction!(drivers, module)?)
 }
 
 /// How images show a kind of driver.
 pub(crate) fn drawn(kind: &str) -> DrawStyle {
-    let drawn = DrawStyle::ALL.into_iter().find(|d| d.name() == kind);
-    let like = KINDS.iter().find(|k| k.name == kind).map(|k| k.drawn);
-    drawn.or(like).unwrap_or(DrawStyle::Other)
+    let style = of(kind).map_or(kind, |kind| kind.style);
+    DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == style).unwrap_or(DrawStyle::Other)
 }
 
 /// What legends call a kind of driver.
 pub(crate) fn title(kind: &str) -> &'static str {
-    let own = KINDS.iter().find(|k| k.name == kind).map(|k| k.title);
-    own.unwrap_or_else(|| drawn(kind).title())
+    of(kind).map_or_else(|| drawn(kind).title(), |kind| kind.title)
 }
 
 /// Name, title and number in images.
@@ -82,13 +59,37 @@ type Row = (&'static str, &'static str, u8);
 /// the order of their numbers, then the kinds that look like one of them.
 #[pyfunction]
 fn drivers() -> Vec<Row> {
-    let drawn = DrawStyle::ALL.iter().map(|d| (d.name(), d.title(), *d as u8));
-    let others = KINDS.iter().filter(|k| k.drawn.name() != k.name);
-    drawn.chain(others.map(|k| (k.name, k.title, k.drawn as u8))).collect()
+    let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
+    let others = kinds().filter(|kind| kind.style != kind.name);
+    styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
 }
 
-fn idm(recipe: &Recipe<'_>) -> PyResult<Policy> {
-    Ok(Box::new(Idm { config: recipe.options("idm")? }))
+/// All kinds of drivers, one dictionary each: `name`, `title`, `options` (name of their table or `None`), `always` (every batch
+/// has one), and of networks `weights`, `denoises`, `attends`, `one_plan`.
+#[pyfunction]
+fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    let network_of = |kind: &Kind| NETWORKS.iter().find(|network| network.kind.name == kind.name);
+    kinds()
+        .map(|kind| {
+            let dict = PyDict::new(py);
+            dict.set_item("name", kind.name)?;
+            dict.set_item("title", kind.title)?;
+            dict.set_item("options", kind.options.map(|table| table.name))?;
+            dict.set_item("always", kind.always)?;
+            if let Some(NetworkKind { weights, denoises, attends, one_plan, .. }) = network_of(kind) {
+                dict.set_item("weights", weights.to_vec())?;
+                dict.set_item("denoises", denoises)?;
+                dict.set_item("attends", attends)?;
+                dict.set_item("one_plan", one_plan)?;
+            }
+            Ok(dict)
+        })
+        .collect()
+}
+
+/// Where the options of a policy stand.
+fn path_of(name: &str, kind: &str) -> String {
+    if name == kind { kind.to_owned() } else { format!("policies.{name}.{kind}") }
 }
 
 /// Traffic of a model of the user's own.
@@ -98,15 +99,9 @@ fn python(recipe: &Recipe<'_>) -> PyResult<Policy> {
         py::ConfigError::new_err(message)
     })?;
     let model = Python::attach(|py| model.clone_ref(py));
-    Ok(Box::new(PythonPolicy::new(recipe.name, recipe.options("python")?, model)))
-}
-
-impl Recipe<'_> {
-    fn options<T: Setting + DeserializeOwned>(&self, kind: &str) -> PyResult<T> {
-        let own = self.name != kind;
-        let path = if own { format!("policies.{}.{kind}", self.name) } else { kind.to_owned() };
-        options::read(&path, &self.options.to_string()).map_err(from_sim)
-    }
+    let path = path_of(recipe.name, python_policy::KIND.name);
+    let options = options::read(&path, &recipe.options.to_string()).map_err(from_sim)?;
+    Ok(Box::new(PythonPolicy::new(recipe.name, options, model)))
 }
 
 /// What is to be made beside the policies that every batch has: what somebody drives by, and all under names of their own.
@@ -117,17 +112,26 @@ fn recipes<'a>(
     let mut found = Vec::new();
     for (name, policy) in &config.policies {
         let one = policy.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
-        let kind = one.and_then(|(kind, options)| Some((KINDS.iter().find(|k| k.name == kind)?, options)));
-        let Some((kind, options)) = kind else {
-            let kinds: Vec<&str> = KINDS.iter().map(|k| k.name).collect();
+        let Some((kind, options)) =
+            one.and_then(|(kind, options)| Some((of(kind).filter(|k| k.options.is_some())?, options)))
+        else {
+            let kinds: Vec<&str> = kinds().filter(|kind| kind.options.is_some()).map(|k| k.name).collect();
             let kinds = kinds.join(", ");
             let message =
                 format!("config: policies: {name} is {policy}, expected {{kind: options}} of {kinds}");
             return Err(py::ConfigError::new_err(message));
         };
         if kind.name != name || config.names(name) {
-            found.push((kind, Recipe { name, options, model: models.get(name) }));
+            found.push((kind, Recipe { name, options: options.clone(), model: models.get(name) }));
         }
+    }
+    // who drives by a kind without options of its own has the default ones
+    let named = |kind: &&Kind| !kind.always && kind.make.is_some() && config.names(kind.name);
+    for kind in kinds().filter(named).filter(|kind| !config.policies.contains_key(kind.name)) {
+        found.push((
+            kind,
+            Recipe { name: kind.name, options: Value::Object(Default::default()), model: None },
+        ));
     }
     Ok(found)
 }
@@ -137,7 +141,8 @@ fn recipes<'a>(
 fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
     let none = BTreeMap::new();
-    let wanted = recipes(&config, &none)?.into_iter().filter(|(kind, _)| kind.make.is_none());
+    let wanted = recipes(&config, &none)?;
+    let wanted = wanted.into_iter().filter(|(kind, _)| NETWORKS.iter().any(|n| n.kind.name == kind.name));
     Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
 }
 
@@ -155,8 +160,12 @@ pub(crate) fn policies(
     let mut made = Vec::new();
     for (kind, recipe) in recipes(config, models)? {
         let policy = match (kind.make, networks.remove(recipe.name)) {
-            (Some(make), _) => make(&recipe)?,
+            (Some(make), _) => {
+                let path = path_of(recipe.name, kind.name);
+                make(&path, &recipe.options.to_string()).map_err(from_sim)?
+            }
             (None, Some(policy)) => policy,
+            (None, None) if kind.name == python_policy::KIND.name => python(&recipe)?,
             (None, None) => {
                 let message = format!("config: policies: {}: no network was handed over", recipe.name);
                 return Err(py::ConfigError::new_err(message));

@@ -5,7 +5,7 @@ use crate::scene::PyScene;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::observe::SegmentKind;
-use ccdiff_sim::world::PreparedScene;
+use ccdiff_sim::stage::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
     PyUntypedArrayMethods,

@@ -3,9 +3,10 @@
 use ccdiff_bridge::errors::{from_model, py};
 use ccdiff_bridge::{AskedDriver, Handed, PyTrajectoryModel};
 use ccdiff_nets::guidance::GuidanceConfig;
+use ccdiff_nets::kinds::{check_own, described};
 use ccdiff_nets::traffic::PlannedTraffic;
-use ccdiff_nets::trajectory_model::{TrajectoryModel, described};
-use ccdiff_nets::{own, weights};
+use ccdiff_nets::trajectory_model::TrajectoryModel;
+use ccdiff_nets::weights;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;
@@ -24,7 +25,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
     let found = py.detach(|| {
         let (header, _) = weights::read(&path)?;
-        Ok(own::check(&described(&path, &header)?).is_err())
+        Ok(check_own(&described(&path, &header)?).is_err())
     });
     found.map_err(from_model)
 }

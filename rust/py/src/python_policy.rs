@@ -6,9 +6,19 @@ use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::options;
 use ccdiff_sim::options::within;
-use ccdiff_sim::policy::{Driver, PlanRecord, PlanRequest, PlanState, TrafficPolicy};
+use ccdiff_sim::policy::{Driver, Kind, PlanRecord, PlanRequest, PlanState, TrafficPolicy};
 use numpy::{PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+
+/// Traffic of a model of the user's own.
+pub(crate) const KIND: Kind = Kind {
+    name: "python",
+    title: "Python model",
+    style: "other",
+    options: Some(&PythonOptions::TABLE),
+    always: false,
+    make: None,
+};
 
 options! {
     /// Options of a traffic model of one's own, written in Python: `ccdiff_env.traffic.PythonTraffic`.
@@ -112,7 +122,7 @@ impl PythonPolicy {
         steps: &[f32],
         width: usize,
     ) {
-        let (states, dt_s) = (request.world.states, request.world.config.dt_s);
+        let (states, dt_s) = (request.world.states, request.world.dt_s);
         let footprint = &request.world.scene.footprints[agent_idx];
         let mut kin = states.kin_state(agent_idx);
         let mut at = states.position(agent_idx);

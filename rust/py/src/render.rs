@@ -1,7 +1,7 @@
 //! Bindings of `ccdiff_render`: images from arrays and from the log of a scene.
 
 use crate::enter::flags;
-use crate::scene::PyScene;
+use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
     AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, LogView, MapLayers, RenderError, Rgb,
@@ -195,7 +195,7 @@ fn render_arrays<'py>(
     kind: PyReadonlyArray1<'py, u8>,
     driver: PyReadonlyArray1<'py, u8>,
     collided: PyReadonlyArray1<'py, bool>,
-    scene: Option<Bound<'py, PyScene>>,
+    scene: Option<Handed>,
     size: (i64, i64),
     span_m: f32,
     centre_m: (f32, f32),
@@ -235,7 +235,7 @@ fn render_arrays<'py>(
     let (width, height) = pixels(size)?;
     let centre = Point2::new(centre_m.0, centre_m.1);
     let camera = Camera::over(centre, span_m, width, height).heading_up(up_rad);
-    let layers = scene.map(|s| layers_of(&s.get().scene.map)).transpose()?;
+    let layers = scene.map(|s| layers_of(&s.0.map)).transpose()?;
     let image = py.detach(|| {
         let (trails, samples, plans) = (lines(&trails), lines(&samples), lines(&plans));
         let drawing = Drawing {

@@ -10,7 +10,7 @@ use ccdiff_nuscenes::{
 };
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
-use ccdiff_sim::world::PreparedScene;
+use ccdiff_sim::stage::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };

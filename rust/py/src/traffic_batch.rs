@@ -2,7 +2,7 @@
 
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::scene::AgentKind;
-use ccdiff_sim::world::{History, PastState, PreparedScene};
+use ccdiff_sim::stage::{History, PastState, PreparedScene};
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

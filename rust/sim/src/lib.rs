@@ -12,6 +12,7 @@ pub mod planner;
 pub mod policy;
 pub mod scene;
 mod simd_dispatch;
+pub mod stage;
 pub mod state;
 pub mod world;
 

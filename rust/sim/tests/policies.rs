@@ -46,7 +46,7 @@ impl Steady {
         for a in &agents {
             let pose = world.states.pose(*a);
             for t in 1..=STEPS {
-                let way_m = self.speed_mps * world.config.dt_s * t as f32;
+                let way_m = self.speed_mps * world.dt_s * t as f32;
                 let p = pose.position;
                 record.samples.extend([p.x + way_m * pose.cos, p.y + way_m * pose.sin, pose.heading_rad]);
             }

@@ -15,7 +15,7 @@ use crate::features::row_offsets;
 use crate::guidance::Guidance;
 use crate::losses::plan_loss;
 use crate::noise::Noise;
-use crate::plan_model::{PlanModel, TrainingStep};
+use crate::plan_model::{PlanModel, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
 use crate::sampler::{SampleOptions, Samples, to_vec};
@@ -24,6 +24,13 @@ use crate::trunk::{Encoded, Trunk};
 use ccdiff_nets::layers::perceptron::Perceptron;
 use ccdiff_nets::simnet::HIDDEN;
 use tch::{Kind, Tensor, nn};
+
+/// BITS.
+pub(crate) const BITS: TorchKind = TorchKind {
+    name: "bits",
+    build: |p, config| Ok(Box::new(Bits::new(p, config)?)),
+    fast: |settings| settings,
+};
 
 /// Cells along a side of the goal grid.
 const SIDE: i64 = 32;

@@ -10,12 +10,21 @@
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;
-use crate::diffusion::Denoiser;
+use crate::diffusion::Diffusion;
+use crate::plan_model::TorchKind;
 use crate::plan_space::PlanSpace;
+use crate::sampler::Denoiser;
 use crate::torch::Torch;
 use crate::trunk::{Encoded, Trunk};
 use ccdiff_nets::layers::embed::StepEmbedding;
 use tch::{Tensor, nn};
+
+/// CTG.
+pub(crate) const CTG: TorchKind = TorchKind {
+    name: "ctg",
+    build: |p, config| Ok(Box::new(Diffusion::new(HalfUnet::new(p, config))?)),
+    fast: |settings| settings,
+};
 
 /// Channels after the rolled-out states' six.
 const WIDTHS: [i64; 3] = [32, 48, 64];
@@ -154,7 +163,6 @@ impl Denoiser for HalfUnet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::ModelKind;
     use tch::nn::Module;
     use tch::{Device, Kind};
 
@@ -181,7 +189,7 @@ mod tests {
     #[test]
     fn the_steps_are_halved_twice_until_they_are_those_of_the_knots() {
         let store = nn::VarStore::new(Device::Cpu);
-        let network = HalfUnet::new(&store.root(), &ModelConfig::of(ModelKind::Ctg, "fast").unwrap());
+        let network = HalfUnet::new(&store.root(), &ModelConfig::of("ctg", "fast").unwrap());
         let condition =
             Tensor::zeros([3, STEP_WIDTH + network.space.config().width], (Kind::Float, Device::Cpu));
         let mut x = Tensor::zeros([3, 6, 52], (Kind::Float, Device::Cpu));

@@ -12,14 +12,15 @@ use super::contact::{Pairs, off_road};
 use super::distributions::Gaussian;
 use super::latent::descended;
 use crate::batch::{Batch, Targets};
-use crate::config::{ModelConfig, ModelKind};
+use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::{Guidance, MOVING_MPS};
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{PlanModel, TrainingStep};
+use crate::plan_model::{PlanModel, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::Torch;
+use crate::train::TrainConfig;
 use crate::trunk::{Encoded, Trunk};
 use ccdiff_nets::layers::perceptron::Perceptron;
 use ccdiff_nets::layers::social::EdgeAwareLayer;
@@ -36,6 +37,30 @@ const PORT_YAW: f64 = 0.1;
 const CONTACT: f64 = 0.05;
 /// Weight of sampled plans' departures from the road.
 const OFF_ROAD: f64 = 0.1;
+
+/// TrafficSim.
+pub(crate) const TRAFFICSIM: TorchKind = TorchKind {
+    name: "trafficsim",
+    build: |p, config| Ok(Box::new(Cvae::new(p, config, Form::Trafficsim))),
+    fast: with_own_contact,
+};
+/// STRIVE.
+pub(crate) const STRIVE: TorchKind = TorchKind {
+    name: "strive",
+    build: |p, config| Ok(Box::new(Cvae::new(p, config, Form::Strive))),
+    fast: with_own_contact,
+};
+/// TrafficSim as ported.
+pub(crate) const TRAFFICSIM_PORT: TorchKind = TorchKind {
+    name: "trafficsim_port",
+    build: |p, config| Ok(Box::new(Cvae::new(p, config, Form::TrafficsimPort))),
+    fast: |settings| settings,
+};
+
+/// Contact has a loss of its own.
+fn with_own_contact(settings: TrainConfig) -> TrainConfig {
+    TrainConfig { collision_weight: 0.0, ..settings }
+}
 
 /// Which of the three it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,11 +88,11 @@ pub struct Cvae {
 
 impl Cvae {
     /// A network with fresh weights under a path.
-    pub fn new(p: &nn::Path, config: &ModelConfig) -> Self {
-        let (form, latent) = match config.kind {
-            ModelKind::Trafficsim => (Form::Trafficsim, 16),
-            ModelKind::Strive => (Form::Strive, 32),
-            _ => (Form::TrafficsimPort, 4),
+    fn new(p: &nn::Path, config: &ModelConfig, form: Form) -> Self {
+        let latent = match form {
+            Form::Trafficsim => 16,
+            Form::Strive => 32,
+            Form::TrafficsimPort => 4,
         };
         let (d, knots) = (config.width, config.num_knots() as i64);
         let mlp = |name: &str, widths: &[i64]| Perceptron::new(&(p / name), widths);

@@ -66,7 +66,7 @@ pub(super) fn descended(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{ModelConfig, ModelKind};
+    use crate::config::ModelConfig;
     use crate::guidance::{AgentCollision, Approach, GuidanceConfig, GuidanceContext, Objective};
     use ccdiff_sim::geom::Pose2;
     use tch::Device;
@@ -111,7 +111,7 @@ mod tests {
     }
 
     fn descended_pair(weight: f32, prior: Option<&Gaussian>) -> (Tensor, Tensor) {
-        let model = ModelConfig::of(ModelKind::Strive, "fast").unwrap();
+        let model = ModelConfig::of("strive", "fast").unwrap();
         let config = GuidanceConfig {
             objectives: vec![
                 Objective::AgentCollision(AgentCollision { weight, ..AgentCollision::default() }),

@@ -16,6 +16,11 @@ pub use ctg::HalfUnet;
 pub use cvae::Cvae;
 pub use simnet::Simnet;
 
+pub(crate) use bits::BITS;
+pub(crate) use ctg::CTG;
+pub(crate) use cvae::{STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+pub(crate) use simnet::SIMNET;
+
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::sampler::to_vec;

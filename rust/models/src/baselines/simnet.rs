@@ -6,11 +6,18 @@ use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::losses::plan_loss;
-use crate::plan_model::{PlanModel, TrainingStep};
+use crate::plan_model::{PlanModel, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::Torch;
 use tch::{Kind, Tensor, nn};
+
+/// SimNet.
+pub(crate) const SIMNET: TorchKind = TorchKind {
+    name: "simnet",
+    build: |p, config| Ok(Box::new(Simnet::new(p, config))),
+    fast: |settings| settings,
+};
 
 /// The regressor.
 #[derive(Debug)]

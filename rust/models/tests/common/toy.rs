@@ -44,7 +44,15 @@ impl Toy {
         guide: &WorldGuidance<'a>,
         config: &GuidanceConfig,
     ) -> GuidanceContext<'a> {
-        GuidanceContext::new(guide, &self.window, &self.features, &self.model, config).unwrap()
+        GuidanceContext::new(
+            guide,
+            &self.window,
+            &self.features,
+            &self.model,
+            config.discount,
+            config.seen_steps,
+        )
+        .unwrap()
     }
 
     /// Rolled-out actions [M, T, 2].

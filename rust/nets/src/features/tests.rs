@@ -1,5 +1,4 @@
 use super::*;
-use crate::config::ModelKind;
 
 /// Cars of 4 m by 2 m at rest or in steady motion: (x, y, heading, speed).
 fn window(cars: &[[f32; 4]], config: &ModelConfig) -> Window {
@@ -43,7 +42,7 @@ fn a_follower_sees_its_leader_by_headway_alone() {
 #[test]
 fn by_distance_the_eight_nearest_take_the_slots_and_nobody_beyond_fifty_metres() {
     // rivals.md#ctg: eleven in a row, in any order
-    let config = ModelConfig { map: None, ..ModelConfig::of(ModelKind::Ctgpp, "fast").unwrap() };
+    let config = ModelConfig { map: None, ..ModelConfig::of("ctgpp", "fast").unwrap() };
     for places in [
         [0.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0, 10.0, 5.0, 50.1],
         [0.0, 50.1, 10.0, 5.0, 35.0, 30.0, 45.0, 20.0, 40.0, 25.0, 15.0],

@@ -4,7 +4,7 @@ use crate::error::{ModelError, Result};
 use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::Route;
+use ccdiff_sim::stage::Route;
 
 /// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -155,18 +155,18 @@ impl Window {
         (0..self.num_agents()).any(|a| a != agent && self.is_valid(a, now) && body(a).overlaps(&own))
     }
 
-    pub(super) fn velocity(&self, agent: usize, step: usize) -> Vector2 {
+    pub(crate) fn velocity(&self, agent: usize, step: usize) -> Vector2 {
         let at = agent * self.num_steps + step;
         self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
     }
 
-    pub(super) fn is_valid(&self, agent: usize, step: usize) -> bool {
+    pub(crate) fn is_valid(&self, agent: usize, step: usize) -> bool {
         self.valid[agent * self.num_steps + step]
     }
 }
 
 /// Times to contact [M, M] of some agents at a step, those that the window has where all its agents are meant.
-pub(super) fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+pub(crate) fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
     let pairs = agents.len() * agents.len();
     if agents.len() == window.num_agents() && window.ttc_s.len() == window.num_steps * pairs {
         return Ok(window.ttc_s[step * pairs..(step + 1) * pairs].to_vec());
@@ -178,7 +178,7 @@ pub(super) fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<V
 }
 
 /// Distances [M, M] of some agents at a step, metres.
-pub(super) fn distance_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+pub(crate) fn distance_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
     let mut out = vec![0.0; agents.len() * agents.len()];
     Columns::new(window, agents, step).frame()?.distance_m(&mut out)?;
     Ok(out)

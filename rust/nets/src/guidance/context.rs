@@ -1,6 +1,5 @@
 //! What guidance knows about one world: where its agents are, how large, who may be guided, road, goals.
 
-use super::GuidanceConfig;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::{SceneFeatures, Window};
@@ -79,7 +78,7 @@ pub struct GuidanceContext<'a> {
 }
 
 impl<'a> GuidanceContext<'a> {
-    /// The agents of a scene's features.
+    /// The agents of a scene's features; `discount` is γ per step of a plan.
     ///
     /// # Errors
     /// [`ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
@@ -88,7 +87,8 @@ impl<'a> GuidanceContext<'a> {
         window: &Window,
         features: &SceneFeatures,
         model: &ModelConfig,
-        config: &GuidanceConfig,
+        discount: f32,
+        seen_steps: Option<usize>,
     ) -> Result<Self> {
         let expected = window.num_agents();
         for (what, got) in [
@@ -122,7 +122,7 @@ impl<'a> GuidanceContext<'a> {
                 .map(|a| guide.target_speeds_mps.and_then(|v| v[*a]).filter(|v| v.is_finite()))
                 .collect(),
             speed_limit_mps: guide.speed_limit_mps,
-            step_weights: seen_weights(config, model.horizon_steps),
+            step_weights: seen_weights(discount, seen_steps, model.horizon_steps),
         })
     }
 
@@ -133,9 +133,9 @@ impl<'a> GuidanceContext<'a> {
 }
 
 /// The weights of the steps that losses look at, 0 for later ones.
-fn seen_weights(config: &GuidanceConfig, num_steps: usize) -> Vec<f32> {
-    let mut weights = step_weights(config.discount, num_steps);
-    weights.iter_mut().skip(config.seen_steps.unwrap_or(num_steps)).for_each(|w| *w = 0.0);
+fn seen_weights(discount: f32, seen_steps: Option<usize>, num_steps: usize) -> Vec<f32> {
+    let mut weights = step_weights(discount, num_steps);
+    weights.iter_mut().skip(seen_steps.unwrap_or(num_steps)).for_each(|w| *w = 0.0);
     weights
 }
 

@@ -22,12 +22,13 @@ mod objective;
 mod report;
 mod rollout;
 
-pub use config::{Clip, FilterWeights, GuidanceConfig, Objective, Optimiser, TABLES, Target};
+pub use config::{Clip, FilterWeights, GuidanceConfig, Optimiser, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{
-    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, OverSpeed, TargetDistance, TargetSpeed,
+    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, Objective, OverSpeed, TargetDistance,
+    TargetSpeed,
 };
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

@@ -1,6 +1,7 @@
 //! What guidance did: losses, the selected sample, what it cost in realism, how gradients pull against each other.
 
-use super::config::{FilterWeights, GuidanceConfig, Objective};
+use super::config::{FilterWeights, GuidanceConfig};
+use super::objective::Objective;
 
 /// What guidance did to the plans of the M agents of one world.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,7 +5,7 @@ mod parts;
 pub use parts::{Array, Inputs, Norm, Pairs, Place, Raster};
 
 use crate::backend::{Backend, KeyValue};
-use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig, ModelKind};
+use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, HISTORY_FEATURES};
 use crate::kernels::{self, Checked, PANEL, Packed, Seen, Strided};
@@ -20,22 +20,12 @@ use std::convert::Infallible;
 #[derive(Debug)]
 pub struct Own;
 
-/// Checks that these kernels have all layers of a network.
+/// Checks that these kernels have all layers of a network with these sizes.
 ///
 /// # Errors
 /// [`ModelError::Config`] names what they lack.
 pub fn check(config: &ModelConfig) -> Result<()> {
     let fail = |field, got: &str, expected| Err(ModelError::Config { field, got: got.into(), expected });
-    if config.kind == ModelKind::Tokens {
-        return Ok(());
-    }
-    if !config.kind.attends() && config.kind != ModelKind::Simnet {
-        return fail(
-            "model.kind",
-            config.kind.name(),
-            "\"ccdiff\", \"ctgpp\", \"simnet\" or \"tokens\" without torch",
-        );
-    }
     if config.history != HistoryTokens::Summary {
         return fail("model.history", config.history.name(), "\"summary\" without torch");
     }

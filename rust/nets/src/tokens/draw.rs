@@ -1,6 +1,6 @@
 //! Tokens drawn from logits, and the actions that they stand for.
 
-use super::grid::{BINS, SPEED, TOKEN_STEPS, TOKENS, YAW_RATE};
+use super::grid::{BINS, NUM_TOKENS, SPEED, TOKEN_STEPS, YAW_RATE};
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::row_offsets;
@@ -32,7 +32,7 @@ pub struct Now<'a> {
     pub yaw_rate_radps: &'a [f32],
 }
 
-/// Normalised knots [N · R, T, 2] of tokens drawn from logits [R, [`TOKENS`]], each world's by its own seed. Speed and yaw rate go
+/// Normalised knots [N · R, T, 2] of tokens drawn from logits [R, [`NUM_TOKENS`]], each world's by its own seed. Speed and yaw rate go
 /// evenly to the token's; then the speed is kept. A guide has each agent choose among its own draws, against others who keep their
 /// speeds.
 ///
@@ -49,8 +49,8 @@ pub fn drawn(
 ) -> Result<Vec<f32>> {
     rows.check_seeds(seeds)?;
     let (count, n) = (rows.count(), options.num_samples);
-    if logits.len() != count * TOKENS {
-        let (got, expected) = (logits.len().to_string(), format!("{count} x {TOKENS}"));
+    if logits.len() != count * NUM_TOKENS {
+        let (got, expected) = (logits.len().to_string(), format!("{count} x {NUM_TOKENS}"));
         return Err(ModelError::Shape { what: "logits", got, expected });
     }
     let width = 2 * config.horizon_steps;
@@ -58,7 +58,7 @@ pub fn drawn(
     for ((size, offset), seed) in rows.scene_sizes.iter().zip(row_offsets(rows.scene_sizes)).zip(seeds) {
         for agent in 0..*size {
             let row = offset + agent;
-            let cumulative = cumulative(&logits[row * TOKENS..][..TOKENS], options.temperature);
+            let cumulative = cumulative(&logits[row * NUM_TOKENS..][..NUM_TOKENS], options.temperature);
             let (speed, yaw_rate) = (now.speed_mps[row], now.yaw_rate_radps[row]);
             for sample in 0..n {
                 let (noise, at) = match rows.noise_seeds.get(row).copied().flatten() {
@@ -66,8 +66,8 @@ pub fn drawn(
                     None => (Noise::new(*seed, 0), sample * size + agent),
                 };
                 let words = noise.block(at as u64).map(|w| f64::from(w) / 4_294_967_296.0);
-                let wanted = words[0] * cumulative[TOKENS - 1];
-                let token = cumulative.partition_point(|c| *c <= wanted).min(TOKENS - 1);
+                let wanted = words[0] * cumulative[NUM_TOKENS - 1];
+                let token = cumulative.partition_point(|c| *c <= wanted).min(NUM_TOKENS - 1);
                 let speed_change = SPEED.value(token / BINS, words[1] as f32);
                 let end = bounded(speed, speed_change, YAW_RATE.value(token % BINS, words[2] as f32));
                 let out = &mut knots[(sample * count + row) * width..][..width];

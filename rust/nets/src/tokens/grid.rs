@@ -2,23 +2,23 @@
 
 /// Bins on each axis; the middle one is round 0.
 pub const BINS: usize = 21;
-/// Tokens.
-pub const TOKENS: usize = BINS * BINS;
+/// Number of tokens.
+pub const NUM_TOKENS: usize = BINS * BINS;
 /// Steps that a token is held for.
 pub const TOKEN_STEPS: usize = 5;
 
 /// A symmetric axis of bins, finer near 0: the greater half of the centres, and the outer edge.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Axis {
+pub(crate) struct Axis {
     half: [f32; BINS / 2],
     last: f32,
 }
 
 /// Changes of speed, m/s.
-pub(super) const SPEED: Axis =
+pub(crate) const SPEED: Axis =
     Axis { half: [0.08, 0.18, 0.30, 0.45, 0.65, 0.90, 1.20, 1.60, 2.10, 3.00], last: 4.0 };
 /// Yaw rates, rad/s.
-pub(super) const YAW_RATE: Axis =
+pub(crate) const YAW_RATE: Axis =
     Axis { half: [0.008, 0.020, 0.040, 0.065, 0.10, 0.15, 0.21, 0.29, 0.38, 0.50], last: 0.6 };
 
 impl Axis {
@@ -29,13 +29,13 @@ impl Axis {
     }
 
     /// The bin that holds a value; those beyond the grid go to its border.
-    pub(super) fn bin(&self, value: f32) -> usize {
+    pub(crate) fn bin(&self, value: f32) -> usize {
         let away = (0..BINS / 2).take_while(|k| value.abs() > self.edge(*k)).count();
         if value < 0.0 { BINS / 2 - away } else { BINS / 2 + away }
     }
 
     /// A value of a bin, evenly drawn by `share` in [0, 1) between its edges.
-    pub(super) fn value(&self, bin: usize, share: f32) -> f32 {
+    pub(crate) fn value(&self, bin: usize, share: f32) -> f32 {
         let away = bin.abs_diff(BINS / 2);
         if away == 0 {
             return (2.0 * share - 1.0) * self.edge(0);

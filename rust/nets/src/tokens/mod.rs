@@ -8,114 +8,66 @@
 
 mod draw;
 mod grid;
+mod network;
 mod planner;
 mod seen;
 
 pub use draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS, Now, drawn};
-pub use grid::{BINS, TOKEN_STEPS, TOKENS, token_of};
-pub use seen::{HISTORY_STEPS, NEAR, NEAR_NUMBERS, TokenInputs, near_columns, own_columns};
+pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
+pub use network::Network;
+pub use seen::{HISTORY_STEPS, NEAR, NEAR_NUMBERS, build, near_columns, own_columns};
 
-pub(crate) use planner::TokenPlanner;
-pub(crate) use seen::inputs;
+use crate::config::{MapConfig, MapEncoder, ModelConfig, NeighbourOrder};
+use crate::error::{ModelError, Result};
+use crate::kind::NetworkKind;
+use crate::traffic::driver;
 
-use crate::backend::Backend;
-use crate::config::ModelConfig;
-use crate::layers::attention::FeedForward;
-use crate::segments::SEGMENT_FEATURES;
+/// Each agent's next token of a grid of motions.
+pub const TOKENS: NetworkKind = NetworkKind {
+    routes: true,
+    samples_tokens: true,
+    sizes,
+    fits,
+    features: build,
+    own: Some(planner::made),
+    ..NetworkKind::of(driver("tokens", "Tokens"))
+};
 
-/// A two-layer perceptron over the elements of a row.
-#[derive(Debug)]
-struct Elements<B: Backend>(B::Linear, B::Linear);
+/// Places on a route that the network is told of, metres ahead.
+const ROUTE_POINTS_M: [f32; 16] =
+    [0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0, 40.0, 45.0, 50.0, 55.0, 60.0];
 
-impl<B: Backend> Elements<B> {
-    fn new(p: &B::Path<'_>, inputs: i64, hidden: i64, outputs: i64) -> Self {
-        Self(B::linear(&B::sub(p, "in"), inputs, hidden), B::linear(&B::sub(p, "out"), hidden, outputs))
-    }
-
-    fn forward(&self, x: &B::Tensor) -> B::Tensor {
-        B::apply(&self.1, &B::apply_relu(&self.0, x))
-    }
-}
-
-/// Attention of the query to elements, which are their own keys and values.
-#[derive(Debug)]
-struct Look<B: Backend> {
-    norm: B::Norm,
-    query: B::Linear,
-    out: B::Linear,
-    heads: i64,
-}
-
-impl<B: Backend> Look<B> {
-    fn new(p: &B::Path<'_>, width: i64, inner: i64, heads: i64) -> Self {
-        Self {
-            norm: B::norm(&B::sub(p, "norm"), width),
-            query: B::linear(&B::sub(p, "query"), width, heads * inner),
-            out: B::linear(&B::sub(p, "out"), heads * inner, width),
-            heads,
-        }
-    }
-
-    fn forward(&self, x: &B::Tensor, elements: &B::Tensor) -> B::Tensor {
-        let query = B::apply(&self.query, &B::normed(&self.norm, x));
-        B::apply(&self.out, &B::pool(&query, elements, self.heads))
+/// A preset's sizes with lines of the map, a memory of 6 s, plans of 2.5 s.
+fn sizes(preset: ModelConfig) -> ModelConfig {
+    let map = preset.map.map(|map| MapConfig { encoder: MapEncoder::Polylines, ..map });
+    ModelConfig {
+        neighbour_order: NeighbourOrder::Distance,
+        history_steps: HISTORY_STEPS,
+        horizon_steps: 5 * TOKEN_STEPS,
+        knot_stride: 1,
+        width: 96,
+        edge_width: 64,
+        feed_forward: 192,
+        temporal_layers: 2,
+        max_neighbours: NEAR,
+        max_agents: 32,
+        route_points_m: ROUTE_POINTS_M.to_vec(),
+        map,
+        ..preset
     }
 }
 
-#[derive(Debug)]
-struct Round<B: Backend> {
-    near: Look<B>,
-    lines: Look<B>,
-    norm: B::Norm,
-    feed: FeedForward<B>,
-}
-
-/// Weights of a network of tokens.
-#[derive(Debug)]
-pub struct Network<B: Backend> {
-    own: Elements<B>,
-    near: Elements<B>,
-    lines: Elements<B>,
-    rounds: Vec<Round<B>>,
-    norm: B::Norm,
-    head: Elements<B>,
-}
-
-impl<B: Backend> Network<B> {
-    /// A network with its weights under a path.
-    pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
-        let (d, inner) = (config.width, config.edge_width);
-        let at = |name: &str| B::sub(p, name);
-        let round = |r: usize| {
-            let q = B::sub(&at("round"), &r.to_string());
-            Round {
-                near: Look::new(&B::sub(&q, "near"), d, inner, config.heads),
-                lines: Look::new(&B::sub(&q, "lines"), d, inner, config.heads),
-                norm: B::norm(&B::sub(&q, "norm"), d),
-                feed: FeedForward::new(&B::sub(&q, "feed"), d, config.feed_forward),
-            }
-        };
-        let own = own_columns(config.route_points_m.len()).count() as i64;
-        Self {
-            own: Elements::new(&at("own"), own, d, d),
-            near: Elements::new(&at("near"), NEAR_NUMBERS as i64, inner, inner),
-            lines: Elements::new(&at("lines"), SEGMENT_FEATURES as i64, inner, inner),
-            rounds: (0..config.temporal_layers).map(round).collect(),
-            norm: B::norm(&at("norm"), d),
-            head: Elements::new(&at("head"), d, d, TOKENS as i64),
-        }
+/// Checks what tokens are made of.
+fn fits(config: &ModelConfig) -> Result<()> {
+    let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
+    let lines = config.map.as_ref().is_some_and(|m| m.encoder == MapEncoder::Polylines);
+    if !lines || config.history_steps != HISTORY_STEPS || config.knot_stride != 1 {
+        let (steps, stride) = (config.history_steps, config.knot_stride);
+        let got = format!("a history of {steps} steps, knots of {stride}");
+        return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
     }
-
-    /// Logits [R, 1, [`TOKENS`]] from own numbers [R, 1, own], neighbours [R, [`NEAR`], [`NEAR_NUMBERS`]] and lines of the map
-    /// [R, lines, 20].
-    pub fn logits(&self, own: &B::Tensor, near: &B::Tensor, lines: &B::Tensor) -> B::Tensor {
-        let (near, lines) = (self.near.forward(near), self.lines.forward(lines));
-        let mut x = self.own.forward(own);
-        for round in &self.rounds {
-            let seen = B::sum(&round.near.forward(&x, &near), round.lines.forward(&x, &lines));
-            let y = B::sum(&x, seen);
-            x = B::sum(&y, round.feed.forward(&B::normed(&round.norm, &y)));
-        }
-        self.head.forward(&B::normed(&self.norm, &x))
+    if config.horizon_steps <= TOKEN_STEPS {
+        return fail("model.horizon_steps", config.horizon_steps.to_string(), "more than a token's 5");
     }
+    Ok(())
 }

@@ -10,21 +10,31 @@ use crate::plan_space::PlanSpace;
 use crate::planner::{Drawn, PlanOptions, Planner};
 use crate::sampler::Rows;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
+use crate::weights::{Entry, Weights};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A network with the space of its plans.
 #[derive(Debug)]
-pub(crate) struct TokenPlanner {
+struct TokenPlanner {
     network: Network<Own>,
     space: PlanSpace,
     config: ModelConfig,
 }
 
-impl TokenPlanner {
-    /// The network of a file's tensors.
-    pub(crate) fn new(root: &Place<'_>, config: &ModelConfig) -> Self {
-        let network = Network::new(root, config);
-        Self { network, space: PlanSpace::new(config), config: config.clone() }
-    }
+/// The network with the tensors of a file.
+///
+/// # Errors
+/// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
+pub(crate) fn made(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    let weights = Weights::new(path, tensors);
+    let network = Network::new(&Place::root(&weights), config);
+    weights.finish()?;
+    Ok(Box::new(TokenPlanner { network, space: PlanSpace::new(config), config: config.clone() }))
 }
 
 /// Numbers of the rows of all scenes.

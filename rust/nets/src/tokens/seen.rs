@@ -1,7 +1,9 @@
 //! What a row of the network sees beside the lines of the map: own motion and route, and the nearest vehicles.
 
 use crate::config::ModelConfig;
-use crate::features::{SceneFeatures, Window};
+use crate::error::Result;
+use crate::features::{self, SceneFeatures, TokenInputs, Window};
+use crate::raster::MapBitmap;
 use ccdiff_sim::geom::math::{exp, hypot, wrap_angle};
 use ccdiff_sim::geom::{Point2, Vector2};
 
@@ -18,19 +20,6 @@ const OWN_NUMBERS: usize = 4 * PAST.len() + 2;
 /// Of a neighbour: numbers that change sign in a mirror, and those that come from the route.
 const NEAR_ODD: [usize; 5] = [1, 3, 6, 10, 24];
 const NEAR_TOLD: [usize; 6] = [9, 10, 11, 12, 16, 17];
-
-/// Inputs of the M rows of a scene.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct TokenInputs {
-    /// Yaw rate now, rad/s, [M].
-    pub yaw_rate_radps: Vec<f32>,
-    /// Whether speed and yaw rate are known now, [M].
-    pub known: Vec<bool>,
-    /// Own numbers [M, own], see [`own_columns`].
-    pub own: Vec<f32>,
-    /// Neighbours [M, [`NEAR`], [`NEAR_NUMBERS`]], zero where there are fewer.
-    pub near: Vec<f32>,
-}
 
 /// Columns of own numbers: whether one changes sign in a mirror, whether it comes from the route of so many places. They are
 /// speeds, yaw rates, whether known, changes of speed at [`PAST`]; length, width,
@@ -64,8 +53,18 @@ fn change(motion: &[Option<[f32; 2]>; PAST.len()]) -> f32 {
     now.zip(*before).map_or(0.0, |(now, before)| now[0] - before[0])
 }
 
+/// As [`features::build`], with the inputs of tokens.
+///
+/// # Errors
+/// As there.
+pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) -> Result<SceneFeatures> {
+    let mut built = features::build(window, bitmap, config)?;
+    built.tokens = inputs(window, &built, config);
+    Ok(built)
+}
+
 /// Inputs of the rows of a scene, whose neighbours are those in the slots of its features.
-pub(crate) fn inputs(window: &Window, features: &SceneFeatures, config: &ModelConfig) -> TokenInputs {
+fn inputs(window: &Window, features: &SceneFeatures, config: &ModelConfig) -> TokenInputs {
     let agents = &features.agents;
     let motions: Vec<_> = agents.iter().map(|a| motion(window, *a, config.dt_s as f32)).collect();
     let mut out = TokenInputs::default();

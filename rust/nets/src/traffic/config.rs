@@ -1,15 +1,15 @@
 //! What can be chosen about the traffic of a planning network.
 
-use crate::config::ModelKind;
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
+use crate::kind::NetworkKind;
+use crate::planner::PlanOptions;
 use crate::sampler::SampleOptions;
 use crate::tokens::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
-use crate::trajectory_model::PlanOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{Form, Setting, above, at_least, within};
-use ccdiff_sim::policy::WorldView;
+use ccdiff_sim::policy::{Kind, WorldView};
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -200,12 +200,18 @@ options! {
     }
 }
 
+/// The driver of a network, with these options and the colour of CCDiff.
+pub const fn driver(name: &'static str, title: &'static str) -> Kind {
+    let options = Some(&CcdiffConfig::TABLE);
+    Kind { name, title, style: "ccdiff", options, always: false, make: None }
+}
+
 impl CcdiffConfig {
-    /// Checks every range against the horizon of the weights, steps.
+    /// Checks every range against a network and the horizon of its weights, steps.
     ///
     /// # Errors
     /// [`ModelError::Config`] and [`ModelError::Sim`] name the field.
-    pub fn validate(&self, horizon_steps: usize) -> Result<()> {
+    pub fn validate(&self, network: &NetworkKind, horizon_steps: usize) -> Result<()> {
         options::check("ccdiff", self)?;
         if self.replan_steps > horizon_steps {
             return Err(ModelError::Config {
@@ -214,37 +220,36 @@ impl CcdiffConfig {
                 expected: "1 up to the horizon of the plans",
             });
         }
-        // how plans are drawn has the same ranges for all kinds
-        self.guided(ModelKind::Ccdiff)?.validated()?;
-        self.unguided(ModelKind::Ccdiff).validated()?;
+        self.guided(network)?.validated()?;
+        self.unguided(network).validated()?;
         Ok(())
     }
 
     /// Whether plans made now may be guided.
-    pub(super) fn guides_at(&self, world: &WorldView<'_>) -> bool {
-        let time_s = world.elapsed_steps as Real * world.config.dt_s;
+    pub(crate) fn guides_at(&self, world: &WorldView<'_>) -> bool {
+        let time_s = world.elapsed_steps as Real * world.dt_s;
         time_s >= self.guided_from_s && self.guided_until_s.is_none_or(|until_s| time_s <= until_s)
     }
 
-    /// Checks that all of it means something to a kind of network.
+    /// Checks that all of it means something to a network.
     ///
     /// # Errors
     /// [`ModelError::Config`] names the field.
-    pub fn check_kind(&self, kind: ModelKind) -> Result<()> {
+    pub fn check_network(&self, network: &NetworkKind) -> Result<()> {
         let fail = |field: &'static str, got: String, expected: &'static str| {
             Err(ModelError::Config { field, got, expected })
         };
-        if self.graph == GraphMode::Full && kind != ModelKind::Ccdiff {
+        if self.graph == GraphMode::Full && !network.causal {
             return fail("ccdiff.graph", "full".into(), "causal: this network sees neighbours by distance");
         }
         match self.ranking {
-            Ranking::Greedy if !kind.attends() => {
+            Ranking::Greedy if !network.attends => {
                 fail("ccdiff.ranking", "greedy".into(), "one without attention: this network has none")
             }
-            Ranking::Gradient if !kind.denoises() => {
+            Ranking::Gradient if !network.denoises => {
                 fail("ccdiff.ranking", "gradient".into(), "one without scores: this network does not denoise")
             }
-            _ => self.guided(kind)?.of_kind(kind).map(drop),
+            _ => network.options(self.guided(network)?).map(drop),
         }
     }
 
@@ -252,18 +257,17 @@ impl CcdiffConfig {
     ///
     /// # Errors
     /// [`ModelError::Config`] for an unknown preset or settings of another form.
-    pub fn guided(&self, kind: ModelKind) -> Result<PlanOptions> {
+    pub fn guided(&self, network: &NetworkKind) -> Result<PlanOptions> {
         let guidance = match &self.guidance {
             GuidanceChoice::Preset(name) => GuidanceConfig::preset(name)?,
             GuidanceChoice::Settings(settings) => (**settings).clone(),
         };
         Ok(PlanOptions {
-            sampling: match kind {
-                ModelKind::Tokens => {
-                    let more = ((GUIDED_DRAWS - 1) as f32 * self.criticality.max(1.0)).ceil() as usize;
-                    self.sampling(self.num_samples.max(1 + more))
-                }
-                _ => self.sampling(self.num_samples),
+            sampling: if network.samples_tokens {
+                let more = ((GUIDED_DRAWS - 1) as f32 * self.criticality.max(1.0)).ceil() as usize;
+                self.sampling(self.num_samples.max(1 + more))
+            } else {
+                self.sampling(self.num_samples)
             },
             guidance: Some(guidance),
             attention: self.explain,
@@ -274,7 +278,7 @@ impl CcdiffConfig {
     /// How the plans of worlds without guidance are drawn: of several samples the one that touches least and stays on
     /// the road is taken, as in the released code (reference.md#sampling). [`Self::careful`] moves them as well; those of tokens
     /// are the first that does neither in [`CAREFUL_STEPS`].
-    pub fn unguided(&self, kind: ModelKind) -> PlanOptions {
+    pub fn unguided(&self, network: &NetworkKind) -> PlanOptions {
         let objectives = |collision| {
             vec![
                 Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
@@ -285,12 +289,12 @@ impl CcdiffConfig {
             objectives: objectives(-AgentCollision::default().weight),
             ..GuidanceConfig::rl()
         };
-        let (filter, num_samples) = match (self.careful, kind) {
-            (true, ModelKind::Tokens) => (
+        let (filter, num_samples) = match (self.careful, network.samples_tokens) {
+            (true, true) => (
                 GuidanceConfig { gradient_steps: 0, seen_steps: Some(CAREFUL_STEPS), ..careful },
                 self.num_samples.max(CAREFUL_DRAWS),
             ),
-            (true, _) => (careful, self.num_samples),
+            (true, false) => (careful, self.num_samples),
             (false, _) => (
                 GuidanceConfig {
                     objectives: objectives(1.0),
@@ -319,7 +323,7 @@ impl CcdiffConfig {
     }
 
     /// The ranker of a plan of a scene; `ids` are those of the planned agents.
-    pub(super) fn ranker(&self, scene: &str, ids: &[&str], seed: u64) -> Ranker {
+    pub(crate) fn ranker(&self, scene: &str, ids: &[&str], seed: u64) -> Ranker {
         match &self.ranking {
             Ranking::Cliques => Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL),
             Ranking::DistanceCliques => Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL),

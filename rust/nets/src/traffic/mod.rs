@@ -15,7 +15,7 @@ mod way_out;
 
 pub use config::{
     BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, DeviceName, GraphMode, GuidanceChoice,
-    ParkedRule, Ranking,
+    ParkedRule, Ranking, driver,
 };
 
 pub use planned_agents::STATIONARY_REACH_M;
@@ -85,21 +85,22 @@ impl PlannedTraffic {
             copies.iter_mut().for_each(|c| c.set_graph_thresholds(f32::INFINITY, f32::INFINITY));
         }
         let model = copies[0].config().clone();
-        config.validate(model.horizon_steps)?;
-        config.check_kind(model.kind)?;
+        let network = copies[0].network();
+        config.validate(network, model.horizon_steps)?;
+        config.check_network(network)?;
         if config.follow_route && model.route_points_m.is_empty() {
             let expected = "false: these weights were trained without routes";
             return Err(ModelError::Config { field: "ccdiff.follow_route", got: "true".into(), expected });
         }
         copies[0].check_solver_steps(config.denoising_steps)?;
-        let (guided, unguided) = (config.guided(model.kind)?, config.unguided(model.kind));
+        let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);
         Ok(Self { copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }
 
     /// Kind of the network.
-    pub fn kind(&self) -> &'static str {
-        self.model.kind.name()
+    pub fn kind(&self) -> &str {
+        self.model.kind.as_str()
     }
 
     /// Checks that worlds can be planned for.
@@ -225,7 +226,7 @@ impl TrafficPolicy for PlannedTraffic {
             None if self.config.background_driver == BackgroundDriver::Idm
                 || self.config.plan_radius_m.is_some() =>
             {
-                Idm { config: world.config.idm }.act(world, None, agent_idx)
+                Idm { config: *world.idm }.act(world, None, agent_idx)
             }
             // not planned for yet, or left to the log
             None => Replay.act(world, None, agent_idx),

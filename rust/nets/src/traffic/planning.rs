@@ -332,7 +332,7 @@ fn view_of<'a>(
             guidance_scale: *guidance_scale,
             road: world.scene.road.as_ref(),
             collision_targets: due.is_guided().then_some(&due.collision_targets),
-            speed_limit_mps: Some(world.config.speed_limit_mps),
+            speed_limit_mps: Some(world.speed_limit_mps),
             ..WorldGuidance::new(moved)
         }),
     }

@@ -47,7 +47,7 @@ pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool 
             speed_mps: states.speed_mps[ego].max(0.0),
             footprint: scene.footprints[ego],
         };
-        start.has_way_out(&others, world.config.dt_s)
+        start.has_way_out(&others, world.dt_s)
     };
     egos.into_iter().all(has_way_out)
 }

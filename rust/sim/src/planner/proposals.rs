@@ -4,8 +4,7 @@ use super::forecast::Forecast;
 use super::{Scene, present};
 use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
-use crate::policy::idm_towards;
-use crate::world::IdmConfig;
+use crate::policy::{IdmConfig, idm_towards};
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];

@@ -5,10 +5,43 @@
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
-use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 use crate::events::leader;
 use crate::geom::{Pose2, Real, Vector2, math};
-use crate::world::IdmConfig;
+use crate::options;
+use crate::options::{above, at_least};
+
+/// The intelligent driver model.
+pub(super) const KIND: Kind = Kind {
+    name: "idm",
+    title: "IDM",
+    style: "idm",
+    options: Some(&IdmConfig::TABLE),
+    always: true,
+    make: Some(|path, text| Ok(Box::new(Idm { config: options::read(path, text)? }))),
+};
+
+options! {
+    /// Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000).
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct IdmConfig {
+        /// Time headway T.
+        headway_s: Real = 1.2, unit "s", range above(0.0);
+        /// Gap at standstill s₀.
+        min_gap_m: Real = 2.0, unit "m", range at_least(0.0);
+        /// Greatest acceleration a.
+        acceleration_mps2: Real = 1.5, unit "m/s²", range above(0.0);
+        /// Comfortable deceleration b.
+        deceleration_mps2: Real = 2.5, unit "m/s²", range above(0.0);
+        /// Hardest braking.
+        max_braking_mps2: Real = 8.0, unit "m/s²", range above(0.0);
+        /// Acceleration exponent δ.
+        exponent: Real = 4.0, range above(0.0);
+        /// Others are also looked for where they will be, at constant velocity, after this time.
+        anticipation_s: Real = 1.0, unit "s", range at_least(0.0);
+    }
+}
 
 /// Desired speed of a vehicle whose log is slower than this, m/s.
 const MIN_DESIRED_MPS: Real = 4.0;
@@ -45,7 +78,7 @@ impl Idm {
         let desired = route
             .logged_speed_mps
             .max(MIN_DESIRED_MPS)
-            .min(world.config.speed_limit_mps)
+            .min(world.speed_limit_mps)
             .min(route.curve_speed_mps(s + speed * 0.5));
         let ahead =
             leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
@@ -56,13 +89,13 @@ impl Idm {
 /// Acceleration with which the model, as the world has it, would drive an agent along its route, m/s²; `None` for parked
 /// vehicles.
 pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Option<Real> {
-    let idm = Idm { config: world.config.idm };
+    let idm = Idm { config: *world.idm };
     (!world.scene.routes[agent_idx].is_parked()).then(|| idm.wanted_acceleration(world, agent_idx))
 }
 
 impl TrafficPolicy for Idm {
     fn name(&self) -> &str {
-        "idm"
+        KIND.name
     }
 
     fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
@@ -71,7 +104,7 @@ impl TrafficPolicy for Idm {
         if route.is_parked() {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
-        let dt = world.config.dt_s;
+        let dt = world.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
         let next_speed = (speed + self.wanted_acceleration(world, agent_idx) * dt).max(0.0);

@@ -10,13 +10,15 @@
 mod constant_velocity;
 mod driver;
 mod idm;
+mod kind;
 mod plan;
 mod replay;
 mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
 pub use driver::Driver;
-pub use idm::{Idm, idm_acceleration, idm_towards};
+pub use idm::{Idm, IdmConfig, idm_acceleration, idm_towards};
+pub use kind::{Kind, Make};
 pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
 };
@@ -24,9 +26,12 @@ pub use replay::Replay;
 pub use social_force::SocialForce;
 
 use crate::error::Result;
-use crate::geom::{Pose2, Vector2};
+use crate::geom::{Pose2, Real, Vector2};
+use crate::stage::{History, PreparedScene};
 use crate::state::AgentStates;
-use crate::world::{History, PreparedScene, WorldConfig};
+
+/// The kinds of the simulator: a new one is a line here.
+pub const KINDS: &[Kind] = &[replay::KIND, constant_velocity::KIND, idm::KIND];
 
 /// What a policy may see of a world before a step.
 #[derive(Clone, Copy)]
@@ -53,8 +58,12 @@ pub struct WorldView<'a> {
     pub elapsed_steps: usize,
     /// A number that depends on nothing but the world's seed, its episode and the step: the seed of noise.
     pub noise_seed: u64,
-    /// Configuration of the world.
-    pub config: &'a WorldConfig,
+    /// Step, seconds.
+    pub dt_s: Real,
+    /// Speed limit where the map has none, m/s.
+    pub speed_limit_mps: Real,
+    /// Options of the intelligent driver model that the world has.
+    pub idm: &'a IdmConfig,
 }
 
 /// What an agent does in one step.

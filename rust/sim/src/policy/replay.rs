@@ -1,6 +1,16 @@
 //! Log replay.
 
-use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+
+/// The log.
+pub(super) const KIND: Kind = Kind {
+    name: "replay",
+    title: "log",
+    style: "replay",
+    options: None,
+    always: true,
+    make: Some(|_, _| Ok(Box::new(Replay))),
+};
 
 /// Puts every agent where the log has it; leaves where the log has it no more.
 #[derive(Debug, Default)]
@@ -8,7 +18,7 @@ pub struct Replay;
 
 impl TrafficPolicy for Replay {
     fn name(&self) -> &str {
-        "replay"
+        KIND.name
     }
 
     fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {

@@ -74,7 +74,7 @@ fn logged(world: &WorldView<'_>, agent_idx: usize) -> (Real, Real, usize) {
     let scene = &world.scene.scene;
     let valid = |t: &usize| scene.is_valid(agent_idx, *t);
     let last = (0..scene.num_steps).rev().find(valid).unwrap_or(0);
-    let wanted = world.step_idx + (CATCH_UP_S / world.config.dt_s) as usize;
+    let wanted = world.step_idx + (CATCH_UP_S / world.dt_s) as usize;
     let at = (0..=wanted.min(last)).rev().find(valid).unwrap_or(last);
     (world.scene.logged_s_m(agent_idx, at), world.scene.logged_s_m(agent_idx, last), last)
 }
@@ -120,12 +120,12 @@ impl TrafficPolicy for SocialForce {
                 }
             }
         }
-        let mut next = velocity + force * world.config.dt_s;
+        let mut next = velocity + force * world.dt_s;
         let speed = next.norm();
         if speed > greatest {
             next *= greatest / speed;
         }
-        let position = pose.position + next * world.config.dt_s;
+        let position = pose.position + next * world.dt_s;
         // who stands or moves slowly keeps the heading
         let heading = if next.norm() > 0.3 { math::atan2(next.y, next.x) } else { pose.heading_rad };
         AgentMotion::Place(Pose2::new(position.x, position.y, heading), next)

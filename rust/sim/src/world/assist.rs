@@ -16,7 +16,7 @@ pub(crate) fn unicycle_action(
     command: Action,
 ) -> Action {
     let states = view.states;
-    let (pose, speed, dt_s) = (states.pose(agent_idx), states.speed_mps[agent_idx], view.config.dt_s);
+    let (pose, speed, dt_s) = (states.pose(agent_idx), states.speed_mps[agent_idx], view.dt_s);
     let Some(idm) = idm_acceleration(view, agent_idx) else { return [-speed / dt_s, 0.0, 0.0] };
     let acceleration = limits.acceleration(idm, command[0], states.acceleration_mps2[agent_idx], dt_s);
     let (path, s_m) = (&view.scene.routes[agent_idx].path, view.route_s_m[agent_idx]);

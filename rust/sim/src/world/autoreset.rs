@@ -1,9 +1,9 @@
 //! What happens to a world whose episode has ended: Gymnasium's autoreset modes.
 
+use crate::stage::PreparedScene;
 use crate::world::buffers::StepBuffers;
 use crate::world::config::Autoreset;
 use crate::world::episode::Episode;
-use crate::world::prepared::PreparedScene;
 use crate::world::tick::{Shared, World};
 use std::sync::Arc;
 

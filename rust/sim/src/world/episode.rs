@@ -4,12 +4,12 @@ use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
 use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
+use crate::stage::History;
+use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::config::{Controlled, WorldConfig};
 use crate::world::episode_statistics::EpisodeStatistics;
-use crate::world::history::History;
 use crate::world::policies::Policies;
-use crate::world::prepared::PreparedScene;
 use crate::world::rng::Rng;
 use serde::{Deserialize, Serialize};
 

@@ -4,8 +4,8 @@ use crate::events::Collisions;
 use crate::geom::{Pose2, math};
 use crate::policy::Driver;
 use crate::scene::AgentKind;
+use crate::stage::PreparedScene;
 use crate::world::episode::Episode;
-use crate::world::prepared::PreparedScene;
 
 /// Halvings in the search for the moment of contact: 1/32 of a step, 5 cm at 16 m/s.
 const HALVINGS: usize = 5;

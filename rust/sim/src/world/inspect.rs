@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Extent, Metrics, PreparedScene, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Extent, Metrics, TickPhase, VecWorld, WorldConfig};
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -8,6 +8,7 @@ use crate::geom::{Point2, Real};
 use crate::observe::Layout;
 use crate::policy::{Driver, PlanOverride, PlanRecord};
 use crate::scene::{AgentKind, Scene};
+use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::tick::World;
 use std::sync::Arc;

@@ -1,9 +1,9 @@
 //! What the map of a scene says of a place, asked from outside.
 
-use super::PreparedScene;
 use crate::geom::{Boundary, Point2, Polyline, Pose2, Real, Vector2};
 use crate::observe::{Segment, SegmentKind};
 use crate::scene::{LaneHit, follow};
+use crate::stage::PreparedScene;
 
 /// A straight piece of a line of the map in somebody's own frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

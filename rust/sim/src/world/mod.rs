@@ -19,17 +19,13 @@ mod episode;
 mod episode_statistics;
 mod executor;
 mod halt;
-mod history;
 mod inspect;
-mod log;
 mod map_queries;
 mod motion;
 mod policies;
-mod prepared;
 mod reward;
 mod rng;
 mod roles;
-mod route;
 mod rows;
 mod scenes;
 mod selection_reward;
@@ -49,16 +45,13 @@ pub use config::{
     WorldConfig,
 };
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
-pub use history::{History, PastState};
 pub use inspect::WorldStatus;
 pub use map_queries::{LaneAhead, NearPiece};
-pub use prepared::PreparedScene;
 pub use rng::Rng;
-pub use route::Route;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use step_metrics::StepMetrics;
 pub use tick::TickPhase;
-pub use traffic::{EXTERNAL, IdmConfig, Traffic};
+pub use traffic::{EXTERNAL, Traffic};
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;

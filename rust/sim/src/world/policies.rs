@@ -42,11 +42,9 @@ impl Policies {
         more: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Result<Self> {
         let idm = Idm { config: config.idm };
-        let mut table: Vec<(String, Box<dyn TrafficPolicy>)> = vec![
-            ("replay".into(), Box::new(Replay)),
-            ("constant_velocity".into(), Box::new(ConstantVelocity)),
-            ("idm".into(), Box::new(idm)),
-        ];
+        let always: [Box<dyn TrafficPolicy>; 3] =
+            [Box::new(Replay), Box::new(ConstantVelocity), Box::new(idm)];
+        let mut table: Vec<_> = always.map(|policy| (policy.name().to_owned(), policy)).into();
         let walks = config.pedestrians == Pedestrians::SocialForce;
         let social_force = || (SOCIAL_FORCE.into(), Box::new(SocialForce) as Box<dyn TrafficPolicy>);
         for (name, policy) in more.into_iter().chain(walks.then(social_force)) {

@@ -3,9 +3,9 @@
 use crate::error::{Result, SimError};
 use crate::observe::BevConfig;
 use crate::scene::Scene;
+use crate::stage::PreparedScene;
 use crate::world::config::{SceneOrder, WorldConfig};
 use crate::world::episode::Episode;
-use crate::world::prepared::PreparedScene;
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 

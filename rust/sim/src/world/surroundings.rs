@@ -3,10 +3,10 @@
 use crate::events::{lane_facts, off_road};
 use crate::geom::{Point2, Real, math};
 use crate::scene::AgentKind;
+use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
 use crate::world::episode::{Episode, Slot};
-use crate::world::prepared::PreparedScene;
 
 /// Lanes farther than this say nothing about an agent, metres.
 const LANE_REACH_M: Real = 5.0;

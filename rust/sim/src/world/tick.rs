@@ -6,6 +6,7 @@ use crate::events::{Collisions, Contact, LeastTimes};
 use crate::geom::{Pose2, Real};
 use crate::observe::Observer;
 use crate::policy::{AgentMotion, Driver, PlanRequest, WorldView};
+use crate::stage::PreparedScene;
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::WorldConfig;
@@ -13,7 +14,6 @@ use crate::world::episode::{Episode, Phase};
 use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
 use crate::world::policies::Policies;
-use crate::world::prepared::PreparedScene;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -127,7 +127,9 @@ impl World {
             step_idx: e.step_idx,
             elapsed_steps: e.elapsed_steps,
             noise_seed: e.noise_seed(),
-            config,
+            dt_s: config.dt_s,
+            speed_limit_mps: config.speed_limit_mps,
+            idm: &config.idm,
         }
     }
 

@@ -20,9 +20,55 @@ pub use over_speed::OverSpeed;
 pub use target_distance::TargetDistance;
 pub use target_speed::TargetSpeed;
 
-use super::config::Objective;
 use super::context::GuidanceContext;
 use super::rollout::{Rollout, StateGradient};
+use ccdiff_sim::choices;
+
+choices! {
+    /// One term of the guidance loss. Its signed weight w enters total = Σ w · mean loss, which is minimised: a negative
+    /// weight on a collision loss seeks collisions.
+    #[derive(Clone, Copy)]
+    #[serde(tag = "kind")]
+    pub enum Objective {
+        /// Overlap of the vehicles' disks.
+        AgentCollision(AgentCollision) = "agent_collision",
+        /// Parts of the body off the road.
+        MapCollision(MapCollision) = "map_collision",
+        /// Speed above a limit.
+        OverSpeed(OverSpeed) = "over_speed",
+        /// Distance from a wanted speed.
+        TargetSpeed(TargetSpeed) = "target_speed",
+        /// Distance from a wanted position.
+        Goal(Goal) = "goal",
+        /// Closeness of vehicles, with a gradient before contact (ours).
+        Approach(Approach) = "approach",
+        /// Lateral acceleration and jerk above their limits (ours).
+        Comfort(Comfort) = "comfort",
+        /// Distance of the likeliest attacker to the target, as STRIVE seeks it.
+        TargetDistance(TargetDistance) = "target_distance",
+    }
+}
+
+impl Objective {
+    /// The signed weight.
+    pub fn weight(&self) -> f32 {
+        match self {
+            Self::AgentCollision(o) => o.weight,
+            Self::MapCollision(o) => o.weight,
+            Self::OverSpeed(o) => o.weight,
+            Self::TargetSpeed(o) => o.weight,
+            Self::Goal(o) => o.weight,
+            Self::Approach(o) => o.weight,
+            Self::Comfort(o) => o.weight,
+            Self::TargetDistance(o) => o.weight,
+        }
+    }
+
+    /// Whether the loss of an agent depends on where the others go.
+    pub fn is_joint(&self) -> bool {
+        matches!(self, Self::AgentCollision(_) | Self::Approach(_) | Self::TargetDistance(_))
+    }
+}
 
 /// Where an objective writes to.
 #[derive(Debug)]

@@ -2,104 +2,26 @@
 //!
 //! Everything random is a function of (seed, step), so the state of a run is its step, weights, averages and moments.
 
+pub mod config;
+mod optimiser;
+
+pub use config::TrainConfig;
+
 use crate::batch::{Batch, Targets};
-use crate::checkpoint;
-use crate::config::{ModelConfig, ModelKind, unknown_preset};
+use crate::checkpoint::{self, variables};
+use crate::config::ModelConfig;
 use crate::dataset::Dataset;
 use crate::error::{ModelError, Result};
 use crate::grad::guarded;
-use crate::optimiser::{Adam, MovingAverage, variables};
+use crate::kinds::build;
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
 use crate::sampler::SampleOptions;
 use crate::torch_model::TorchModel;
-use ccdiff_sim::options;
-use ccdiff_sim::options::{above, at_least, within};
+use optimiser::{Adam, MovingAverage};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tch::{Device, Kind, Tensor, nn};
-
-options! {
-    /// How a network is trained. The defaults are those of the preset `"paper"` for CCDiff (reference.md#training-settings).
-    #[derive(Clone)]
-    pub struct TrainConfig {
-        /// Scenes per step.
-        batch_scenes: usize = 4, range at_least(1.0);
-        /// Peak learning rate.
-        learning_rate: f64 = 1e-4, range above(0.0);
-        /// Steps of linear warm-up.
-        warmup_steps: u64 = 0;
-        /// Decay of the moving average of the weights.
-        ema_decay: f64 = 0.995, range within(0.0, 1.0).open_above();
-        /// Until this step the average is a copy.
-        ema_start: u64 = 4000;
-        /// Probability that a scene's G is replaced by the identity.
-        drop_graph: f64 = 0.1, range within(0.0, 1.0);
-        /// Probability that an agent's route is not told, for a network that may know it.
-        #[serde(default)]
-        drop_route: f64 = 0.0, range within(0.0, 1.0);
-        /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
-        #[serde(default)]
-        perturb: bool = false;
-        /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
-        /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
-        #[serde(default)]
-        collision_weight: f64 = 0.0, range at_least(0.0);
-        /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
-        #[serde(default)]
-        teacher_steps: usize = 0;
-        /// Largest norm of the gradient.
-        clip_norm: f64 = 100.0;
-        /// Seed of batches, noise and dropping.
-        seed: u64 = 0;
-    }
-}
-
-impl TrainConfig {
-    /// Settings of a preset for a kind of network (reference.md#training-settings); `fast` takes larger steps and batches,
-    /// as it has minutes, not days. G is dropped in the training of CCDiff alone; contact has a loss of its own in that of
-    /// TrafficSim and STRIVE.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] for another name than `paper` and `fast`.
-    pub fn preset(name: &str, kind: ModelKind) -> Result<Self> {
-        let paper = Self::default();
-        let paper =
-            Self { drop_graph: if kind == ModelKind::Ccdiff { paper.drop_graph } else { 0.0 }, ..paper };
-        match name {
-            "paper" => Ok(paper),
-            "fast" if kind == ModelKind::Tokens => Ok(Self {
-                batch_scenes: 160,
-                learning_rate: 1.5e-3,
-                warmup_steps: 200,
-                ema_start: 200,
-                drop_route: 0.5,
-                clip_norm: 1.0,
-                perturb: true,
-                ..paper
-            }),
-            "fast" => Ok(Self {
-                batch_scenes: 24,
-                learning_rate: 1e-3,
-                warmup_steps: 200,
-                ema_start: 200,
-                clip_norm: 1.0,
-                perturb: true,
-                collision_weight: match kind {
-                    ModelKind::Trafficsim | ModelKind::Strive => 0.0,
-                    _ => 0.2,
-                },
-                ..paper
-            }),
-            _ => Err(unknown_preset(name)),
-        }
-    }
-
-    fn validated(self) -> Result<Self> {
-        options::check("training", &self)?;
-        Ok(self)
-    }
-}
 
 /// The last steps of a run, in which the learning rate falls linearly to zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -155,8 +77,8 @@ impl Trainer {
         let (model, config) = (model.validated()?, config.validated()?);
         guarded(true, "building the network", || {
             let store = nn::VarStore::new(device);
-            let network = plan_model::build(&store.root(), &model)?;
-            let average = tch::no_grad(|| MovingAverage::new(&store, &model))?;
+            let network = build(&store.root(), &model)?;
+            let average = tch::no_grad(|| MovingAverage::new(&store, |p| build(p, &model)))?;
             Ok(Self {
                 adam: Adam::new(&store),
                 store,
@@ -184,8 +106,8 @@ impl Trainer {
         if *teacher.network().space().config() != self.model {
             return fail("another network", "weights of the network that is trained");
         }
-        if !self.model.kind.denoises() {
-            return fail(self.model.kind.name(), "a network that denoises");
+        if !self.model.network()?.denoises {
+            return fail(self.model.kind.as_str(), "a network that denoises");
         }
         if self.config.teacher_steps == 0 {
             return fail("given", "none where teacher_steps is 0");
@@ -306,7 +228,7 @@ impl Trainer {
     /// What features, sampling and libtorch refuse.
     pub fn validate(&self, held_out: &Dataset, count: usize, options: SampleOptions) -> Result<Validation> {
         // tokens are cheap, and their logarithms vary
-        let count = if self.model.kind == ModelKind::Tokens { 8 * count } else { count };
+        let count = if self.model.network()?.samples_tokens { 8 * count } else { count };
         let count = count.clamp(1, held_out.len());
         let indices: Vec<usize> = (0..count).map(|i| i * held_out.len() / count).collect();
         guarded(false, "validation", || {

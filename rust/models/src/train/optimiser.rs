@@ -1,15 +1,10 @@
 //! Adam with moments that can be saved, and the moving average of the weights.
 
-use crate::config::ModelConfig;
+use crate::checkpoint::variables;
 use crate::error::Result;
-use crate::plan_model::{self, PlanModel};
+use crate::plan_model::PlanModel;
 use std::collections::BTreeMap;
 use tch::{Kind, Tensor, nn};
-
-/// All variables of a store by name, in a fixed order.
-pub(crate) fn variables(store: &nn::VarStore) -> BTreeMap<String, Tensor> {
-    store.variables().into_iter().collect()
-}
 
 /// Adam (Kingma and Ba) without weight decay.
 #[derive(Debug)]
@@ -71,9 +66,13 @@ pub(crate) struct MovingAverage {
 }
 
 impl MovingAverage {
-    pub(crate) fn new(source: &nn::VarStore, config: &ModelConfig) -> Result<Self> {
+    /// The average of the network that `build` makes, in a store of its own.
+    pub(crate) fn new(
+        source: &nn::VarStore,
+        build: impl FnOnce(&nn::Path) -> Result<Box<dyn PlanModel>>,
+    ) -> Result<Self> {
         let mut store = nn::VarStore::new(source.device());
-        let model = plan_model::build(&store.root(), config)?;
+        let model = build(&store.root())?;
         store.freeze();
         let pairs: Vec<(Tensor, Tensor)> =
             variables(&store).into_values().zip(variables(source).into_values()).collect();

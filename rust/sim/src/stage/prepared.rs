@@ -3,9 +3,9 @@
 use crate::geom::{Bitmap, Boundary, Polygon, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
 use crate::scene::{AgentKind, LaneIndex, Map, Scene};
+use crate::stage::log::Log;
+use crate::stage::route::Route;
 use crate::state::Footprint;
-use crate::world::log::Log;
-use crate::world::route::Route;
 use std::sync::{Arc, OnceLock};
 
 /// A scene made ready to be stepped.

@@ -1,0 +1,57 @@
+//! The networks on torch.
+
+use crate::baselines::{BITS, CTG, SIMNET, STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+use crate::config::ModelConfig;
+use crate::diffusion::{CCDIFF, CTGPP};
+use crate::error::Result;
+use crate::plan_model::{PlanModel, TorchKind};
+use crate::tokens::TOKENS;
+use crate::train::config::TrainConfig;
+use ccdiff_nets::kinds::named;
+use tch::nn;
+
+/// All of [`ccdiff_nets::kinds::NETWORKS`]; a new one is a line here.
+static NETWORKS: [TorchKind; 9] =
+    [CCDIFF, SIMNET, TRAFFICSIM, TRAFFICSIM_PORT, STRIVE, BITS, CTG, CTGPP, TOKENS];
+
+fn of(name: &str) -> Result<&'static TorchKind> {
+    let name = named(name)?.kind.name;
+    let found = NETWORKS.iter().find(|network| network.name == name);
+    found.ok_or_else(|| crate::ModelError::torch("building", &format!("no network {name}")))
+}
+
+/// A network with fresh weights under a path.
+///
+/// # Errors
+/// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
+pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
+    (of(config.kind.as_str())?.build)(p, config)
+}
+
+impl TrainConfig {
+    /// Settings of a preset for a network (reference.md#training-settings); `fast` takes larger steps and batches, as it has
+    /// minutes, not days. G is dropped in the training of networks that see it.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Config`] for another name than `paper` and `fast`, or an unknown network.
+    pub fn of(network: &str, preset: &str) -> Result<Self> {
+        let paper = Self::default();
+        let drop_graph = if named(network)?.causal { paper.drop_graph } else { 0.0 };
+        match preset {
+            "paper" => Ok(Self { drop_graph, ..paper }),
+            "fast" => Ok((of(network)?.fast)(Self { drop_graph, ..Self::fast() })),
+            _ => Err(crate::config::unknown_preset(preset)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_network_is_there() {
+        let known = ccdiff_nets::kinds::NETWORKS.each_ref().map(|network| network.kind.name);
+        assert_eq!(NETWORKS.each_ref().map(|network| network.name), known);
+    }
+}

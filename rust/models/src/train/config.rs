@@ -1,0 +1,62 @@
+//! How a network is trained.
+
+use crate::error::Result;
+use ccdiff_sim::options;
+use ccdiff_sim::options::{above, at_least, within};
+
+options! {
+    /// How a network is trained. The defaults are those of the preset `"paper"` for CCDiff (reference.md#training-settings).
+    #[derive(Clone)]
+    pub struct TrainConfig {
+        /// Scenes per step.
+        batch_scenes: usize = 4, range at_least(1.0);
+        /// Peak learning rate.
+        learning_rate: f64 = 1e-4, range above(0.0);
+        /// Steps of linear warm-up.
+        warmup_steps: u64 = 0;
+        /// Decay of the moving average of the weights.
+        ema_decay: f64 = 0.995, range within(0.0, 1.0).open_above();
+        /// Until this step the average is a copy.
+        ema_start: u64 = 4000;
+        /// Probability that a scene's G is replaced by the identity.
+        drop_graph: f64 = 0.1, range within(0.0, 1.0);
+        /// Probability that an agent's route is not told, for a network that may know it.
+        #[serde(default)]
+        drop_route: f64 = 0.0, range within(0.0, 1.0);
+        /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
+        #[serde(default)]
+        perturb: bool = false;
+        /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
+        /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
+        #[serde(default)]
+        collision_weight: f64 = 0.0, range at_least(0.0);
+        /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
+        #[serde(default)]
+        teacher_steps: usize = 0;
+        /// Largest norm of the gradient.
+        clip_norm: f64 = 100.0;
+        /// Seed of batches, noise and dropping.
+        seed: u64 = 0;
+    }
+}
+
+impl TrainConfig {
+    /// Larger steps and batches than the paper's.
+    pub(crate) fn fast() -> Self {
+        Self {
+            batch_scenes: 24,
+            learning_rate: 1e-3,
+            warmup_steps: 200,
+            ema_start: 200,
+            clip_norm: 1.0,
+            perturb: true,
+            collision_weight: 0.2,
+            ..Self::default()
+        }
+    }
+
+    pub(crate) fn validated(self) -> Result<Self> {
+        options::check("training", &self)?;
+        Ok(self)
+    }
+}

@@ -1,0 +1,29 @@
+//! CCDiff and CTG++: scene diffusion over the decision causal graph, or over a graph of distances.
+
+mod network;
+
+pub use network::{Context, Network};
+
+use crate::kind::NetworkKind;
+use crate::own_planner::denoiser;
+use crate::traffic::driver;
+
+/// Scene diffusion over the decision causal graph.
+pub const CCDIFF: NetworkKind = NetworkKind {
+    weights: &["fast", "one_step", "routes", "routes_one_step"],
+    denoises: true,
+    attends: true,
+    causal: true,
+    routes: true,
+    sizes: |preset| preset,
+    own: Some(denoiser),
+    ..NetworkKind::of(driver("ccdiff", "CCDiff"))
+};
+
+/// Scene diffusion over a graph of distances.
+pub const CTGPP: NetworkKind = NetworkKind {
+    denoises: true,
+    attends: true,
+    own: Some(denoiser),
+    ..NetworkKind::of(driver("ctgpp", "CTG++"))
+};

@@ -1,0 +1,10 @@
+//! What worlds of a scene stand on: the scene made ready, its routes and log, and what agents did last.
+
+mod history;
+mod log;
+mod prepared;
+mod route;
+
+pub use history::{History, PastState};
+pub use prepared::PreparedScene;
+pub use route::Route;
