@@ -116,7 +116,7 @@ fn what_own_kernels_lack_is_named() {
         (ModelConfig { map: Some(narrow), ..ModelConfig::fast() }, "model.map.feature_width is 32"),
         (ModelConfig::of("strive", "fast").unwrap(), "model.kind is strive"),
     ] {
-        let text = ccdiff_nets::own::check(&config).unwrap_err().to_string();
+        let text = ccdiff_nets::kinds::check_own(&config).unwrap_err().to_string();
         assert!(text.contains(field) && text.contains("without torch"), "{text}");
     }
 }
