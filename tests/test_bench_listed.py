@@ -45,11 +45,11 @@ def test_the_controlled_vehicles_are_those_of_the_list_in_its_order():
 def test_a_short_list_is_filled_up_and_always_in_the_same_way():
     scene = ccdiff_env.embedded_scenes("val")[0]
     listed = everybody(ONE)[scene.name][:1]
-    first = control_set(scene, "given", 3, listed=listed)
+    first = control_set(scene, "listed", 3, listed=listed)
     assert len(set(first)) == 3
     assert scene.agent_ids[first[0]] == listed[0]
-    assert first == control_set(scene, "given", 3, 7, listed=listed)
-    assert set(control_set(scene, "given", None)) == set(control_set(scene, "cliques", None))
+    assert first == control_set(scene, "listed", 3, 7, listed=listed)
+    assert set(control_set(scene, "listed", None)) == set(control_set(scene, "cliques", None))
 
 
 def test_a_list_goes_into_the_jobs_of_its_scenes_alone():
@@ -96,8 +96,7 @@ def test_the_command_plays_the_lists_of_a_file_and_only_those(tmp_path, capsys):
     path.write_text(json.dumps(lists))
     command = ["bench", "traffic", "--out", str(out), "--limit", "1", "--k", "1", "--quiet"]
     command += ["--t", "5"]
-    assert cli.main([*command, "--methods", "idm", "--human", str(path)]) == 0
-    assert "--human is called --listed" in capsys.readouterr().err
+    assert cli.main([*command, "--methods", "idm", "--listed", str(path)]) == 0
     assert "CCDiff, listed by a person" in (out / "table.md").read_text(encoding="utf-8")
     assert json.loads((out / "run.json").read_text(encoding="utf-8"))["listed"] == lists
     # other methods go on in the same folder, other lists do not

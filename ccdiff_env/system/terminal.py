@@ -26,7 +26,7 @@ _INTERVAL = re.compile(r" \[[^\]]*\]")
 def say(markdown: str) -> None:
     """Print Markdown as :func:`align` has it, for the terminal that reads it."""
     width = shutil.get_terminal_size((ENDLESS, 24)).columns
-    print(align(markdown, width=width, bold=sys.stdout.isatty()))
+    print(align(markdown, width=width, bold=sys.stdout.isatty()), end="")
 
 
 def counted(number: int, what: str) -> str:
