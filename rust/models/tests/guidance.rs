@@ -313,7 +313,7 @@ fn follows_the_sign(mut model: TrajectoryModel) {
     for (weight, nearer) in [(-50.0, true), (50.0, false)] {
         let [moved, chosen] = [with(weight, 4), with(weight, 0)].map(&mut closeness);
         assert!(
-            if nearer { moved > 1.5 * chosen } else { moved < chosen / 1.5 },
+            if nearer { moved > 1.4 * chosen } else { moved < chosen / 1.4 },
             "{weight}: {moved} {chosen}"
         );
     }
