@@ -34,6 +34,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.scenes.sources import title
+from ccdiff_env.system.table import Column, Table
 from ccdiff_env.system.terminal import say
 from ccdiff_env.view import write_page
 
@@ -244,12 +245,12 @@ def record_episode(scenes: Any, index: int, traffic: dict[str, Any], act: Act) -
 
 def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
     """Markdown table: one row per traffic and ego, mean over scenes in percent."""
-    head = "| traffic | ego | " + " | ".join(f"{name} %" for name, _ in FIGURES) + " |"
-    lines = [head, "|---|---|" + "---:|" * len(FIGURES)]
-    for (traffic, ego), rows in results.items():
-        cells = [f"{100 * np.mean([r[key] for r in rows]):.0f}" for _, key in FIGURES]
-        lines.append(f"| {traffic} | {ego} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    columns = [Column(name, unit="%", digits=0, factor=100.0) for name, _ in FIGURES]
+    shown = [
+        [traffic, ego, *(float(np.mean([r[key] for r in rows])) for _, key in FIGURES)]
+        for (traffic, ego), rows in results.items()
+    ]
+    return str(Table(["traffic", "ego", *columns], shown))
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ import pytest
 from test_scenes_scenarionet import scenario
 
 import ccdiff_env
-from ccdiff_env.bench.intervals import FEW, cell, mean_interval
+from ccdiff_env.bench.intervals import FEW, mean_interval
 from ccdiff_env.bench.planners import planner_score
 from ccdiff_env.bench.scenes import scene_names, source_title
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -27,6 +27,7 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.scenes.sources import SOURCES, Place, Source, coverage, parse, settled, title
+from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
 
 FOLDER, MINI = "/data/nuscenes", "v1.0-mini"
@@ -325,14 +326,14 @@ def test_intervals_need_ten_scenes_and_known_figures():
     rows = [{"scene": str(i), "x": float(i % 2)} for i in range(10)]
     mean, low, high = mean_interval(rows, "x")
     assert low < mean == 0.5 < high
-    assert cell((mean, low, high)) == f"0.50 [{low:.2f}, {high:.2f}]"
+    assert Column("").text((mean, low, high)) == f"0.50 [{low:.2f}, {high:.2f}]"
     few = mean_interval(rows[:9], "x")
-    assert cell(few) == "0.44"
+    assert Column("").text(few) == "0.44"
     # several rows of a scene are one scene
-    assert cell(mean_interval([{**row, "scene": "a"} for row in rows], "x")) == "0.50"
+    assert Column("").text(mean_interval([{**row, "scene": "a"} for row in rows], "x")) == "0.50"
     # scenes that lack the figure are none
     assert np.isnan(mean_interval([*rows[:9], {"scene": "b", "x": None}], "x")[1])
-    assert cell(mean_interval([{"scene": "a", "x": None}], "x")) == "n/a"
+    assert Column("").text(mean_interval([{"scene": "a", "x": None}], "x")) == "n/a"
 
 
 def test_a_load_without_roads_warns_once(tmp_path):

@@ -22,24 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import cell, mean_interval
+from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results"
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of a table: the figure of the file of the run, what it is multiplied by, digits."""
-
-    name: str
-    digits: int = 2
-    factor: float = 1.0
-    interval: bool = True
-
-
-@dataclass(frozen=True)
-class Table:
+class Made:
     """A command of ``ccdiff-env``, the file that it writes, and which figures stand in the docs.
 
     ``keys`` name a row. A file with a row per scene is averaged.
@@ -51,7 +42,7 @@ class Table:
     columns: dict[str, Column]
 
 
-_PLANNERS = Table(
+_PLANNERS = Made(
     "bench planners --protocol planner-1.0 --level smoke --planners "
     "constant_velocity,lane_idm,idm,pdm,ego,ego_replay,ccdiff,replay",
     "headlines.csv",
@@ -69,49 +60,49 @@ _PLANNERS = Table(
         "tokens": Column("tokens", interval=False),
     },
 )
-_SCR, _ORR = Column("scr"), Column("orr", 2, interval=False)
-_FDE, _CFD = Column("fde", 1, interval=False), Column("cfd", 1, interval=False)
+_SCR, _ORR = Column("scr"), Column("orr", interval=False)
+_FDE, _CFD = Column("fde", digits=1, interval=False), Column("cfd", digits=1, interval=False)
 _COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
 _TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
 _GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
 
-TABLES: dict[str, Table] = {
+TABLES: dict[str, Made] = {
     "planners_smoke": _PLANNERS,
     "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
-    "realism": Table(
+    "realism": Made(
         "bench realism --samples 8 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,tokens_careful,"
         "tokens_routes_one_sample,tokens_routes_careful",
         "likelihoods.csv",
         ("method",),
         {
-            "realism": Column("realism", 3),
-            "kinematic": Column("kinematic", 3),
-            "at 0.5 s": Column("kinematic_half_s", 3, interval=False),
-            "own kinematic": Column("own_kinematic", 3, interval=False),
-            "interactive": Column("interactive", 3),
-            "map": Column("map", 3),
+            "realism": Column("realism", digits=3),
+            "kinematic": Column("kinematic", digits=3),
+            "at 0.5 s": Column("kinematic_half_s", digits=3, interval=False),
+            "own kinematic": Column("own_kinematic", digits=3, interval=False),
+            "interactive": Column("interactive", digits=3),
+            "map": Column("map", digits=3),
             "min ADE m": Column("min_ade_m", interval=False),
-            "SCR": Column("scr", 3, interval=False),
-            "off road %": Column("orr", 2, 100.0, interval=False),
+            "SCR": Column("scr", digits=3, interval=False),
+            "off road %": Column("orr", factor=100.0, interval=False),
         },
     ),
-    "criticality": Table(
+    "criticality": Made(
         "bench traffic --k Full --methods "
         "ccdiff_unguided,ccdiff-0.25,ccdiff-0.5,ccdiff-0.75,ccdiff,ccdiff-1.5,ccdiff-2",
         "figures.csv",
         ("method",),
         _GUIDED,
     ),
-    "rivals": Table("bench traffic --k 5 --methods all", "figures.csv", ("method",), _GUIDED),
-    "steps": Table(
+    "rivals": Made("bench traffic --k 5 --methods all", "figures.csv", ("method",), _GUIDED),
+    "steps": Made(
         "bench traffic --k 5 --methods ccdiff_one_sample,ccdiff_one_step_one_sample,"
         "ccdiff,ccdiff_one_step",
         "figures.csv",
         ("method",),
         _GUIDED,
     ),
-    "routes": Table(
+    "routes": Made(
         "bench traffic --k Full --methods replay,constant_velocity,idm,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_routes",
         "figures.csv",
@@ -145,7 +136,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     (DATA / f"{name}.json").write_text(text, encoding="utf-8")
 
 
-def _kept(table: Table, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
+def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
     """Keys and figures of a table's rows, each figure with its interval."""
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
@@ -170,7 +161,7 @@ def _kept(table: Table, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
 
 def render(name: str, chosen: str | None = None) -> str:
     """Return the table of a name, in Markdown, from what its run kept; all columns by default."""
-    from ccdiff_env.bench.methods import METHODS
+    from ccdiff_env.bench.methods import label_of
     from ccdiff_env.bench.planner_report import title_of
 
     table = TABLES[name]
@@ -178,25 +169,18 @@ def render(name: str, chosen: str | None = None) -> str:
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
-    lines = [
-        "| " + " | ".join([*table.keys, *table.columns]) + " |",
-        "|" + "---|" * (len(table.keys) + len(table.columns)),
-    ]
+    rows: TableRows = []
     for row in kept["rows"]:
-        if table.keys == ("planner",):
-            cells = [title_of(row["planner"])]
-        else:
-            cells = [METHODS[row[k]].label if row[k] in METHODS else row[k] for k in table.keys]
+        title = title_of if table.keys == ("planner",) else label_of
+        cells: list[Cell] = [title(row[key]) for key in table.keys]
         for column in table.columns.values():
-            value, low, high = (
-                np.nan if v is None else v * column.factor for v in row[column.name]
-            )
-            bounds = (low, high) if column.interval else (np.nan, np.nan)
-            cells.append(cell((value, *bounds), column.digits))
-        lines.append("| " + " | ".join(cells) + " |")
+            value, low, high = (np.nan if v is None else v for v in row[column.name])
+            cells.append((value, low, high))
+        rows.append(cells)
+    columns = (replace(column, head=head) for head, column in table.columns.items())
     command = f"`{kept['command']}`, " if chosen is None else ""
-    lines += ["", f"{command}{kept['scenes']}, {kept['date']}."]
-    return "\n".join(lines)
+    text = f"{command}{kept['scenes']}, {kept['date']}."
+    return document(Table([*table.keys, *columns], rows), text).rstrip()
 
 
 def rendered(page: str) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from ccdiff_env import _native
@@ -16,6 +16,7 @@ from ccdiff_env.config import RewardConfig
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.envs.selection.view import FEATURES, observation_space
+from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
 __all__ = ["TABLES", "filled"]
@@ -23,10 +24,8 @@ __all__ = ["TABLES", "filled"]
 _BLOCK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    names = list(head)
-    lines = [names, ["---"] * len(names), *(list(row) for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return f"{Table(heads, list(rows))}\n"
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:

@@ -14,6 +14,7 @@ from ccdiff_env.bench.planner_report import over_seeds, permutation_p, short_nam
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.system.table import Column, Table, TableRows, document
 from ccdiff_env.system.terminal import counted, say
 
 __all__ = ["compare"]
@@ -52,13 +53,11 @@ def compare(first: Record, second: Record) -> str:
         If episodes are missing.
     """
     pairs = _pairs(first, second)
-    lines = [f"From {first.path} to {second.path}, paired by scene.", ""]
+    lines = [f"From {first.path} to {second.path}, paired by scene."]
     notes = {note for one, other in pairs for note in _differing(one, other)}
-    lines += [f"Not the same: {', '.join(sorted(notes))}.", ""] if notes else []
-    lines += ["| planner | traffic | scenes | first | second | difference | p |"]
-    lines += ["|---|---|---:|---:|---:|---:|---:|"]
-    changed: list[tuple[float, str]] = []
-    count = len(lines)
+    lines += [f"Not the same: {', '.join(sorted(notes))}."] if notes else []
+    rows: TableRows = []
+    changed: TableRows = []
     for one, other in pairs:
         title = short_name(one.planner)
         if other.planner != one.planner:
@@ -69,29 +68,24 @@ def compare(first: Record, second: Record) -> str:
             if not shared:
                 continue
             a, b = (np.array([of[s]["score"] for s in shared]) for of in (before, after))
-            rows = [{"scene": s, "score": d} for s, d in zip(shared, b - a, strict=True)]
-            mean, low, high = mean_interval(rows, "score")
-            few = are_few(rows)
-            interval = "" if few else f" [{low:+.2f}, {high:+.2f}]"
-            p = "" if few else f"{permutation_p(b - a):.4f}"
+            less = [{"scene": s, "score": d} for s, d in zip(shared, b - a, strict=True)]
+            p = None if are_few(less) else permutation_p(b - a)
             label = TRAFFIC[traffic].label
-            lines.append(
-                f"| {title} | {label} | {len(shared)} | {a.mean():.2f} | {b.mean():.2f} | "
-                f"{mean:+.2f}{interval} | {p} |"
-            )
-            changed += [
-                (float(y - x), f"| {s} | {title} | {label} | {x:.2f} | {y:.2f} |")
-                for s, x, y in zip(shared, a, b, strict=True)
-                if x != y
-            ]
-    if len(lines) == count:
+            means = (float(a.mean()), float(b.mean()), mean_interval(less, "score"))
+            rows.append([title, label, len(shared), *means, p])
+            scores = zip(shared, a.tolist(), b.tolist(), strict=True)
+            changed += [[s, title, label, x, y] for s, x, y in scores if x != y]
+    if not rows:
         raise ConfigError(f"{first.path} and {second.path} share no traffic and scene")
-    changed.sort(key=lambda entry: (-abs(entry[0]), entry[1]))
-    lines += ["", f"{counted(len(changed), 'score')} changed."]
-    if changed:
-        lines += ["", "### Changed most", "", "| scene | planner | traffic | first | second |"]
-        lines += ["|---|---|---|---:|---:|", *(line for _, line in changed[:LISTED])]
-    return "\n".join(lines) + "\n"
+    changed.sort(key=lambda row: (-abs(row[4] - row[3]), *row[:3]))  # type: ignore[operator]
+    scores_of = (Column("first"), Column("second"))
+    columns = [*scores_of, Column("difference", sign="+"), Column("p", digits=4)]
+    return document(
+        *lines,
+        Table(["planner", "traffic", "scenes", *columns], rows),
+        f"{counted(len(changed), 'score')} changed.",
+        Table(["scene", "planner", "traffic", *scores_of], changed[:LISTED], "Changed most"),
+    )
 
 
 def _pairs(first: Record, second: Record) -> list[tuple[Result, Result]]:

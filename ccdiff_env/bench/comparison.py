@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import FEW, cell
+from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import (
     NEED_ROAD,
@@ -21,20 +21,21 @@ from ccdiff_env.bench.tables import (
 )
 from ccdiff_env.metrics import generational_distance
 from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows, document
 
-__all__ = ["PAPER", "Difference", "difference", "paper_pairs", "write_comparison"]
+__all__ = ["PAPER", "difference", "paper_pairs", "write_comparison"]
 
-#: Value, and its 95 % interval.
-Difference = tuple[float, float, float]
-
-#: Figures that are compared: name, heading, digits.
+#: Figures that are compared.
 COMPARED = {
-    "scr": ("SCR", 2),
-    "scr_controlled": ("SCR new, controlled", 2),
-    "orr": ("ORR %", 2),
-    "fde": ("FDE m", 2),
-    "cfd": ("CFD", 2),
-    "realism_cost": ("C(tau)", 2),
+    column.name: column
+    for column in (
+        Column("scr", "SCR", sign="+"),
+        Column("scr_controlled", "SCR new, controlled", sign="+"),
+        Column("orr", "ORR", "%", sign="+"),
+        Column("fde", "FDE", "m", sign="+"),
+        Column("cfd", "CFD", sign="+"),
+        Column("realism_cost", "C(tau)", sign="+"),
+    )
 }
 UNGUIDED = "_unguided"
 
@@ -82,51 +83,39 @@ ccdiff     cfd  1.88  1.92  1.93  2.25  2.83  3.47  2.37  4.08  4.25  4.97  6.33
 """)
 
 
-def difference(one: Figures, other: Figures, name: str) -> Difference:
+def difference(one: Figures, other: Figures, name: str) -> Figure:
     """Return one less the other in a figure, and the paired bootstrap interval over scenes."""
     low, high = interval(one.draws[name] - other.draws[name])
     return one.value[name] - other.value[name], low, high
 
 
-def _against(table: Mapping[Condition, Figures], base: str) -> str:
+def _against(table: Mapping[Condition, Figures], base: str) -> list[Block]:
     """Paired differences of all methods to one; those without guidance to it without guidance."""
-    lines: list[str] = []
+    rows: TableRows = []
     for c, figures in table.items():
         other = base + UNGUIDED if c.method.endswith(UNGUIDED) else base
         reference = table.get(Condition(other, c.num_controlled, c.replan_steps))
         if reference is None or c.method == other or c.method not in METHODS:
             continue
-        cells = []
-        for name, (_, digits) in COMPARED.items():
-            found = difference(figures, reference, name)
-            known = name in NEED_ROAD or np.isfinite(found[0])
-            cells.append(cell(found, digits, "+") if known else "")
-        label, period = METHODS[c.method].label, f"{c.replan_steps / 10:g}"
-        lines.append(f"| {label} | {c.k} | {period} | {' | '.join(cells)} |")
-    if not lines:
-        return ""
+        found = {name: difference(figures, reference, name) for name in COMPARED}
+        cells = [f if n in NEED_ROAD or np.isfinite(f[0]) else None for n, f in found.items()]
+        rows.append([METHODS[c.method].label, c.k, f"{c.replan_steps / 10:g}", *cells])
+    if not rows:
+        return []
     intervals = FEW if of_few(table) else "95 % intervals of the paired bootstrap."
-    heads = ["method", "K", "T s", *(head for head, _ in COMPARED.values())]
-    return "\n".join(
-        [
-            f"### Less {METHODS[base].label}",
-            "",
-            f"Means over scenes, same scenes and vehicles; {intervals} "
-            "Methods without guidance: less the same without guidance.",
-            "",
-            "| " + " | ".join(heads) + " |",
-            "|---|" + "---:|" * (len(heads) - 1),
-            *lines,
-            "",
-        ]
-    )
+    return [
+        f"### Less {METHODS[base].label}",
+        f"Means over scenes, same scenes and vehicles; {intervals} "
+        "Methods without guidance: less the same without guidance.",
+        Table(["method", "K", "T s", *COMPARED.values()], rows),
+    ]
 
 
-def _distances(table: Mapping[Condition, Figures]) -> str:
+def _distances(table: Mapping[Condition, Figures]) -> list[Block]:
     """GD and IGD to the Pareto front of control and realism, of methods that have every K."""
     relative = with_scores(table, False)
     if not relative:
-        return ""
+        return []
     steps = min(c.replan_steps for c in relative)
     of: dict[str, list[tuple[float, float]]] = {}
     for c in in_order(relative):
@@ -134,28 +123,17 @@ def _distances(table: Mapping[Condition, Figures]) -> str:
             of.setdefault(c.method, []).append(relative[c])
     most = max(len(points) for points in of.values())
     whole = {method: points for method, points in of.items() if len(points) == most}
-    if len(whole) < 2:
-        return ""
     points = np.array(list(whole.values()))
-    if not np.isfinite(points).all():  # no road, no realism
-        return ""
+    if len(whole) < 2 or not np.isfinite(points).all():  # no road, no realism
+        return []
     gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
-    lines = [
-        f"| {METHODS[method].label} | {cs:.2f} | {rs:.2f} | {near:.2f} | {inverse:.2f} |"
-        for method, (cs, rs), near, inverse in zip(whole, points.mean(axis=1), gd, igd, strict=True)
+    means = zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
+    rows: TableRows = [[METHODS[method].label, *map(float, figures)] for method, *figures in means]
+    return [
+        "### Distance to the Pareto front of control and realism",
+        f"Over {most} numbers of vehicles; less is better for GD and IGD.",
+        Table(["method", *map(Column, ("CS", "RS", "GD", "IGD"))], rows),
     ]
-    return "\n".join(
-        [
-            "### Distance to the Pareto front of control and realism",
-            "",
-            f"Over {most} numbers of vehicles; less is better for GD and IGD.",
-            "",
-            "| method | CS | RS | GD | IGD |",
-            "|---|---:|---:|---:|---:|",
-            *lines,
-            "",
-        ]
-    )
 
 
 def paper_pairs(
@@ -194,40 +172,36 @@ def _played(
     return {name: figures for name, figures in found.items() if figures is not None}
 
 
-def _beside(table: Mapping[Condition, Figures], base: str) -> str:
+def _beside(table: Mapping[Condition, Figures], base: str) -> list[Block]:
     """Our figures beside the paper's, and whether their order is the same."""
-    parts: list[str] = []
+    blocks: list[Block] = []
+    names = ("scr", "orr", "fde", "cfd")
     for at, column in enumerate(PAPER_COLUMNS):
         played = _played(table, column, base)
         if len(played) < 2:
             continue
-        names = ("scr", "orr", "fde", "cfd")
-        heads = [COMPARED[name][0] for name in names]
-        k, steps = "all" if column[0] is None else column[0], column[1]
-        parts += [
-            f"### Beside the paper, K = {k}, T = {steps / 10:g} s",
-            "",
-            "Here, paper. Compare orders, not values: scenes, floor and budget differ.",
-            "",
-            "| method | " + " | ".join(heads) + " |",
-            "|---|" + "---:|" * len(heads),
-        ]
-        for method, figures in played.items():
-            cells = [
-                f"{cell((figures.value[n], np.nan, np.nan))}, {PAPER[method][n][at]:.2f}"
-                for n in names
+        plain = Column("")
+        rows = [
+            [
+                METHODS[base if method == "ccdiff" else method].label,
+                *(f"{plain.text(f.value[n])}, {PAPER[method][n][at]:.2f}" for n in names),
             ]
-            label = METHODS[base if method == "ccdiff" else method].label
-            parts.append(f"| {label} | {' | '.join(cells)} |")
-        counts = [paper_pairs(table, column, name, base) for name in names]
-        every = " | ".join(f"{c[1]} of {c[0]}" for c in counts)
-        clear = " | ".join(f"{c[3]} of {c[2]}" for c in counts)
-        parts += [
-            f"| pairs in the paper's order | {every} |",
-            f"| of those that differ clearly (interval without 0) | {clear} |",
-            "",
+            for method, f in played.items()
         ]
-    return "\n".join(parts)
+        counts = [paper_pairs(table, column, name, base) for name in names]
+        rows += [
+            ["pairs in the paper's order", *(f"{c[1]} of {c[0]}" for c in counts)],
+            [
+                "of those that differ clearly (interval without 0)",
+                *(f"{c[3]} of {c[2]}" for c in counts),
+            ],
+        ]
+        blocks += [
+            f"### Beside the paper, K = {column[0] or 'all'}, T = {column[1] / 10:g} s",
+            "Here, paper. Compare orders, not values: scenes, floor and budget differ.",
+            Table(["method", *(COMPARED[name].title for name in names)], rows),
+        ]
+    return blocks
 
 
 def write_comparison(
@@ -238,8 +212,7 @@ def write_comparison(
     CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
     """
     base = "ccdiff_equal" if "ccdiff_equal" in methods else "ccdiff"
-    parts = [_against(table, base)]
+    blocks = _against(table, base)
     if not of_few(table):
-        parts += [_distances(table), _beside(table, base)]
-    text = "\n".join(part for part in parts if part)
-    write_aside(folder / "comparison.md", text or "One method alone.\n")
+        blocks += [*_distances(table), *_beside(table, base)]
+    write_aside(folder / "comparison.md", document(*blocks or ["One method alone."]))

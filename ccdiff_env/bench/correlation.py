@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.intervals import LEAST_SCENES
-from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.tables import Condition
 from ccdiff_env.metrics import pearson
-from ccdiff_env.system.files import write_aside, writing
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Table, TableRows, document
 
 __all__ = ["Correlation", "correlations", "write_correlations"]
 
@@ -67,26 +67,24 @@ def _correlate(x: Sequence[float], y: Sequence[float]) -> Correlation:
 def write_correlations(by_condition: Mapping[Condition, Rows], folder: Path) -> None:
     """Write ``correlation.md`` and ``correlation.csv``: every condition but the floor."""
     found = {c: correlations(rows) for c, rows in by_condition.items() if c.num_controlled != 0}
-    lines = ["| method | K | a plan every s | " + " | ".join(FEATURES.values()) + " |"]
-    lines.append("|---|---|---|" + "---|" * len(FEATURES))
-    with writing(folder / "correlation.csv") as file:
-        writer = csv.writer(file)
-        writer.writerow(["method", "K", "replan_s", "feature", "count", "r", "p"])
-        for c, by_feature in found.items():
-            for name, values in by_feature.items():
-                writer.writerow([c.method, c.k, c.replan_steps / 10, name, *values])
-            label = METHODS[c.method].label if c.method in METHODS else c.method
-            some = len(by_condition[c]) >= LEAST_SCENES
-            cells = [_cell(by_feature[name], some) for name in FEATURES]
-            lines.append(
-                f"| {label} | {c.k} | {c.replan_steps / 10:g} | " + " | ".join(cells) + " |"
-            )
-    lines += [
-        "",
-        "Pearson's r of the feature with new collisions, and its p value, which says nothing of "
-        f"fewer than {LEAST_SCENES} scenes and is left out there. No cell: one never varies.",
+    rows: TableRows = [
+        [c.method, c.k, c.replan_steps / 10, name, *values]
+        for c, by_feature in found.items()
+        for name, values in by_feature.items()
     ]
-    write_aside(folder / "correlation.md", "\n".join(lines) + "\n")
+    columns = ("method", "K", "replan_s", "feature", "count", "r", "p")
+    Table(columns, rows).write_csv(folder / "correlation.csv")
+    shown = []
+    for c, by_feature in found.items():
+        some = len(by_condition[c]) >= LEAST_SCENES
+        cells = [_cell(by_feature[name], some) for name in FEATURES]
+        shown.append([label_of(c.method), c.k, f"{c.replan_steps / 10:g}", *cells])
+    note = (
+        "Pearson's r of the feature with new collisions, and its p value, which says nothing of "
+        f"fewer than {LEAST_SCENES} scenes and is left out there. No cell: one never varies."
+    )
+    table = Table(["method", "K", "a plan every s", *FEATURES.values()], shown)
+    write_aside(folder / "correlation.md", document(table, note))
 
 
 def _cell(found: Correlation, some: bool) -> str:

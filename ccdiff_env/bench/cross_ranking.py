@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.system.files import read_text, reading
+from ccdiff_env.system.table import Column, Table, TableRows, document
 
 __all__ = ["ranking"]
 
@@ -42,14 +43,10 @@ def ranking(folders: Mapping[str, Path]) -> str:
     def share(row: Mapping[str, str], count: str) -> float:
         return int(row[count]) / max(int(row["scenarios"]), 1)
 
-    def mean(rows: list[dict[str, str]], figure: str) -> str:
-        return f"{np.mean([float(row[figure]) for row in rows]):.2f}" if rows else ""
+    def mean(rows: list[dict[str, str]], figure: str) -> float | None:
+        return float(np.mean([float(row[figure]) for row in rows])) if rows else None
 
-    lines = [
-        "| traffic | made against | scenarios | collision | at fault | avoidable | C(tau) | "
-        "FDE m | CFD | other planners collide | s per scene |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
+    sets: TableRows = []
     for row in sorted(made, key=lambda row: -share(row, "avoidable")):
         others = [
             cell
@@ -57,36 +54,38 @@ def ranking(folders: Mapping[str, Path]) -> str:
             if (cell["traffic"], cell["generator"]) == (row["traffic"], row["generator"])
             and cell["planner"] != row["generator"]
         ]
-        figures = [f"{share(row, name):.2f}" for name in ("collision", "at_fault", "avoidable")]
-        for name, digits in (("realism_cost", 2), ("fde_m", 1), ("cfd", 1)):
-            figures.append(_number(row[name], digits))
-        lines.append(
-            f"| [{row['traffic']}]({folders[row['traffic']].name}/report.html) | "
-            f"{short_name(row['generator'])} | {row['scenarios']} | {' | '.join(figures)} | "
-            f"{mean(others, 'collision')} | {_number(row['seconds'], 2)} |"
-        )
-    lines += [
-        "",
+        page = f"[{row['traffic']}]({folders[row['traffic']].name}/report.html)"
+        shares = [share(row, name) for name in ("collision", "at_fault", "avoidable")]
+        figures = [_number(row[name]) for name in ("realism_cost", "fde_m", "cfd")]
+        hit, seconds = mean(others, "collision"), _number(row["seconds"])
+        generator = short_name(row["generator"])
+        sets.append([page, generator, row["scenarios"], *shares, *figures, hit, seconds])
+    stood: TableRows = []
+    for planner in planners:
+        cells = [row for row in tested if row["planner"] == planner]
+        against = [row for row in cells if row["generator"] not in (REACTING, planner)]
+        reacting = [row for row in cells if row["generator"] == REACTING]
+        means = [mean(against, name) for name in ("score", "collision", "at_fault")]
+        means += [mean(reacting, name) for name in ("score", "collision")]
+        stood.append([short_name(planner), *means])
+    achieved = map(Column, ("collision", "at_fault", "avoidable"))
+    realism = [Column("C(tau)"), Column("FDE m", digits=1), Column("CFD", digits=1)]
+    rest = (Column("other planners collide"), Column("s per scene"))
+    scores = map(
+        Column, ("score", "collision", "at_fault", "reacting: score", "reacting: collision")
+    )
+    stood.sort(key=lambda row: -1.0 if row[1] is None else row[1], reverse=True)
+    return document(
+        Table(["traffic", "made against", "scenarios", *achieved, *realism, *rest], sets),
         "Shares of all scenarios. C(tau), FDE and CFD are of the vehicles that the traffic drives. "
         "In a set the others do as recorded. Seconds of a processor are those for "
         "playing a scene and the search for plans that avoid its collision.",
-        "",
-        "| planner | score | collision | at fault | reacting: score | reacting: collision |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    ordered = []
-    for planner in planners:
-        cells = [row for row in tested if row["planner"] == planner]
-        sets = [row for row in cells if row["generator"] not in (REACTING, planner)]
-        reacting = [row for row in cells if row["generator"] == REACTING]
-        figures = [mean(sets, name) for name in ("score", "collision", "at_fault")]
-        figures += [mean(reacting, name) for name in ("score", "collision")]
-        ordered.append((figures[0], f"| {short_name(planner)} | {' | '.join(figures)} |"))
-    lines += [line for _, line in sorted(ordered, key=lambda pair: pair[0], reverse=True)]
-    lines += ["", "Means over the sets made against other egos; reacting: in live traffic."]
-    return "\n".join(lines) + "\n"
+        Table(["planner", *scores], stood),
+        "Means over the sets made against other egos; reacting: in live traffic.",
+    )
 
 
-def _number(text: str, digits: int) -> str:
-    value = float(text)
-    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+def _number(text: str) -> float | None:
+    """A number of a file; what is not known is empty there, or NaN."""
+    value = float(text or "nan")
+    return value if np.isfinite(value) else None

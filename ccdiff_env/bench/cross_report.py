@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.cross_evaluation import Realism
-from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, cell, mean_interval
+from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, mean_interval
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
-from ccdiff_env.system.files import file_name, write_aside, writing
+from ccdiff_env.system.files import file_name, write_aside
+from ccdiff_env.system.table import Block, Column, Table, TableRows, document
 
 __all__ = ["avoidable_rows", "write_collisions", "write_cross"]
 
@@ -67,18 +67,18 @@ def write_cross(
         for name, kept in subsets.items()
     }
     few = any(are_few(rows) for rows in parts["avoidable"].values() if rows)
-    lines = [FEW if few else _verdict(parts["avoidable"], list(sets), planners), ""]
-    lines += _sets_table(sets, realism)
+    blocks: list[Block] = [FEW if few else _verdict(parts["avoidable"], list(sets), planners)]
+    blocks += _sets_table(sets, realism)
     for name, part in parts.items():
         for figure, title in _FIGURES.items():
             scope = "all scenarios" if name == "all" else "avoidable scenarios only"
-            lines += [f"### {title}: {scope}", "", *_matrix(part, list(sets), planners, figure)]
-    lines += [
+            blocks.append(_matrix(part, list(sets), planners, figure, f"{title}: {scope}"))
+    foot = (
         "Rows: the ego that the traffic was made against; columns: the planner tested. In a set "
         "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios, none of "
-        f"fewer than {LEAST_SCENES}.",
-    ]
-    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+        f"fewer than {LEAST_SCENES}."
+    )
+    write_aside(folder / "table.md", document(*blocks, foot))
     _write_csv(sets, realism, parts, folder)
     _plot(parts, list(sets), planners, folder / "cross.png")
 
@@ -136,14 +136,10 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
     replays
         Collisions of each set that get a replay page.
     """
-    lines = []
+    heads = ("scene", "hit", "time s", "at fault", "avoidable")
+    tables = []
     for generator, made in sets.items():
-        lines += [
-            f"### Made against {short_name(generator)}",
-            "",
-            "| scene | hit | time s | at fault | avoidable | C(tau) | shift sigmas | FDE m |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
+        rows: TableRows = []
         for i, s in enumerate(s for s in made.scenarios if s.collision):
             scene = s.scene
             if i < replays:
@@ -151,20 +147,19 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
                 path = folder / "replays" / page
                 scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
             verdicts = ["yes" if so else "no" for so in (s.at_fault, s.avoidable)]
-            cost, shift, fde = (
-                np.nan if x is None else x for x in (s.realism_cost, s.shift_sigmas, s.fde_m)
-            )
             kind = str(s.kind).removeprefix("collision_")
-            lines.append(
-                f"| {scene} | {kind} | {s.time_s:.1f} | {' | '.join(verdicts)} | "
-                f"{_number(cost, 2)} | {_number(shift, 2)} | {_number(fde, 1)} |"
-            )
-        lines.append("")
-    write_aside(folder / "collisions.md", "\n".join(lines) + "\n")
+            figures = (s.realism_cost, s.shift_sigmas, s.fde_m)
+            rows.append([scene, kind, f"{s.time_s:.1f}", *verdicts, *figures])
+        tables.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
+    write_aside(folder / "collisions.md", document(*tables))
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+#: How far the guided vehicles are from what the model or the log has.
+_REALISM = (
+    Column("realism_cost", "C(tau)"),
+    Column("shift_sigmas"),
+    Column("fde_m", "FDE m", digits=1),
+)
 
 
 def _sets_figures(made: ScenarioSet) -> tuple[int, int, int, int]:
@@ -182,49 +177,44 @@ def _share(count: int, total: int) -> str:
     return f"{count} ({count / total:.2f})" if total else "0"
 
 
-def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism]) -> list[str]:
+def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism]) -> list[Block]:
     first = next(iter(sets.values()))
-    lines = [
-        "### Scenario sets",
-        "",
-        f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}.",
-        "",
-        "| made against | scenarios | with a collision | of them at fault | of them avoidable | "
-        "C(tau) | shift sigmas | FDE m | CFD |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    rows: TableRows = []
     for generator, made in sets.items():
         total, hit, fault, avoidable = _sets_figures(made)
+        shares = (_share(hit, total), _share(fault, hit), _share(avoidable, hit))
         real = realism[generator]
-        lines.append(
-            f"| {short_name(generator)} | {total} | {_share(hit, total)} | {_share(fault, hit)} | "
-            f"{_share(avoidable, hit)} | {_number(real.realism_cost, 2)} | "
-            f"{_number(real.shift_sigmas, 2)} | "
-            f"{_number(real.fde_m, 1)} | {_number(real.cfd, 1)} |"
-        )
-    return [*lines, ""]
+        figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd)
+        rows.append([short_name(generator), total, *shares, *figures])
+    shares_of = ("with a collision", "of them at fault", "of them avoidable")
+    figures_of = (*_REALISM, Column("cfd", "CFD", digits=1))
+    what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
+    return [
+        "### Scenario sets",
+        what,
+        Table(["made against", "scenarios", *shares_of, *figures_of], rows),
+    ]
 
 
 def _matrix(
-    part: Cells, generators: Sequence[str], planners: Sequence[str], name: str
-) -> list[str]:
-    lines = ["| made against | scenarios | " + " | ".join(map(short_name, planners)) + " |"]
-    lines.append("|---|---|" + "---|" * len(planners))
+    part: Cells, generators: Sequence[str], planners: Sequence[str], name: str, title: str
+) -> Table:
+    lines: TableRows = []
     for generator in (*generators, None):
         rows = [part.get((generator, planner), []) for planner in planners]
-        if not any(rows):
-            continue
-        title = REACTING if generator is None else short_name(generator)
-        cells = [cell(mean_interval(r, name)) if r else "" for r in rows]
-        lines.append(f"| {title} | {max(map(len, rows))} | " + " | ".join(cells) + " |")
+        if any(rows):
+            label = REACTING if generator is None else short_name(generator)
+            cells = [mean_interval(r, name) if r else None for r in rows]
+            lines.append([label, max(map(len, rows)), *cells])
     others = [
         [row for g in generators if g != planner for row in part[g, planner]]
         for planner in planners
     ]
     if len(generators) > 1 and any(others):
-        cells = [f"{mean_interval(rows, name)[0]:.2f}" if rows else "" for rows in others]
-        lines.append("| mean, own set left out | | " + " | ".join(cells) + " |")
-    return [*lines, ""]
+        means = [mean_interval(rows, name)[0] if rows else None for rows in others]
+        lines.append(["mean, own set left out", "", *means])
+    heads = (Column(planner, short_name(planner)) for planner in planners)
+    return Table(["made against", "scenarios", *heads], lines, title)
 
 
 def _write_csv(
@@ -233,24 +223,28 @@ def _write_csv(
     parts: Mapping[str, Cells],
     folder: Path,
 ) -> None:
-    with writing(folder / "sets.csv") as file:
-        writer = csv.writer(file)
-        head = ["generator", "scenarios", "collision", "at_fault", "avoidable"]
-        writer.writerow([*head, "realism_cost", "shift_sigmas", "fde_m", "cfd", "seconds"])
-        for generator, made in sets.items():
-            real = realism[generator]
-            figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds)
-            writer.writerow([generator, *_sets_figures(made), *figures])
-    with writing(folder / "cross.csv") as file:
-        writer = csv.writer(file)
-        ends = [f"{name}{end}" for name in _FIGURES for end in ("", "_low", "_high")]
-        writer.writerow(["generator", "planner", "scenarios", "count", *ends])
-        for subset, cells in parts.items():
-            for (made_against, planner), rows in cells.items():
-                if rows:
-                    values = [v for name in _FIGURES for v in mean_interval(rows, name)]
-                    label = made_against or "reacting"
-                    writer.writerow([label, planner, subset, len(rows), *values])
+    heads = ["generator", "scenarios", "collision", "at_fault", "avoidable", "realism_cost"]
+    rows: TableRows = []
+    for generator, made in sets.items():
+        real = realism[generator]
+        figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds)
+        rows.append([generator, *_sets_figures(made), *figures])
+    heads += ["shift_sigmas", "fde_m", "cfd", "seconds"]
+    Table(heads, rows).write_csv(folder / "sets.csv")
+    rows = [
+        [
+            made_against or "reacting",
+            planner,
+            subset,
+            len(of),
+            *(mean_interval(of, f) for f in _FIGURES),
+        ]
+        for subset, cells in parts.items()
+        for (made_against, planner), of in cells.items()
+        if of
+    ]
+    heads = ["generator", "planner", "scenarios", "count", *_FIGURES]
+    Table(heads, rows).write_csv(folder / "cross.csv")
 
 
 def _plot(

@@ -18,6 +18,7 @@ from ccdiff_env.errors import CcdiffError
 from ccdiff_env.scenes import cache_directory
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import coverage, load
+from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
 from ccdiff_env.system.version import __version__
 
@@ -58,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         except (CcdiffError, ImportError, OSError) as error:
             rows.append((name, f"FAILS: {error}"))
             status = 1
-    say("\n".join(["| what | found |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)]))
+    say(str(Table(["what", "found"], rows)))
     return status
 
 

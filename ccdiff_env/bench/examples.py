@@ -9,6 +9,7 @@ import numpy as np
 
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.tables import Condition
+from ccdiff_env.system.table import Column, Table, document
 
 __all__ = ["choose_examples", "examples_table"]
 
@@ -54,26 +55,25 @@ def examples_table(
     chosen: Sequence[tuple[Condition, Row]], pages: Mapping[tuple[Condition, str], str]
 ) -> str:
     """Return the examples in Markdown, with links to their replays."""
-    lines = []
+    tables = []
     for condition in dict.fromkeys(c for c, _ in chosen):
-        lines += [
-            f"### {METHODS[condition.method].label}, K = {condition.k}, a plan every "
-            f"{condition.replan_steps / 10:g} s",
-            "",
-            "| scene | new collision | C(tau) | shift sigmas | FDE m | off the road % |",
-            "|---|---|---|---|---|---|",
+        rows = [
+            [
+                f"[{row['scene']}]({pages[c, row['scene']]})",
+                "yes" if row["collision"]["controlled_new"] else "no",
+                *(row[name] for name in ("realism_cost", "shift_sigmas", "fde_m")),
+                "n/a" if row["off_road"] is None else row["off_road"],
+            ]
+            for c, row in chosen
+            if c == condition
         ]
-        for c, row in chosen:
-            if c != condition:
-                continue
-            cost, shift = (
-                "" if row[name] is None else f"{row[name]:.2f}"
-                for name in ("realism_cost", "shift_sigmas")
-            )
-            fde = "" if row["fde_m"] is None else f"{row['fde_m']:.1f}"
-            road = "n/a" if row["off_road"] is None else f"{100 * row['off_road']:.1f}"
-            hit = "yes" if row["collision"]["controlled_new"] else "no"
-            scene = f"[{row['scene']}]({pages[c, row['scene']]})"
-            lines.append(f"| {scene} | {hit} | {cost} | {shift} | {fde} | {road} |")
-        lines.append("")
-    return "\n".join(lines) + "\n"
+        columns = [
+            Column("realism_cost", "C(tau)"),
+            Column("shift_sigmas"),
+            Column("fde_m", "FDE m", digits=1),
+            Column("off_road", "off the road", "%", digits=1, factor=100.0),
+        ]
+        label, period = METHODS[condition.method].label, condition.replan_steps / 10
+        title = f"{label}, K = {condition.k}, a plan every {period:g} s"
+        tables.append(Table(["scene", "new collision", *columns], rows, title))
+    return document(*tables)

@@ -13,7 +13,6 @@ __all__ = [
     "LEAST_SCENES",
     "are_few",
     "brackets",
-    "cell",
     "column",
     "mean_interval",
     "spread",
@@ -68,11 +67,3 @@ def spread(values: npt.NDArray[np.float64], digits: int, rows: Rows) -> str:
         return "n/a"
     alone = len(values) < 2 or are_few(rows)
     return f"{values.mean():.{digits}f}" + ("" if alone else f" ± {values.std(ddof=1):.{digits}f}")
-
-
-def cell(figure: tuple[float, float, float], digits: int = 2, sign: str = "") -> str:
-    """Return a figure and its interval for a table, ``n/a`` where it is not known."""
-    value, low, high = (f"{number:{sign}.{digits}f}" for number in figure)
-    if not np.isfinite(figure[0]):
-        return "n/a"
-    return f"{value} [{low}, {high}]" if np.isfinite(figure[1:]).all() else value

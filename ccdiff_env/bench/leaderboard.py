@@ -9,6 +9,7 @@ from pathlib import Path
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.planner_report import comparison, over_seeds, short_name, summary, verdict
 from ccdiff_env.bench.record import Record, Result
+from ccdiff_env.system.table import document
 from ccdiff_env.system.terminal import counted
 
 __all__ = ["leaderboard", "write_leaderboard"]
@@ -75,12 +76,13 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
     planners = list(named)
     base = next((name for name, result in named.items() if result.planner == "idm"), "idm")
     privileged = {name for name, result in named.items() if result.privileged}
-    lines = [verdict(found, planners, traffic), ""]
-    lines += summary(found, planners, traffic, privileged)
+    blocks = [verdict(found, planners, traffic), *summary(found, planners, traffic, privileged)]
     for record, result in members:
         declared = record.submission
         if declared.get("code") and result.planner_source is not None:
             trained = declared.get("training_data") or "not said"
-            lines += ["", f"{short_name(result.planner)}: [{declared['code']}]({declared['code']})"]
-            lines[-1] += f", source {result.planner_source[:8]}, trained on: {trained}"
-    return "\n".join([*lines, "", comparison(found, planners, traffic, base)])
+            blocks.append(
+                f"{short_name(result.planner)}: [{declared['code']}]({declared['code']}), source "
+                f"{result.planner_source[:8]}, trained on: {trained}"
+            )
+    return document(*blocks, comparison(found, planners, traffic, base).rstrip())

@@ -18,6 +18,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.system.table import Block, Table, TableRows, document
 
 __all__ = ["TRAINING_STAGES", "learning_table", "train_ego", "training_jobs"]
 
@@ -242,11 +243,9 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
         name = planner if seed is None else f"PPO, trained in {stage}"
         if planner not in groups.setdefault(name, []):
             groups[name].append(planner)
-    lines = []
+    blocks: list[Block] = []
     for traffic in dict.fromkeys(t for _, t in rows):
-        lines += [f"### Evaluated in: {TRAFFIC[traffic].label}", ""]
-        lines += ["| ego | " + " | ".join(name for name, *_ in FIGURES) + " |"]
-        lines += ["|---|" + "---:|" * len(FIGURES)]
+        shown: TableRows = []
         for name, planners in groups.items():
             cells = []
             for _, part, factor in FIGURES:
@@ -254,10 +253,11 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
                 values = factor * means if factor > 0 else -factor * (1.0 - means)
                 digits = 2 if abs(factor) == 1.0 else 1
                 cells.append(spread(values, digits, rows[planners[0], traffic]))
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
-        lines.append("")
-    lines += [FEW, ""] * any(map(are_few, rows.values()))
-    return "\n".join(lines + _by_seed(rows) + _against_replay(rows))
+            shown.append([name, *cells])
+        heads = [name for name, *_ in FIGURES]
+        blocks.append(Table(["ego", *heads], shown, f"Evaluated in: {TRAFFIC[traffic].label}"))
+    few = FEW if any(map(are_few, rows.values())) else ""
+    return document(*blocks, few, _by_seed(rows), _against_replay(rows))
 
 
 def _stage_of(planner: str) -> tuple[str, str | None]:
@@ -266,8 +266,8 @@ def _stage_of(planner: str) -> tuple[str, str | None]:
     return (stage, seed) if stage in TRAINING_STAGES and seed.isdigit() else (planner, None)
 
 
-def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
-    """Return the lines of a table: collisions, and those at fault, of each ego."""
+def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Table:
+    """Return a table: collisions, and those at fault, of each ego."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for (planner, traffic), found in rows.items():
         stage, seed = _stage_of(planner)
@@ -276,19 +276,16 @@ def _by_seed(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> lis
             fault = 100.0 - 100.0 * np.mean([row["no_at_fault_collision"] for row in found])
             cells.setdefault((traffic, stage), {})[seed] = f"{hit:.1f} ({fault:.1f})"
     seeds = sorted({seed for by_seed in cells.values() for seed in by_seed}, key=int)
-    if not seeds:
-        return []
-    lines = ["### By seed: collision % (at fault %)", ""]
-    lines += ["| evaluated in | trained in | " + " | ".join(f"seed {s}" for s in seeds) + " |"]
-    lines += ["|---|---|" + "---:|" * len(seeds)]
-    for (traffic, stage), by_seed in cells.items():
-        row = " | ".join(by_seed.get(seed, "") for seed in seeds)
-        lines.append(f"| {TRAFFIC[traffic].label} | {stage} | {row} |")
-    return [*lines, ""]
+    shown = [
+        [TRAFFIC[traffic].label, stage, *(by_seed.get(seed, "") for seed in seeds)]
+        for (traffic, stage), by_seed in cells.items()
+    ]
+    heads = ["evaluated in", "trained in", *(f"seed {s}" for s in seeds)]
+    return Table(heads, shown, "By seed: collision % (at fault %)")
 
 
-def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> list[str]:
-    """Return the lines of a table: other stages less the one in log replay, pair by pair.
+def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> Table:
+    """Return a table: other stages less the one in log replay, pair by pair.
 
     A pair is an episode of two egos of one seed in the same scene and draw of the traffic.
     """
@@ -307,13 +304,11 @@ def _against_replay(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]])
             ]
             for row, other in zip(found, beside, strict=True)
         )
-    if not pairs:
-        return []
-    lines = ["### Less the egos trained in log replay: percent of paired episodes ± standard error"]
-    lines += ["", "| evaluated in | trained in | collision | at fault |", "|---|---|---:|---:|"]
+    shown = []
     for (traffic, stage), differences in pairs.items():
         points = 100.0 * np.array(differences)
         errors = points.std(axis=0, ddof=1) / np.sqrt(len(points))
         cells = [f"{m:+.1f} ± {e:.1f}" for m, e in zip(points.mean(axis=0), errors, strict=True)]
-        lines.append(f"| {TRAFFIC[traffic].label} | {stage} | " + " | ".join(cells) + " |")
-    return [*lines, ""]
+        shown.append([TRAFFIC[traffic].label, stage, *cells])
+    title = "Less the egos trained in log replay: percent of paired episodes ± standard error"
+    return Table(["evaluated in", "trained in", "collision", "at fault"], shown, title)

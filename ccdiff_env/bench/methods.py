@@ -10,7 +10,15 @@ from typing import Any, TypeVar
 from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.traffic import KINDS, NETWORKS
 
-__all__ = ["METHODS", "OWN_RANKINGS", "PAPER_METHODS", "REORDERED", "Method", "NamedDrivers"]
+__all__ = [
+    "METHODS",
+    "OWN_RANKINGS",
+    "PAPER_METHODS",
+    "REORDERED",
+    "Method",
+    "NamedDrivers",
+    "label_of",
+]
 
 _T = TypeVar("_T")
 
@@ -250,3 +258,8 @@ REORDERED = {
     for name, method in METHODS.items()
     if method.ccdiff is _GUIDED and method.ranking != "cliques"
 }
+
+
+def label_of(method: str) -> str:
+    """Return the title of a method in tables; its name if it is none of :data:`METHODS`."""
+    return METHODS[method].label if method in METHODS else method

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, cell, mean_interval
+from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, mean_interval
 from ccdiff_env.bench.page import anchor
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.system.files import write_aside, writing
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Block, Cell, Column, Figure, Table, TableRows, document
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import planner_title
 
@@ -93,9 +93,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def headlines(
-    found: Results, planner: str, traffic: Sequence[str]
-) -> dict[str, tuple[float, float, float]]:
+def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str, Figure]:
     """Return scores of a planner over traffic, with 95 % intervals.
 
     Parameters
@@ -159,27 +157,22 @@ def comparison(
     if any(map(are_few, found.values())):
         return f"{FEW}\n"
     scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
-    lines = [
-        f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
-        "bootstrap over scenes, p of the permutation test of signs.",
-        "",
-        "| planner | against | difference | p | |",
-        "|---|---|---:|---:|---|",
-    ]
+    rows: TableRows = []
     for planner in planners:
         best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
         for other in dict.fromkeys([*bases, best]):
             if other not in scores or other == planner:
                 continue
             pairs = scores[planner] - scores[other]
-            mean, low, high = mean_interval(_by_scene(pairs), "score")
-            p = permutation_p(pairs)
+            figure, p = mean_interval(_by_scene(pairs), "score"), permutation_p(pairs)
             same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
-            lines.append(
-                f"| {title_of(planner)} | {title_of(other)} | {mean:+.3f} [{low:+.3f}, "
-                f"{high:+.3f}] | {p:.4f} | {same} |"
-            )
-    return "\n".join(lines) + "\n"
+            rows.append([title_of(planner), title_of(other), figure, p, same])
+    columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
+    return document(
+        f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
+        "bootstrap over scenes, p of the permutation test of signs.",
+        Table(["planner", "against", *columns, ""], rows),
+    )
 
 
 def permutation_p(pairs: npt.NDArray[np.float64]) -> float:
@@ -215,35 +208,34 @@ def write_report(
     """
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = list(dict.fromkeys(t for _, t in found))
-    with writing(folder / "scores.csv") as file:
-        writer = csv.writer(file)
-        writer.writerow(["planner", "traffic", "seed", "scene", *_PARTS, "min_ttc_s"])
-        for (planner, name), rows in found.items():
-            for row in rows:
-                parts = [row[part] for part in ("seed", "scene", *_PARTS, "min_ttc_s")]
-                writer.writerow([planner, name, *parts])
+    parts = ("seed", "scene", *_PARTS, "min_ttc_s")
+    rows = [[*key, *(row[part] for part in parts)] for key, of in found.items() for row in of]
+    Table(["planner", "traffic", *parts], rows).write_csv(folder / "scores.csv")
     write_aside(folder / "scenes.md", scenes_table(found, planners, traffic, pages or {}))
     write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
     found = over_seeds(found)
     write_aside(folder / "comparison.md", comparison(found, planners, traffic))
     _write_headlines(found, planners, traffic, folder / "headlines.csv")
-    lines = [verdict(found, planners, traffic), ""]
-    lines += [*summary(found, planners, traffic, privileged, opens=True), ""]
-    for name in traffic:
-        lines += [f"### Traffic: {TRAFFIC[name].label}", ""]
-        lines += ["| planner | " + " | ".join(p.replace("_", " ") for p in _PARTS) + " |"]
-        lines += ["|---|" + "---|" * len(_PARTS)]
-        for planner in planners:
-            cells = []
-            for part in _PARTS:
-                mean, *bounds = mean_interval(found[planner, name], part)
-                low, high = bounds if part == "score" else (np.nan, np.nan)
-                cells.append(cell((mean, low, high)))
-            lines.append(f"| {title_of(planner)} | " + " | ".join(cells) + " |")
-        lines.append("")
+    columns = [Column(part, interval=part == "score") for part in _PARTS]
+    tables = [
+        Table(
+            ["planner", *columns],
+            [
+                [title_of(p), *(mean_interval(found[p, t], part) for part in _PARTS)]
+                for p in planners
+            ],
+            f"Traffic: {TRAFFIC[t].label}",
+        )
+        for t in traffic
+    ]
     best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
-    lines.append(f"Means over scenes and seeds. {brackets(found.values())}{best}")
-    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+    text = document(
+        verdict(found, planners, traffic),
+        *summary(found, planners, traffic, privileged, opens=True),
+        *tables,
+        f"Means over scenes and seeds. {brackets(found.values())}{best}",
+    )
+    write_aside(folder / "table.md", text)
     _plot(found, planners, traffic, folder / "robustness.png")
 
 
@@ -251,16 +243,13 @@ def _write_headlines(
     found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path
 ) -> None:
     """Write mean, worst and each traffic's score of every planner, with intervals, as CSV."""
-    with writing(path) as file:
-        writer = csv.writer(file)
-        names = ["mean", "worst", *traffic]
-        ends = ("", "_low", "_high")
-        writer.writerow(["planner", *(name + end for name in names for end in ends)])
-        for planner in planners:
-            heads = headlines(found, planner, traffic)
-            heads |= {name: mean_interval(found[planner, name], "score") for name in traffic}
-            figures = [figure for name in names for figure in heads[name]]
-            writer.writerow([planner, *("" if np.isnan(f) else f"{f:.6f}" for f in figures)])
+    names = ["mean", "worst", *traffic]
+    rows: TableRows = []
+    for planner in planners:
+        heads = headlines(found, planner, traffic)
+        heads |= {name: mean_interval(found[planner, name], "score") for name in traffic}
+        rows.append([planner, *(heads[name] for name in names)])
+    Table(["planner", *names], rows).write_csv(path)
 
 
 def short_name(planner: str) -> str:
@@ -303,24 +292,17 @@ def worst_table(
     traffic
         Heading of the traffic's column.
     """
-    lines = []
+    blocks: list[Block] = []
     for planner in dict.fromkeys(p for p, _ in found):
-        listed = [
-            (name, row)
-            for name, row in worst_scenes(found, planner, count)
-            if row["score"] < BAD_BELOW or (planner, name, row["scene"]) in pages
-        ]
-        lines += [f"### {short_name(planner)}", ""]
-        if not listed:
-            lines += [f"No scene below {BAD_BELOW:g}.", ""]
-            continue
-        lines += [f"| scene | {traffic} | score | why |", "|---|---|---|---|"]
-        for name, row in listed:
-            scene = _scene(row, pages.get((planner, name, row["scene"])))
-            kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
-            lines.append(f"| {scene} | {kind} | {row['score']:.2f} | {_why(row)} |")
-        lines.append("")
-    return "\n".join(lines) + "\n"
+        rows: TableRows = []
+        for name, row in worst_scenes(found, planner, count):
+            page = pages.get((planner, name, row["scene"]))
+            if row["score"] < BAD_BELOW or page is not None:
+                kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
+                rows.append([_scene(row, page), kind, row["score"], _why(row)])
+        table = Table(["scene", traffic, Column("score"), "why"], rows)
+        blocks += [f"### {short_name(planner)}", table or f"No scene below {BAD_BELOW:g}."]
+    return document(*blocks)
 
 
 def _scene(row: Row, page: str | None) -> str:
@@ -352,20 +334,19 @@ def scenes_table(
     pages
         Addresses of replays by planner, traffic and scene.
     """
-    lines = []
+    tables = []
     for planner, name in ((p, t) for p in planners for t in traffic):
-        lines += [f"### {_cell_title(planner, name)}", "", "| scene | score | why |"]
-        lines += ["|---|---|---|"]
         seeds: dict[str, list[Row]] = {}
         for row in found[planner, name]:
             seeds.setdefault(row["scene"], []).append(row)
         means = {scene: float(np.mean([r["score"] for r in rows])) for scene, rows in seeds.items()}
+        rows: TableRows = []
         for scene in sorted(seeds, key=lambda scene: (means[scene], scene)):
             worst = min(seeds[scene], key=lambda row: row["score"])
             link = _scene(worst, pages.get((planner, name, scene)))
-            lines.append(f"| {link} | {means[scene]:.2f} | {_why(worst)} |")
-        lines.append("")
-    return "\n".join(lines) + "\n"
+            rows.append([link, means[scene], _why(worst)])
+        tables.append(Table(["scene", Column("score"), "why"], rows, _cell_title(planner, name)))
+    return document(*tables)
 
 
 def _cell_title(planner: str, traffic: str) -> str:
@@ -439,8 +420,8 @@ def summary(
     privileged: Collection[str] = (),
     *,
     opens: bool = False,
-) -> list[str]:
-    """Return the lines of a matrix of planners and traffic, the best of each emphasised.
+) -> list[Block]:
+    """Return a matrix of planners and traffic, the best of each emphasised, and its notes.
 
     Parameters
     ----------
@@ -457,29 +438,25 @@ def summary(
     heads = {planner: headlines(found, planner, traffic) for planner in planners}
     ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}
     ends = {name: title for name, title in ends.items() if name in heads[planners[0]]}
-    titles = [*(TRAFFIC[t].label for t in traffic), *ends.values()]
-    lines = ["| score | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
-    some = not any(map(are_few, found.values()))
-    means = {key: round(mean_interval(rows, "score")[0], 2) for key, rows in found.items()}
-    top = {t: max(means[p, t] for p in planners) for t in traffic}
+    some = len(planners) > 1 and not any(map(are_few, found.values()))
+    scores = [Column(t, TRAFFIC[t].label, best=some) for t in traffic]
+    lines: TableRows = []
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
-        cells = []
-        for name in traffic:
-            text = cell(mean_interval(found[planner, name], "score"))
-            if opens:
-                score, gap, interval = text.partition(" ")
-                text = f"[{score}](#{anchor(_cell_title(planner, name))}){gap}{interval}"
-            best = some and len(planners) > 1 and means[planner, name] == top[name]
-            cells.append(f"**{text}**" if best else text)
-        cells += [cell(heads[planner][name]) for name in ends]
+        cells: list[Cell] = []
+        for column in scores:
+            figure = mean_interval(found[planner, column.name], "score")
+            score, gap, interval = column.text(figure).partition(" ")
+            place = f"(#{anchor(_cell_title(planner, column.name))})"
+            cells.append(f"[{score}]{place}{gap}{interval}" if opens else figure)
         mark = " †" if planner in privileged else ""
-        lines.append(f"| {title_of(planner)}{mark} | " + " | ".join(cells) + " |")
+        lines.append([title_of(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
+    columns = [*scores, *(Column(name, title) for name, title in ends.items())]
+    blocks: list[Block] = [Table(["score", *columns], lines)]
     if privileged:
-        lines += ["", "† privileged: uses what a vehicle cannot know, as the log."]
+        blocks.append("† privileged: uses what a vehicle cannot know, as the log.")
     if "rest" in ends:
         fails = ", ".join(row["scene"] for row in rows if row["log_fails"])
-        lines += [
-            "",
-            f"*log can*: without the scenes in which the logged driver scores 0 ({fails}).",
-        ]
-    return lines
+        blocks.append(
+            f"*log can*: without the scenes in which the logged driver scores 0 ({fails})."
+        )
+    return blocks

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.tables import Condition, Figures
 from ccdiff_env.metrics import scores
 from ccdiff_env.system.files import read_text, write_aside
@@ -85,12 +85,11 @@ def plot_scores(table: Mapping[Condition, Figures], path: Path) -> None:
     figure, axes = new_plot(7, 5.2)
     colours = colours_of(c.method for c in chosen)
     for method, colour in colours.items():
-        label = METHODS[method].label if method in METHODS else method
         for j, (line, names) in enumerate(_lines([c for c in chosen if c.method == method])):
             points = np.array([at[c] for c in line])
             style: dict[str, Any] = {"color": colour, "linewidth": 1, "markersize": 4.5}
             if j == 0:
-                axes.plot(*points.T, "o-", label=label, **style)
+                axes.plot(*points.T, "o-", label=label_of(method), **style)
             else:
                 axes.plot(*points.T, "o:", markerfacecolor="none", **style)
             ends = {0: (-4, -9), len(line) - 1: (4, 4)}

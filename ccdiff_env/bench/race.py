@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.system.table import Table
 
 __all__ = ["race", "race_table"]
 
@@ -112,10 +113,12 @@ def race(
 
 def race_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the race in Markdown."""
-    lines = ["| episodes that succeed | decisions | seconds of the clock | of the processor |"]
-    lines.append("|---|---:|---:|---:|")
-    for row in rows:
-        goal = f"{row['goal']:.0%}" if "goal" in row else "ended before the next goal"
-        times = f"{row['clock_s']:.0f} | {row['processor_s']:.0f}"
-        lines.append(f"| {goal} | {row['decisions']:,.0f} | {times} |")
-    return "\n".join(lines)
+    heads = ("episodes that succeed", "decisions", "seconds of the clock", "of the processor")
+    shown = [
+        [
+            f"{row['goal']:.0%}" if "goal" in row else "ended before the next goal",
+            *(f"{row[name]:,.0f}" for name in ("decisions", "clock_s", "processor_s")),
+        ]
+        for row in rows
+    ]
+    return str(Table(heads, shown))

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.episode import logged, off_road
-from ccdiff_env.bench.intervals import brackets, cell, mean_interval
+from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -31,6 +31,7 @@ from ccdiff_env.metrics import Motion
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.system.files import file_name, write_aside
+from ccdiff_env.system.table import Column, Table, document
 
 __all__ = ["WAYS", "altered", "evaluate", "reactivity_jobs", "write_reactivity"]
 
@@ -219,16 +220,21 @@ def write_reactivity(
     found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], folder: Path
 ) -> None:
     """Write ``table.md``: shares of scenes by traffic and way, with their intervals."""
-    lines = [
-        "| traffic | the ego's way | scenes | collision with the ego | low time to contact | "
-        "others collide |",
-        "|---|---|---:|---|---|---|",
+    figures = {
+        "collision": "collision with the ego",
+        "low_ttc": "low time to contact",
+        "others": "others collide",
+    }
+    rows = [
+        [
+            TRAFFIC[traffic].label,
+            way,
+            len(of),
+            *(mean_interval(of, f) if of else None for f in figures),
+        ]
+        for (traffic, way), of in found.items()
     ]
-    for (traffic, way), rows in found.items():
-        cells = []
-        for name in ("collision", "low_ttc", "others"):
-            cells.append(cell(mean_interval(rows, name)) if rows else "")
-        label = TRAFFIC[traffic].label
-        lines.append(f"| {label} | {way} | {len(rows)} | " + " | ".join(cells) + " |")
-    lines += ["", f"Shares of scenes. {brackets(found.values())} Low: below 0.95 s."]
-    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+    columns = [Column(name, head) for name, head in figures.items()]
+    table = Table(["traffic", "the ego's way", "scenes", *columns], rows)
+    note = f"Shares of scenes. {brackets(found.values())} Low: below 0.95 s."
+    write_aside(folder / "table.md", document(table, note))

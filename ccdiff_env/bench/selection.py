@@ -22,6 +22,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.envs.selection.options import SelectionReward
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.system.table import Block, Column, Table, TableRows, document
 
 __all__ = [
     "ADVERSARY_POLICIES",
@@ -272,36 +273,37 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         c: {k: float(np.mean([r[k] for r in found])) for k in keys} for c, found in rows.items()
     }
     learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
-    lines = [
-        "| adversary policy | strength | ego collides % | at fault % | C(tau) "
-        "| shift sigmas | chosen |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
-    factors = (
-        ("collision", 100.0, 1),
-        ("at_fault", 100.0, 1),
-        ("realism_cost", 1.0, 3),
-        ("shift_sigmas", 1.0, 2),
-        ("adversaries", 1.0, 2),
+    columns = (
+        Column("collision", "ego collides", "%", digits=1, factor=100.0),
+        Column("at_fault", unit="%", digits=1, factor=100.0),
+        Column("realism_cost", "C(tau)", digits=3),
+        Column("shift_sigmas"),
+        Column("adversaries", "chosen"),
     )
-    for name, strength in means:
-        if not name.endswith(".zip"):
-            cells = [f"{f * means[name, strength][k]:.{d}f}" for k, f, d in factors]
-            lines.append(f"| {name} | {strength:g} | " + " | ".join(cells) + " |")
+    shown: TableRows = [
+        [name, f"{strength:g}", *(means[name, strength][c.name] for c in columns)]
+        for name, strength in means
+        if not name.endswith(".zip")
+    ]
+    nearest: TableRows = []
     if learned:
-        cells = []
-        for key, factor, digits in factors:
-            values = factor * np.array([m[key] for m in learned])
-            cells.append(spread(values, digits, next(iter(rows.values()))))
-        lines.append("| PPO | 1 | " + " | ".join(cells) + " |")
-        shift = float(np.mean([m["shift_sigmas"] for m in learned]))
-        head, first = "PPO", [f"| PPO | {cells[0]} |"]
+        cells = [
+            spread(
+                c.factor * np.array([m[c.name] for m in learned]),
+                c.digits,
+                next(iter(rows.values())),
+            )
+            for c in columns
+        ]
+        shown.append(["PPO", "1", *cells])
+        nearest.append(["PPO", cells[0]])
+    whole = Table(["adversary policy", "strength", *columns], shown)
+    if learned:
+        shift, head = float(np.mean([m["shift_sigmas"] for m in learned])), "PPO"
     elif ("fork", 1.0) in means:
-        shift, head, first = means["fork", 1.0]["shift_sigmas"], "fork", []
+        shift, head = means["fork", 1.0]["shift_sigmas"], "fork"
     else:
-        return "\n".join(lines) + "\n"
-    lines += ["", f"At the shift of {head} ({shift:.2f} sigmas), between measured strengths:", ""]
-    lines += ["| adversary policy | ego collides % |", "|---|---:|", *first]
+        return document(whole)
     floor = next((m for (name, _), m in means.items() if name == "none"), None)
     for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
         points = [m for (n, _), m in means.items() if n == name]
@@ -310,27 +312,36 @@ def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]
         share = np.interp(
             shift, [m["shift_sigmas"] for m in points], [m["collision"] for m in points]
         )
-        lines.append(f"| {name} | {100.0 * share:.1f} |")
-    return "\n".join(lines + _less_causal(rows)) + "\n"
+        nearest.append([name, float(share)])
+    return document(
+        whole,
+        f"At the shift of {head} ({shift:.2f} sigmas), between measured strengths:",
+        Table(["adversary policy", columns[0]], nearest),
+        *_less_causal(rows),
+    )
 
 
-def _less_causal(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) -> list[str]:
+def _less_causal(
+    rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]],
+) -> list[Block]:
     """Paired differences to the causal ranking at full strength ± standard errors over scenes."""
     if ("causal", 1.0) not in rows:
         return []
     if are_few(rows["causal", 1.0]):
-        return ["", FEW]
+        return [FEW]
 
     def column(name: str, key: str) -> npt.NDArray[np.float64]:
         return np.array([row[key] for row in rows[name, 1.0]], np.float64)
 
-    lines = ["", "Less the causal ranking, both at strength 1, ± standard error over scenes:", ""]
-    lines += ["| adversary policy | ego collides % | shift, sigmas |", "|---|---:|---:|"]
+    shown = []
     for name in (n for n, strength in rows if strength == 1.0 and n != "causal"):
         cells = []
         for key, factor, digits in (("collision", 100.0, 1), ("shift_sigmas", 1.0, 2)):
             less = factor * (column(name, key) - column("causal", key))
             error = less.std(ddof=1) / np.sqrt(len(less)) if len(less) > 1 else np.nan
             cells.append(f"{less.mean():+.{digits}f} ± {error:.{digits}f}")
-        lines.append(f"| {Path(name).stem} | " + " | ".join(cells) + " |")
-    return lines
+        shown.append([Path(name).stem, *cells])
+    return [
+        "Less the causal ranking, both at strength 1, ± standard error over scenes:",
+        Table(["adversary policy", "ego collides %", "shift, sigmas"], shown),
+    ]

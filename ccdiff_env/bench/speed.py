@@ -5,7 +5,6 @@ Times depend on the machine and on what else it does; they are no part of a resu
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ import numpy as np
 
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.system.files import write_aside, writing
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Column, Table, TableRows, document
 
 __all__ = ["Timing", "choose_moments", "fit", "measure_speed", "write_speed"]
 
@@ -114,24 +114,22 @@ def fit(timings: Sequence[Timing], kind: str) -> tuple[float, float]:
 def write_speed(timings: Sequence[Timing], folder: Path) -> None:
     """Write ``speed.csv``, ``table.md`` and ``speed.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    with writing(folder / "speed.csv") as file:
-        writer = csv.writer(file)
-        writer.writerow(["kind", "agents", "seconds", "processor_s"])
-        writer.writerows([t.kind, t.num_agents, t.seconds, t.processor_s] for t in timings)
+    raw: TableRows = [[t.kind, t.num_agents, t.seconds, t.processor_s] for t in timings]
+    Table(["kind", "agents", "seconds", "processor_s"], raw).write_csv(folder / "speed.csv")
     kinds = list(dict.fromkeys(t.kind for t in timings))
-    lines = ["| vehicles | " + " | ".join(f"ms per plan, {kind}" for kind in kinds) + " |"]
-    lines.append("|---|" + "---|" * len(kinds))
+    rows: TableRows = []
     for count in sorted({t.num_agents for t in timings}):
-        cells = []
-        for kind in kinds:
-            seconds = [t.seconds for t in timings if (t.kind, t.num_agents) == (kind, count)]
-            cells.append(f"{1e3 * np.mean(seconds):.1f}" if seconds else "")
-        lines.append(f"| {count} | " + " | ".join(cells) + " |")
-    lines.append("")
+        seconds = [
+            [t.seconds for t in timings if (t.kind, t.num_agents) == (kind, count)]
+            for kind in kinds
+        ]
+        rows.append([count, *(float(np.mean(of)) if of else None for of in seconds)])
+    columns = [Column(f"ms per plan, {kind}", digits=1, factor=1e3) for kind in kinds]
+    fits = []
     for kind in kinds:
         start, slope = fit(timings, kind)
-        lines.append(f"{kind}: {1e3 * start:.1f} ms + {1e3 * slope:.2f} ms per vehicle.")
-    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+        fits.append(f"{kind}: {1e3 * start:.1f} ms + {1e3 * slope:.2f} ms per vehicle.")
+    write_aside(folder / "table.md", document(Table(["vehicles", *columns], rows), "\n".join(fits)))
     _plot(timings, kinds, folder / "speed.png")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, column
-from ccdiff_env.bench.intervals import cell as interval_cell
-from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.methods import label_of
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
-from ccdiff_env.system.files import write_aside, writing
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Block, Column, Table, TableRows, document
 
 __all__ = [
     "FIGURES",
@@ -192,16 +191,13 @@ def write_tables(table: Mapping[Condition, Figures], folder: Path) -> None:
     """Write ``figures.csv``, and ``table.md`` and ``table.tex`` in the paper's layout."""
     folder.mkdir(parents=True, exist_ok=True)
     relative, paper = with_scores(table, False), with_scores(table, True)
-    with writing(folder / "figures.csv") as file:
-        writer = csv.writer(file)
-        ends = [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
-        writer.writerow(
-            ["method", "K", "replan_s", "scenes", *ends, "cs", "rs", "cs_paper", "rs_paper"]
-        )
-        for c, f in table.items():
-            row = [v for n in FIGURES for v in (f.value[n], f.low[n], f.high[n])]
-            both = [*relative.get(c, ("", "")), *paper.get(c, ("", ""))]
-            writer.writerow([c.method, c.k, c.replan_steps / 10, f.num_scenes, *row, *both])
+    names = ("method", "K", "replan_s", "scenes", *FIGURES, "cs", "rs", "cs_paper", "rs_paper")
+    rows: TableRows = []
+    for c, f in table.items():
+        both = (*relative.get(c, (None, None)), *paper.get(c, (None, None)))
+        figures = [(f.value[name], f.low[name], f.high[name]) for name in FIGURES]
+        rows.append([c.method, c.k, c.replan_steps / 10, f.num_scenes, *figures, *both])
+    Table(names, rows).write_csv(folder / "figures.csv")
     write_aside(folder / "table.md", _markdown(table, relative))
     write_aside(folder / "table.tex", _latex(table, relative))
 
@@ -227,7 +223,7 @@ def verdict(table: Mapping[Condition, Figures]) -> str:
         return FEW
     of: dict[str, list[tuple[float, float]]] = {}
     for c, pair in pairs.items():
-        of.setdefault(METHODS[c.method].label if c.method in METHODS else c.method, []).append(pair)
+        of.setdefault(label_of(c.method), []).append(pair)
     mean = {method: np.mean(found, axis=0) for method, found in of.items()}
     most = max(float(m[0]) for m in mean.values())
     control = [method for method, m in mean.items() if m[0] >= most - 0.005]
@@ -277,36 +273,29 @@ def _axes(
     return found
 
 
-#: Lines of a method in the tables: label, figure, digits.
+#: Lines of a method in the tables.
 _LINES = (
-    ("SCR", "scr", 2),
-    ("SCR new, controlled", "scr_controlled", 2),
-    ("ORR %", "orr", 2),
-    ("FDE m", "fde", 2),
-    ("CFD", "cfd", 2),
-    ("SOR", "sor", 2),
-    ("SOR of the log", "sor_log", 2),
-    ("excess m/s", "excess", 2),
-    ("C(tau)", "realism_cost", 2),
-    ("shift sigmas", "shift_sigmas", 2),
-    ("gradients in conflict", "conflict_share", 2),
-    ("gradient cosine", "gradient_cosine", 3),
+    Column("scr", "SCR"),
+    Column("scr_controlled", "SCR new, controlled"),
+    Column("orr", "ORR", "%"),
+    Column("fde", "FDE", "m"),
+    Column("cfd", "CFD"),
+    Column("sor", "SOR"),
+    Column("sor_log", "SOR of the log"),
+    Column("excess", "excess", "m/s"),
+    Column("realism_cost", "C(tau)"),
+    Column("shift_sigmas", "shift sigmas"),
+    Column("conflict_share", "gradients in conflict"),
+    Column("gradient_cosine", "gradient cosine", digits=3),
 )
 
 
-def _cells(
-    name: str,
-    conditions: Sequence[Condition | None],
-    table: Mapping[Condition, Figures],
-    digits: int,
-) -> list[str]:
-    def cell(c: Condition | None) -> str:
-        if c is None or not (name in NEED_ROAD or np.isfinite(table[c].value[name])):
-            return ""
-        f = table[c]
-        return interval_cell((f.value[name], f.low[name], f.high[name]), digits)
-
-    return [cell(c) for c in conditions]
+def _cell(line: Column, c: Condition | None, table: Mapping[Condition, Figures]) -> str:
+    """A figure of a condition; nothing where it has none and a road is not what it lacks."""
+    if c is None or not (line.name in NEED_ROAD or np.isfinite(table[c].value[line.name])):
+        return ""
+    f = table[c]
+    return line.text((f.value[line.name], f.low[line.name], f.high[line.name]))
 
 
 def _scores_of(
@@ -334,56 +323,35 @@ def _floor(table: Mapping[Condition, Figures]) -> str:
 def _markdown(
     table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
 ) -> str:
-    lines = [verdict(table), "", *_matrices(table, relative), _floor(table), ""]
-    for caption, heads, rows in _axes(table):
-        lines += [f"### {caption[0].upper()}{caption[1:]}", ""]
-        lines += ["| method | | " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(heads)]
-        for method, by_head in rows.items():
-            label = METHODS[method].label if method in METHODS else method
+    blocks: list[Block] = [verdict(table), *_matrices(table, relative), _floor(table)]
+    for caption, heads, by_method in _axes(table):
+        rows: list[list[str]] = []
+        for method, by_head in by_method.items():
             chosen = [by_head.get(h) for h in heads]
-            for i, (name, figure, digits) in enumerate(_LINES):
-                cells = _cells(figure, chosen, table, digits)
-                if any(cells):
-                    head = label if i == 0 else ""
-                    lines.append(f"| {head} | {name} | " + " | ".join(cells) + " |")
-            for j, name in enumerate(("CS", "RS")):
-                cells = _scores_of(chosen, relative, j)
-                lines.append(f"| | {name} | " + " | ".join(cells) + " |")
-        lines.append("")
+            lines = [[line.title, *(_cell(line, c, table) for c in chosen)] for line in _LINES]
+            lines = [line for line in lines if any(line[1:])]
+            lines += [[n, *_scores_of(chosen, relative, j)] for j, n in enumerate(("CS", "RS"))]
+            rows += [["" if i else label_of(method), *line] for i, line in enumerate(lines)]
+        blocks.append(Table(["method", "", *heads], rows, f"{caption[0].upper()}{caption[1:]}"))
     brackets = FEW if of_few(table) else "Brackets: 95 % bootstrap intervals over scenes."
-    lines.append(f"{brackets} CS, RS: bounds over this table.")
-    return "\n".join(lines) + "\n"
+    return document(*blocks, f"{brackets} CS, RS: bounds over this table.")
 
 
 def _matrices(
     table: Mapping[Condition, Figures], relative: Mapping[Condition, tuple[float, float]]
-) -> list[str]:
+) -> list[Table]:
     """Methods by K: control and realism at a glance, the best of each K emphasised."""
-    lines = []
-    for _, heads, rows in _axes(table)[:1]:
-        columns: dict[str, dict[Condition, float]] = {
-            "CS": {c: pair[0] for c, pair in relative.items()},
-            "RS": {c: pair[1] for c, pair in relative.items()},
-        }
-        for title, of in columns.items():
-            lines += [f"| {title} | " + " | ".join(f"K = {h}" for h in heads) + " |"]
-            lines += ["|---|" + "---:|" * len(heads)]
-            rated = {c: round(value, 2) for c, value in of.items() if np.isfinite(value)}
-            best = {
-                h: max((rated.get(by[h], -1.0) for by in rows.values() if h in by), default=0.0)
-                for h in heads
-            }
-            some = len(rows) > 1 and not of_few(table)
-            for method, by_head in rows.items():
-                label = METHODS[method].label if method in METHODS else method
-                cells = []
-                for h in heads:
-                    text = _number(of[by_head[h]]) if h in by_head else ""
-                    first = some and h in by_head and rated.get(by_head[h]) == best[h]
-                    cells.append(f"**{text}**" if first else text)
-                lines.append(f"| {label} | " + " | ".join(cells) + " |")
-            lines.append("")
-    return lines
+    found = []
+    for _, heads, by_method in _axes(table)[:1]:
+        some = len(by_method) > 1 and not of_few(table)
+        for j, title in enumerate(("CS", "RS")):
+            rows = [
+                [label_of(method), *_scores_of([by_head.get(h) for h in heads], relative, j)]
+                for method, by_head in by_method.items()
+            ]
+            columns = [Column(h, f"K = {h}", best=some) for h in heads]
+            found.append(Table([title, *columns], rows))
+    return found
 
 
 def _latex(
@@ -399,11 +367,12 @@ def _latex(
             "Method & Metric & " + " & ".join(heads) + r" \\",
         ]
         for method, by_head in rows.items():
-            label = METHODS[method].label if method in METHODS else method
             chosen = [by_head.get(h) for h in heads]
             out.append(r"\midrule")
             for j, name in enumerate((r"CS~($\uparrow$)", r"RS~($\uparrow$)")):
                 cells = _scores_of(chosen, relative, j)
-                out.append(f"{label if j == 0 else ''} & {name} & " + " & ".join(cells) + r" \\")
+                out.append(
+                    f"{'' if j else label_of(method)} & {name} & " + " & ".join(cells) + r" \\"
+                )
         out += [r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]
     return "\n".join(out)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import brackets, cell, mean_interval
+from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -24,6 +24,7 @@ from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.table import Column, Table, TableRows, document
 
 __all__ = ["MODELS", "evaluate", "tracking_jobs", "write_tracking"]
 
@@ -122,19 +123,14 @@ def _drive(scene: Scene, ids: tuple[str, ...], steps: int, model: str | None) ->
 
 def write_tracking(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path) -> None:
     """Write ``table.md``: errors and consequences of each model of motion, over vehicles."""
-    lines = [
-        "| dynamics | vehicles | error at the end, m: p50 | p95 | largest, m: p95 | "
-        "new contact % | leaves the road % |",
-        "|---|---:|---:|---:|---:|---|---|",
-    ]
-    for model, rows in found.items():
-        end, worst = ([row[k] for row in rows] for k in ("error_m", "worst_m"))
-        cells = [f"{np.percentile(end, q):.2f}" for q in (50, 95)]
-        cells.append(f"{np.percentile(worst, 95):.2f}")
-        for name in ("collision", "off_road"):
-            mean, low, high = (100.0 * x for x in mean_interval(rows, name))
-            cells.append(cell((mean, low, high)))
-        lines.append(f"| {model} | {len(rows)} | " + " | ".join(cells) + " |")
-    what = "Shares of vehicles, less what the replayed log has."
-    lines += ["", f"{what} {brackets(found.values())}"]
-    write_aside(folder / "table.md", "\n".join(lines) + "\n")
+    shares = [Column(f"{name} %", factor=100.0) for name in ("new contact", "leaves the road")]
+    errors = ("error at the end, m: p50", "p95", "largest, m: p95")
+    rows: TableRows = []
+    for model, of in found.items():
+        end, worst = ([row[k] for row in of] for k in ("error_m", "worst_m"))
+        figures = [float(np.percentile(*x)) for x in ((end, 50), (end, 95), (worst, 95))]
+        hits = [mean_interval(of, name) for name in ("collision", "off_road")]
+        rows.append([model, len(of), *figures, *hits])
+    table = Table(["dynamics", "vehicles", *map(Column, errors), *shares], rows)
+    note = f"Shares of vehicles, less what the replayed log has. {brackets(found.values())}"
+    write_aside(folder / "table.md", document(table, note))

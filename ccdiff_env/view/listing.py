@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
+from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
 from ccdiff_env.view.notebook import scene_row
 
@@ -17,7 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a table of the scenes."""
-    rows = [f"| {' | '.join(scene_row(scene))} |" for scene in scenes_from(args)]
-    head = ["| scene | location | seconds | agents | vehicles |", "|---|---|---|---|---|"]
-    say("\n".join(head + rows))
+    heads = ("scene", "location", "seconds", "agents", "vehicles")
+    say(str(Table(heads, [scene_row(scene) for scene in scenes_from(args)])))
     return 0

@@ -1,0 +1,112 @@
+"""Tables of reports: one value, written as Markdown and CSV; pages and terminals read the first."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ccdiff_env.system.files import writing
+
+__all__ = ["Block", "Cell", "Column", "Figure", "Table", "TableRows", "document"]
+
+#: A value, and the ends of its interval; NaN where there is none.
+Figure = tuple[float, float, float]
+#: Words and counts stand as they are; of a float or a figure NaN is ``n/a``, ``None`` nothing.
+Cell = str | int | float | Figure | None
+TableRows = list[list[Cell]]
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a column shows its numbers; a column of words alone is a text, its head.
+
+    ``name`` is the head in files. Readers see ``head``, by default the name with blanks, with the
+    ``unit``; numbers times ``factor`` with so many ``digits`` and, if ``sign`` is ``"+"``, with
+    signs; and the ``interval``. ``best`` emphasises the highest of the numbers that they see.
+    """
+
+    name: str
+    head: str | None = None
+    unit: str = ""
+    digits: int = 2
+    sign: str = ""
+    factor: float = 1.0
+    interval: bool = True
+    best: bool = False
+
+    @property
+    def title(self) -> str:
+        """Head for readers, with the unit."""
+        head = self.name.replace("_", " ") if self.head is None else self.head
+        return f"{head} {self.unit}".rstrip()
+
+    def text(self, cell: Cell) -> str:
+        """Return what readers see of a cell."""
+        if cell is None or isinstance(cell, str | int):
+            return "" if cell is None else str(cell)
+        figure = [self.factor * x for x in (cell if isinstance(cell, tuple) else (cell,))]
+        if not math.isfinite(figure[0]):
+            return "n/a"
+        shown, *ends = (f"{x:{self.sign}.{self.digits}f}" for x in figure)
+        known = self.interval and ends and all(map(math.isfinite, figure))
+        return f"{shown} [{', '.join(ends)}]" if known else shown
+
+    def texts(self, cells: Sequence[Cell]) -> list[str]:
+        """Return what readers see of all cells."""
+        texts = [self.text(cell) for cell in cells]
+        if not self.best:
+            return texts
+        # a number alone, with an interval, or as a link
+        numbers = [text.split(" ")[0].strip("[").split("]")[0] for text in texts]
+        values = [float(n) if n not in ("", "n/a") else -math.inf for n in numbers]
+        most = max([v for v in values if v > -math.inf], default=math.nan)
+        return [f"**{t}**" if v == most else t for t, v in zip(texts, values, strict=True)]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under columns, with a heading; true if there are any."""
+
+    heads: Sequence[Column | str]
+    rows: Sequence[Sequence[Cell]]
+    title: str = ""
+
+    @property
+    def columns(self) -> list[Column]:
+        """Columns, those of words as well."""
+        return [Column(c, head=c) if isinstance(c, str) else c for c in self.heads]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __str__(self) -> str:
+        shown = [c.texts([row[i] for row in self.rows]) for i, c in enumerate(self.columns)]
+        lines = [[c.title for c in self.columns], *zip(*shown, strict=True)]
+        drawn = ["".join(f"| {cell} " if cell else "| " for cell in line) + "|" for line in lines]
+        text = "\n".join([drawn[0], "|" + "---|" * len(shown), *drawn[1:]])
+        return f"### {self.title}\n\n{text}" if self.title else text
+
+    def write_csv(self, path: Path) -> None:
+        """Write names and cells; figures in three columns, empty where nothing is known."""
+        heads: list[str] = []
+        for i, column in enumerate(self.columns):
+            wide = any(isinstance(row[i], tuple) for row in self.rows)
+            heads += [column.name + end for end in ("", "_low", "_high")[: 3 if wide else 1]]
+        with writing(path) as file:
+            writer = csv.writer(file)
+            writer.writerow(heads)
+            for row in self.rows:
+                flat = [x for cell in row for x in (cell if isinstance(cell, tuple) else (cell,))]
+                writer.writerow(["" if x is None or x != x else x for x in flat])
+
+
+#: A part of a document.
+Block = Table | str
+
+
+def document(*blocks: Block) -> str:
+    """Return the Markdown of paragraphs and tables; those without text or rows are left out."""
+    return "\n\n".join(str(block) for block in blocks if block) + "\n"

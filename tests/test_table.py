@@ -1,0 +1,54 @@
+"""One value per table: what readers and files see of it."""
+
+import csv
+import math
+from pathlib import Path
+
+from ccdiff_env.system.table import Column, Table, document
+
+ROOT = Path(__file__).resolve().parents[1]
+NAN = math.nan
+
+
+def table():
+    columns = (Column("hit", unit="%", digits=1, factor=100.0), Column("gap", "distance", "m"))
+    return Table(
+        ["name", "count", *columns],
+        [["a", 3, (0.25, 0.125, 0.5), 1.5], ["b", 4, (NAN, NAN, NAN), None]],
+        "Two",
+    )
+
+
+def test_readers_see_units_digits_and_intervals():
+    assert str(table()).splitlines() == [
+        "### Two",
+        "",
+        "| name | count | hit % | distance m |",
+        "|---|---|---|---|",
+        "| a | 3 | 25.0 [12.5, 50.0] | 1.50 |",
+        "| b | 4 | n/a | |",
+    ]
+
+
+def test_files_have_the_values_themselves(tmp_path):
+    table().write_csv(tmp_path / "t.csv")
+    rows = list(csv.reader((tmp_path / "t.csv").open()))
+    assert rows[0] == ["name", "count", "hit", "hit_low", "hit_high", "gap"]
+    assert rows[1:] == [["a", "3", "0.25", "0.125", "0.5", "1.5"], ["b", "4", "", "", "", ""]]
+
+
+def test_the_highest_as_shown_are_emphasised():
+    cells = (0.901, "[0.90](#a) [0.80, 0.95]", 0.894, NAN, None)
+    lines = str(Table([Column("score", best=True)], [[cell] for cell in cells])).splitlines()
+    shown = ["**0.90**", "**[0.90](#a) [0.80, 0.95]**", "0.89", "n/a"]
+    assert lines[2:] == [*(f"| {cell} |" for cell in shown), "| |"]
+
+
+def test_a_document_leaves_out_what_has_nothing():
+    assert document("First.", "", Table(["a"], []), "Last.") == "First.\n\nLast.\n"
+
+
+def test_no_other_module_draws_a_table():
+    files = [*(ROOT / "ccdiff_env").rglob("*.py"), *(ROOT / "tools").rglob("*.py")]
+    drawn = {f.name for f in files if "---|" in f.read_text(encoding="utf-8")}
+    assert drawn == {"table.py", "configuration.py"}  # the second by kinds of options
