@@ -14,7 +14,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, UnknownOptionError
 from ccdiff_env.system.files import parsed_object
@@ -45,6 +45,11 @@ from ccdiff_env.traffic.options import (
     UnicycleLimits,
     WorldOptions,
 )
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import WorldKeywords
 
 __all__ = [
     "ActionConfig",
@@ -102,7 +107,7 @@ class WorldConfig(WorldOptions):
                 if name not in known and name not in also:
                     raise unknown(what, str(name), (*known, *also))
 
-    def with_options(self, **options: Any) -> WorldConfig:
+    def with_options(self, **options: Unpack[WorldKeywords]) -> WorldConfig:
         """Return a copy with some fields replaced.
 
         Parameters
@@ -120,11 +125,12 @@ class WorldConfig(WorldOptions):
         ConfigError
             If a name is unknown (the message names near ones) or a value has the wrong type.
         """
+        given: dict[str, Any] = {**options}
         shortcuts: dict[str, Any] = {
-            k: options.pop(k) for k in ("dynamics", "discrete", "grid") if k in options
+            k: given.pop(k) for k in ("dynamics", "discrete", "grid") if k in given
         }
-        rasters = {"bev": options.pop("bev")} if "bev" in options else {}
-        config = _replaced(self, _with_policies(options, self.policies), "")
+        rasters = {"bev": given.pop("bev")} if "bev" in given else {}
+        config = _replaced(self, _with_policies(given, self.policies), "")
         if shortcuts:
             action = _replaced(config.action, shortcuts, "action.")
             config = dataclasses.replace(config, action=action)

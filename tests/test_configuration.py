@@ -14,7 +14,7 @@ import ccdiff_env
 from ccdiff_env import _native, config
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.traffic import PythonTraffic
-from tools.configuration import classes, page, plan_fields, tables
+from tools.configuration import FILES, tables
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -33,13 +33,9 @@ PLACES = {
 }
 
 
-def test_classes_and_page_are_those_of_the_tables():
-    found = tables()
-    folder = ROOT / "ccdiff_env" / "traffic"
-    assert (folder / "options.py").read_text(encoding="utf-8") == classes(found)
-    written = folder / "plan_fields.py"
-    assert written.read_text(encoding="utf-8") == plan_fields()
-    assert (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8") == page(found)
+@pytest.mark.parametrize("name", FILES)
+def test_classes_keywords_and_page_are_those_of_the_tables(name):
+    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]()
 
 
 def test_defaults_of_every_class_are_those_of_its_table():

@@ -10,14 +10,14 @@ import re
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from ccdiff_env import _native
 from ccdiff_env.models import require_networks
 
-__all__ = ["classes", "page", "plan_fields", "tables"]
+__all__ = ["FILES", "classes", "keywords", "page", "plan_fields", "tables"]
 
 Table = Mapping[str, Any]
 
@@ -105,6 +105,45 @@ class PlanFields:
 
 <fields>
 '''
+
+KEYWORDS_HEAD = f'''"""Keywords of environments for checkers, written by `{COMMAND}`: do not edit.
+
+Nested configurations may be dictionaries of the fields to change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, TypedDict
+
+from ccdiff_env.traffic.options import <used>
+from ccdiff_env.traffic.python import PythonTraffic
+
+'''
+#: Keywords by the class of dictionaries that adds them to those before: environments have arguments
+#: of these names, or set them themselves.
+KEYWORDS = {
+    "SelectionKeywords": (),
+    "AgentKeywords": ("reward", "driver", "decision_steps"),
+    "EgoKeywords": ("adversaries", "adversary_shaping"),
+    "WorldKeywords": ("observation", "controlled", "num_slots", "autoreset"),
+}
+#: What keywords take beside what fields hold.
+MORE = {
+    "traffic": " | PythonTraffic",
+    "driver": " | PythonTraffic",
+    "controlled": " | list[str]",
+    "reward": " | str",
+}
+_OF = {
+    "SelectionKeywords": "the selection of adversaries",
+    "AgentKeywords": "environments of several agents",
+    "EgoKeywords": "environments of one ego per world",
+    "WorldKeywords": "configurations of worlds",
+}
+#: Keywords that are no fields of the configuration of worlds: fields of its actions and rasters.
+SHORT = {"dynamics": "ActionConfig", "discrete": "ActionConfig", "grid": "ActionConfig",
+         "bev": "ObservationConfig"}  # fmt: skip
 
 
 def tables() -> list[Table]:
@@ -269,6 +308,38 @@ def _formatted(text: str) -> str:
     ).stdout
 
 
+def _keyword(name: str, form: Any) -> str:
+    """Annotation of a keyword: more is taken than fields hold."""
+    made = _annotation(form).replace("tuple[str, ...]", "list[str] | tuple[str, ...]")
+    choices = [c for c in _choices(form) if all(v["form"] is not None for v in c["variants"])]
+    for choice in choices:
+        made += f" | Literal[{', '.join(repr(v['name']) for v in choice['variants'])}]"
+    nested = bool(choices) or any(_tables_in(form))
+    return made + MORE.get(name, "") + " | Mapping[str, Any]" * nested
+
+
+def keywords(found: list[Table]) -> str:
+    """Return the module of keywords."""
+    by_name = {t["name"]: {e["name"]: e for e in t["fields"]} for t in found}
+    fields = {name: _keyword(name, e["form"]) for name, e in by_name["WorldConfig"].items()}
+    fields |= {name: _keyword(name, by_name[t][name]["form"]) for name, t in SHORT.items()}
+    kinds = {k["name"]: k["options"] for k in _native.driver_kinds() if k["options"]}
+    kinds["python"] = "PythonTraffic"
+    fields |= {n: f"{t} | Mapping[str, Any]" for n, t in kinds.items() if n not in fields}
+    late = {name for names in KEYWORDS.values() for name in names}
+    lines, base = [], "TypedDict"
+    for name, own in KEYWORDS.items():
+        shown = own or [n for n in fields if n not in late]
+        lines += [f"class {name}({base}, total=False):", f'    """Keywords of {_OF[name]}."""', ""]
+        lines += [*(f"    {n}: {fields[n]}" for n in shown), "", ""]
+        base = name
+    text = "\n".join(lines)
+    forms = [e["form"] for t in found for e in t["fields"]]
+    known = {t["name"] for t in found} | {c["name"] for form in forms for c in _choices(form)}
+    used = ", ".join(sorted(known & set(re.findall(r"\w+", text))))
+    return _formatted(KEYWORDS_HEAD.replace("<used>", used) + text)
+
+
 def plan_fields() -> str:
     """Return the module of the fields of a plan's record."""
     plain = {"usize": "int", "Vec<String>": "tuple[str, ...]"}
@@ -354,8 +425,14 @@ def _linked(form: Any) -> str:
     return "".join(f" ([{name}](#{name.lower()}))" for name in _tables_in(form))
 
 
+#: Files that are written, and what makes each of them.
+FILES: Mapping[str, Callable[[], str]] = {
+    "ccdiff_env/traffic/options.py": lambda: classes(tables()),
+    "ccdiff_env/traffic/keywords.py": lambda: keywords(tables()),
+    "ccdiff_env/traffic/plan_fields.py": plan_fields,
+    "docs/configuration.md": lambda: page(tables()),
+}
+
 if __name__ == "__main__":
-    known = tables()
-    (ROOT / "ccdiff_env" / "traffic" / "options.py").write_text(classes(known), encoding="utf-8")
-    (ROOT / "ccdiff_env" / "traffic" / "plan_fields.py").write_text(plan_fields(), encoding="utf-8")
-    (ROOT / "docs" / "configuration.md").write_text(page(known), encoding="utf-8")
+    for name, made in FILES.items():
+        (ROOT / name).write_text(made(), encoding="utf-8")

@@ -103,7 +103,7 @@ def _drive(scene: Scene, ids: tuple[str, ...], steps: int, model: str | None) ->
         controlled=ids,
         num_slots=len(ids),
         driver="replay" if model is None else "external",
-        dynamics=model or "unicycle",
+        dynamics={model or "unicycle": {}},
         on_collision="ignore",
         on_off_road="ignore",
         terminate_at_goal=False,

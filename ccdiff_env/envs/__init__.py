@@ -12,9 +12,6 @@ from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import MissingFeatureError
 
-if TYPE_CHECKING:
-    from ccdiff_env.envs.parallel import MultiAgentEnv
-
 __all__ = [
     "EGO_ID",
     "SELECTION_ID",
@@ -51,43 +48,34 @@ def register() -> None:
         )
 
 
-def make_vec(num_envs: int = 1, **options: Any) -> EgoVectorEnv:
-    """Return a native vector environment of E worlds.
-
-    Parameters
-    ----------
-    num_envs
-        Number of worlds E.
-    **options
-        As for :class:`EgoVectorEnv`: ``scenes``, ``traffic``, ``autoreset_mode``,
-        ``observation``, ``info``, ``copy``, ``num_threads``, ``render_mode``, and every field of
-        :class:`~ccdiff_env.config.WorldConfig`.
-    """
-    return EgoVectorEnv(num_envs, **options)
+#: The vector environment, by the name of Gymnasium's function.
+make_vec = EgoVectorEnv
 
 
-def parallel_env(**options: Any) -> MultiAgentEnv:
-    """Return an environment of several vehicles, a PettingZoo ``ParallelEnv``.
+if TYPE_CHECKING:
+    from ccdiff_env.envs.parallel import MultiAgentEnv as parallel_env
+else:
 
-    Parameters
-    ----------
-    **options
-        As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`: ``scenes``, ``agents``,
-        ``ranking``, ``adversaries``, ``names``, ``max_cycles``, ``observation``, ``info``,
-        ``render_mode``, and every field of :class:`~ccdiff_env.config.WorldConfig`.
+    def parallel_env(**options: Any) -> Any:
+        """Return an environment of several vehicles, a PettingZoo ``ParallelEnv``.
 
-    Raises
-    ------
-    MissingFeatureError
-        If PettingZoo is not installed.
-    """
-    try:
-        from ccdiff_env.envs.parallel import MultiAgentEnv
-    except ModuleNotFoundError as error:
-        raise MissingFeatureError(
-            "environments of several agents need PettingZoo: pip install pettingzoo"
-        ) from error
-    return MultiAgentEnv(**options)
+        Parameters
+        ----------
+        **options
+            As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
+
+        Raises
+        ------
+        MissingFeatureError
+            If PettingZoo is not installed.
+        """
+        try:
+            from ccdiff_env.envs.parallel import MultiAgentEnv
+        except ModuleNotFoundError as error:
+            raise MissingFeatureError(
+                "environments of several agents need PettingZoo: pip install pettingzoo"
+            ) from error
+        return MultiAgentEnv(**options)
 
 
 def aec_env(**options: Any) -> Any:

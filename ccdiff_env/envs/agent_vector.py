@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
@@ -31,6 +31,11 @@ from ccdiff_env.worlds import (
 )
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.spaces import FORMS, Form
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import AgentKeywords
 
 __all__ = ["AgentVectorEnv"]
 
@@ -86,7 +91,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Any,
+        **options: Unpack[AgentKeywords],
     ) -> None:
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("rgb_array",))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -30,6 +30,11 @@ from ccdiff_env.worlds import (
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import AgentKeywords
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -109,7 +114,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Any,
+        **options: Unpack[AgentKeywords],
     ) -> None:
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("human", "rgb_array"))

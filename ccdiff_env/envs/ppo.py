@@ -62,7 +62,10 @@ class Worlds:
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         # plans of one denoising step: two to three times as fast
-        critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
+        critical: dict[str, Any] = {
+            "criticality": (0.0, args.criticality),
+            "ccdiff": {"denoising_steps": 1},
+        }
         self.envs = [
             make_vec(
                 each * count,
@@ -266,12 +269,15 @@ def train(args: argparse.Namespace) -> None:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
     assisted = args.dynamics == "assisted"
-    fitting = {
+    fitting: dict[str, Any] = {
         "observation": OBSERVATION,
         "dynamics": ASSISTED if assisted else args.dynamics,
         "decision_steps": args.decision_steps,
     }
-    training = {"reward": REWARD | (PRICES if assisted else {}), "start_spread_steps": 50}
+    training: dict[str, Any] = {
+        "reward": REWARD | (PRICES if assisted else {}),
+        "start_spread_steps": 50,
+    }
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
@@ -17,6 +17,7 @@ from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import (
     FollowsTraining,
     SceneChoice,
@@ -31,12 +32,17 @@ from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import EgoKeywords
+
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 InfoLevel = Literal["full", "end", "none"]
 
-_AUTORESET = {
+_AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",
     AutoresetMode.SAME_STEP: "same_step",
     AutoresetMode.DISABLED: "disabled",
@@ -136,7 +142,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Any,
+        **options: Unpack[EgoKeywords],
     ) -> None:
         mode = _mode(autoreset_mode)
         check_choices(observation, info, FORMS)

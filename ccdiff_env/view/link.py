@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -27,7 +28,7 @@ def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
     """Return the configuration that the page plays with."""
     samples = 4 if criticality > 0.0 else 1
     network = {"denoising_steps": 1, "num_samples": samples, "criticality": criticality}
-    options = {"ccdiff": network} if traffic == "ccdiff" else {}
+    options: dict[str, Any] = {"ccdiff": network} if traffic == "ccdiff" else {}
     return WorldConfig().with_options(
         traffic=traffic, horizon_steps=HORIZON_STEPS, autoreset="disabled", **options
     )

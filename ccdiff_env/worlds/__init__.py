@@ -27,6 +27,7 @@ from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import SOURCES, load
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
+from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
@@ -69,7 +70,7 @@ def scene_set(scenes: Scenes) -> SceneSet:
 def world_config(
     scenes: SceneSet,
     config: WorldConfig | None,
-    options: dict[str, Any],
+    options: Mapping[str, Any],
     observation: Form | None = None,
 ) -> WorldConfig:
     """Return the configuration of plain keywords over a base; the step is that of the scenes.
@@ -219,7 +220,7 @@ class Worlds:
         #: Arrays of the newest reset or step.
         self.last: StepArrays | None = None
 
-    def set_autoreset(self, mode: str) -> None:
+    def set_autoreset(self, mode: Autoreset) -> None:
         """Choose when ended worlds begin anew, before the first reset."""
         config = self.config.with_options(autoreset=mode)
         self.native.set_autoreset(config.to_json())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,7 @@ class SelectionBatch:
         reward: SelectionReward,
         num_threads: int | None,
         trails: bool,
-        options: dict[str, Any],
+        options: Mapping[str, Any],
     ) -> None:
         for name in ("controlled", "num_slots", "autoreset", "driver", "decision_steps"):
             if name in options:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -16,6 +16,11 @@ from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.planners import Ego
 from ccdiff_env.worlds import Scenes, normalize_seed
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import SelectionKeywords
 
 __all__ = ["AdversarySelectionEnv", "selection_reward"]
 
@@ -87,7 +92,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         reward: SelectionReward | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        **options: Any,
+        **options: Unpack[SelectionKeywords],
     ) -> None:
         check_render_mode(render_mode, ("human", "rgb_array"))
         self._render_options = checked_render_options(render_options)

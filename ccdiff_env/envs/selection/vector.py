@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
@@ -22,6 +22,11 @@ from ccdiff_env.envs.selection.single import selection_reward
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.policies.planners import Ego
 from ccdiff_env.worlds import Scenes, Worlds, normalize_seed
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from ccdiff_env.traffic.keywords import SelectionKeywords
 
 __all__ = ["AdversarySelectionVectorEnv"]
 
@@ -68,7 +73,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         num_threads: int | None = None,
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        **options: Any,
+        **options: Unpack[SelectionKeywords],
     ) -> None:
         check_render_mode(render_mode, ("rgb_array",))
         self._render_options = checked_render_options(render_options)
