@@ -315,7 +315,9 @@ def _keyword(name: str, form: Any) -> str:
     for choice in choices:
         made += f" | Literal[{', '.join(repr(v['name']) for v in choice['variants'])}]"
     nested = bool(choices) or any(_tables_in(form))
-    return made + MORE.get(name, "") + " | Mapping[str, Any]" * nested
+    last = " | None" * made.endswith(" | None")
+    made = made.removesuffix(last) + MORE.get(name, "") + " | Mapping[str, Any]" * nested
+    return made + last
 
 
 def keywords(found: list[Table]) -> str:

@@ -45,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_realism(kinds)
     _add_selection(kinds)
     _add_reactivity(kinds)
-    _add_tracking(kinds)
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -410,25 +409,3 @@ def _reactivity(args: argparse.Namespace) -> int:
     jobs = reactivity_jobs(run.source, args.traffic.split(","), seed=args.seed)
     write_reactivity(run.rows(jobs, "traffic", "way"), run.folder)
     return run.report("Reactivity", plots=[], parts={"Who copes": "table.md"})
-
-
-def _add_tracking(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("tracking", help="the log driven through each model of motion")
-    add_run_arguments(parser)
-    parser.add_argument(
-        "--dynamics",
-        action=Listed,
-        names="bench.tracking:MODELS",
-        default="unicycle,bicycle,delta_pose",
-        help="comma-separated",
-    )
-    parser.set_defaults(run=_tracking)
-
-
-def _tracking(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.tracking import tracking_jobs, write_tracking
-
-    run = Run(args, "tracking")
-    rows = run.rows(tracking_jobs(run.source, args.dynamics.split(",")), "model")
-    write_tracking({model: found for (model,), found in rows.items()}, run.folder)
-    return run.report("Tracking", plots=[], parts={"The log through models of motion": "table.md"})

@@ -54,8 +54,8 @@ class SelectionKeywords(TypedDict, total=False):
         Dynamics | Literal["unicycle", "bicycle", "delta_pose", "assisted"] | Mapping[str, Any]
     )
     discrete: bool
-    grid: ActionGrid | None | Mapping[str, Any]
-    bev: BevConfig | None | Mapping[str, Any]
+    grid: ActionGrid | Mapping[str, Any] | None
+    bev: BevConfig | Mapping[str, Any] | None
     python: PythonTraffic | Mapping[str, Any]
     ccdiff: CcdiffConfig | Mapping[str, Any]
     simnet: CcdiffConfig | Mapping[str, Any]
