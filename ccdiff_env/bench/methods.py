@@ -117,7 +117,7 @@ METHODS: dict[str, Method] = NamedDrivers(
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
         "idm": Method(KINDS["idm"].title, "idm"),
-        "ccdiff": Method("CCDiff", "ccdiff", ccdiff=_GUIDED),
+        "ccdiff": Method(KINDS["ccdiff"].title, "ccdiff", ccdiff=_GUIDED),
         "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
         "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
         "ccdiff_careful": Method("CCDiff, careful, N=1", "ccdiff", ccdiff={"careful": True}),

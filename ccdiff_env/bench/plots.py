@@ -12,6 +12,7 @@ from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.tables import Condition, Figures
 from ccdiff_env.metrics import scores
 from ccdiff_env.system.files import read_text, write_aside
+from ccdiff_env.view.page import colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,15 +20,15 @@ if TYPE_CHECKING:
 
 __all__ = ["colours_of", "new_plot", "plot_scores", "save_plot"]
 
-#: Colours of methods and planners: those of the drivers on replays, darker where white would
-#: swallow them. Guided CCDiff has the colour of guided vehicles.
+_DRIVERS = colours()["light"]
+#: Colours of methods and planners: those of the drivers on replays, but for yellow, which white
+#: would swallow. Guided CCDiff has the colour of guided vehicles.
 COLOURS = {
-    "ccdiff": "#e68a00",
-    "ccdiff_unguided": "#009e73",
+    **{name: _DRIVERS[name] for name in ("replay", "constant_velocity")},
+    "ccdiff": _DRIVERS["adversary"],
+    "ccdiff_unguided": _DRIVERS["ccdiff"],
     "ccdiff_one_sample": "#5cbf9f",
     "idm": "#a89100",
-    "replay": "#8c96a3",
-    "constant_velocity": "#c26fa4",
     "lane_idm": "#d1bb3a",
     "pdm": "#3b8fd4",
 }

@@ -13,12 +13,13 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.traffic import KINDS
 
 __all__ = ["HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "world_config"]
 
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
-TRAFFIC = {"ccdiff": "CCDiff", "idm": "IDM", "replay": "as recorded"}
+TRAFFIC = {**{name: KINDS[name].title for name in ("ccdiff", "idm")}, "replay": "as recorded"}
 #: Most that the steering moves in a step: full lock in a quarter of a second.
 STEER_PER_STEP = 4 * 0.1
 MAX_CRITICALITY = 2.0
