@@ -368,9 +368,9 @@ class WorldStatus:
 
 @final
 class Planner:
-    """A planner of the package: ``"pdm"`` or ``"idm"``."""
+    """A planner of the package: ``"pdm"``, ``"idm"`` or ``"plan"``, the last one with a network."""
 
-    def __new__(cls, kind: str) -> Planner: ...
+    def __new__(cls, kind: str, network: object = None) -> Planner: ...
 
 @final
 class VecWorld:

@@ -6,11 +6,17 @@ Both know what a vehicle can know and drive through the action. Their rules stan
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env._native import Planner
-from ccdiff_env.worlds import Worlds
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.traffic import CcdiffConfig, Policy
+from ccdiff_env.worlds import Worlds, network_policies
+from ccdiff_env.worlds.worlds_view import behind
 
 __all__ = ["RULES", "RulePlanner"]
 
@@ -25,9 +31,18 @@ class RulePlanner:
     """
 
     kind: str
+    #: Network that it asks, and its options; ``None``: none.
+    network: tuple[str, Mapping[str, Any]] | None = None
 
     def __init__(self, worlds: Worlds) -> None:
-        self._native, self._planner = worlds.native, Planner(self.kind)
+        self._native = worlds.native
+        found = None
+        if self.network is not None:
+            options = CcdiffConfig(**self.network[1])
+            own = {"planner": Policy(self.network[0], options)}
+            config = WorldConfig(dt_s=worlds.config.dt_s, driver="planner", policies=own)
+            found = network_policies(config, list(behind(worlds.scenes)), 1)["planner"]
+        self._planner = Planner(self.kind, found)
 
     def __call__(self, obs: object) -> npt.NDArray[np.float32]:
         """Return the actions [E, W], or indices [E], of all worlds; zeros where nobody drives.
@@ -49,11 +64,29 @@ class _Pdm(RulePlanner):
     kind = "pdm"
 
 
+class _PdmCcdiff(_Pdm):
+    """PDM-Closed whose proposals meet four samples of CCDiff in place of constant velocity."""
+
+    network = ("ccdiff", {"num_samples": 4, "parked_rule": "standing"})
+
+
 class _LaneIdm(RulePlanner):
     """The worlds' intelligent driver model on the centre lines, at the road's limit."""
 
     kind = "idm"
 
 
+class _Diffusion(RulePlanner):
+    """CCDiff drives the ego with its route: one careful plan every half second."""
+
+    kind = "plan"
+    network = ("ccdiff", {"num_samples": 1, "follow_route": True, "careful": True})
+
+
 #: Planners by name.
-RULES: dict[str, type[RulePlanner]] = {"pdm": _Pdm, "lane_idm": _LaneIdm}
+RULES: dict[str, type[RulePlanner]] = {
+    "pdm": _Pdm,
+    "pdm_ccdiff": _PdmCcdiff,
+    "lane_idm": _LaneIdm,
+    "diffusion": _Diffusion,
+}

@@ -193,7 +193,7 @@ class Worlds:
             num_worlds,
             num_threads,
             TRAIL_STEPS if trails else 0,
-            _policies(config, scenes, min(num_threads, _num_processors())),
+            network_policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
         if criticality is not None and not _native.networks_wanted(config.to_json()):
@@ -456,7 +456,9 @@ class FollowsTraining:
         self.worlds.set_scene_weights(weights)
 
 
-def _policies(config: WorldConfig, scenes: Sequence[Scene], num_threads: int) -> dict[str, object]:
+def network_policies(
+    config: WorldConfig, scenes: Sequence[Scene], num_threads: int
+) -> dict[str, object]:
     """Return the policies of a configuration that need a network, by name, for the native worlds.
 
     They plan on ``num_threads`` threads; plans do not depend on their number.

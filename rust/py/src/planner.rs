@@ -6,13 +6,14 @@ use ccdiff_sim::planner::{Planner, PlannerKind};
 use ccdiff_sim::world::VecWorld;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
 
 /// Adds the class of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyPlanner>()
 }
 
-/// A planner of the package, `pdm` or `idm`: drives the first slots of worlds.
+/// A planner of the package, `pdm`, `idm` or `plan`: drives the first slots of worlds, the last one by the plans of a network.
 #[pyclass(name = "Planner", module = "ccdiff_env._native")]
 pub(crate) struct PyPlanner {
     planner: Planner,
@@ -21,13 +22,19 @@ pub(crate) struct PyPlanner {
 #[pymethods]
 impl PyPlanner {
     #[new]
-    fn new(kind: &str) -> PyResult<Self> {
+    #[pyo3(signature = (kind, network=None))]
+    fn new(kind: &str, network: Option<&Bound<'_, PyCapsule>>) -> PyResult<Self> {
         let kind = match kind {
             "pdm" => PlannerKind::Pdm,
             "idm" => PlannerKind::Idm,
-            _ => return Err(UnknownNameError::new_err(format!("no planner {kind:?}, there are pdm, idm"))),
+            "plan" => PlannerKind::Plan,
+            _ => {
+                let message = format!("no planner {kind:?}, there are pdm, idm, plan");
+                return Err(UnknownNameError::new_err(message));
+            }
         };
-        Ok(Self { planner: Planner::new(kind) })
+        let network = network.map(ccdiff_bridge::taken_policy).transpose()?;
+        Ok(Self { planner: Planner::new(kind, network) })
     }
 }
 
@@ -45,8 +52,9 @@ impl PyPlanner {
         }
         let mut flat = vec![0.0; e * w];
         enter(py, || {
-            for i in (0..e).filter(|i| active.as_ref().is_none_or(|a| a[*i])) {
-                let action = self.planner.act(world, i).map_err(from_sim)?;
+            let worlds: Vec<usize> = (0..e).filter(|i| active.as_ref().is_none_or(|a| a[*i])).collect();
+            let actions = self.planner.act(world, &worlds).map_err(from_sim)?;
+            for (i, action) in worlds.into_iter().zip(actions) {
                 flat[i * w..(i + 1) * w].copy_from_slice(&action[..w]);
             }
             Ok(())

@@ -1,7 +1,7 @@
-//! Where the others will be: at constant velocity, with their headings.
+//! Where the others will be: at constant velocity, with their headings, or as a network expects.
 
 use super::Scene;
-use crate::geom::{OrientedBox, Point2, Real, Vector2};
+use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2};
 use crate::state::Footprint;
 
 /// Seconds of the proposals.
@@ -18,6 +18,9 @@ pub(super) struct Other {
     cos: Real,
     sin: Real,
     pub footprint: Footprint,
+    /// Poses at every step from now on, until they end; none at constant velocity.
+    path: Vec<Pose2>,
+    dt_s: Real,
     /// Place beside the centre line at each step.
     pub beside: Vec<Beside>,
 }
@@ -37,25 +40,48 @@ pub(super) struct Beside {
 impl Other {
     #[inline]
     pub(super) fn centre(&self, time_s: Real) -> Point2 {
-        self.position + self.velocity * time_s
+        let Some(last) = self.path.last() else { return self.position + self.velocity * time_s };
+        let f = time_s / self.dt_s;
+        let at = f as usize;
+        match self.path.get(at..at + 2) {
+            Some([a, b]) => a.position + (b.position - a.position) * (f - at as Real),
+            _ => last.position + self.velocity_at(at) * (time_s - (self.path.len() - 1) as Real * self.dt_s),
+        }
     }
 
     #[inline]
     pub(super) fn at(&self, time_s: Real) -> OrientedBox {
+        let (cos, sin) = self.direction((time_s / self.dt_s) as usize);
         OrientedBox {
             centre: self.centre(time_s),
-            cos: self.cos,
-            sin: self.sin,
+            cos,
+            sin,
             half_length_m: self.footprint.half_length_m,
             half_width_m: self.footprint.half_width_m,
         }
     }
 
-    fn beside(&self, scene: &Scene<'_>, time_s: Real, hint_s_m: Option<Real>) -> Beside {
-        let found = scene.line.project(self.centre(time_s), hint_s_m);
+    /// Cosine and sine of the heading at a step.
+    fn direction(&self, step: usize) -> (Real, Real) {
+        let pose = self.path.get(step).or(self.path.last());
+        pose.map_or((self.cos, self.sin), |pose| (pose.cos, pose.sin))
+    }
+
+    /// Velocity from a step to the next one; past the path's end, that of its last step.
+    fn velocity_at(&self, step: usize) -> Vector2 {
+        let from = step.min(self.path.len().saturating_sub(2));
+        match self.path.get(from..from + 2) {
+            Some([a, b]) => (b.position - a.position) / self.dt_s,
+            _ => self.velocity,
+        }
+    }
+
+    fn beside(&self, scene: &Scene<'_>, step: usize, hint_s_m: Option<Real>) -> Beside {
+        let found = scene.line.project(self.centre(step as Real * scene.dt_s), hint_s_m);
         let direction = scene.line.polyline().tangent_at(found.s_m);
-        let along = (self.cos * direction.x + self.sin * direction.y).abs();
-        let across = (self.sin * direction.x - self.cos * direction.y).abs();
+        let (cos, sin) = self.direction(step);
+        let along = (cos * direction.x + sin * direction.y).abs();
+        let across = (sin * direction.x - cos * direction.y).abs();
         // past the line's corners the distance counts, as the offset from the segment says little there
         let lateral_m = found.distance_m.max(found.lateral_m.abs()).copysign(found.lateral_m);
         let f = &self.footprint;
@@ -64,7 +90,7 @@ impl Other {
             lateral_m,
             half_along_m: along * f.half_length_m + across * f.half_width_m,
             half_across_m: across * f.half_length_m + along * f.half_width_m,
-            speed_mps: self.velocity.dot(&direction).max(0.0),
+            speed_mps: self.velocity_at(step).dot(&direction).max(0.0),
         }
     }
 }
@@ -77,7 +103,8 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    pub(super) fn new(scene: &Scene<'_>) -> Self {
+    /// `path` gives the poses of an agent from now on, where a network expects any.
+    pub(super) fn new(scene: &Scene<'_>, path: impl Fn(usize) -> Option<Vec<Pose2>>) -> Self {
         let (states, ego) = (scene.states, scene.ego);
         let num_steps = (HORIZON_S / scene.dt_s).round().clamp(1.0, 400.0) as usize;
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
@@ -89,13 +116,13 @@ impl Forecast {
                 continue;
             }
             let (cos, sin, footprint) = (states.cos[j], states.sin[j], *scene.footprint(j));
-            let beside = Vec::new();
-            let mut other = Other { position, velocity, speed_mps, cos, sin, footprint, beside };
-            let moves = speed_mps > 0.05;
+            let (path, dt_s, beside) = (path(j).unwrap_or_default(), scene.dt_s, Vec::new());
+            let moves = speed_mps > 0.05 || path.len() > 1;
+            let mut other = Other { position, velocity, speed_mps, cos, sin, footprint, path, dt_s, beside };
             for t in 0..num_steps {
                 let next = match other.beside.last() {
                     Some(last) if !moves => *last,
-                    last => other.beside(scene, t as Real * scene.dt_s, last.map(|b| b.s_m)),
+                    last => other.beside(scene, t, last.map(|b| b.s_m)),
                 };
                 other.beside.push(next);
             }

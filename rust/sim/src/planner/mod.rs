@@ -5,6 +5,7 @@
 
 mod centre_line;
 mod forecast;
+mod network;
 mod proposals;
 mod score;
 
@@ -13,30 +14,37 @@ pub use centre_line::CentreLine;
 use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
-use crate::geom::{Real, math};
-use crate::policy::{IdmConfig, idm_towards};
+use crate::geom::{Pose2, Real, math};
+use crate::policy::{IdmConfig, TrafficPolicy, idm_towards};
 use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Footprint};
 use crate::world::{VecWorld, WorldStatus};
 use forecast::Forecast;
+use network::Network;
 use proposals::{Proposal, Rollout, steering};
 use std::sync::Arc;
+
+/// Acceleration of an ego that its network does not plan for, m/s².
+const WITHOUT_PLAN_MPS2: Real = -4.0;
 
 /// What drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlannerKind {
-    /// Proposals, rolled out and scored.
+    /// Proposals, rolled out and scored; against the samples of a network where there is one, else at constant velocity.
     Pdm,
     /// The intelligent driver model of the worlds, along the centre line at the road's limit.
     Idm,
+    /// The plan of a network.
+    Plan,
 }
 
-/// Drives the first slot of worlds. Holds nothing but centre lines: the action follows from the present alone.
+/// Drives the first slot of worlds. Holds nothing but centre lines, and what its network has seen.
 #[derive(Debug)]
 pub struct Planner {
     kind: PlannerKind,
     /// Scene, agent and its centre line, of each world [E].
     lines: Vec<Option<(usize, usize, Arc<CentreLine>)>>,
+    network: Option<Network>,
 }
 
 /// What a planner knows of one world.
@@ -55,16 +63,23 @@ impl Scene<'_> {
 }
 
 impl Planner {
-    /// A planner for any number of worlds.
-    pub fn new(kind: PlannerKind) -> Self {
-        Self { kind, lines: Vec::new() }
+    /// A planner for any number of worlds, and its network.
+    pub fn new(kind: PlannerKind, network: Option<Box<dyn TrafficPolicy>>) -> Self {
+        Self { kind, lines: Vec::new(), network: network.map(Network::new) }
     }
 
-    /// The action of a world's first slot in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
+    /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
     ///
     /// # Errors
-    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics.
-    pub fn act(&mut self, world: &VecWorld, world_idx: usize) -> Result<Action> {
+    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics; what stops the network.
+    pub fn act(&mut self, world: &VecWorld, worlds: &[usize]) -> Result<Vec<Action>> {
+        if let Some(network) = &mut self.network {
+            network.plan(world, worlds)?;
+        }
+        worlds.iter().map(|i| self.act_in(world, *i)).collect()
+    }
+
+    fn act_in(&mut self, world: &VecWorld, world_idx: usize) -> Result<Action> {
         if let Dynamics::Assisted(_) = world.decoder().dynamics() {
             let expected = "a model of motion by itself".into();
             return Err(SimError::Config {
@@ -81,8 +96,9 @@ impl Planner {
         let dt_s = world.config().dt_s;
         let scene = Scene { prepared: &prepared, states: status.states, ego, dt_s, line: &line };
         let action = match self.kind {
-            PlannerKind::Pdm => pdm(&scene),
+            PlannerKind::Pdm => pdm(&scene, self.network.as_ref(), world_idx),
             PlannerKind::Idm => idm(&scene, &world.config().idm),
+            PlannerKind::Plan => follow(&scene, self.network.as_ref().and_then(|n| n.next(world_idx, ego))),
         };
         Ok(encoded(world, &scene, action))
     }
@@ -127,11 +143,26 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
     decoder.encode(&physical)
 }
 
-fn pdm(scene: &Scene<'_>) -> [Real; 2] {
-    let forecast = Forecast::new(scene);
+fn pdm(scene: &Scene<'_>, network: Option<&Network>, world_idx: usize) -> [Real; 2] {
     let proposals = Proposal::all();
-    let rollouts: Vec<Rollout> = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
-    score::best_action(scene, &forecast, &proposals, &rollouts)
+    let futures: Vec<(Forecast, Vec<Rollout>)> = (0..network.map_or(1, |n| n.num_samples(world_idx)))
+        .map(|sample| {
+            let path = |agent| network?.path(scene.states, world_idx, sample, agent);
+            let forecast = Forecast::new(scene, path);
+            let rollouts = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
+            (forecast, rollouts)
+        })
+        .collect();
+    score::best_action(scene, &proposals, &futures)
+}
+
+/// Acceleration and yaw rate towards a pose and speed after the step; braking where there is none.
+fn follow(scene: &Scene<'_>, next: Option<(Pose2, Real)>) -> [Real; 2] {
+    let Some((pose, speed_mps)) = next else { return [WITHOUT_PLAN_MPS2, 0.0] };
+    let to = KinState { x: pose.position.x, y: pose.position.y, heading_rad: pose.heading_rad, speed_mps };
+    let from = scene.states.kin_state(scene.ego);
+    let action = Dynamics::default().inverse(&from, &to, scene.dt_s, scene.footprint(scene.ego));
+    [action[0], action[1]]
 }
 
 /// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.

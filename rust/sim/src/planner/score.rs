@@ -26,13 +26,40 @@ const SLOW_MPS: Real = 5.0;
 /// Comfort: lowest and highest acceleration, highest lateral one (m/s²), jerk (m/s³).
 const COMFORT: (Real, Real, Real, Real) = (-4.05, 2.4, 4.89, 8.37);
 
-/// The first action of the best proposal, or an emergency brake.
+/// The first action of the proposal that is best in the mean over futures, or an emergency brake where most of them have a contact.
 pub(super) fn best_action(
+    scene: &Scene<'_>,
+    proposals: &[Proposal],
+    futures: &[(Forecast, Vec<Rollout>)],
+) -> [Real; 2] {
+    let scored: Vec<Vec<(Real, Option<usize>)>> =
+        futures.iter().map(|(forecast, rollouts)| scores(scene, forecast, proposals, rollouts)).collect();
+    let score = |i: usize| scored.iter().map(|of| of[i].0).sum::<Real>() / scored.len() as Real;
+    let mut best = (0, score(0));
+    for i in 1..proposals.len() {
+        let value = score(i);
+        if value > best.1 {
+            best = (i, value);
+        }
+    }
+    let first = &futures[0].1[best.0];
+    let [acceleration, yaw_rate] = first.actions[0];
+    let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
+    let hit = scored.iter().filter(|of| of[best.0].1.is_some_and(|t| t <= brake_steps)).count();
+    if 2 * hit > scored.len() {
+        let slow = first.states[0].speed_mps < SLOW_MPS;
+        return [if slow { SLOW_BRAKE_MPS2 } else { BRAKE_MPS2 }, yaw_rate];
+    }
+    [acceleration, yaw_rate]
+}
+
+/// Score of each proposal in one future, and step of its first contact.
+fn scores(
     scene: &Scene<'_>,
     forecast: &Forecast,
     proposals: &[Proposal],
     rollouts: &[Rollout],
-) -> [Real; 2] {
+) -> Vec<(Real, Option<usize>)> {
     let parts: Vec<Parts> =
         proposals.iter().zip(rollouts).map(|(p, rollout)| Parts::new(scene, forecast, p, rollout)).collect();
     let most_m = parts.iter().zip(rollouts).map(|(p, r)| p.product * r.progress_m).fold(0.0, Real::max);
@@ -52,20 +79,7 @@ pub(super) fn best_action(
         };
         value - OFFSET_PER_M * proposals[i].offset_m.abs()
     };
-    let mut best = (0, score(0));
-    for i in 1..parts.len() {
-        let value = score(i);
-        if value > best.1 {
-            best = (i, value);
-        }
-    }
-    let [acceleration, yaw_rate] = rollouts[best.0].actions[0];
-    let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
-    if parts[best.0].contact.is_some_and(|t| t <= brake_steps) {
-        let slow = rollouts[best.0].states[0].speed_mps < SLOW_MPS;
-        return [if slow { SLOW_BRAKE_MPS2 } else { BRAKE_MPS2 }, yaw_rate];
-    }
-    [acceleration, yaw_rate]
+    (0..parts.len()).map(|i| (score(i), parts[i].contact)).collect()
 }
 
 /// What is scored of a proposal.
