@@ -44,7 +44,7 @@ class Made:
 
 _PLANNERS = Made(
     "bench planners --protocol planner-1.0 --level smoke --planners "
-    "constant_velocity,lane_idm,idm,pdm,ego,ego_replay,ccdiff,replay",
+    "constant_velocity,lane_idm,idm,pdm,ego,ego_replay,ccdiff,diffusion,replay,pdm_ccdiff,arbiter",
     "headlines.csv",
     ("planner",),
     {

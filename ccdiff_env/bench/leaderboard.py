@@ -7,7 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ccdiff_env.bench.page import write_report_page
-from ccdiff_env.bench.planner_report import comparison, over_seeds, short_name, summary, verdict
+from ccdiff_env.bench.planner_report import (
+    BASES,
+    comparison,
+    over_seeds,
+    short_name,
+    summary,
+    verdict,
+)
 from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.system.table import document
 from ccdiff_env.system.terminal import counted
@@ -74,7 +81,7 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
         {(name, t): result.rows[t] for name, result in named.items() for t in traffic}
     )
     planners = list(named)
-    base = next((name for name, result in named.items() if result.planner == "idm"), "idm")
+    bases = [name for name, result in named.items() if result.planner in BASES]
     privileged = {name for name, result in named.items() if result.privileged}
     blocks = [verdict(found, planners, traffic), *summary(found, planners, traffic, privileged)]
     for record, result in members:
@@ -85,4 +92,4 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
                 f"{short_name(result.planner)}: [{declared['code']}]({declared['code']}), source "
                 f"{result.planner_source[:8]}, trained on: {trained}"
             )
-    return document(*blocks, comparison(found, planners, traffic, base).rstrip())
+    return document(*blocks, comparison(found, planners, traffic, bases).rstrip())

@@ -20,6 +20,7 @@ from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import planner_title
 
 __all__ = [
+    "BASES",
     "comparison",
     "headlines",
     "over_seeds",
@@ -63,7 +64,7 @@ _TITLES = {
     "replay": "Log replay",
 }
 #: Planners that all others are compared with: from outside, and the privileged one.
-_BASES = ("lane_idm", "idm")
+BASES = ("lane_idm", "idm")
 #: Scores from here on are no bad ones: such scenes are listed where they have a replay alone.
 BAD_BELOW = 0.7
 _STATISTICS = PROTOCOL.fields["statistics"]
@@ -138,7 +139,7 @@ def _table(found: Results, planner: str, traffic: Sequence[str]) -> npt.NDArray[
 
 
 def comparison(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = _BASES
+    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = BASES
 ) -> str:
     """Return paired differences of planners in Markdown: against both IDM, and the best other one.
 

@@ -145,7 +145,8 @@ def planner_jobs(
     source
         The scenes, a text of :func:`ccdiff_env.load`.
     planners
-        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, ``pdm``, ``lane_idm``, a policy of
+        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, a name of
+        :data:`~ccdiff_env.policies.planners.BUILT_IN`, a policy of
         :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
         :func:`play`.

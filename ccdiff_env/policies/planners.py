@@ -28,6 +28,7 @@ from ccdiff_env.errors import (
     ShapeError,
 )
 from ccdiff_env.policies import SHIPPED, find_policy
+from ccdiff_env.policies.arbitration import Arbiter
 from ccdiff_env.policies.holding import Held
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.system.files import read_bytes, reading
@@ -40,11 +41,13 @@ from ccdiff_env.worlds.worlds_view import worlds_view
 __all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
 
 F32 = npt.NDArray[np.float32]
+#: Planners of the package by name, without weights of their own.
+BUILT_IN: dict[str, type] = {**RULES, "arbiter": Arbiter}
 #: From observations of N worlds to actions [N, W], or indices [N].
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *RULES, *SHIPPED))}, module:name of a planner, "
+    f"the ego, of: {', '.join((*driver_names(), *BUILT_IN, *SHIPPED))}, module:name of a planner, "
     "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
     "runs the code in it: trust whoever made it)"
 )
@@ -307,8 +310,8 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     Parameters
     ----------
     ego
-        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; ``"pdm"`` or
-        ``"lane_idm"``; a policy of :mod:`ccdiff_env.policies` by name, or its file
+        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a name of
+        :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.policies` by name, or its file
         (``.safetensors``); a :class:`Planner`, a class of one, a function from observations
         [N, D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
         options); an object with ``predict`` as those of stable-baselines3; or the path of a
@@ -327,11 +330,11 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
             return "external", load_sb3(ego)
         if ":" in name:
             return "external", Seat(named_object(name, "planner"), name)
-        if name in RULES:
-            return "external", Seat(RULES[name], name)
+        if name in BUILT_IN:
+            return "external", Seat(BUILT_IN[name], name)
         policy = find_policy(name)
         if policy is None:
-            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *RULES, *SHIPPED])
+            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED])
         return "external", Seat(policy, name)
     named = getattr(ego, "__name__", type(ego).__name__)
     if hasattr(ego, "predict"):

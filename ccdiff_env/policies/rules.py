@@ -67,7 +67,7 @@ class _Pdm(RulePlanner):
 class _PdmCcdiff(_Pdm):
     """PDM-Closed whose proposals meet four samples of CCDiff in place of constant velocity."""
 
-    network = ("ccdiff", {"num_samples": 4, "parked_rule": "standing"})
+    network = ("ccdiff", {"num_samples": 4, "replan_steps": 10, "parked_rule": "standing"})
 
 
 class _LaneIdm(RulePlanner):

@@ -16,10 +16,13 @@ from ccdiff_env.traffic import driver_titles
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 #: Titles of planners of the ego, where they are no drivers.
 PLANNER_TITLES = {
+    "arbiter": "PDM-Closed or IDM, by forks",
+    "diffusion": "CCDiff with its route",
     "ego": "trained ego",
     "ego_replay": "ego trained in log replay",
     "lane_idm": "IDM on lanes",
     "pdm": "PDM-Closed",
+    "pdm_ccdiff": "PDM with CCDiff's forecast",
 }
 
 
