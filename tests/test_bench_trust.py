@@ -241,6 +241,21 @@ def test_every_episode_is_played_again_bit_for_bit(made, capsys):
         verify(Record.read(made), episodes=0)
 
 
+def test_processors_with_fewer_instructions_verify_one_another(made):
+    """As another machine would: no wide vectors in Rust, numpy, BLAS and the C library."""
+    words = "import sys; from ccdiff_env import _native, cli; _native.hold_to_base(); "
+    words += f"sys.exit(cli.main(['bench', 'verify', {str(made)!r}]))"
+    narrow = {
+        "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX",
+        "OPENBLAS_CORETYPE": "Prescott",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", words], env={**os.environ, **narrow}, text=True, capture_output=True
+    )
+    assert "24 of 24 episodes come out the same, bit for bit" in done.stdout, done.stderr
+
+
 def changed(made, folder, change, name="ego-ccdiff-1-1-000.json"):
     """A copy of a run with one raw result changed."""
     (folder / "raw").mkdir(parents=True)

@@ -27,6 +27,12 @@ fn build_mark() -> u64 {
     ccdiff_sim::build_mark()
 }
 
+/// Holds all later work of the process to the instructions that every processor has; the bits stay the same.
+#[pyfunction]
+fn hold_to_base() {
+    ccdiff_sim::hold_to_base();
+}
+
 #[pymodule]
 fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     causal::register(m)?;
@@ -41,5 +47,6 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     schemas::register(m)?;
     world::register(m)?;
     m.add_function(wrap_pyfunction!(build_mark, m)?)?;
+    m.add_function(wrap_pyfunction!(hold_to_base, m)?)?;
     Ok(())
 }

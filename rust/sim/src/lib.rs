@@ -17,6 +17,7 @@ pub mod state;
 pub mod world;
 
 pub use error::{Result, SimError};
+pub use simd_dispatch::{hold_to_base, is_held_to_base};
 
 use std::hash::{Hash, Hasher};
 

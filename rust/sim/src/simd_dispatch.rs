@@ -3,6 +3,21 @@
 //! Which of the two runs is found out while the program runs. The bits are the same: both do the same IEEE 754
 //! operations in the same order, because Rust neither fuses nor reorders floating-point operations.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static BASE_ALONE: AtomicBool = AtomicBool::new(false);
+
+/// Holds all later work of the process to the instructions that every processor has, so that a test can compare the bits.
+pub fn hold_to_base() {
+    BASE_ALONE.store(true, Ordering::Relaxed);
+}
+
+/// Whether [`hold_to_base`] was called.
+#[inline]
+pub fn is_held_to_base() -> bool {
+    BASE_ALONE.load(Ordering::Relaxed)
+}
+
 /// Defines functions that exist twice, see the module. Their bodies, and what they call, must be `#[inline(always)]`
 /// loops over slices.
 ///
@@ -23,7 +38,7 @@ macro_rules! simd_dispatch {
                 fn avx2$(<$(const $n: usize),+>)?($($arg: $ty),*) {
                     each$(::<$($n),+>)?($($arg,)* $(|a, b| $avx2(a, b))?);
                 }
-                if std::arch::is_x86_feature_detected!("avx2") {
+                if std::arch::is_x86_feature_detected!("avx2") && !crate::is_held_to_base() {
                     #[allow(unsafe_code, reason = "the compiler cannot know what the processor was just asked")]
                     // SAFETY: the processor has AVX2
                     return unsafe { avx2$(::<$($n),+>)?($($arg),*) };

@@ -95,7 +95,9 @@ impl Checked {
     /// The one that this thread computes with: the widest, unless [`with_level`] says otherwise.
     pub fn now() -> Self {
         static WIDEST: OnceLock<Checked> = OnceLock::new();
+        let base = ccdiff_sim::is_held_to_base().then_some(Self(Level::Base));
         HELD.get()
+            .or(base)
             .unwrap_or_else(|| *WIDEST.get_or_init(|| Self(Level::available().pop().unwrap_or(Level::Base))))
     }
 }
