@@ -72,7 +72,12 @@ def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
 
 
 def test_the_same_set_is_made_twice(tmp_path, made):
-    assert make(tmp_path) == made[1]
+    entries = make(tmp_path)
+    assert entries == made[1]
+    manifest(tmp_path, entries)
+    assert load_scenario_set(tmp_path).digest == made[0].digest
+    other = replace(made[0], scenarios=made[0].scenarios[:-1])
+    assert other.digest != made[0].digest
 
 
 def test_scenes_are_drawn_again_until_the_ego_collides(tmp_path, monkeypatch):

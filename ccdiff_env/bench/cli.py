@@ -209,6 +209,9 @@ def _scenarios_of(args: argparse.Namespace) -> int:
     made = run.results(making)
     seconds = run.processor_seconds(making)
     sets, realism = write_sets(making, made, seconds, weights=run.weights)
+    run.note(digests={generator: found.digest for generator, found in sets.items()})
+    for generator, found in sets.items():
+        say(f"set against {generator}: {found.digest}")
     driving = cross_jobs(sets, planners, seed=args.seed)
     cells = run.rows(driving, "generator", "planner")
     write_cross(sets, realism, cells, run.folder)

@@ -21,6 +21,7 @@ import numpy as np
 
 from ccdiff_env.bench.episode import logged
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.metrics import Motion
@@ -35,6 +36,7 @@ from ccdiff_env.system.files import (
     reading,
     write_aside,
 )
+from ccdiff_env.system.version import __version__
 
 __all__ = [
     "Scenario",
@@ -56,8 +58,8 @@ class Scenario:
 
     Parameters
     ----------
-    scene, token
-        Name of the scene it started from, and its token in the data set.
+    scene, token, scene_hash
+        Name of the scene it started from, its token in the data set, hash of its content.
     file, sha256
         File of the episode in the folder of the set, and its hash.
     collision
@@ -89,6 +91,7 @@ class Scenario:
     realism_cost: float | None
     fde_m: float | None
     shift_sigmas: float | None = None
+    scene_hash: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +116,8 @@ class ScenarioSet:
         Further settings: those of the traffic, the plans tried to avoid a collision.
     scenarios
         What there is.
+    version
+        Release that made it.
     """
 
     folder: Path
@@ -123,6 +128,14 @@ class ScenarioSet:
     source: str
     settings: Mapping[str, Any]
     scenarios: tuple[Scenario, ...]
+    version: str = ""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all episodes and settings, wherever the scenes lie: equal ones, equal sets."""
+        head = [self.generator, self.traffic, self.seed, dict(self.settings)]
+        parts = [*head, [asdict(scenario) for scenario in self.scenarios]]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def find(self, scene: str) -> Scenario:
         """Return the scenario of a scene.
@@ -199,7 +212,7 @@ def generate(
         [3][20] of the vehicles that CCDiff drives, and of their log.
     """
     rollouts: dict[str, Rollout] = {}
-    left = list(names)
+    left, hashes = list(names), scene_hashes(source, names)
     for draw in range(TRAFFIC[traffic].draws):
         _, played = drive(
             scenes_of(source, left),
@@ -238,6 +251,7 @@ def generate(
             realism_cost=figures["realism_cost"],
             fde_m=figures["fde_m"],
             shift_sigmas=figures["shift_sigmas"],
+            scene_hash=hashes[name],
         )
         histograms = {key: figures[key] for key in ("comfort", "comfort_log")}
         found.append({"scenario": asdict(scenario), **histograms})
@@ -294,6 +308,7 @@ def write_manifest(
     """Write the manifest of a set, see :class:`ScenarioSet`; returns its path."""
     head = {
         "format": FORMAT,
+        "version": __version__,
         "generator": generator,
         "traffic": traffic,
         "seed": seed,
