@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.policies import SHIPPED
 from ccdiff_env.policies.planners import Seat, ego_driver
 from ccdiff_env.policies.planning import (
     Tracker,
@@ -15,6 +16,7 @@ from ccdiff_env.policies.planning import (
     overlap,
     road_distance,
 )
+from ccdiff_env.scenes import with_tracks
 from ccdiff_env.worlds import Worlds
 
 REPLAY = Traffic("log", "replay")
@@ -48,7 +50,7 @@ def driven(scenes, name, **options):
     return np.array(speeds)
 
 
-@pytest.mark.parametrize("name", ["pdm", "lane_idm"])
+@pytest.mark.parametrize("name", ["pdm", "lane_idm", "pdm_ccdiff", "diffusion", "arbiter"])
 def test_a_batch_drives_as_each_world_alone(val, name):
     together = driven(val[:3], name)
     alone = [driven(val[i : i + 1], name)[:, 0] for i in range(3)]
@@ -60,6 +62,76 @@ def test_pdm_drives_better_than_constant_velocity_and_keeps_to_its_lanes(val):
     mean = {name: np.mean([row["score"] for row in found]) for name, found in rows.items()}
     assert mean["pdm"] > 0.85 > mean["constant_velocity"]
     assert all(row["on_road"] == row["right_way"] == 1.0 for row in rows["pdm"])
+
+
+@pytest.mark.parametrize("name", ["pdm_ccdiff", "diffusion"])
+def test_planners_with_a_network_know_nothing_of_what_the_others_will_do(val, name):
+    scene = next(s for s in val if s.name.startswith("cut-in"))
+    tracks = {key: array.copy() for key, array in scene.tracks().items()}
+    # they take their ways later, between the same ends: maps are drawn around tracks
+    start, last = WorldConfig().history_steps, scene.num_steps - 1
+    share = np.linspace(0.0, 1.0, last - start + 1)
+    later = (start + np.round(share**2 * (last - start))).astype(int)
+    others = np.arange(len(scene.agent_ids)) != scene.agent_ids.index("ego")
+    for array in tracks.values():
+        array[others, start:] = array[others][:, later]
+    changed = with_tracks(scene, tracks, np.arange(len(scene.agent_ids)))
+    first = []
+    for one in (scene, changed):
+        worlds, out = begun(ccdiff_env.scenes.SceneSet([one]))
+        seat = ego_driver(name)[1]
+        seat.begin(worlds)
+        first.append(seat(out.obs[:, 0]))
+    assert np.array_equal(*first)
+    assert np.abs(first[0]).max() > 0.0
+
+
+def test_proposals_that_meet_samples_are_driven_otherwise_and_no_worse(val):
+    traffic = TRAFFIC["ccdiff-1"]
+    score = {
+        name: [row["score"] for row in play(val[:6], name, traffic)]
+        for name in ("pdm", "pdm_ccdiff", "diffusion", "constant_velocity")
+    }
+    assert score["pdm"] != score["pdm_ccdiff"]
+    mean = {name: np.mean(scores) for name, scores in score.items()}
+    assert mean["pdm_ccdiff"] > mean["pdm"] - 0.05
+    assert mean["diffusion"] > mean["constant_velocity"]
+
+
+def test_the_imitation_planner_keeps_to_the_road_and_says_what_it_was_trained_on(val):
+    policy = ccdiff_env.policies.load("imitation")
+    assert policy.about["licence"] == "CC-BY-NC-SA-4.0"
+    assert SHIPPED["imitation"].stat().st_size < 200_000
+    rows = {name: play(val, name, REPLAY) for name in ("imitation", "constant_velocity")}
+    on_road, score = (
+        {name: np.mean([row[part] for row in found]) for name, found in rows.items()}
+        for part in ("on_road", "score")
+    )
+    assert on_road["imitation"] > 0.8
+    assert score["imitation"] > score["constant_velocity"]
+
+
+def test_an_arbiter_changes_no_world_and_does_what_one_of_both_does(val):
+    worlds, out = begun(val[:3], traffic="idm")
+    seats = [ego_driver(name)[1] for name in ("arbiter", "pdm", "lane_idm")]
+    for seat in seats:
+        seat.begin(worlds)
+    assert [seat.privileged for seat in seats] == [True, False, False]
+    for _ in range(25):
+        before = [worlds.native.digest(i) for i in range(3)]
+        chosen, *of = (seat(out.obs[:, 0]) for seat in seats)
+        assert [worlds.native.digest(i) for i in range(3)] == before
+        for i in range(3):
+            assert any(np.array_equal(chosen[i], one[i]) for one in of)
+        worlds.native.step(chosen[:, None].astype(np.float32), out)
+
+
+def test_an_arbiter_avoids_what_one_of_both_does_not(val):
+    scores = {
+        name: np.array([row["score"] for row in play(val, name, TRAFFIC["ccdiff-2"])])
+        for name in ("arbiter", "pdm", "lane_idm")
+    }
+    assert scores["arbiter"].mean() > max(scores["pdm"].mean(), scores["lane_idm"].mean())
 
 
 def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):

@@ -44,7 +44,8 @@ class Made:
 
 _PLANNERS = Made(
     "bench planners --protocol planner-1.0 --level smoke --planners "
-    "constant_velocity,lane_idm,idm,pdm,ego,ego_replay,ccdiff,diffusion,replay,pdm_ccdiff,arbiter",
+    "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,ccdiff,diffusion,ego_replay,"
+    "pdm_ccdiff,arbiter",
     "headlines.csv",
     ("planner",),
     {

@@ -11,8 +11,9 @@ from ccdiff_env.policies.ego import EgoPolicy, load_ego
 __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 
 _DATA = Path(__file__).resolve().parents[1] / "data"
-#: Policies by name: trained in recorded critical traffic, too, and in log replay and IDM alone.
-SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay")}
+#: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone; on what
+#: logged drivers did.
+SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay", "imitation")}
 
 
 def load(name: str | os.PathLike[str]) -> EgoPolicy:

@@ -67,7 +67,7 @@ class _Pdm(RulePlanner):
 class _PdmCcdiff(_Pdm):
     """PDM-Closed whose proposals meet four samples of CCDiff in place of constant velocity."""
 
-    network = ("ccdiff", {"num_samples": 4, "replan_steps": 10, "parked_rule": "standing"})
+    network = ("ccdiff", {"num_samples": 4, "replan_steps": 10, "parked_rule": "nobody"})
 
 
 class _LaneIdm(RulePlanner):
@@ -80,7 +80,7 @@ class _Diffusion(RulePlanner):
     """CCDiff drives the ego with its route: one careful plan every half second."""
 
     kind = "plan"
-    network = ("ccdiff", {"num_samples": 1, "follow_route": True, "careful": True})
+    network = ("ccdiff", {"follow_route": True, "careful": True, "parked_rule": "nobody"})
 
 
 #: Planners by name.

@@ -424,7 +424,7 @@ CollisionTargets: TypeAlias = Literal["ego", "all"]
 Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
 
 #: Which vehicles stand still for the whole episode.
-ParkedRule: TypeAlias = Literal["parked", "standing"]
+ParkedRule: TypeAlias = Literal["parked", "standing", "nobody"]
 
 
 @dataclass(frozen=True, kw_only=True)

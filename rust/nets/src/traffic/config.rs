@@ -95,6 +95,8 @@ choices! {
         Parked = "parked",
         /// Those slower than 0.5 m/s in the log at the start (as released).
         Standing = "standing",
+        /// None: what a log says of later is not asked.
+        Nobody = "nobody",
     }
 }
 

@@ -50,6 +50,7 @@ pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
     (0..world.states.len())
         .map(|a| match rule {
             ParkedRule::Parked => world.scene.routes[a].is_parked(),
+            ParkedRule::Nobody => false,
             ParkedRule::Standing => {
                 scene.is_valid(a, start) && scene.tracks.velocity[scene.at(a, start)].norm() <= STATIONARY_MPS
             }
