@@ -44,6 +44,14 @@ def test_the_better_mean_stands_higher(tmp_path, capsys):
     assert "PDM-Closed is best over all (0.68)" in capsys.readouterr().out
 
 
+def test_all_are_compared_with_both_idm_and_not_the_best_alone(tmp_path):
+    scores = {"idm": 0.2, "lane_idm": 0.4, "pdm": 0.9, "ego": 0.6}
+    runs = [write_run(tmp_path / n, raw(n, "replay", [v] * 10)) for n, v in scores.items()]
+    (table,) = leaderboard(*runs).values()
+    for other, less in ((IDM, "+0.400"), ("IDM on lanes", "+0.200"), ("PDM-Closed", "-0.300")):
+        assert f"| trained ego | {other} | {less} [" in table
+
+
 @pytest.mark.parametrize(
     "other",
     [
