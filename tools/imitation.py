@@ -94,9 +94,9 @@ def main() -> None:
     torch.set_num_threads(1)
     rng = np.random.default_rng(0)
     scenes = load(args.scenes)[: args.limit].read()
-    fitting = {"observation": OBSERVATION}
-    config = PROTOCOL.world(None, "imitation", scenes[0].dt).with_options(driver="external")
-    config = config.with_options(**fitting)
+    fitting: dict[str, Any] = {"observation": OBSERVATION}
+    config = PROTOCOL.world(None, "imitation", scenes[0].dt)
+    config = config.with_options(driver="external", **fitting)
     layout = begin(SceneSet([scenes[0]]), config, 0).layout
     agent = Agent(layout, (0.1, 0.1))
     ego = next(entry for entry in layout.entries if entry.name == "ego")
