@@ -163,7 +163,6 @@ def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
 def render(name: str, chosen: str | None = None) -> str:
     """Return the table of a name, in Markdown, from what its run kept; all columns by default."""
     from ccdiff_env.bench.methods import label_of
-    from ccdiff_env.bench.planner_report import title_of
 
     table = TABLES[name]
     if chosen is not None:
@@ -171,8 +170,9 @@ def render(name: str, chosen: str | None = None) -> str:
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
     rows: TableRows = []
-    for row in kept["rows"]:
-        title = title_of if table.keys == ("planner",) else label_of
+    planners = table.keys == ("planner",)
+    for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if planners else 0):
+        title = _planner if planners else label_of
         cells: list[Cell] = [title(row[key]) for key in table.keys]
         for column in table.columns.values():
             value, low, high = (np.nan if v is None else v for v in row[column.name])
@@ -182,6 +182,14 @@ def render(name: str, chosen: str | None = None) -> str:
     command = f"`{kept['command']}`, " if chosen is None else ""
     text = f"{command}{kept['scenes']}, {kept['date']}."
     return document(Table([*table.keys, *columns], rows), text).rstrip()
+
+
+def _planner(name: str) -> str:
+    """Title of a planner, with a dagger where it uses what a vehicle cannot know."""
+    from ccdiff_env.bench.planner_report import title_of
+    from ccdiff_env.bench.planners import is_privileged
+
+    return title_of(name) + (" †" if is_privileged(name) else "")
 
 
 def rendered(page: str) -> str:

@@ -42,7 +42,16 @@ from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS, driver_titles
 from ccdiff_env.view.captions import planner_title
 
-__all__ = ["TRAFFIC", "Traffic", "drive", "evaluate", "planner_jobs", "planner_score", "play"]
+__all__ = [
+    "TRAFFIC",
+    "Traffic",
+    "drive",
+    "evaluate",
+    "is_privileged",
+    "planner_jobs",
+    "planner_score",
+    "play",
+]
 
 _SCORE = PROTOCOL.fields["score"]
 HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
@@ -163,11 +172,9 @@ def planner_jobs(
     for name in traffic:
         if name not in TRAFFIC:
             raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
-    privileged = {}
     for planner in planners:
-        driver, seat = ego_driver(planner)
-        PROTOCOL.world(seat, planner, scenes_of(source)[0].dt)
-        privileged[planner] = driver in READ_THE_LOG if seat is None else seat.privileged
+        PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
+    privileged = {planner: is_privileged(planner) for planner in planners}
     parts = chunks(scene_names(source), CHUNK)
     drives = {(p, t): _sources(p, t) for p in planners for t in traffic}
     return [
@@ -195,6 +202,12 @@ def planner_jobs(
         for name in traffic
         for i, names in enumerate(parts)
     ]
+
+
+def is_privileged(planner: str) -> bool:
+    """Return whether a planner uses what a vehicle cannot know."""
+    driver, seat = ego_driver(planner)
+    return driver in READ_THE_LOG if seat is None else seat.privileged
 
 
 def _sources(planner: str, traffic: str) -> dict[str, str | None]:
