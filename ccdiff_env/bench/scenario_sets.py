@@ -60,6 +60,8 @@ class Scenario:
     ----------
     scene, token, scene_hash
         Name of the scene it started from, its token in the data set, hash of its content.
+    motion_hash
+        SHA-256 of who was where: that of the file depends on who compressed it.
     file, sha256
         File of the episode in the folder of the set, and its hash.
     collision
@@ -92,6 +94,7 @@ class Scenario:
     fde_m: float | None
     shift_sigmas: float | None = None
     scene_hash: str = ""
+    motion_hash: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,9 +135,9 @@ class ScenarioSet:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all episodes and settings, wherever the scenes lie: equal ones, equal sets."""
+        """SHA-256 of settings and episodes: equal sets, on any machine, of data in any place."""
         head = [self.generator, self.traffic, self.seed, dict(self.settings)]
-        parts = [*head, [asdict(scenario) for scenario in self.scenarios]]
+        parts = [*head, [[s.scene, s.scene_hash, s.motion_hash] for s in self.scenarios]]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def find(self, scene: str) -> Scenario:
@@ -252,10 +255,16 @@ def generate(
             fde_m=figures["fde_m"],
             shift_sigmas=figures["shift_sigmas"],
             scene_hash=hashes[name],
+            motion_hash=_motion_hash(rollout),
         )
         histograms = {key: figures[key] for key in ("comfort", "comfort_log")}
         found.append({"scenario": asdict(scenario), **histograms})
     return found
+
+
+def _motion_hash(rollout: Rollout) -> str:
+    arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
 
 def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
