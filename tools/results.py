@@ -124,16 +124,16 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     with (folder / table.file).open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     made = about["made_with"]
-    kept = {
+    head = {
         "command": f"ccdiff-env {table.command}",
         "scenes": about["coverage"],
         "weights": about["weights"],
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),
-        "rows": _kept(table, rows),
     }
     DATA.mkdir(exist_ok=True)
-    text = json.dumps(kept, indent=1) + "\n"
+    lines = ",\n  ".join(json.dumps(row) for row in _kept(table, rows))
+    text = json.dumps(head, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n'
     (DATA / f"{name}.json").write_text(text, encoding="utf-8")
 
 
