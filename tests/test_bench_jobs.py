@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
+from ccdiff_env.bench.planners import planner_jobs
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.bench.traffic import traffic_jobs
 from ccdiff_env.errors import ConfigError, DatasetError
@@ -101,6 +102,7 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
         Job(f"cv-K2-T5-{i:03d}", "ccdiff_env.bench.traffic:evaluate", {**arguments, "names": n})
         for i, n in enumerate(names)
     ]
+    jobs += planner_jobs(VAL, ["pdm", "diffusion"], ["idm"])  # with digests of every bit
     run_jobs(jobs, tmp_path / "one", progress=False)
     run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
     assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
@@ -122,6 +124,7 @@ def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
             Job(f"job-{x}", f"{__name__}:fragile", {"x": x, "marker": marker}) for x in range(4)
         ]
         jobs += traffic_jobs("embedded/val", ["ccdiff_one_sample"], num_controlled=(1,))
+        jobs += planner_jobs("embedded/val", ["pdm"], ["ccdiff"])
         run_jobs(jobs, tmp_path / "ray", backend="ray", progress=False)
         assert os.path.exists(marker)
         run_jobs(jobs, tmp_path / "local", progress=False)
