@@ -72,8 +72,8 @@ TABLES: dict[str, Made] = {
     "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
     "realism": Made(
         "bench realism --samples 8 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
-        "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,tokens_careful,"
-        "tokens_routes_one_sample,tokens_routes_careful",
+        "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
+        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful",
         "likelihoods.csv",
         ("method",),
         {
@@ -86,6 +86,17 @@ TABLES: dict[str, Made] = {
             "min ADE m": Column("min_ade_m", interval=False),
             "SCR": Column("scr", digits=3, interval=False),
             "off road %": Column("orr", factor=100.0, interval=False),
+        },
+    ),
+    "dial": Made(
+        "bench planners --planners idm --seeds 0,1,2 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
+        "ccdiff-1-routes,ccdiff-1-routes-one-step,tokens,tokens-1,ccdiff-2,ccdiff-2-one-step,"
+        "ccdiff-2-routes,ccdiff-2-routes-one-step,tokens-2",
+        "scores.csv",
+        ("traffic",),
+        {
+            "IDM collides %": Column("collision", digits=1, factor=100.0),
+            "score": Column("score", interval=False),
         },
     ),
     "criticality": Made(
@@ -138,7 +149,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
 
 
 def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
-    """Keys and figures of a table's rows, each figure with its interval."""
+    """Keys and figures of a table's rows, each with its interval over the means of scenes."""
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in table.keys), []).append(row)
@@ -150,11 +161,12 @@ def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
                 values = [group[0][column.name + end] for end in ("", "_low", "_high")]
                 figure = [float(value) if value else np.nan for value in values]
             else:
-                numbers = [
-                    {**row, column.name: float(row[column.name]) if row[column.name] else None}
-                    for row in group
-                ]
-                figure = list(mean_interval(numbers, column.name))
+                scenes: dict[str, list[float]] = {}
+                for row in group:
+                    value = float(row[column.name] or "nan")
+                    scenes.setdefault(row["scene"], []).append(value)
+                means = [{"scene": scene, column.name: np.mean(v)} for scene, v in scenes.items()]
+                figure = list(mean_interval(means, column.name))
             found[column.name] = [round(v, 6) if np.isfinite(v) else None for v in figure]
         kept.append(found)
     return kept
@@ -163,6 +175,7 @@ def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
 def render(name: str, chosen: str | None = None) -> str:
     """Return the table of a name, in Markdown, from what its run kept; all columns by default."""
     from ccdiff_env.bench.methods import label_of
+    from ccdiff_env.bench.planners import TRAFFIC
 
     table = TABLES[name]
     if chosen is not None:
@@ -170,10 +183,10 @@ def render(name: str, chosen: str | None = None) -> str:
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
     rows: TableRows = []
+    titles = {"planner": _planner, "traffic": lambda name: TRAFFIC[name].label}
     planners = table.keys == ("planner",)
     for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if planners else 0):
-        title = _planner if planners else label_of
-        cells: list[Cell] = [title(row[key]) for key in table.keys]
+        cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
         for column in table.columns.values():
             value, low, high = (np.nan if v is None else v for v in row[column.name])
             cells.append((value, low, high))

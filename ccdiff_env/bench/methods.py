@@ -137,6 +137,17 @@ METHODS: dict[str, Method] = NamedDrivers(
             "ccdiff",
             ccdiff={"follow_route": True, "careful": True},
         ),
+        # likely speeds of the log: less sure than the network, and vehicles that stay what they are
+        "ccdiff_routes_calibrated": Method(
+            "CCDiff with routes, careful, calibrated, N=1",
+            "ccdiff",
+            ccdiff={
+                "follow_route": True,
+                "careful": True,
+                "keep_noise": True,
+                "temperature": 1.2,
+            },
+        ),
         "ccdiff_one_step": Method(
             "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
         ),

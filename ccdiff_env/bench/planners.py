@@ -85,12 +85,22 @@ class Traffic:
 _TITLES = driver_titles()
 
 
-def _critical(level: float, driver: str = "ccdiff", *, avoidable_only: bool = False) -> Traffic:
+#: Options of CCDiff that have names of their own, and their titles.
+_FORMS: dict[str, tuple[dict[str, Any], str]] = {
+    "avoidable": ({"avoidable_only": True}, "avoidable only"),
+    "one-step": ({"denoising_steps": 1}, "one step"),
+    "routes": ({"follow_route": True}, "routes"),
+    "routes-one-step": ({"follow_route": True, "denoising_steps": 1}, "routes, one step"),
+}
+
+
+def _critical(level: float, driver: str = "ccdiff", form: str | None = None) -> Traffic:
     options = {"criticality": level, "num_samples": 1}
     label = f"{_TITLES[driver]}, criticality {level:g}"
-    if not avoidable_only:
+    if form is None:
         return Traffic(label, driver, options)
-    return Traffic(f"{label}, avoidable only", driver, {**options, "avoidable_only": True})
+    chosen, title = _FORMS[form]
+    return Traffic(f"{label}, {title}", driver, {**options, **chosen})
 
 
 def _named(label: str, name: str) -> Traffic:
@@ -114,9 +124,11 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         },
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.0, 2.0)},
         **{f"{name}-1": _critical(1.0, name) for name in NETWORKS},
+        "tokens-2": _critical(2.0, "tokens"),
         **{
-            f"ccdiff-{level:g}-avoidable": _critical(level, avoidable_only=True)
+            f"ccdiff-{level:g}-{form}": _critical(level, form=form)
             for level in (1.0, 2.0)
+            for form in _FORMS
         },
         # one vehicle at a time, found by the causal ranking or by time to contact
         **{

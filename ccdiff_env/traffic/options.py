@@ -453,12 +453,13 @@ class CcdiffConfig:
     num_samples: int = 1
     #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
     cfg_weight: float = 1.0
-    #: What the logits of tokens are divided by: below 1 the likely ones are drawn more often (> 0);
-    #: 1 for other networks.
+    #: What the logits of tokens are divided by, or the standard deviation of the noise that is
+    #: denoised: below 1 the likely plans are drawn more often (> 0); 1 for other networks.
     temperature: float = 1.0
     #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
     tie_first_knot: bool = False
-    #: Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+    #: Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the
+    #: same). Speeds after 3 s are then spread as those of the log (docs/results.md#calibration).
     keep_noise: bool = False
     #: Whether the vehicles that the network drives are told their routes, which are those of the
     #: rule-based traffic: the path of the log, then the lanes ahead. For weights that were trained
@@ -479,8 +480,9 @@ class CcdiffConfig:
     #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
     background_driver: BackgroundDriver = "ccdiff"
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
-    #: configured (>= 0). Tokens: guided vehicles take the best of 1 + 15 times so many draws.
-    #: Worlds may be told another one at any time.
+    #: configured (one denoising step: a fifth of it, so that an ego collides as often) (>= 0).
+    #: Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may be told
+    #: another one at any time.
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"

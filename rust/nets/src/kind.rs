@@ -133,8 +133,9 @@ impl NetworkKind {
             if let Some(guidance) = &mut options.guidance {
                 guidance.gradient_steps = 0;
             }
-        } else if sampling.temperature != 1.0 {
-            let (got, expected) = (sampling.temperature.to_string(), "1: this model draws no tokens");
+        } else if sampling.temperature != 1.0 && !self.denoises {
+            let (got, expected) =
+                (sampling.temperature.to_string(), "1: this model neither denoises nor draws tokens");
             return Err(ModelError::Config { field: "temperature", got, expected });
         }
         if self.denoises && sampling.solver_steps != Some(1) {

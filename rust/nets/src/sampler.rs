@@ -8,6 +8,9 @@ use crate::schedule::Schedule;
 use ccdiff_sim::options;
 use ccdiff_sim::options::{above, at_least, within};
 
+/// Correlation of the noise of a row's plans with the noise that the row keeps.
+const KEPT_NOISE: f32 = 0.5;
+
 options! {
     /// How plans are drawn from a network.
     #[derive(Clone, Copy)]
@@ -20,7 +23,8 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
         guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
-        /// What the logits of tokens are divided by: below 1 the likely ones are drawn more often; 1 for other networks.
+        /// What the logits of tokens are divided by, or the standard deviation of the noise that is denoised: below 1 the likely
+        /// plans are drawn more often; 1 for other networks.
         temperature: f64 = 1.0, range above(0.0);
     }
 }
@@ -67,7 +71,7 @@ impl Rows<'_> {
     }
 
     /// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
-    /// its own agents alone, not on the worlds beside it. Rows with a seed of their own take theirs instead.
+    /// its own agents alone, not on the worlds beside it. Rows with a seed of their own share [`KEPT_NOISE`] with theirs.
     pub fn noise(&self, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
         let rows = self.count();
         let mut out = vec![0.0; samples * rows * per_row];
@@ -78,12 +82,14 @@ impl Rows<'_> {
                 out[at..at + part.len()].copy_from_slice(part);
             }
         }
+        let fresh = (1.0 - KEPT_NOISE * KEPT_NOISE).sqrt();
         let own = self.noise_seeds.iter().enumerate().filter_map(|(row, seed)| Some((row, (*seed)?)));
         for (row, seed) in own {
             let numbers = Noise::new(seed, stream).normals(samples * per_row);
             for (sample, part) in numbers.chunks_exact(per_row).enumerate() {
                 let at = (sample * rows + row) * per_row;
-                out[at..at + per_row].copy_from_slice(part);
+                let mixed = out[at..at + per_row].iter_mut().zip(part);
+                mixed.for_each(|(out, own)| *out = *out * fresh + own * KEPT_NOISE);
             }
         }
         out
@@ -163,6 +169,7 @@ pub fn sample(
         }
     };
     let mut x = normal(schedule.len() as u64);
+    x.iter_mut().for_each(|x| *x *= options.temperature as f32);
     match options.solver_steps {
         None => {
             for k in (0..schedule.len()).rev() {

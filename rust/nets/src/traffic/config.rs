@@ -14,6 +14,9 @@ use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// At this share IDM collides as often in traffic of one denoising step as in traffic of five (docs/results.md#one-dial).
+const ONE_STEP_SHARE: Real = 0.2;
+
 choices! {
     /// Who drives the vehicles outside the guided set.
     #[derive(Clone, Copy, Eq)]
@@ -149,11 +152,13 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch in classifier-free guidance.
         cfg_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
-        /// What the logits of tokens are divided by: below 1 the likely ones are drawn more often; 1 for other networks.
+        /// What the logits of tokens are divided by, or the standard deviation of the noise that is denoised: below 1 the likely
+        /// plans are drawn more often; 1 for other networks.
         temperature: f64 = 1.0, range above(0.0);
         /// Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
         tie_first_knot: bool = false;
-        /// Whether a vehicle keeps the noise that its plans are drawn from for the whole episode.
+        /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
+        /// then spread as those of the log (docs/results.md#calibration).
         keep_noise: bool = false;
         /// Whether the vehicles that the network drives are told their routes, which are those of the rule-based traffic: the
         /// path of the log, then the lanes ahead. For weights that were trained with routes.
@@ -170,8 +175,9 @@ options! {
         rerank: bool = true;
         /// Who drives the vehicles that are not guided; `"ccdiff"`: the network itself.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
-        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured. Tokens: guided
-        /// vehicles take the best of 1 + 15 times so many draws. Worlds may be told another one at any time.
+        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
+        /// denoising step: a fifth of it, so that an ego collides as often). Tokens: guided
+        /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
         criticality: Real = 0.0, range at_least(0.0);
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
@@ -233,6 +239,18 @@ impl CcdiffConfig {
         time_s >= self.guided_from_s && self.guided_until_s.is_none_or(|until_s| time_s <= until_s)
     }
 
+    /// Share of each move, or of the draws of tokens, that a criticality makes.
+    ///
+    /// Differs from the paper: a single step moves its finished plan, with nothing denoised after it, and makes [`ONE_STEP_SHARE`]
+    /// of its moves.
+    pub(crate) fn guidance_scale(&self, tokens: bool, criticality: Real) -> Real {
+        match (tokens, self.denoising_steps) {
+            (true, _) => criticality * criticality / (GUIDED_DRAWS - 1) as Real,
+            (_, Some(1)) => criticality * ONE_STEP_SHARE,
+            _ => criticality,
+        }
+    }
+
     /// Checks that all of it means something to a network.
     ///
     /// # Errors
@@ -266,8 +284,7 @@ impl CcdiffConfig {
         };
         Ok(PlanOptions {
             sampling: if network.samples_tokens {
-                let more = ((GUIDED_DRAWS - 1) as f32 * self.criticality.max(1.0)).ceil() as usize;
-                self.sampling(self.num_samples.max(1 + more))
+                self.sampling(self.num_samples.max(1 + self.criticality.max(2.0).powi(2).ceil() as usize))
             } else {
                 self.sampling(self.num_samples)
             },

@@ -218,9 +218,10 @@ impl PlannedTraffic {
     /// Plans of groups of worlds, each with its options, one after the other. All batches of the network wait in one line,
     /// from which every thread takes the next.
     fn draw(&mut self, groups: &[(&[PreparedRequest<'_>], &PlanOptions)], moves: bool) -> Result<Vec<Plan>> {
+        let tokens = self.copies.get_mut().first().is_some_and(|model| model.network().samples_tokens);
         // with the scale of the guidance
         let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
-            (true, true, _) => (d.guided.clone(), d.criticality),
+            (true, true, _) => (d.guided.clone(), self.config.guidance_scale(tokens, d.criticality)),
             (true, false, true) => (d.planned.controlled_by_policy.clone(), 1.0),
             _ => (vec![false; d.guided.len()], d.criticality),
         };
