@@ -16,6 +16,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -183,7 +184,10 @@ def render(name: str, chosen: str | None = None) -> str:
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
     rows: TableRows = []
-    titles = {"planner": _planner, "traffic": lambda name: TRAFFIC[name].label}
+    titles: dict[str, Callable[[str], str]] = {
+        "planner": _planner,
+        "traffic": lambda name: TRAFFIC[name].label,
+    }
     planners = table.keys == ("planner",)
     for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if planners else 0):
         cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
