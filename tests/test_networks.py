@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 from test_determinism import digests
 
-import ccdiff_env
 from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError
-from ccdiff_env.models import require_networks, shipped_weights
+from ccdiff_env.models import require_networks, shipped_weights, weight_files
 from ccdiff_env.scenes import load_nuscenes
 
-DATA = Path(ccdiff_env.__file__).parent / "data"
+FILES = {file.stem: os.fspath(file) for file in weight_files()}
 GOLDEN = Path(__file__).parent / "golden" / "plans.json"
 #: Weights that own kernels have all layers of.
 OWN = (
@@ -60,7 +59,7 @@ def plans(model, name: str, *, found=None, samples: int = 1, weight: float = 1.0
 
 
 def own(name: str):
-    return _native.load_network(os.fspath(DATA / f"{name}.safetensors"))
+    return _native.load_network(FILES[name])
 
 
 @pytest.mark.parametrize(
@@ -78,7 +77,7 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
     from ccdiff_env import _models
 
     weight = weight if name.startswith("ccdiff") else 1.0
-    torch = _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu")
+    torch = _models.load_network(FILES[name], "cpu")
     ours = own(name)
     assert (ours.header, ours.num_parameters) == (torch.header, torch.num_parameters)
     options = {"samples": samples, "weight": weight, "steps": steps}
@@ -104,7 +103,7 @@ def test_so_they_are_on_real_scenes(name, data_root):
     from ccdiff_env import _models
 
     scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
-    torch = _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu")
+    torch = _models.load_network(FILES[name], "cpu")
     farthest = 0.0
     for a, b in zip(
         *(plans(model, name, found=scenes) for model in (own(name), torch)), strict=True

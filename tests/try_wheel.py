@@ -1,6 +1,7 @@
 """Installs a wheel into empty environments, without torch and with it, and uses it there.
 
-``python tests/try_wheel.py dist/ccdiff_env-*.whl``; `make wheel` does it. Prints what was tried.
+``python tests/try_wheel.py dist/ccdiff_env-*.whl``; `make wheel` does it. The rivals' wheel lies
+beside it. Prints what was tried.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ print("CCDiff without torch:", planned.explain().agents.shape)
 try:
     ccdiff_env.EgoEnv(traffic="strive")
 except ccdiff_env.errors.MissingFeatureError as error:
-    print("STRIVE without torch:", error)
-    assert "ccdiff-env[models]" in str(error)
+    print("STRIVE without its weights:", error)
+    assert "ccdiff-env[rivals]" in str(error)
 else:
-    raise AssertionError("STRIVE traffic without torch")
+    raise AssertionError("STRIVE traffic without its weights")
 """
 
 WITH_TORCH = """
@@ -70,6 +71,7 @@ check_env(env)
 parallel_api_test(ccdiff_env.parallel_env(agents=3), num_cycles=50)
 [plan] = ccdiff_env.models.TrajectoryModel(ccdiff_env.models.shipped_weights()).plan([scene], [30])
 print("a plan:", plan.states.shape)
+ccdiff_env.EgoEnv(traffic="strive").reset(seed=1)
 critical = ccdiff_env.make_vec(4, traffic="ccdiff", criticality=1.0)
 critical.reset(seed=1)
 for _ in range(10):
@@ -87,14 +89,15 @@ def run(*command: str | Path, cwd: Path, **environment: str) -> None:
         sys.exit(f"{' '.join(words)[:200]} ended with {result.returncode}")
 
 
-def environment_with(what: str, folder: Path) -> Path:
+def environment_with(what: str, folder: Path, links: Path) -> Path:
     """Make an empty environment, install into it, return its folder of commands."""
     uv = shutil.which("uv", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if uv is None:
         sys.exit("uv is not there: make setup")
     run(uv, "venv", "-q", "--python", sys.executable, folder, cwd=folder.parent)
     begin = time.monotonic()
-    run(uv, "pip", "install", "-q", "--python", folder / "bin/python", what, cwd=folder.parent)
+    install = ("pip", "install", "-q", "--python", folder / "bin/python")
+    run(uv, *install, "--find-links", links, what, cwd=folder.parent)
     size = sum(f.lstat().st_size for f in folder.rglob("*") if not f.is_symlink()) / 1e6
     print(f"installed in {time.monotonic() - begin:.0f} s, {size:.0f} MB", flush=True)
     return folder / "bin"
@@ -105,7 +108,7 @@ def main(wheel: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB, without torch", flush=True)
-        bare = environment_with(str(wheel), work / "bare")
+        bare = environment_with(str(wheel), work / "bare", wheel.parent)
         run(bare / "python", "-c", WITHOUT_TORCH, cwd=work)
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         run(bare / "ccdiff-env", "--help", cwd=work)
@@ -127,7 +130,7 @@ def main(wheel: Path) -> None:
         run(bare / "ccdiff-env", *planners, "--limit", "2", "--out", "planners", cwd=work)
 
         print("with torch", flush=True)
-        full = environment_with(f"{wheel}[models,rl]", work / "full")
+        full = environment_with(f"{wheel}[models,rivals,rl]", work / "full", wheel.parent)
         run(full / "python", "-c", WITH_TORCH, cwd=work)
         view = ("view", "left-turn-04", "--traffic", "ccdiff", "--criticality", "1")
         run(full / "ccdiff-env", *view, "-o", "critical.html", cwd=work)

@@ -21,7 +21,7 @@ from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, sour
 from ccdiff_env.bench.replays import make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.models import shipped_weights
+from ccdiff_env.models import weight_files
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
@@ -198,8 +198,8 @@ class Run:
         self.coverage = coverage(place, scenes_of(self.source))
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
-        files = sorted(shipped_weights().parent.glob("*_fast.safetensors"))
-        self.weights = sha256_of(*files)
+        files = weight_files()
+        self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))
         seeds = {"seed": args.seed} if hasattr(args, "seed") else {"seeds": settings.pop("seeds")}
         self._line = f"seed {', '.join(str(s) for s in seeds.get('seeds', [seeds.get('seed')]))}"
         self._options = {

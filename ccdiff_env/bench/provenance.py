@@ -17,6 +17,7 @@ from typing import Any
 
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.models import weight_files
 from ccdiff_env.system.files import read_bytes, read_text
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.system.version import __version__
@@ -60,6 +61,7 @@ def package_digest() -> str:
     """Return the SHA-256 of all that decides results in the package: code, networks, protocols."""
     endings = (".py", ".so", ".safetensors", ".json", ".zip")
     files = sorted(file for file in _PACKAGE.rglob("*") if file.suffix in endings)
+    files += [file for file in weight_files() if file not in files]
     shows = [
         file.name.endswith("_report.py") or any(part in _SHOW for part in file.parts)
         for file in files

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ TORCH = "2.11.0"
 WEIGHTS = "weights.safetensors"
 STATE = "state.safetensors"
 LICENCE = "CC-BY-NC-SA-4.0"
+_DATA = Path(__file__).parents[1] / "data"
+_RIVALS = "ccdiff_env_rivals"
 
 
 def require_networks() -> None:
@@ -83,9 +86,12 @@ def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
     ------
     DatasetNotFoundError
         There is no such file.
+    MissingFeatureError
+        The file is one of CCDiff's rivals, whose package is not there.
     CheckpointError
         The file is damaged or does not fit; the message names the tensor or field.
     """
+    _require_rivals(Path(weights))
     with reading("weights", weights, CheckpointError):
         return device != "cpu" or _native.needs_torch(os.fspath(weights))
 
@@ -97,11 +103,37 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
     ``routes`` that of the network which may know where its vehicles go, with both that of the
     network which was taught both.
 
+    Those of CCDiff's rivals are in a package of their own (``ccdiff-env[rivals]``), and the path
+    may be of no file where it is absent.
+
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
     parts = [part for part, has in (("routes", routes), ("one_step", one_step)) if has]
     name = "_".join([model, *(parts or ["fast"])])
-    return Path(__file__).parents[1] / "data" / f"{name}.safetensors"
+    path = _DATA / f"{name}.safetensors"
+    return path if path.is_file() else _rivals() / path.name
+
+
+def weight_files() -> list[Path]:
+    """Return the weight files that are there, of CCDiff and its rivals, by name."""
+    files = [file for folder in (_DATA, _rivals()) for file in folder.glob("*.safetensors")]
+    return sorted(files, key=lambda file: file.name)
+
+
+def _rivals() -> Path:
+    """Return the folder of the rivals' weights: a clone's, or that of their package."""
+    clone = _DATA.parents[1] / "tools" / "rivals" / _RIVALS
+    spec = None if clone.is_dir() else find_spec(_RIVALS)
+    return clone if spec is None or spec.origin is None else Path(spec.origin).parent
+
+
+def _require_rivals(weights: Path) -> None:
+    """Refuse weights of a package that is not there."""
+    if weights.parent == _rivals() and not weights.is_file():
+        raise MissingFeatureError(
+            f"weights {weights.stem} are in a package of their own: "
+            "pip install 'ccdiff-env[rivals]'"
+        )
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
@@ -127,14 +159,19 @@ def weights_path(
     ------
     DatasetNotFoundError
         There is no such file.
+    MissingFeatureError
+        The network is a rival of CCDiff whose package is not there.
     """
     if weights != "fast":
+        _require_rivals(Path(weights))
         if not Path(weights).is_file():
             raise DatasetNotFoundError(f'weights: no file {weights}; "fast" is the shipped network')
         return Path(weights)
     known = KINDS[model].weights
     one_step = "one_step" in known and denoising_steps == 1
-    return shipped_weights(model, one_step=one_step, routes="routes" in known and follow_route)
+    path = shipped_weights(model, one_step=one_step, routes="routes" in known and follow_route)
+    _require_rivals(path)
+    return path
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,12 @@ fn scene(num_vehicles: usize) -> Scene {
 
 /// Bits of the states of worlds of so many vehicles each, and of the attention in them.
 fn bits(name: &str, sizes: &[usize]) -> Vec<Vec<u32>> {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ccdiff_env/data");
-    let mut model = TrajectoryModel::load(&data.join(format!("{name}.safetensors"))).unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let file = ["ccdiff_env/data", "tools/rivals/ccdiff_env_rivals"]
+        .map(|folder| root.join(folder).join(format!("{name}.safetensors")))
+        .into_iter()
+        .find(|file| file.is_file());
+    let mut model = TrajectoryModel::load(&file.unwrap()).unwrap();
     let scenes: Vec<Scene> = sizes.iter().map(|size| scene(*size)).collect();
     let windows: Vec<Window> = scenes.iter().map(|s| Window::from_scene(s, 40, &vehicles(s), 31)).collect();
     let bitmaps: Vec<_> = scenes.iter().map(|s| model.bitmap(s).unwrap()).collect();
