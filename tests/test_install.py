@@ -148,6 +148,16 @@ def test_parts_of_the_package_are_there_when_they_are_named():
     assert python("import ccdiff_env\nprint(ccdiff_env.view.write_page.__name__)") == "write_page"
 
 
+def test_a_source_folder_before_the_installed_package_says_what_to_do(tmp_path):
+    (tmp_path / "ccdiff_env").mkdir()
+    source = (ROOT / "ccdiff_env" / "__init__.py").read_bytes()
+    (tmp_path / "ccdiff_env" / "__init__.py").write_bytes(source)
+    (tmp_path / "ccdiff_env" / "_native.pyi").touch()
+    code = f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\ntry: import ccdiff_env\n"
+    line = python(f"{code}except ImportError as error: print(error)")
+    assert re.match(rf"{re.escape(str(tmp_path))}\S* is the source folder.*make setup$", line)
+
+
 def test_versions_are_written_alike_everywhere():
     def found(file: str, pattern: str) -> str:
         match = re.search(pattern, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
