@@ -10,7 +10,7 @@ use crate::world::tick::{Shared, World};
 impl World {
     pub(super) fn decide(&mut self, actions: &[Real], shared: &Shared<'_>) {
         let width = shared.decoder.width();
-        self.actions.clear();
+        self.scratch.actions.clear();
         for (c, slot) in self.episode.slots.iter_mut().enumerate() {
             let external = slot.agent_idx.is_some_and(|a| self.episode.drivers[a] == Driver::External);
             let mut physical = [0.0; 3];
@@ -18,12 +18,12 @@ impl World {
                 physical = shared.decoder.decode(&actions[c * width..(c + 1) * width]);
                 slot.last_action = shared.decoder.normalise(&physical);
             }
-            self.actions.push(physical);
+            self.scratch.actions.push(physical);
         }
-        self.episode.find_followers(&self.scene.kinds, &mut self.follow_log);
-        let mut motions = std::mem::take(&mut self.motions);
+        self.episode.find_followers(&self.scene.kinds, &mut self.scratch.follow_log);
+        let mut motions = std::mem::take(&mut self.scratch.motions);
         motions.clear();
-        let mut own = std::mem::take(&mut self.actions);
+        let mut own = std::mem::take(&mut self.scratch.actions);
         let view = self.view(shared.config);
         if let Dynamics::Assisted(limits) = shared.decoder.dynamics() {
             for (slot, action) in self.episode.slots.iter().zip(&mut own) {
@@ -32,7 +32,7 @@ impl World {
                 }
             }
         }
-        for a in (0..view.states.len()).filter(|a| !self.follow_log[*a]) {
+        for a in (0..view.states.len()).filter(|a| !self.scratch.follow_log[*a]) {
             let Driver::Policy(policy_idx) = view.drivers[a] else { continue };
             // obstacles do not move
             if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {
@@ -40,6 +40,6 @@ impl World {
                 motions.push((a as u32, shared.policies.get(policy_idx).act(&view, plan, a)));
             }
         }
-        (self.motions, self.actions) = (motions, own);
+        (self.scratch.motions, self.scratch.actions) = (motions, own);
     }
 }

@@ -20,14 +20,21 @@ impl World {
     /// The first contact of each slot that is no initial one; initial ones are forgotten when the two have parted.
     fn find_contacts(&mut self, at_start: bool) {
         let (e, scene) = (&mut self.episode, &*self.scene);
-        self.contacts.clear();
-        self.contacts.resize(e.slots.len(), None);
+        self.scratch.contacts.clear();
+        self.scratch.contacts.resize(e.slots.len(), None);
         let present = |a: &usize| e.states.active[*a];
-        self.present.clear();
-        self.present.extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
-        let pairs = self.collisions.pairs_of(&e.states, &scene.footprints, &scene.kinds, &self.present);
+        self.scratch.present.clear();
+        self.scratch
+            .present
+            .extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
+        let pairs = self.scratch.collisions.pairs_of(
+            &e.states,
+            &scene.footprints,
+            &scene.kinds,
+            &self.scratch.present,
+        );
         e.initial_contacts.retain(|(i, j)| pairs.contains(&(*i.min(j), *i.max(j))));
-        for (slot, contact) in e.slots.iter().zip(&mut self.contacts) {
+        for (slot, contact) in e.slots.iter().zip(&mut self.scratch.contacts) {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
             for &(i, j) in pairs {
                 let (i, j) = (i as usize, j as usize);

@@ -15,9 +15,9 @@ impl World {
         e.elapsed_steps += 1;
         let stops = config.on_traffic_collision == TrafficCollision::Stop
             && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY));
-        self.before.clear();
+        self.scratch.before.clear();
         if stops {
-            self.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
+            self.scratch.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
         }
         for (c, slot) in e.slots.iter().enumerate() {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
@@ -29,23 +29,29 @@ impl World {
                 shared.decoder.dynamics().step_agent(
                     &mut e.states,
                     a,
-                    self.actions[c],
+                    self.scratch.actions[c],
                     config.dt_s,
                     footprint,
                 );
             }
         }
-        self.scene.log.follow(e.step_idx, &self.follow_log, &mut e.states, &mut self.masks, config.dt_s);
-        self.slot_of.clear();
-        self.slot_of.resize(e.states.len(), None);
+        self.scene.log.follow(
+            e.step_idx,
+            &self.scratch.follow_log,
+            &mut e.states,
+            &mut self.scratch.masks,
+            config.dt_s,
+        );
+        self.scratch.slot_of.clear();
+        self.scratch.slot_of.resize(e.states.len(), None);
         for (c, slot) in e.slots.iter().enumerate() {
             if let Some(a) = slot.agent_idx {
-                self.slot_of[a] = Some(c as u32);
+                self.scratch.slot_of[a] = Some(c as u32);
             }
         }
-        for (a, motion) in self.motions.drain(..) {
+        for (a, motion) in self.scratch.motions.drain(..) {
             let a = a as usize;
-            let slot = self.slot_of[a].map(|c| &e.slots[c as usize]);
+            let slot = self.scratch.slot_of[a].map(|c| &e.slots[c as usize]);
             let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
             match (motion, slot) {
                 (_, Some(slot)) if slot.stopped => {}
@@ -66,10 +72,10 @@ impl World {
             }
         }
         if stops {
-            halt::halt(e, &self.scene, &mut self.collisions, &self.before);
+            halt::halt(e, &self.scene, &mut self.scratch.collisions, &self.scratch.before);
         }
         for a in 0..e.states.len() {
-            let follows_route = e.drivers[a] != Driver::REPLAY || self.slot_of[a].is_some();
+            let follows_route = e.drivers[a] != Driver::REPLAY || self.scratch.slot_of[a].is_some();
             if e.states.active[a] && follows_route {
                 let path = &self.scene.routes[a].path;
                 e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;

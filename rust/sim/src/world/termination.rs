@@ -52,24 +52,25 @@ impl World {
         let at_end = e.elapsed_steps >= config.horizon_steps
             || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
         let alive = e.slots.iter().filter(|s| s.alive).filter_map(|s| s.agent_idx);
-        self.least_times.find(&e.states, &self.scene.footprints, alive, TTC_HORIZON_S);
+        self.scratch.least_times.find(&e.states, &self.scene.footprints, alive, TTC_HORIZON_S);
         for c in 0..e.slots.len() {
             let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
-            let contact = self.contacts[c];
+            let contact = self.scratch.contacts[c];
             let facts = StepFacts {
                 contact: contact.filter(|_| !e.slots[c].in_contact),
-                ttc_s: self.least_times.of(a),
+                ttc_s: self.scratch.least_times.of(a),
                 log_distance_m: log_distance(e, &self.scene, a),
             };
             let slot = &mut e.slots[c];
             slot.in_contact = contact.is_some();
             let before_m = slot.best_s_m;
             slot.best_s_m = before_m.max(e.route_s_m[a].min(slot.goal_s_m));
+            let had_reached = slot.goal_reached;
             let reward = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
             let collided = facts.contact.is_some();
-            let reached = columns[Col::GoalReached as usize] > 0.0;
+            let reached = slot.goal_reached && !had_reached;
             let outcome = Outcome::of(collided, slot.off_road, reached, config);
             out.terminated[c] = outcome.ends;
             out.truncated[c] = at_end && !outcome.ends;

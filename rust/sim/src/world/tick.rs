@@ -38,11 +38,27 @@ impl TickPhase {
     pub const ALL: [Self; 5] = [Self::Decide, Self::Move, Self::Events, Self::Reward, Self::Observe];
 }
 
-/// A world: its state and the memory its tick works in.
+/// A world: its scene, its episode, what follows from these, and the memory its tick works in.
 pub(crate) struct World {
     pub(crate) idx: usize,
     pub(crate) scene: Arc<PreparedScene>,
     pub(crate) episode: Episode,
+    /// Metrics of the slots in the last episode that ended.
+    pub(crate) ended: Vec<Metrics>,
+    /// Slots that hold adversaries.
+    pub(super) adversaries: Vec<bool>,
+    /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
+    pub(super) blank: Vec<bool>,
+    /// Acceleration and presence of all agents before the last step; empty where there was none.
+    pub(super) acceleration_before_mps2: Vec<Real>,
+    pub(super) active_before: Vec<bool>,
+    pub(super) observer: Observer,
+    pub(super) scratch: Scratch,
+}
+
+/// Memory that a step works in: dropped between steps, nothing would change.
+#[derive(Default)]
+pub(super) struct Scratch {
     pub(super) motions: Vec<(u32, AgentMotion)>,
     /// Agents that the log moves in the step, without a motion of theirs, and memory for it.
     pub(super) follow_log: Vec<bool>,
@@ -55,20 +71,10 @@ pub(crate) struct World {
     pub(super) present: Vec<u32>,
     /// Contact of each slot in the step.
     pub(super) contacts: Vec<Option<Contact>>,
-    /// Metrics of the slots in the last episode that ended.
-    pub(crate) ended: Vec<Metrics>,
-    /// Slots that hold adversaries.
-    pub(super) adversaries: Vec<bool>,
-    /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
-    pub(super) blank: Vec<bool>,
     /// The slot of each agent that has one.
     pub(super) slot_of: Vec<Option<u32>>,
-    /// Acceleration and presence of all agents before the last step; empty where there was none.
-    pub(super) acceleration_before_mps2: Vec<Real>,
-    pub(super) active_before: Vec<bool>,
     pub(super) collisions: Collisions,
     pub(super) least_times: LeastTimes,
-    pub(super) observer: Observer,
 }
 
 /// What all worlds of a batch have in common.
@@ -86,22 +92,13 @@ impl World {
             idx,
             scene,
             episode,
-            motions: Vec::new(),
-            follow_log: Vec::new(),
-            masks: Vec::new(),
-            before: Vec::new(),
-            actions: Vec::new(),
-            present: Vec::new(),
-            contacts: Vec::new(),
             ended: Vec::new(),
             adversaries: Vec::new(),
             blank: Vec::new(),
-            slot_of: Vec::new(),
             acceleration_before_mps2: Vec::new(),
             active_before: Vec::new(),
-            collisions: Collisions::new(),
-            least_times: LeastTimes::default(),
             observer,
+            scratch: Scratch::default(),
         };
         world.enter(Arc::clone(&world.scene));
         world
@@ -147,7 +144,7 @@ impl World {
     pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
         self.enter(scene);
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
-        halt::begin(&mut self.episode, &self.scene, &mut self.collisions);
+        halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
         self.cast(shared.config);
         self.forget();
         self.find_events(shared.config, true);
