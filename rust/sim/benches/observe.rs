@@ -52,7 +52,6 @@ impl City {
             route: &self.routes[agent_idx],
             route_s_m: 0.0,
             agent_idx,
-            anticipation_s: 1.0,
             facts: EgoFacts {
                 last_action: [0.1, -0.2],
                 speed_limit_mps: 15.0,

@@ -19,6 +19,9 @@ pub struct Leader {
     pub speed_mps: Real,
 }
 
+/// Time after which crossing agents are looked for unless said otherwise, seconds.
+pub const ANTICIPATION_S: Real = 1.0;
+
 /// The nearest agent, of every kind, whose box leaves too little room on the route ahead; `None` where there is none
 /// within 20 m and the way of four seconds, 70 m at most.
 ///

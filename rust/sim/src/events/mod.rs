@@ -11,6 +11,6 @@ mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
 pub use lane_facts::{LaneFacts, WRONG_WAY_CLEARANCE_M, lane_facts};
-pub use leader::{Leader, leader};
+pub use leader::{ANTICIPATION_S, Leader, leader};
 pub use off_road::{OffRoad, off_road};
 pub use ttc::{LeastTimes, time_to_contact};

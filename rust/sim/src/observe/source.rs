@@ -3,7 +3,7 @@
 use super::column::{Axis, clip};
 use super::map_segments::SegmentKind;
 use super::view::View;
-use crate::events::{Leader, leader};
+use crate::events::{ANTICIPATION_S, Leader, leader};
 use crate::geom::{Projection, Real, Vector2, math};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
@@ -42,7 +42,7 @@ impl<'a> Ego<'a> {
     /// The next agent on its route.
     pub(super) fn leader(&self) -> Option<Leader> {
         let v = self.view;
-        let find = || leader(v.states, v.footprints, v.route, v.route_s_m, v.agent_idx, v.anticipation_s);
+        let find = || leader(v.states, v.footprints, v.route, v.route_s_m, v.agent_idx, ANTICIPATION_S);
         *self.leader.get_or_init(find)
     }
 }

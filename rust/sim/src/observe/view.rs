@@ -45,8 +45,6 @@ pub struct View<'a> {
     pub route_s_m: Real,
     /// The observing agent.
     pub agent_idx: usize,
-    /// How far ahead in time crossing agents are looked for on the route, seconds, see [`leader`].
-    pub anticipation_s: Real,
     /// Facts about it.
     pub facts: EgoFacts,
 }

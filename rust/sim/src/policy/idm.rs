@@ -6,7 +6,7 @@
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
 use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
-use crate::events::leader;
+use crate::events::{ANTICIPATION_S, leader};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
 use crate::options::{above, at_least};
@@ -39,7 +39,7 @@ options! {
         /// Acceleration exponent δ.
         exponent: Real = 4.0, range above(0.0);
         /// Others are also looked for where they will be, at constant velocity, after this time.
-        anticipation_s: Real = 1.0, unit "s", range at_least(0.0);
+        anticipation_s: Real = ANTICIPATION_S, unit "s", range at_least(0.0);
     }
 }
 

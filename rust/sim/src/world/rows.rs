@@ -71,7 +71,6 @@ impl World {
                 route,
                 route_s_m: e.route_s_m[a],
                 agent_idx: a,
-                anticipation_s: config.idm.anticipation_s,
                 facts,
             };
             self.observer.write(&view, out);
