@@ -42,13 +42,13 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// How images show a kind of driver.
-pub(crate) fn drawn(kind: &str) -> DrawStyle {
+fn drawn(kind: &str) -> DrawStyle {
     let style = of(kind).map_or(kind, |kind| kind.style);
     DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == style).unwrap_or(DrawStyle::Other)
 }
 
 /// What legends call a kind of driver.
-pub(crate) fn title(kind: &str) -> &'static str {
+fn title(kind: &str) -> &'static str {
     of(kind).map_or_else(|| drawn(kind).title(), |kind| kind.title)
 }
 
@@ -60,6 +60,11 @@ type Row = (&'static str, &'static str, u8);
 #[pyfunction]
 fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
+/// Both.
+pub(crate) fn look(kind: &str) -> (DrawStyle, &'static str) {
+    (drawn(kind), title(kind))
+}
+
     let others = kinds().filter(|kind| kind.style != kind.name);
     styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
 }

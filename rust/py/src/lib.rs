@@ -15,7 +15,6 @@ mod scene_map;
 mod schemas;
 mod traffic_batch;
 mod world;
-mod world_image;
 mod world_plans;
 mod world_state;
 

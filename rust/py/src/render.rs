@@ -74,6 +74,20 @@ pub(crate) enum CentreArg {
 ///
 /// # Errors
 /// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
+/// The same in a scene.
+///
+/// # Errors
+/// `UnknownNameError` for an agent that the scene does not have.
+pub(crate) fn centre_of(scene: &Scene, centre: CentreArg) -> PyResult<Centre> {
+    match centre {
+        CentreArg::Point((x, y)) => Ok(Centre::Point(Point2::new(x, y))),
+        CentreArg::Id(id) => scene
+            .agent_index(&id)
+            .map(Centre::Agent)
+            .ok_or_else(|| UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))),
+    }
+}
+
 pub(crate) fn scene_image<'py>(
     py: Python<'py>,
     scene: &Arc<Scene>,
@@ -88,12 +102,7 @@ pub(crate) fn scene_image<'py>(
     theme: &str,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let theme = theme_of(theme)?;
-    let centre = match centre {
-        CentreArg::Point((x, y)) => Centre::Point(Point2::new(x, y)),
-        CentreArg::Id(id) => Centre::Agent(scene.agent_index(&id).ok_or_else(|| {
-            UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))
-        })?),
-    };
+    let centre = centre_of(scene, centre)?;
     let (width, height) = pixels(size)?;
     let step_idx = usize::try_from(step).map_err(|_| {
         ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))

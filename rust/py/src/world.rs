@@ -3,13 +3,13 @@
 use crate::drivers;
 use crate::enter::{ProcessGuard, enter, flags};
 use crate::planner::PyPlanner;
-use crate::render::{CentreArg, theme_of};
+use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
-use crate::world_image::{self, Trails, ViewOptions};
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use numpy::{
@@ -505,8 +505,14 @@ impl PyVecWorld {
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         self.home.check()?;
         let theme = theme_of(theme)?;
-        let view = ViewOptions { size, span_m, centre, heading_up, route, labels, theme };
-        let trails = self.trails.as_ref().filter(|_| trails).map(|t| t.of(world_idx));
-        world_image::draw(py, &self.world, world_idx, trails, view)
+        let scene_idx = self.world.status(world_idx).map_err(from_sim)?.scene_idx;
+        let scene = self.world.scene(scene_idx).map_err(from_sim)?;
+        let centre = centre.map(|centre| centre_of(scene, centre)).transpose()?;
+        let (width, height) = pixels(size)?;
+        let view = WorldView { centre, span_m, width, height, heading_up, route, labels, theme };
+        let trail = self.trails.as_ref().filter(|_| trails).and_then(|t| t.of(world_idx));
+        let image = WorldImage::new(&self.world, world_idx, trail, view, drivers::look).map_err(from_sim)?;
+        let layers = layers_of(&scene.map)?;
+        to_array(py, py.detach(|| image.render(&layers)).map_err(from_render)?)
     }
 }

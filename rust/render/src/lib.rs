@@ -22,6 +22,7 @@ mod lines;
 mod log;
 pub mod palette;
 mod text;
+mod world;
 
 pub use agents::AgentBox;
 pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
@@ -35,3 +36,4 @@ pub use log::{
     nearest_logged_pose, render_log,
 };
 pub use palette::{DrawStyle, Rgb, Theme};
+pub use world::{Trail, Trails, WorldImage, WorldView};

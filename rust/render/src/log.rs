@@ -74,7 +74,9 @@ pub fn render_log(scene: &Scene, map: &MapLayers, log_view: &LogView) -> Result<
         let there = (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx));
         let titled = (0..scene.num_agents()).map(|a| (driver_of(scene, a), driver_of(scene, a).title()));
         let names = there.map(|a| name_of(scene, a)).collect();
-        (caption(scene, step_idx, ego), names, legend_of(scene, titled, log_view.theme))
+        let seen = ego.filter(|a| scene.is_valid(*a, step_idx));
+        let speed_mps = seen.map(|a| scene.tracks.velocity[scene.at(a, step_idx)].norm());
+        (caption(scene, step_idx, speed_mps), names, legend_of(scene, titled, log_view.theme))
     } else {
         (String::new(), Vec::new(), Vec::new())
     };
@@ -112,17 +114,11 @@ fn camera(scene: &Scene, log_view: &LogView) -> Result<Camera> {
     }
 }
 
-/// Name, time and the ego's speed.
-fn caption(scene: &Scene, step_idx: usize, ego: Option<usize>) -> String {
-    let name = &scene.name;
-    let time_s = f64::from(scene.dt_s) * step_idx as f64;
-    match ego.filter(|a| scene.is_valid(*a, step_idx)) {
-        Some(a) => {
-            let speed_mps = scene.tracks.velocity[scene.at(a, step_idx)].norm();
-            format!("{name}  {time_s:.1} s  {speed_mps:.1} m/s")
-        }
-        None => format!("{name}  {time_s:.1} s"),
-    }
+/// Name, time and the speed of who is looked at, m/s.
+pub(crate) fn caption(scene: &Scene, steps: usize, speed_mps: Option<Real>) -> String {
+    let time_s = f64::from(scene.dt_s) * steps as f64;
+    let speed = speed_mps.map(|speed| format!("  {speed:.1} m/s")).unwrap_or_default();
+    format!("{}  {time_s:.1} s{speed}", scene.name)
 }
 
 /// What an agent is called in images, as on the replay page: `ego`, or its number in the scene.

@@ -1,0 +1,249 @@
+//! Images of a running world: who stands where, trails, the route ahead, collisions of agents with a slot.
+
+use crate::agents::AgentBox;
+use crate::camera::Camera;
+use crate::drawing::{Drawing, render};
+use crate::error::Result;
+use crate::image::Image;
+use crate::layers::MapLayers;
+use crate::lines::Line;
+use crate::log::{Centre, caption, legend_of, name_of};
+use crate::palette::{DrawStyle, Rgb, Theme};
+use ccdiff_sim::geom::{Point2, Pose2, Real};
+use ccdiff_sim::scene::{AgentKind, EGO_ID};
+use ccdiff_sim::world::VecWorld;
+use std::collections::VecDeque;
+
+/// An image of a world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WorldView {
+    /// What is in the middle; `None`: the first slot's agent.
+    pub centre: Option<Centre>,
+    /// Metres across the image's width.
+    pub span_m: Real,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Whether the heading of the agent in the middle points to the top; else north does.
+    pub heading_up: bool,
+    /// Whether the rest of the first slot's route is drawn.
+    pub route: bool,
+    /// Whether the scene's name, time, speed, names of agents, a scale bar and a legend are written.
+    pub labels: bool,
+    /// Ground and colours.
+    pub theme: Theme,
+}
+
+/// Where the agents of each world were in the last steps.
+#[derive(Debug)]
+pub struct Trails {
+    num_steps: usize,
+    worlds: Vec<Trail>,
+}
+
+/// Past positions [T][A] of one world, oldest first; `None` where an agent was absent.
+pub type Trail = VecDeque<Vec<Option<Point2>>>;
+
+impl Trails {
+    /// Trails of so many steps.
+    pub fn new(num_worlds: usize, num_steps: usize) -> Self {
+        Self { num_steps, worlds: vec![Trail::new(); num_worlds] }
+    }
+
+    /// Those of a world.
+    pub fn of(&self, world_idx: usize) -> Option<&Trail> {
+        self.worlds.get(world_idx)
+    }
+
+    /// Drops what is known of a world's past.
+    pub fn forget(&mut self, world_idx: usize) {
+        self.worlds[world_idx].clear();
+    }
+
+    /// Begins with the log that leads up to an episode.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn restart(&mut self, world: &VecWorld, world_idx: usize) -> ccdiff_sim::Result<()> {
+        let status = world.status(world_idx)?;
+        let scene = world.scene(status.scene_idx)?;
+        let past = |t: usize| {
+            let at = |a| scene.is_valid(a, t).then(|| scene.tracks.position[scene.at(a, t)]);
+            (0..scene.num_agents()).map(at).collect()
+        };
+        let first = (status.step_idx + 1).saturating_sub(self.num_steps);
+        self.worlds[world_idx] = (first..=status.step_idx).map(past).collect();
+        Ok(())
+    }
+
+    /// Takes the present of every world that went on.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn follow(
+        &mut self,
+        world: &VecWorld,
+        active: Option<&[bool]>,
+        was_reset: &[bool],
+    ) -> ccdiff_sim::Result<()> {
+        for (i, was_reset) in was_reset.iter().enumerate() {
+            if active.is_some_and(|active| !active[i]) {
+                continue;
+            }
+            if *was_reset {
+                self.restart(world, i)?;
+                continue;
+            }
+            let states = world.status(i)?.states;
+            let trail = &mut self.worlds[i];
+            if trail.len() >= self.num_steps {
+                trail.pop_front();
+            }
+            trail
+                .push_back((0..states.len()).map(|a| states.active[a].then(|| states.position(a))).collect());
+        }
+        Ok(())
+    }
+}
+
+/// Points of one agent up to now, after its last absence.
+fn trail_of(trail: &Trail, agent_idx: usize) -> Vec<Point2> {
+    let newest_first = trail.iter().rev().map(|row| row.get(agent_idx).copied().flatten());
+    let mut points: Vec<Point2> = newest_first.take_while(Option::is_some).flatten().collect();
+    points.reverse();
+    points
+}
+
+/// The stretch of a route from the point nearest to an agent to the one nearest to its goal.
+fn route_ahead(points: &[Point2], from: Point2, goal: Point2) -> &[Point2] {
+    let nearest = |points: &[Point2], to: Point2| {
+        let by_distance = |i: &usize, j: &usize| {
+            (points[*i] - to).norm_squared().total_cmp(&(points[*j] - to).norm_squared())
+        };
+        (0..points.len()).min_by(by_distance).unwrap_or(0)
+    };
+    let ahead = &points[nearest(points, from)..];
+    &ahead[..(nearest(ahead, goal) + 1).min(ahead.len())]
+}
+
+/// What an image of a world shows, taken at one moment.
+#[derive(Debug)]
+pub struct WorldImage {
+    view: WorldView,
+    middle: Pose2,
+    boxes: Vec<AgentBox>,
+    collisions: Vec<Point2>,
+    trails: Vec<(Vec<Point2>, DrawStyle)>,
+    route: Vec<Point2>,
+    caption: String,
+    names: Vec<String>,
+    legend: Vec<(Rgb, String)>,
+}
+
+impl WorldImage {
+    /// Takes it. `look` tells how a kind of driver is drawn, and its title.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn new(
+        world: &VecWorld,
+        world_idx: usize,
+        trail: Option<&Trail>,
+        view: WorldView,
+        look: impl Fn(&str) -> (DrawStyle, &'static str),
+    ) -> ccdiff_sim::Result<Self> {
+        let status = world.status(world_idx)?;
+        let scene = world.scene(status.scene_idx)?;
+        let slots = world.slot_agents(world_idx)?;
+        let states = status.states;
+        let focus = slots.iter().enumerate().find_map(|(c, a)| Some((c, (*a)?)));
+        let middle = match (view.centre, focus) {
+            (Some(Centre::Point(p)), _) => Pose2::new(p.x, p.y, std::f32::consts::FRAC_PI_2),
+            (Some(Centre::Agent(a)), _) | (None, Some((_, a))) => states.pose(a),
+            (None, None) => Pose2::new(0.0, 0.0, 0.0),
+        };
+        let is_guided = |a: usize, name: &str| {
+            let plan = world.explain(world_idx, Some(name)).ok().flatten();
+            plan.is_some_and(|p| p.agents.iter().zip(&p.guided).any(|(b, on)| *b == a && *on))
+        };
+        let looks: Vec<(DrawStyle, &str)> = (0..states.len())
+            .map(|a| {
+                let (name, kind) = world.driver_name(status.drivers[a]);
+                match look(kind) {
+                    _ if is_guided(a, name) => (DrawStyle::Adversary, DrawStyle::Adversary.title()),
+                    _ if scene.agents[a].id == EGO_ID => (DrawStyle::Ego, DrawStyle::Ego.title()),
+                    look => look,
+                }
+            })
+            .collect();
+        let contacts = world.contacts(world_idx)?;
+        let pairs = contacts.iter().map(|(of_i, of_j)| (of_j.partner as usize, of_i.partner as usize));
+        let of_slots = |(i, j): &(usize, usize)| slots.contains(&Some(*i)) || slots.contains(&Some(*j));
+        let in_contact: Vec<(usize, usize)> = pairs.filter(of_slots).collect();
+        let there = (0..states.len()).filter(|a| states.active[*a]);
+        let boxes = there.clone().map(|a| AgentBox {
+            pose: states.pose(a),
+            length_m: scene.agents[a].length_m,
+            width_m: scene.agents[a].width_m,
+            kind: scene.agents[a].kind,
+            driver: looks[a].0,
+            collided: in_contact.iter().any(|(i, j)| *i == a || *j == a),
+        });
+        let between = |(i, j): &(usize, usize)| {
+            let (p, q) = (states.position(*i), states.position(*j));
+            p + 0.5 * (q - p)
+        };
+        let movers = (0..states.len()).filter(|a| scene.agents[*a].kind != AgentKind::Static);
+        let trails = trail.map(|trail| movers.map(|a| (trail_of(trail, a), looks[a].0)).collect());
+        let route = match focus.filter(|_| view.route) {
+            Some((c, a)) => world
+                .slot_route(world_idx, c)?
+                .map(|(points, goal)| route_ahead(&points, states.position(a), goal).to_vec()),
+            None => None,
+        };
+        let mut image = Self {
+            view,
+            middle,
+            boxes: boxes.collect(),
+            collisions: in_contact.iter().map(between).collect(),
+            trails: trails.unwrap_or_default(),
+            route: route.unwrap_or_default(),
+            caption: String::new(),
+            names: Vec::new(),
+            legend: Vec::new(),
+        };
+        if view.labels {
+            let speed_mps = focus.map(|(_, a)| states.speed_mps[a]);
+            image.caption = caption(scene, status.elapsed_steps, speed_mps);
+            image.names = there.map(|a| name_of(scene, a)).collect();
+            image.legend = legend_of(scene, looks.iter().copied(), view.theme);
+        }
+        Ok(image)
+    }
+
+    /// Draws it.
+    ///
+    /// # Errors
+    /// Those of [`render`].
+    pub fn render(&self, map: &MapLayers) -> Result<Image> {
+        let view = &self.view;
+        let camera = Camera::over(self.middle.position, view.span_m, view.width, view.height);
+        let camera = if view.heading_up { camera.heading_up(self.middle.heading_rad) } else { camera };
+        let trails = self.trails.iter().map(|(points, driver)| Line { points, driver: *driver });
+        let drawing = Drawing {
+            map: Some(map),
+            route: &self.route,
+            trails: &trails.collect::<Vec<_>>(),
+            boxes: &self.boxes,
+            names: &self.names,
+            collisions: &self.collisions,
+            caption: &self.caption,
+            scale_bar: view.labels,
+            legend: &self.legend,
+            theme: view.theme,
+            ..Drawing::default()
+        };
+        render(&drawing, &camera)
+    }
+}
