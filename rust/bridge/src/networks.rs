@@ -3,20 +3,18 @@
 use crate::contained;
 use crate::errors::{from_model, from_sim, py};
 use crate::handed::{Handed, policy_capsule};
-use ccdiff_nets::ModelError;
-use ccdiff_nets::features::{Window, vehicles};
-use ccdiff_nets::guidance::{GuidanceReport, WorldGuidance};
+use ccdiff_nets::features::vehicles;
+use ccdiff_nets::guidance::GuidanceReport;
+use ccdiff_nets::logged::Logged;
 use ccdiff_nets::sampler::SampleOptions;
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
-use ccdiff_nets::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
-use ccdiff_sim::geom::Region;
+use ccdiff_nets::trajectory_model::{Plan, PlanOptions, TrajectoryModel};
 use ccdiff_sim::options::read;
-use ccdiff_sim::scene::{LaneIndex, Scene};
-use ccdiff_sim::stage::Route;
+use ccdiff_sim::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A driver of worlds that is asked for: its name and kind, options as JSON, step of the worlds, their scenes.
 pub struct AskedDriver<'a> {
@@ -132,80 +130,10 @@ impl PyTrajectoryModel {
         };
         let logged =
             Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, collision_targets, follow_route };
-        let plans = py.detach(|| plan_logged(&mut self.lock(), &logged, &options));
+        let plans = py.detach(|| logged.plans(&mut self.lock(), &options));
         let plans = plans.map_err(from_model)?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
     }
-}
-
-/// What is planned for: scenes at steps, who is guided, and contacts with whom count.
-struct Logged<'a> {
-    scenes: &'a [Arc<Scene>],
-    steps: &'a [usize],
-    seeds: &'a [u64],
-    guided: Option<Vec<Vec<usize>>>,
-    collision_targets: Option<Vec<Vec<usize>>>,
-    follow_route: bool,
-}
-
-impl Logged<'_> {
-    /// Whether each vehicle of each scene is on a list; `None` without lists.
-    fn listed(&self, lists: Option<&Vec<Vec<usize>>>) -> Option<Vec<Vec<bool>>> {
-        let flags = |(scene, list): (&Arc<Scene>, &Vec<usize>)| {
-            vehicles(scene).iter().map(|agent| list.contains(agent)).collect()
-        };
-        lists.map(|lists| self.scenes.iter().zip(lists).map(flags).collect())
-    }
-}
-
-fn plan_logged(
-    model: &mut TrajectoryModel,
-    logged: &Logged<'_>,
-    options: &PlanOptions,
-) -> ccdiff_nets::Result<Vec<Plan>> {
-    let (history, points_m) = (model.config().history_steps, model.config().route_points_m.clone());
-    if logged.follow_route && points_m.is_empty() {
-        let expected = "False: these weights were trained without routes";
-        return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
-    }
-    let bitmaps: Vec<_> =
-        logged.scenes.iter().map(|s| model.bitmap(s)).collect::<ccdiff_nets::Result<_>>()?;
-    let windows: Vec<Window> = logged
-        .scenes
-        .iter()
-        .zip(logged.steps)
-        .map(|(scene, step)| {
-            let agents = vehicles(scene);
-            let mut window = Window::from_scene(scene, *step, &agents, history);
-            if logged.follow_route {
-                let lanes = LaneIndex::new(&scene.map);
-                let routes: Vec<Route> =
-                    agents.iter().map(|a| Route::new(scene, *a, lanes.as_ref())).collect();
-                window.tell_routes(&routes, &points_m);
-            }
-            window
-        })
-        .collect();
-    let guided = logged.listed(logged.guided.as_ref());
-    let collision_targets = logged.listed(logged.collision_targets.as_ref());
-    let guides = guided.is_some();
-    let roads: Vec<Option<Region>> =
-        logged.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
-    let worlds: Vec<PlanInput<'_>> = windows
-        .iter()
-        .enumerate()
-        .map(|(k, window)| PlanInput {
-            window,
-            bitmap: bitmaps[k].as_ref(),
-            seed: logged.seeds[k],
-            guide: guided.as_ref().map(|flags| WorldGuidance {
-                road: roads[k].as_ref(),
-                collision_targets: collision_targets.as_ref().map(|p| p[k].as_slice()),
-                ..WorldGuidance::new(&flags[k])
-            }),
-        })
-        .collect();
-    model.plan(&worlds, options)
 }
 
 /// `agents` [M] (indices in the scene), `actions` [N, M, T, 2], `states` [N, M, T, 6], `poses` [M, 3], `graph` and `ttc`

@@ -12,6 +12,7 @@ pub mod kernels;
 pub mod kind;
 pub mod kinds;
 pub mod layers;
+pub mod logged;
 pub mod noise;
 pub mod own;
 mod own_planner;

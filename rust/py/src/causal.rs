@@ -3,7 +3,7 @@
 use crate::enter::flags;
 use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
-use ccdiff_sim::causal::measures::{AgentHistory, Ttc};
+use ccdiff_sim::causal::measures::{AgentFrame, AgentHistory, Ttc};
 use ccdiff_sim::causal::rank::{
     CliqueSettings, GreedyOrder, KeyRanking, RankInput, Ranker, Ranking, clique_occurrences, greedy_order,
 };
@@ -60,15 +60,15 @@ fn causal_ttc<'py>(
         _ => return Err(unknown("TTC method", method, "\"oriented\" or \"released\"")),
     };
     let valid = flags(&valid)?;
-    let history = AgentHistory::new(
-        x.as_slice()?,
-        y.as_slice()?,
-        heading.as_slice()?,
-        speed.as_slice()?,
-        length.as_slice()?,
-        width.as_slice()?,
-        &valid,
-    )
+    let history = AgentHistory::new(AgentFrame {
+        x_m: x.as_slice()?,
+        y_m: y.as_slice()?,
+        heading_rad: heading.as_slice()?,
+        speed_mps: speed.as_slice()?,
+        length_m: length.as_slice()?,
+        width_m: width.as_slice()?,
+        valid: &valid,
+    })
     .map_err(from_sim)?;
     let out = py.detach(|| history.ttc_s(ttc));
     let shape = [x.shape()[0], history.num_agents(), history.num_agents()];
@@ -85,8 +85,10 @@ fn causal_distance<'py>(
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (num_agents, valid) = (x.shape()[1], flags(&valid)?);
     let (zeros, sizes) = (vec![0.0; x.len()], vec![0.0; num_agents]);
-    let history = AgentHistory::new(x.as_slice()?, y.as_slice()?, &zeros, &zeros, &sizes, &sizes, &valid)
-        .map_err(from_sim)?;
+    let (x_m, y_m) = (x.as_slice()?, y.as_slice()?);
+    let (heading_rad, speed_mps, length_m, width_m) = (&zeros[..], &zeros[..], &sizes[..], &sizes[..]);
+    let frame = AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &valid };
+    let history = AgentHistory::new(frame).map_err(from_sim)?;
     let out = history.distance_m().map_err(from_sim)?;
     PyArray1::from_vec(py, out).reshape([x.shape()[0], num_agents, num_agents])
 }
@@ -216,15 +218,15 @@ fn causal_key_agents(
         }
     };
     let (valid, candidates) = (flags(&valid)?, flags(&candidates)?);
-    let history = AgentHistory::new(
-        x.as_slice()?,
-        y.as_slice()?,
-        heading.as_slice()?,
-        speed.as_slice()?,
-        length.as_slice()?,
-        width.as_slice()?,
-        &valid,
-    )
+    let history = AgentHistory::new(AgentFrame {
+        x_m: x.as_slice()?,
+        y_m: y.as_slice()?,
+        heading_rad: heading.as_slice()?,
+        speed_mps: speed.as_slice()?,
+        length_m: length.as_slice()?,
+        width_m: width.as_slice()?,
+        valid: &valid,
+    })
     .map_err(from_sim)?;
     py.detach(|| ranking.rank(&history, &candidates, ego_idx)).map_err(from_sim)
 }

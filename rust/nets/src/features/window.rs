@@ -4,7 +4,7 @@ use crate::error::{ModelError, Result};
 use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::stage::Route;
+use ccdiff_sim::stage::{History, Route};
 
 /// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -47,23 +47,22 @@ pub fn route_ahead(route: &Route, s_m: f32, points_m: &[f32]) -> Vec<Point2> {
 impl Window {
     /// The window of some agents of a scene that ends at a step; steps before the scene's start are not valid.
     pub fn from_scene(scene: &Scene, step_idx: usize, agents: &[usize], num_steps: usize) -> Self {
+        Self::from_history(&History::from_log(scene, step_idx, num_steps), scene, agents, num_steps)
+    }
+
+    /// The last `num_steps` states of some agents of a scene, of a history that has so many at least.
+    pub fn from_history(history: &History, scene: &Scene, agents: &[usize], num_steps: usize) -> Self {
         let mut window = Self { num_steps, ..Self::default() };
         for &agent in agents {
             window.length_m.push(scene.agents[agent].length_m);
             window.width_m.push(scene.agents[agent].width_m);
-            for back in (0..num_steps).rev() {
-                let at = step_idx.checked_sub(back).filter(|s| scene.is_valid(agent, *s));
-                window.valid.push(at.is_some());
-                let (position, heading, speed) = at.map_or((Point2::origin(), 0.0, 0.0), |step| {
-                    let entry = scene.at(agent, step);
-                    let (heading, v) = (scene.tracks.heading_rad[entry], scene.tracks.velocity[entry]);
-                    let pose = Pose2::new(0.0, 0.0, heading);
-                    (scene.tracks.position[entry], heading, pose.rotate_inverse(v).x)
-                });
-                window.x_m.push(position.x);
-                window.y_m.push(position.y);
-                window.heading_rad.push(heading);
-                window.speed_mps.push(speed);
+            for k in history.len() - num_steps..history.len() {
+                let past = history.at(agent, k);
+                window.x_m.push(past.position.x);
+                window.y_m.push(past.position.y);
+                window.heading_rad.push(past.heading_rad);
+                window.speed_mps.push(past.speed_mps);
+                window.valid.push(past.valid);
             }
         }
         window
@@ -210,14 +209,15 @@ impl Columns {
     }
 
     fn frame(&self) -> Result<AgentFrame<'_>> {
-        Ok(AgentFrame::new(
-            &self.x,
-            &self.y,
-            &self.heading,
-            &self.speed,
-            &self.length,
-            &self.width,
-            &self.valid,
-        )?)
+        let frame = AgentFrame {
+            x_m: &self.x,
+            y_m: &self.y,
+            heading_rad: &self.heading,
+            speed_mps: &self.speed,
+            length_m: &self.length,
+            width_m: &self.width,
+            valid: &self.valid,
+        };
+        Ok(frame.checked()?)
     }
 }

@@ -106,20 +106,7 @@ impl PlannedAgents {
             let message = "the world keeps too short a history".into();
             ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
         })?;
-        let mut window = Window { num_steps, ..Window::default() };
-        for &agent in &agents {
-            let body = &world.scene.scene.agents[agent];
-            window.length_m.push(body.length_m);
-            window.width_m.push(body.width_m);
-            for k in history.len() - num_steps..history.len() {
-                let past = history.at(agent, k);
-                window.x_m.push(past.position.x);
-                window.y_m.push(past.position.y);
-                window.heading_rad.push(past.heading_rad);
-                window.speed_mps.push(past.speed_mps);
-                window.valid.push(past.valid);
-            }
-        }
+        let window = Window::from_history(history, &world.scene.scene, &agents, num_steps);
         Ok(Self { agents, controlled_by_policy, window })
     }
 

@@ -26,41 +26,40 @@ pub enum Ttc {
 /// Agents at one step: arrays of length M in one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct AgentFrame<'a> {
-    x_m: &'a [Real],
-    y_m: &'a [Real],
-    heading_rad: &'a [Real],
-    speed_mps: &'a [Real],
-    length_m: &'a [Real],
-    width_m: &'a [Real],
-    valid: &'a [bool],
+    /// Centres, metres.
+    pub x_m: &'a [Real],
+    /// Centres, metres.
+    pub y_m: &'a [Real],
+    /// Headings, radians.
+    pub heading_rad: &'a [Real],
+    /// Speeds along the heading, negative when reversing, m/s.
+    pub speed_mps: &'a [Real],
+    /// Lengths, metres.
+    pub length_m: &'a [Real],
+    /// Widths, metres.
+    pub width_m: &'a [Real],
+    /// Who is there.
+    pub valid: &'a [bool],
 }
 
 fn check(what: &'static str, got: usize, expected: usize) -> Result<()> {
     if got == expected { Ok(()) } else { Err(SimError::Length { what, got, expected }) }
 }
 
-impl<'a> AgentFrame<'a> {
-    /// A view of M agents; speeds are along the heading, negative when reversing.
+impl AgentFrame<'_> {
+    /// The same, of arrays of one length.
     ///
     /// # Errors
     /// [`SimError::Length`] where an array's length differs from `x_m`'s.
-    pub fn new(
-        x_m: &'a [Real],
-        y_m: &'a [Real],
-        heading_rad: &'a [Real],
-        speed_mps: &'a [Real],
-        length_m: &'a [Real],
-        width_m: &'a [Real],
-        valid: &'a [bool],
-    ) -> Result<Self> {
-        let num_agents = x_m.len();
-        check("y of the agents", y_m.len(), num_agents)?;
-        check("heading of the agents", heading_rad.len(), num_agents)?;
-        check("speed of the agents", speed_mps.len(), num_agents)?;
-        check("length of the agents", length_m.len(), num_agents)?;
-        check("width of the agents", width_m.len(), num_agents)?;
-        check("validity of the agents", valid.len(), num_agents)?;
-        Ok(Self { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid })
+    pub fn checked(self) -> Result<Self> {
+        let num_agents = self.x_m.len();
+        check("y of the agents", self.y_m.len(), num_agents)?;
+        check("heading of the agents", self.heading_rad.len(), num_agents)?;
+        check("speed of the agents", self.speed_mps.len(), num_agents)?;
+        check("length of the agents", self.length_m.len(), num_agents)?;
+        check("width of the agents", self.width_m.len(), num_agents)?;
+        check("validity of the agents", self.valid.len(), num_agents)?;
+        Ok(self)
     }
 
     /// Number of agents M.
@@ -203,76 +202,59 @@ pub fn normalised_distance(distance_m: Real) -> Real {
     (DISTANCE_CAP_M - distance_m.clamp(0.0, DISTANCE_CAP_M)) / DISTANCE_CAP_M
 }
 
-/// Agents over T steps, oldest first: arrays [T, M], sizes [M].
+/// Agents over T steps, oldest first: arrays [T, M], sizes [M], units as in [`AgentFrame`].
 #[derive(Debug, Clone, Copy)]
-pub struct AgentHistory<'a> {
-    num_agents: usize,
-    x_m: &'a [Real],
-    y_m: &'a [Real],
-    heading_rad: &'a [Real],
-    speed_mps: &'a [Real],
-    length_m: &'a [Real],
-    width_m: &'a [Real],
-    valid: &'a [bool],
-}
+pub struct AgentHistory<'a>(AgentFrame<'a>);
 
 impl<'a> AgentHistory<'a> {
     /// A view of T * M states and M sizes.
     ///
     /// # Errors
     /// [`SimError::Length`] where the arrays do not agree on T and M.
-    pub fn new(
-        x_m: &'a [Real],
-        y_m: &'a [Real],
-        heading_rad: &'a [Real],
-        speed_mps: &'a [Real],
-        length_m: &'a [Real],
-        width_m: &'a [Real],
-        valid: &'a [bool],
-    ) -> Result<Self> {
-        let (num_agents, total) = (length_m.len(), x_m.len());
-        check("width of the agents", width_m.len(), num_agents)?;
+    pub fn new(all: AgentFrame<'a>) -> Result<Self> {
+        let (num_agents, total) = (all.length_m.len(), all.x_m.len());
+        check("width of the agents", all.width_m.len(), num_agents)?;
         check("x of the history", if num_agents == 0 { total } else { total % num_agents }, 0)?;
-        check("y of the history", y_m.len(), total)?;
-        check("heading of the history", heading_rad.len(), total)?;
-        check("speed of the history", speed_mps.len(), total)?;
-        check("validity of the history", valid.len(), total)?;
-        Ok(Self { num_agents, x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid })
+        check("y of the history", all.y_m.len(), total)?;
+        check("heading of the history", all.heading_rad.len(), total)?;
+        check("speed of the history", all.speed_mps.len(), total)?;
+        check("validity of the history", all.valid.len(), total)?;
+        Ok(Self(all))
     }
 
     /// Number of agents M.
     pub fn num_agents(&self) -> usize {
-        self.num_agents
+        self.0.length_m.len()
     }
 
     /// Number of steps T.
     pub fn num_steps(&self) -> usize {
-        self.x_m.len().checked_div(self.num_agents).unwrap_or(0)
+        self.0.x_m.len().checked_div(self.num_agents()).unwrap_or(0)
     }
 
     /// The frames, oldest first.
     pub fn frames(&self) -> impl Iterator<Item = AgentFrame<'a>> + '_ {
-        let num_agents = self.num_agents;
+        let (all, num_agents) = (self.0, self.num_agents());
         (0..self.num_steps()).map(move |t| {
             let row = t * num_agents..(t + 1) * num_agents;
             AgentFrame {
-                x_m: &self.x_m[row.clone()],
-                y_m: &self.y_m[row.clone()],
-                heading_rad: &self.heading_rad[row.clone()],
-                speed_mps: &self.speed_mps[row.clone()],
-                length_m: self.length_m,
-                width_m: self.width_m,
-                valid: &self.valid[row],
+                x_m: &all.x_m[row.clone()],
+                y_m: &all.y_m[row.clone()],
+                heading_rad: &all.heading_rad[row.clone()],
+                speed_mps: &all.speed_mps[row.clone()],
+                length_m: all.length_m,
+                width_m: all.width_m,
+                valid: &all.valid[row],
             }
         })
     }
 
     /// Times to contact [T, M, M], seconds. The released recipe sees every step in the axes of the last one.
     pub fn ttc_s(&self, ttc: Ttc) -> Vec<Real> {
-        let pairs = self.num_agents * self.num_agents;
+        let pairs = self.num_agents() * self.num_agents();
         let mut out = vec![TTC_CAP_S; self.num_steps() * pairs];
         if pairs > 0 {
-            let last_heading_rad = &self.heading_rad[self.heading_rad.len() - self.num_agents..];
+            let last_heading_rad = &self.0.heading_rad[self.0.heading_rad.len() - self.num_agents()..];
             for (frame, matrix) in self.frames().zip(out.chunks_exact_mut(pairs)) {
                 match ttc {
                     Ttc::Oriented => frame.ttc_oriented_s(matrix),
@@ -288,7 +270,7 @@ impl<'a> AgentHistory<'a> {
     /// # Errors
     /// None for a view that [`AgentHistory::new`] accepted.
     pub fn distance_m(&self) -> Result<Vec<Real>> {
-        let pairs = self.num_agents * self.num_agents;
+        let pairs = self.num_agents() * self.num_agents();
         let mut out = vec![Real::INFINITY; self.num_steps() * pairs];
         if pairs > 0 {
             for (frame, matrix) in self.frames().zip(out.chunks_exact_mut(pairs)) {
@@ -305,9 +287,15 @@ mod tests {
     use proptest::prelude::*;
     use std::f32::consts::{FRAC_PI_2, PI};
 
+    /// A frame of (x, y, heading, speed), length and width, everybody there.
+    fn frame<'a>(state: [&'a [f32]; 4], size: [&'a [f32]; 2]) -> AgentFrame<'a> {
+        let ([x_m, y_m, heading_rad, speed_mps], [length_m, width_m]) = (state, size);
+        AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &[true; 3][..x_m.len()] }
+    }
+
     fn pair(ttc: Ttc, other: (f32, f32, f32), speeds: [f32; 2]) -> [f32; 2] {
         let (x, y, heading) = ([0.0, other.0], [0.0, other.1], [0.0, other.2]);
-        let frame = AgentFrame::new(&x, &y, &heading, &speeds, &[4.5; 2], &[2.0; 2], &[true; 2]).unwrap();
+        let frame = frame([&x, &y, &heading, &speeds], [&[4.5; 2], &[2.0; 2]]).checked().unwrap();
         let mut out = [0.0; 4];
         frame.ttc_s(ttc, &heading, &mut out).unwrap();
         assert_eq!((out[0], out[3]), (0.0, 0.0));
@@ -350,16 +338,9 @@ mod tests {
 
     #[test]
     fn absent_agents_have_no_contact_and_no_distance() {
-        let frame = AgentFrame::new(
-            &[0.0, 1.0],
-            &[0.0; 2],
-            &[0.0; 2],
-            &[0.0; 2],
-            &[4.5; 2],
-            &[2.0; 2],
-            &[true, false],
-        )
-        .unwrap();
+        let zeros = [0.0; 2];
+        let frame = frame([&[0.0, 1.0], &zeros, &zeros, &zeros], [&[4.5; 2], &[2.0; 2]]);
+        let frame = AgentFrame { valid: &[true, false], ..frame };
         let mut out = [0.0; 4];
         for ttc in [Ttc::Oriented, Ttc::Released] {
             frame.ttc_s(ttc, &[0.0; 2], &mut out).unwrap();
@@ -371,16 +352,7 @@ mod tests {
 
     #[test]
     fn relative_distances_follow_the_recipe() {
-        let frame = AgentFrame::new(
-            &[0.0, 6.0],
-            &[0.0, 8.0],
-            &[0.3; 2],
-            &[0.0; 2],
-            &[4.0, 6.0],
-            &[2.0; 2],
-            &[true; 2],
-        )
-        .unwrap();
+        let frame = frame([&[0.0, 6.0], &[0.0, 8.0], &[0.3; 2], &[0.0; 2]], [&[4.0, 6.0], &[2.0; 2]]);
         let mut out = [0.0; 4];
         frame.distance_m(&mut out).unwrap();
         assert!((normalised_distance(out[1]) - 0.5).abs() < 1e-6);
@@ -392,12 +364,9 @@ mod tests {
 
     #[test]
     fn arrays_of_unequal_length_are_refused() {
-        let error = AgentFrame::new(&[0.0], &[], &[0.0], &[0.0], &[1.0], &[1.0], &[true]).unwrap_err();
+        let error = frame([&[0.0], &[], &[0.0], &[0.0]], [&[1.0], &[1.0]]).checked().unwrap_err();
         assert!(matches!(error, SimError::Length { got: 0, expected: 1, .. }));
-        assert!(
-            AgentHistory::new(&[0.0; 3], &[0.0; 3], &[0.0; 3], &[0.0; 3], &[1.0; 2], &[1.0; 2], &[true; 3])
-                .is_err()
-        );
+        assert!(AgentHistory::new(frame([&[0.0; 3]; 4], [&[1.0; 2]; 2])).is_err());
     }
 
     proptest! {
@@ -409,7 +378,7 @@ mod tests {
             let one = pair(Ttc::Oriented, (x, y, h), [v, w])[0];
             let (xs, ys) = ([5.0, 5.0 + c * x - s * y], [-7.0, -7.0 + s * x + c * y]);
             let (hs, vs) = ([turn, h + turn], [v, w]);
-            let frame = AgentFrame::new(&xs, &ys, &hs, &vs, &[4.5; 2], &[2.0; 2], &[true; 2]).unwrap();
+            let frame = frame([&xs, &ys, &hs, &vs], [&[4.5; 2], &[2.0; 2]]);
             let mut out = [0.0; 4];
             frame.ttc_s(Ttc::Oriented, &hs, &mut out).unwrap();
             // a graze may be a contact in one frame and a miss in the other

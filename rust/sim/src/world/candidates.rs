@@ -199,11 +199,17 @@ fn turned(pose: &Pose2, v: Vector2) -> Vector2 {
 fn pairs(seen: &[State], footprints: &[Footprint]) -> Result<(Vec<Real>, Vec<Real>)> {
     let of = |value: &dyn Fn(&State) -> Real| seen.iter().map(value).collect::<Vec<Real>>();
     let size = |value: &dyn Fn(&Footprint) -> Real| footprints.iter().map(value).collect::<Vec<Real>>();
-    let (x, y) = (of(&|s| s.pose.position.x), of(&|s| s.pose.position.y));
-    let (heading, speed) = (of(&|s| s.pose.heading_rad), of(&|s| s.speed_mps));
-    let (length, width) = (size(&|b| 2.0 * b.half_length_m), size(&|b| 2.0 * b.half_width_m));
-    let there = vec![true; seen.len()];
-    let frame = AgentFrame::new(&x, &y, &heading, &speed, &length, &width, &there)?;
+    let heading = of(&|s| s.pose.heading_rad);
+    let frame = AgentFrame {
+        x_m: &of(&|s| s.pose.position.x),
+        y_m: &of(&|s| s.pose.position.y),
+        heading_rad: &heading,
+        speed_mps: &of(&|s| s.speed_mps),
+        length_m: &size(&|b| 2.0 * b.half_length_m),
+        width_m: &size(&|b| 2.0 * b.half_width_m),
+        valid: &vec![true; seen.len()],
+    };
+    let frame = frame.checked()?;
     let mut ttc_s = vec![0.0; seen.len() * seen.len()];
     let mut distance_m = ttc_s.clone();
     frame.ttc_s(Ttc::Oriented, &heading, &mut ttc_s)?;
