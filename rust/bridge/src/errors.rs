@@ -34,7 +34,6 @@ pub fn from_sim(error: SimError) -> PyErr {
         SimError::Unknown { .. } => py::UnknownNameError::new_err(message),
         SimError::Snapshot(_) => py::SnapshotError::new_err(message),
         SimError::Policy { .. } => policy_failed(message),
-        _ => py::ConfigError::new_err(message),
     }
 }
 
@@ -47,7 +46,7 @@ pub fn from_model(error: ModelError) -> PyErr {
         ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
         ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
         ModelError::Sim(source) => from_sim(source),
-        _ => policy_failed(message),
+        ModelError::Diverged { .. } | ModelError::Torch { .. } => policy_failed(message),
     }
 }
 

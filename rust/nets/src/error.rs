@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 /// Everything that can go wrong in features, training, sampling and weight files.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ModelError {
     /// A configuration value is out of its range or contradicts another one.
     #[error("config: {field} is {got}, expected {expected}")]

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 /// Everything the loader refuses.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum NuscenesError {
     /// A table or map that the data set must have is not there.
     #[error("{what} is missing: {}", path.display())]

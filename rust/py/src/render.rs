@@ -24,7 +24,11 @@ pub(crate) fn from_render(error: RenderError) -> PyErr {
     let message = error.to_string();
     match error {
         RenderError::Map { .. } => SceneError::new_err(message),
-        _ => ConfigError::new_err(message),
+        RenderError::Size { .. }
+        | RenderError::Camera { .. }
+        | RenderError::Item { .. }
+        | RenderError::Step { .. }
+        | RenderError::Centre { .. } => ConfigError::new_err(message),
     }
 }
 
@@ -70,10 +74,6 @@ pub(crate) enum CentreArg {
     Point((f32, f32)),
 }
 
-/// One step of a scene's log as an array [H, W, 3]; the body of `Scene.render`.
-///
-/// # Errors
-/// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
 /// The same in a scene.
 ///
 /// # Errors
@@ -88,6 +88,10 @@ pub(crate) fn centre_of(scene: &Scene, centre: CentreArg) -> PyResult<Centre> {
     }
 }
 
+/// One step of a scene's log as an array [H, W, 3]; the body of `Scene.render`.
+///
+/// # Errors
+/// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
 pub(crate) fn scene_image<'py>(
     py: Python<'py>,
     scene: &Arc<Scene>,

@@ -35,7 +35,13 @@ fn from_nuscenes(error: NuscenesError) -> PyErr {
         NuscenesError::Missing { .. } => py::DatasetNotFoundError::new_err(message),
         NuscenesError::Option { .. } => py::ConfigError::new_err(message),
         NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
-        _ => py::DatasetError::new_err(message),
+        NuscenesError::Io { .. }
+        | NuscenesError::Json { .. }
+        | NuscenesError::Value { .. }
+        | NuscenesError::Dangling { .. }
+        | NuscenesError::Duplicate { .. }
+        | NuscenesError::Empty { .. }
+        | NuscenesError::Bytes(_) => py::DatasetError::new_err(message),
     }
 }
 

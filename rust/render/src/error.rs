@@ -2,7 +2,6 @@
 
 /// Everything the renderer refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum RenderError {
     /// The image has no pixels or too many.
     #[error("image size is {width} x {height} pixels, expected 1 to {max} on each side")]

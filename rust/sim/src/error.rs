@@ -4,7 +4,6 @@ use std::borrow::Cow;
 
 /// Everything the simulator refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum SimError {
     /// A scene breaks a rule of [`crate::scene::Scene`].
     #[error("scene {scene:?}: {field} is {got}, expected {expected}")]
