@@ -432,10 +432,6 @@ class VecWorld:
         """Write the present observations [C, D] and rasters [C, P, S, S] of a world."""
 
     @property
-    def config_json(self) -> str:
-        """Configuration, defaults filled in."""
-
-    @property
     def layout_json(self) -> str:
         """Schema of the observation row."""
 

@@ -155,13 +155,25 @@ class WorldConfig(WorldOptions):
 
     def takes_ccdiff(self) -> bool:
         """Return whether somebody drives by a network without options of its own."""
-        return bool(self.sharing())
+        return bool(self._driving() & set(NETWORKS) - set(self.policies))
 
-    def sharing(self) -> set[str]:
-        """Return the networks by which somebody drives with the options of ``ccdiff``."""
+    def takes_idm(self) -> bool:
+        """Return whether the options of ``idm`` differ from the default, or drive somebody: by
+        name, in assisted dynamics, or round a network.
+        """
+        own = [policy.options for policy in self.policies.values()]
+        networks = [n for n in (self.ccdiff, *own) if isinstance(n, CcdiffConfig)]
+        return (
+            self.idm != IdmConfig()
+            or "idm" in self._driving()
+            or isinstance(self.action.dynamics, AssistedLimits)
+            or any(n.background_driver == "idm" or n.plan_radius_m is not None for n in networks)
+        )
+
+    def _driving(self) -> set[str]:
+        """Names of drivers by which somebody drives from the start."""
         shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
-        drivers = {*shares, self.driver, *self.drivers.values()}
-        return drivers & (set(NETWORKS) - set(self.policies))
+        return {*shares, self.driver, *self.drivers.values()}
 
     def with_criticality(self, criticality: float) -> WorldConfig:
         """Return the configuration with one criticality for all networks."""
@@ -178,7 +190,7 @@ class WorldConfig(WorldOptions):
     def to_json(self) -> str:
         """Return the configuration as JSON, as Rust reads it.
 
-        Of networks it holds the options of those that somebody drives by.
+        It holds the options of drivers that drive; all networks share those of CCDiff.
         """
         return json.dumps(_plain(self), allow_nan=False)
 
@@ -451,9 +463,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, WorldConfig):
         own = {name: {p.kind: _plain(p.options)} for name, p in value.policies.items()}
         options = fields.pop("ccdiff")
-        # under CCDiff's name as well: so readers tell them from options of one network
-        sharing = {"ccdiff", *value.sharing()} if value.sharing() else ()
-        fields["policies"] = {name: {name: options} for name in sorted(sharing)} | own
+        fields["policies"] = ({"ccdiff": {"ccdiff": options}} if value.takes_ccdiff() else {}) | own
+        if not value.takes_idm():
+            del fields["idm"]
     if isinstance(value, PythonTraffic):
         fields["model"] = value.described
     if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):

@@ -14,6 +14,7 @@ from ccdiff_env.config import (
     ActionGrid,
     BicycleLimits,
     DeltaPoseLimits,
+    IdmConfig,
     RewardConfig,
     UnicycleLimits,
     WorldConfig,
@@ -33,23 +34,30 @@ def as_float32(value):
 
 def test_defaults_are_those_of_rust():
     rust = json.loads(_native.default_world_config())
-    assert as_float32(json.loads(WorldConfig().to_json())) == as_float32(rust)
+    assert as_float32(json.loads(WorldConfig(traffic="idm").to_json())) == as_float32(
+        {**rust, "traffic": "idm"}
+    )
 
 
-def test_json_holds_the_options_of_networks_that_drive_alone():
+def test_json_holds_the_options_of_drivers_that_drive_alone():
     def held(**options):
-        return set(json.loads(WorldConfig().with_options(**options).to_json())["policies"])
+        made = json.loads(WorldConfig().with_options(**options).to_json())
+        return {*made["policies"], *({"idm"} & set(made))}
 
-    assert held(traffic="idm") == set()
-    assert held(traffic="ccdiff") == {"ccdiff"}
-    assert held(traffic={"ctg": 0.5, "idm": 0.5}) == {"ccdiff", "ctg"}
+    assert held() == set()
+    assert held(traffic="idm") == held(driver="idm") == held(dynamics="assisted") == {"idm"}
+    assert held(traffic="ccdiff") == held(traffic="ctg") == {"ccdiff"}
+    assert held(traffic={"ctg": 0.5, "idm": 0.5}) == {"ccdiff", "idm"}
     assert held(traffic="simnet", simnet={"criticality": 1.0}) == {"simnet"}
+    assert held(traffic="ccdiff", ccdiff={"background_driver": "idm"}) == {"ccdiff", "idm"}
+    assert held(idm={"headway_s": 2.0}) == {"idm"}  # vehicles may be assigned to it later
 
 
 def test_json_of_before_with_the_options_of_all_networks_is_read():
     config = WorldConfig().with_options(traffic="ctg", ccdiff={"criticality": 0.5})
     fields = json.loads(config.to_json())
-    fields["policies"] = {name: {name: fields["policies"]["ctg"]["ctg"]} for name in NETWORKS}
+    fields["policies"] = {name: {name: fields["policies"]["ccdiff"]["ccdiff"]} for name in NETWORKS}
+    fields["idm"] = dataclasses.asdict(IdmConfig())
     assert WorldConfig.from_json(json.dumps(fields)) == config
 
 

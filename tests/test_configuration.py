@@ -49,8 +49,8 @@ def test_defaults_of_every_class_are_those_of_its_table():
         made = config._plain(kind(model="") if kind is PythonTraffic else kind())
         made = next(iter(made.values())) if name.endswith("Limits") else made
         wanted = dict(table["defaults"])
-        if name == "WorldConfig":  # the options of networks stand there by the driver's name
-            made["policies"], wanted["policies"] = {}, {}
+        if name == "WorldConfig":  # options of drivers stand there where they drive
+            made |= {"policies": {}, "idm": config._plain(config.IdmConfig())}
         assert {k: v for k, v in made.items() if k != "model"} == {
             k: v for k, v in wanted.items() if k != "model"
         }

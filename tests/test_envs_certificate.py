@@ -96,6 +96,21 @@ def test_snapshots_taken_with_another_raster_are_refused(scenes):
         raster.restore(plain.snapshot())
 
 
+def test_snapshots_hold_what_differs_from_the_defaults(scenes):
+    # so they outlive options and drivers that come later
+    env = EgoEnv(scenes=scenes, traffic="idm", idm={"headway_s": 1.5}, horizon_steps=80)
+    env.reset(seed=1)
+    text = env.snapshot().decode("latin-1")
+    told, _ = json.JSONDecoder().raw_decode(text, text.index("{"))
+    assert told == {
+        "autoreset": "disabled",
+        "horizon_steps": 80,
+        "idm": {"headway_s": 1.5},
+        "names of drivers": ["replay", "constant_velocity", "idm"],
+        "traffic": "idm",
+    }
+
+
 def test_another_process_finds_the_same_episode(scenes, tmp_path):
     env, _ = driven(scenes, traffic="idm")
     path = tmp_path / "episode.json"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from collections.abc import Callable, Collection, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -61,16 +61,15 @@ def world_of_seat(
     world = world.with_options(dt_s=dt_s)
     if seat is None:
         return world
-    usual, asked = (json.loads(c.to_json()) for c in (WorldConfig(), seat.config))
     free = (*CHOICES, "dt_s") if seat.trained_in(dt_s) else CHOICES
-    changed = [name for name in asked if asked[name] != usual[name] and name not in free]
-    if changed:
-        name = changed[0]
-        raise ConfigError(
-            f"{who}: env_options changes {name} to {asked[name]!r}, which {fixed_by} fixes at "
-            f"{json.loads(world.to_json())[name]!r}; a planner may choose action, "
-            "observation, decision_steps and dynamics"
-        )
+    for name in (f.name for f in dataclasses.fields(WorldConfig) if f.name not in free):
+        asked = getattr(seat.config, name)
+        if asked != getattr(WorldConfig(), name):
+            raise ConfigError(
+                f"{who}: env_options changes {name} to {asked!r}, which {fixed_by} fixes at "
+                f"{getattr(world, name)!r}; a planner may choose action, observation, "
+                "decision_steps and dynamics"
+            )
     return world.with_options(action=seat.config.action, observation=seat.config.observation)
 
 

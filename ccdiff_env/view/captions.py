@@ -10,7 +10,7 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
-from ccdiff_env.traffic import driver_titles
+from ccdiff_env.traffic import NETWORKS, driver_titles
 
 #: Titles of drivers, in the order of the legend; names are those of images.
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
@@ -147,6 +147,7 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
     config = rollout.meta.get("config")
     if isinstance(config, dict):
         drivers = {*rollout.driver_names, *rollout.driver_kinds}
+        drivers |= {"ccdiff"} if drivers & {*NETWORKS} else set()  # whose options all networks share
         policies = config.get("policies")
         known = policies if isinstance(policies, dict) else {}
         used = {name: options for name, options in known.items() if name in drivers}

@@ -19,7 +19,6 @@ _NATIVE = dict.fromkeys(
         "action_bounds",
         "action_width",
         "begun",
-        "config_json",
         "contacts",
         "layout_json",
         "metrics",

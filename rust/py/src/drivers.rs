@@ -4,6 +4,7 @@ use crate::python_policy::{self, PythonPolicy};
 use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nets::NetworkKind;
+use ccdiff_nets::ccdiff::CCDIFF;
 use ccdiff_nets::kinds::NETWORKS;
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::options;
@@ -30,6 +31,13 @@ fn kinds() -> impl Iterator<Item = &'static Kind> {
     own.chain(NETWORKS.iter().map(|network| &network.kind))
 }
 
+/// The network under whose name the options stand that all networks share.
+const SHARED: &str = CCDIFF.kind.name;
+
+fn is_network(kind: &Kind) -> bool {
+    NETWORKS.iter().any(|network| network.kind.name == kind.name)
+}
+
 fn of(name: &str) -> Option<&'static Kind> {
     kinds().find(|kind| kind.name == name)
 }
@@ -52,6 +60,11 @@ fn title(kind: &str) -> &'static str {
     of(kind).map_or_else(|| drawn(kind).title(), |kind| kind.title)
 }
 
+/// Both.
+pub(crate) fn look(kind: &str) -> (DrawStyle, &'static str) {
+    (drawn(kind), title(kind))
+}
+
 /// Name, title and number in images.
 type Row = (&'static str, &'static str, u8);
 
@@ -60,11 +73,6 @@ type Row = (&'static str, &'static str, u8);
 #[pyfunction]
 fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
-/// Both.
-pub(crate) fn look(kind: &str) -> (DrawStyle, &'static str) {
-    (drawn(kind), title(kind))
-}
-
     let others = kinds().filter(|kind| kind.style != kind.name);
     styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
 }
@@ -130,13 +138,16 @@ fn recipes<'a>(
             found.push((kind, Recipe { name, options: options.clone(), model: models.get(name) }));
         }
     }
-    // who drives by a kind without options of its own has the default ones
-    let named = |kind: &&Kind| !kind.always && kind.make.is_some() && config.names(kind.name);
-    for kind in kinds().filter(named).filter(|kind| !config.policies.contains_key(kind.name)) {
-        found.push((
-            kind,
-            Recipe { name: kind.name, options: Value::Object(Default::default()), model: None },
-        ));
+    // who drives by a kind without options of its own has those that all networks share, or the default ones
+    let shared = config.policies.get(SHARED).and_then(|policy| policy.get(SHARED));
+    for kind in kinds().filter(|k| !k.always && config.names(k.name) && !config.policies.contains_key(k.name))
+    {
+        let shared = shared.filter(|_| is_network(kind));
+        if shared.is_none() && kind.make.is_none() {
+            continue;
+        }
+        let options = shared.cloned().unwrap_or_else(|| Value::Object(Default::default()));
+        found.push((kind, Recipe { name: kind.name, options, model: None }));
     }
     Ok(found)
 }
@@ -147,7 +158,7 @@ fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
     let none = BTreeMap::new();
     let wanted = recipes(&config, &none)?;
-    let wanted = wanted.into_iter().filter(|(kind, _)| NETWORKS.iter().any(|n| n.kind.name == kind.name));
+    let wanted = wanted.into_iter().filter(|(kind, _)| is_network(kind));
     Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
 }
 
@@ -179,4 +190,15 @@ pub(crate) fn policies(
         made.push((recipe.name.to_owned(), policy));
     }
     Ok(made)
+}
+
+/// A configuration as worlds are told apart by it: options of policies are those that are not the default.
+pub(crate) fn told_apart(config: WorldConfig) -> WorldConfig {
+    let mut policies = config.policies;
+    for (kind, options) in policies.values_mut().filter_map(Value::as_object_mut).flatten() {
+        if let Some(table) = of(kind).and_then(|kind| kind.options) {
+            options::without_defaults(table, options);
+        }
+    }
+    WorldConfig { policies, ..config }
 }

@@ -169,7 +169,8 @@ impl PyVecWorld {
         let networks = drivers::taken(networks.unwrap_or_default())?;
         let world = enter(py, || {
             let policies = drivers::policies(&config, networks, &models.unwrap_or_default())?;
-            VecWorld::new(scenes, config, num_worlds, num_threads, policies).map_err(from_sim)
+            VecWorld::new(scenes, drivers::told_apart(config), num_worlds, num_threads, policies)
+                .map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new(), rows: None })
@@ -258,12 +259,6 @@ impl PyVecWorld {
         let shape = [shape[0], raster[0], raster[1], raster[2]];
         let mut bev = bev.map(|a| writable::<u8>("bev", a, &shape)).transpose()?;
         self.world.observe(world_idx, obs.as_slice_mut()?, elements(&mut bev)?).map_err(from_sim)
-    }
-
-    /// The configuration as JSON, defaults filled in.
-    #[getter]
-    fn config_json(&self) -> PyResult<String> {
-        to_json(self.world.config())
     }
 
     /// The schema of the observation row as JSON.

@@ -4,6 +4,10 @@
 //! an enum and its [`Choice`]. A [`Table`] goes out as JSON: the dataclasses of Python and `docs/configuration.md` are
 //! written from it. What contradicts another field is checked beside the struct.
 
+mod defaults;
+
+pub use defaults::without_defaults;
+
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use serde::de::DeserializeOwned;

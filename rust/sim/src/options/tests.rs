@@ -38,6 +38,18 @@ options! {
     }
 }
 
+options! {
+    /// What holds others.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Outer {
+        /// One.
+        inner: Whole = Whole::default();
+        /// More, by name.
+        more: BTreeMap<String, Whole> = BTreeMap::new();
+    }
+}
+
 #[test]
 fn what_is_legal_is_read() {
     let whole: Whole = read("", r#"{"way": {"parted": {"sizes_m": [2, 0.5]}}, "count": 3}"#).unwrap();
@@ -79,4 +91,19 @@ fn tables_say_what_they_hold() {
     assert_eq!(table["defaults"]["speed_mps"], 0.1);
     assert_eq!(table["fields"][0]["range"], "> 0");
     assert_eq!(table["fields"][1]["form"]["one_of"]["variants"][1]["form"]["table"], "Part");
+}
+
+#[test]
+fn without_its_defaults_a_configuration_has_what_differs_at_any_depth() {
+    let lean = |json: &str| {
+        let mut value = serde_json::from_str(json).unwrap();
+        without_defaults(&Outer::TABLE, &mut value);
+        value.to_string()
+    };
+    assert_eq!(lean(&to_value(&Outer::default()).to_string()), "{}");
+    // as it was written before there were the other options
+    assert_eq!(lean(r#"{"inner": {"speed_mps": 0.1, "way": "plain"}}"#), "{}");
+    assert_eq!(lean(r#"{"inner": {"speed_mps": 0.2, "count": null}}"#), r#"{"inner":{"speed_mps":0.2}}"#);
+    let by_name = r#"{"more": {"a": {"count": 2, "span_m": [-1.0, 1.0]}}}"#;
+    assert_eq!(lean(by_name), r#"{"more":{"a":{"count":2}}}"#);
 }

@@ -6,11 +6,13 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
+use crate::options;
 use crate::policy::{Driver, PlanOverride, PlanRecord};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::tick::World;
+use serde_json::Value;
 use std::sync::Arc;
 
 /// Facts about a world's present.
@@ -183,11 +185,14 @@ impl VecWorld {
         &self.scenes.list[scene_idx].0.name
     }
 
-    /// What a snapshot is checked against: the configuration, less what the state of a world does not depend on.
-    pub(crate) fn config_fingerprint(&self) -> String {
+    /// What a snapshot is checked against: the configuration, less its defaults and what the state of a world does not
+    /// depend on, and the names of the drivers in their order. So snapshots outlive new options and new drivers.
+    pub(crate) fn config_fingerprint(&self) -> Value {
         let config = WorldConfig { decision_steps: 1, ..self.config.clone() };
-        let names: Vec<&str> = self.policies.names().collect();
-        serde_json::to_string(&(config, names)).unwrap_or_default()
+        let mut changed = options::to_value(&config);
+        options::without_defaults(&WorldConfig::TABLE, &mut changed);
+        changed["names of drivers"] = self.policies.names().collect();
+        changed
     }
 
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {

@@ -4,10 +4,11 @@ use crate::error::{Result, SimError};
 use crate::world::VecWorld;
 use crate::world::episode::Episode;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::sync::Arc;
 
 /// Layout of the bytes; other layouts are refused, not guessed.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
@@ -21,6 +22,12 @@ fn damaged(e: postcard::Error) -> SimError {
     SimError::Snapshot(format!("damaged bytes ({e})"))
 }
 
+/// Name of the first field that two fingerprints do not share.
+fn different(then: &Value, now: &Value) -> Option<String> {
+    let names = [then, now].into_iter().filter_map(Value::as_object).flat_map(|fields| fields.keys());
+    names.into_iter().find(|name| then.get(name) != now.get(name)).cloned()
+}
+
 impl VecWorld {
     /// Everything that the future of a world depends on: states, generator, clocks, plan.
     ///
@@ -30,7 +37,7 @@ impl VecWorld {
         let world = self.world(world_idx)?;
         let snapshot = Snapshot {
             version: VERSION,
-            config: self.config_fingerprint(),
+            config: self.config_fingerprint().to_string(),
             scene: self.scene_name(world.episode.scene_idx).to_owned(),
             episode: world.episode.clone(),
         };
@@ -50,8 +57,9 @@ impl VecWorld {
             return refuse(format!("layout {version} of another release, this one reads {VERSION}"));
         }
         let snapshot: Snapshot = postcard::from_bytes(bytes).map_err(damaged)?;
-        if snapshot.config != self.config_fingerprint() {
-            return refuse("taken under another configuration".into());
+        let (then, now) = (serde_json::from_str(&snapshot.config), self.config_fingerprint());
+        if let Some(name) = then.map_or(Some("fingerprint".into()), |then| different(&then, &now)) {
+            return refuse(format!("taken under another configuration: another {name}"));
         }
         let episode = snapshot.episode;
         let name =
