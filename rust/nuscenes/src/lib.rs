@@ -6,7 +6,7 @@
 //!
 //! - `stream`: a table as a stream of records, parsed in parallel
 //! - `record`: the fields of one record
-//! - `scan`: where strings and brackets end, `number`: the value of numbers
+//! - `scan`: where strings and brackets end
 //! - `token`, `index`: tokens as numbers, and how they are looked up
 //! - `tables`: rows, and their join to the logged facts of each scene
 //! - `resample`: key frames to steps, `spline`: smooth curves through them
@@ -30,7 +30,6 @@ mod gpudrive;
 mod index;
 mod load;
 mod map_file;
-mod number;
 mod options;
 mod record;
 mod report;

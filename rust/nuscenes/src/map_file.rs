@@ -218,10 +218,10 @@ fn arcline_paths((text, source): Text<'_>) -> Result<Vec<ArcLinePath>> {
         let names = &["start_pose", "shape", "radius", "segment_length"];
         let mut row = Record::new(&text[range], names, source);
         Ok(ArcLinePath {
-            start_pose: row.numbers(0)?,
+            start_pose: row.parse(0)?,
             shape: row.text(1)?,
-            radius: row.number(2)?,
-            segment_length: row.numbers(3)?,
+            radius: row.parse(2)?,
+            segment_length: row.parse(3)?,
         })
     };
     elements(text, source)?.into_iter().map(path).collect()
@@ -247,7 +247,7 @@ fn note(report: &mut MapReport, count: usize, words: &str) {
 impl<'a> Assembler<'a> {
     fn new(file: &'a MapText<'a>, path: &'a Path) -> Result<Self> {
         let nodes = file.rows("node", &["token", "x", "y"], |row| {
-            let (token, x, y) = (row.token(0)?, row.number(1)?, row.number(2)?);
+            let (token, x, y) = (row.token(0)?, row.parse::<f64>(1)?, row.parse::<f64>(2)?);
             if x.abs() < 1e6 && y.abs() < 1e6 {
                 return Ok((token, [x, y]));
             }

@@ -4,11 +4,9 @@
 //! records that nobody needs. Finding where values end is several times faster than parsing them.
 
 use crate::error::{NuscenesError, Result};
-use crate::number::{plain_integer, plain_number, plain_numbers};
-use crate::scan::{Nesting, find_quote_or_escape, flat_end};
+use crate::scan::{Nesting, find_quote_or_escape};
 use crate::token::Token;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use std::ops::Range;
 use std::path::Path;
 
@@ -112,42 +110,6 @@ impl<'a, const N: usize> Record<'a, N> {
     pub(crate) fn text(&mut self, field: usize) -> Result<String> {
         self.parse(field)
     }
-
-    /// A whole number.
-    pub(crate) fn integer(&mut self, field: usize) -> Result<i64> {
-        match plain_integer(self.raw(field)?.0) {
-            Some(value) => Ok(value),
-            None => self.parse(field),
-        }
-    }
-
-    /// True or false.
-    pub(crate) fn flag(&mut self, field: usize) -> Result<bool> {
-        match self.raw(field)?.0 {
-            b"true" => Ok(true),
-            b"false" => Ok(false),
-            _ => self.parse(field),
-        }
-    }
-
-    /// Three or four numbers and the like.
-    pub(crate) fn numbers<const K: usize>(&mut self, field: usize) -> Result<[f64; K]>
-    where
-        [f64; K]: DeserializeOwned,
-    {
-        match plain_numbers(self.raw(field)?.0) {
-            Some(values) => Ok(values),
-            None => self.parse(field),
-        }
-    }
-
-    /// A number.
-    pub(crate) fn number(&mut self, field: usize) -> Result<f64> {
-        match plain_number(self.raw(field)?.0) {
-            Some(value) => Ok(value),
-            None => self.parse(field),
-        }
-    }
 }
 
 /// The bytes of a string that has no escapes.
@@ -180,10 +142,10 @@ fn skip_string(text: &[u8], at: usize) -> Option<usize> {
 fn skip_value(text: &[u8], at: usize) -> Option<usize> {
     match text.get(at)? {
         b'"' => skip_string(text, at),
-        b'{' | b'[' => flat_end(text, at).or_else(|| {
+        b'{' | b'[' => {
             let (end, closed) = { Nesting::START }.advance(text, at);
             closed.then_some(end)
-        }),
+        }
         _ => {
             let ends = |b: &u8| matches!(b, b',' | b'}' | b']') || b.is_ascii_whitespace();
             let length = text[at..].iter().position(ends)?;
@@ -306,7 +268,7 @@ mod tests {
             "{ \"t\"\n:\"00000000000000000000000000000010\" ,\"b\" : \"é{\",\"a\":[1.5,-2000.0]\r\n}",
         ] {
             let mut record = Record::new(text.as_bytes(), names, source());
-            assert_eq!(record.numbers::<2>(0).unwrap(), [1.5, -2000.0]);
+            assert_eq!(record.parse::<[f64; 2]>(0).unwrap(), [1.5, -2000.0]);
             assert_eq!(record.text(1).unwrap(), "é{");
             assert_eq!(record.token(2).unwrap(), Token(16));
         }
@@ -316,7 +278,7 @@ mod tests {
     fn faults_name_field_value_and_place() {
         let names = &["a", "b"];
         let mut record = Record::new(br#"{"a": [1, NaN]}"#, names, source());
-        let message = record.numbers::<2>(0).unwrap_err().to_string();
+        let message = record.parse::<[f64; 2]>(0).unwrap_err().to_string();
         for words in ["byte 100", "t.json", "\"a\"", "NaN"] {
             assert!(message.contains(words), "{message}");
         }
@@ -389,7 +351,7 @@ mod tests {
         ], 0..60)) {
             let _ = elements(&bytes, source());
             let mut record = Record::new(&bytes, &["", "a"], source());
-            let _ = (record.token(0), record.numbers::<3>(1), record.text(0), record.has(1));
+            let _ = (record.token(0), record.parse::<[f64; 3]>(1), record.text(0), record.has(1));
         }
     }
 }

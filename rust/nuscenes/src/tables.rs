@@ -174,7 +174,7 @@ impl Tables {
             let slot = *slots
                 .get_from(next, scene)
                 .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene, "scene"))?;
-            Ok(Some(Sample { slot, timestamp_us: row.integer(1)?, token, frame: 0 }))
+            Ok(Some(Sample { slot, timestamp_us: row.parse(1)?, token, frame: 0 }))
         })?;
         list.par_sort_by_key(|s| (s.slot, s.timestamp_us));
         for i in 1..list.len() {
@@ -206,9 +206,9 @@ impl Tables {
             let place = place.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
             let sample = &samples.list[place];
             let Some(slot) = sample.slot else { return Ok(None) };
-            let (translation, rotation) = (row.numbers(3)?, row.numbers(5)?);
+            let (translation, rotation) = (row.parse(3)?, row.parse(5)?);
             let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation)?;
-            Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.numbers(4)? }))
+            Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.parse(4)? }))
         })?;
         let tokens: Vec<Token> = rows.iter().map(|a| a.token).collect();
         if let Some(token) = find_twice(&tokens) {
@@ -298,8 +298,8 @@ impl Tables {
             let token = row.token(0)?;
             let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
             let sample = &samples.list[wanted.entries()[place].1 as usize];
-            let (translation, rotation) = (row.numbers(2)?, row.numbers(3)?);
-            let timestamp_us: i64 = row.integer(1)?;
+            let (translation, rotation) = (row.parse(2)?, row.parse(3)?);
+            let timestamp_us: i64 = row.parse(1)?;
             if timestamp_us.abs_diff(sample.timestamp_us) > MAX_POSE_OFFSET_US {
                 let expected = "within 0.25 s of its sample's";
                 return Err(late(path.clone(), token, timestamp_us, expected));
@@ -357,7 +357,7 @@ impl Tables {
         const TABLE: &str = "sample_data";
         let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
         let rows = self.read(TABLE, names, |row, next| {
-            if !row.flag(0)? {
+            if !row.parse::<bool>(0)? {
                 return Ok(None);
             }
             let of = row.token(2)?;
