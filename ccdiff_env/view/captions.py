@@ -147,7 +147,8 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
     config = rollout.meta.get("config")
     if isinstance(config, dict):
         drivers = {*rollout.driver_names, *rollout.driver_kinds}
-        drivers |= {"ccdiff"} if drivers & {*NETWORKS} else set()  # whose options all networks share
+        if drivers & {*NETWORKS}:  # they share CCDiff's options
+            drivers.add("ccdiff")
         policies = config.get("policies")
         known = policies if isinstance(policies, dict) else {}
         used = {name: options for name, options in known.items() if name in drivers}

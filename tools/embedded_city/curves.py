@@ -9,7 +9,7 @@ clockwise from +x, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -146,11 +146,6 @@ class Curve:
         """Return poses about ``step_m`` metres apart, both ends included."""
         num = max(1, round(self.length / step_m))
         return [self.at(self.length * i / num) for i in range(num + 1)]
-
-
-def joined(curves: Iterable[Curve]) -> Curve:
-    """Return the curves as one."""
-    return Curve(tuple(p for c in curves for p in c.segments))
 
 
 def filleted(points: Sequence[Xy], radii: Sequence[float]) -> Curve:
