@@ -14,7 +14,7 @@ mod creeping {
     use ccdiff_sim::options::{self, above};
     use ccdiff_sim::policy::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 
-    pub const KIND: Kind = Kind {
+    pub(crate) const KIND: Kind = Kind {
         name: "creeping",
         title: "creeping",
         style: "other",
