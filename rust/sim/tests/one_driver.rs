@@ -1,8 +1,6 @@
 //! A driver is its file and one line: here a module and a list, in the crate `policy/creeping.rs` and a line of
 //! `policy::KINDS`.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 mod common;
 
 use ccdiff_sim::policy::{self, Kind};
