@@ -20,8 +20,7 @@ impl World {
     ) {
         let ends_now = out.done[0] && shared.config.autoreset == Autoreset::SameStep;
         if ends_now {
-            out.final_obs.copy_from_slice(out.obs);
-            out.final_bev.copy_from_slice(out.bev);
+            self.keep_earlier(shared.extent, since, out);
             self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev, false);
         }
         if reset_pending || ends_now {

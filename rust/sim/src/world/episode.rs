@@ -364,6 +364,11 @@ impl Slot {
         reals.into_iter().all(|x| is_sound(*x)) && self.statistics.is_finite()
     }
 
+    /// Whether the agent's episode ended in a step after `since` and before the present one.
+    pub(super) fn ended_earlier(&self, since: usize, elapsed_steps: usize) -> bool {
+        self.ended_at.is_some_and(|at| since < at && at < elapsed_steps)
+    }
+
     /// Share of the way to the goal, 0 to 1; 1 where the log stands still.
     pub(crate) fn completion(&self) -> Real {
         let way = self.goal_s_m - self.start_s_m;

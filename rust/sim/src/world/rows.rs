@@ -2,7 +2,7 @@
 
 use crate::geom::Real;
 use crate::observe::{EgoFacts, View};
-use crate::world::buffers::Extent;
+use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::WorldConfig;
 use crate::world::tick::World;
 
@@ -31,7 +31,7 @@ impl World {
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];
             let raster = &mut bev[c * bytes..(c + 1) * bytes];
-            if slot.ended_at.is_some_and(|at| since < at && at < e.elapsed_steps) {
+            if slot.ended_earlier(since, e.elapsed_steps) {
                 continue;
             }
             let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
@@ -77,6 +77,17 @@ impl World {
             if let (Some(bev), Some(ground)) = (&config.observation.bev, &self.scene.ground) {
                 bev.draw(&view, ground, raster);
             }
+        }
+    }
+
+    /// Copies to the last observations of an episode the rows that [`World::observe`] leaves as they are.
+    pub(super) fn keep_earlier(&self, extent: Extent, since: usize, out: &mut StepBuffers<'_>) {
+        let e = &self.episode;
+        let bytes = extent.raster.iter().product::<usize>();
+        for (c, _) in e.slots.iter().enumerate().filter(|(_, s)| s.ended_earlier(since, e.elapsed_steps)) {
+            let (row, raster) = (c * extent.row..(c + 1) * extent.row, c * bytes..(c + 1) * bytes);
+            out.final_obs[row.clone()].copy_from_slice(&out.obs[row]);
+            out.final_bev[raster.clone()].copy_from_slice(&out.bev[raster]);
         }
     }
 }
