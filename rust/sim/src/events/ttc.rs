@@ -6,14 +6,21 @@ use crate::state::{AgentStates, Footprint};
 
 /// Agents asked about at once.
 const LANES: usize = 8;
+/// Relative differences that rounding could make are left to [`time_to_contact`].
+const UNSURE: Real = 1e-3;
+
+/// x, y, velocity x and y of agents, and the radii of the circles round their boxes.
+const NUM_COLUMNS: usize = 5;
 
 /// Finds the least times to contact of some agents; holds the memory that it works in.
 #[derive(Debug, Clone, Default)]
 pub struct LeastTimes {
-    /// Radii of the circles round the boxes; negative without end for agents that are not there, or were asked about.
-    radius_m: Vec<Real>,
-    /// 1 for agents that may be met; whole blocks.
-    may_meet: Vec<u8>,
+    /// Agents that are there, those that are asked about first.
+    agents: Vec<u32>,
+    /// Their numbers; whole blocks, in which those that are left never meet anybody.
+    columns: [Vec<Real>; NUM_COLUMNS],
+    /// 1 for agents that may be met.
+    may_meet: Vec<[u8; LANES]>,
     /// Least time of each agent that is asked about, seconds; 0 for the others.
     least_s: Vec<Real>,
 }
@@ -28,24 +35,36 @@ impl LeastTimes {
         agents: impl Iterator<Item = usize> + Clone,
         horizon_s: Real,
     ) {
-        let radius_m = |(footprint, there): (&Footprint, &bool)| {
-            if *there { footprint.radius_m } else { Real::NEG_INFINITY }
-        };
-        self.radius_m.clear();
-        self.radius_m.extend(footprints.iter().zip(&states.active).map(radius_m));
-        self.may_meet.resize(states.len().next_multiple_of(LANES), 0);
         self.least_s.clear();
         self.least_s.resize(states.len(), 0.0);
         agents.clone().for_each(|a| self.least_s[a] = horizon_s);
-        // who is not there would meet the others, but they do not meet it
-        for a in agents.clone().filter(|a| !states.active[*a]) {
-            self.measure(states, footprints, a, 0, horizon_s);
+        self.agents.clear();
+        self.agents.extend(agents.clone().filter(|a| states.active[*a]).map(|a| a as u32));
+        let num_asked = self.agents.len();
+        let others = (0..states.len()).filter(|a| states.active[*a] && self.least_s[*a] == 0.0);
+        self.agents.extend(others.map(|a| a as u32));
+        let of_states =
+            [&states.x, &states.y, &states.velocity_x_mps, &states.velocity_y_mps].map(Vec::as_slice);
+        let num_padded = self.agents.len().next_multiple_of(LANES);
+        let [columns @ .., radii] = &mut self.columns;
+        for (column, of_states) in columns.iter_mut().zip(of_states) {
+            column.clear();
+            column.extend(self.agents.iter().map(|a| of_states[*a as usize]));
+            column.resize(num_padded, 0.0);
         }
-        let mut first = 0;
-        for a in agents.filter(|a| states.active[*a]) {
-            first += self.radius_m[first..].iter().take_while(|r| **r < 0.0).count();
-            self.measure(states, footprints, a, first, horizon_s);
-            self.radius_m[a] = Real::NEG_INFINITY;
+        radii.clear();
+        radii.extend(self.agents.iter().map(|a| footprints[*a as usize].radius_m));
+        radii.resize(num_padded, Real::NEG_INFINITY);
+        self.may_meet.resize(num_padded / LANES, [0; LANES]);
+        // who is not there would meet the others, but they do not meet it
+        for a in agents.filter(|a| !states.active[*a]) {
+            for other in &self.agents {
+                let time_s = time_to_contact(states, footprints, a, *other as usize, self.least_s[a]);
+                self.least_s[a] = time_s.map_or(self.least_s[a], |time_s| time_s.min(self.least_s[a]));
+            }
+        }
+        for rank in 0..num_asked {
+            self.measure(states, footprints, rank, horizon_s);
         }
     }
 
@@ -54,35 +73,28 @@ impl LeastTimes {
         self.least_s[agent_idx]
     }
 
-    /// Looks at an agent with all that are left, from the first of them on.
-    fn measure(
-        &mut self,
-        states: &AgentStates,
-        footprints: &[Footprint],
-        agent_idx: usize,
-        first: usize,
-        horizon_s: Real,
-    ) {
-        let num_agents = states.len();
-        let first = first / LANES * LANES;
-        self.may_meet[num_agents..].fill(0);
-        let own_radius_m = footprints[agent_idx].radius_m;
-        let may_meet = &mut self.may_meet[first..num_agents];
-        circles_may_meet(states, &self.radius_m, own_radius_m, agent_idx, first, horizon_s, may_meet);
-        self.may_meet[agent_idx] = 0;
-        let is_there = states.active[agent_idx];
-        for (block, may_meet) in self.may_meet[first..].as_chunks::<LANES>().0.iter().enumerate() {
+    /// Looks at the agent of a rank with all that follow it.
+    fn measure(&mut self, states: &AgentStates, footprints: &[Footprint], rank: usize, horizon_s: Real) {
+        let own = std::array::from_fn(|column| self.columns[column][rank]);
+        let (block, before) = ((rank + 1) / LANES, (rank + 1) % LANES);
+        let columns = self.columns.each_ref().map(|column| &column[(block * LANES).min(column.len())..]);
+        let may_meet = &mut self.may_meet[block..];
+        circles_may_meet(own, &columns, horizon_s, may_meet);
+        if let Some(first) = may_meet.first_mut() {
+            first[..before].fill(0);
+        }
+        let agent_idx = self.agents[rank] as usize;
+        for (k, may_meet) in may_meet.iter().enumerate() {
             let mut left = u64::from_le_bytes(*may_meet);
             while left != 0 {
-                let other = first + block * LANES + left.trailing_zeros() as usize / 8;
+                let other = self.agents[(block + k) * LANES + left.trailing_zeros() as usize / 8] as usize;
                 left &= left - 1;
-                let least_s = if is_there { self.least_s[other] } else { 0.0 };
-                let within_s = self.least_s[agent_idx].max(least_s);
-                if let Some(time_s) = time_to_contact(states, footprints, agent_idx, other, within_s) {
-                    self.least_s[agent_idx] = self.least_s[agent_idx].min(time_s);
-                    if is_there {
-                        self.least_s[other] = least_s.min(time_s);
-                    }
+                let (own_s, other_s) = (self.least_s[agent_idx], self.least_s[other]);
+                if let Some(time_s) =
+                    time_to_contact(states, footprints, agent_idx, other, own_s.max(other_s))
+                {
+                    self.least_s[agent_idx] = own_s.min(time_s);
+                    self.least_s[other] = other_s.min(time_s);
                 }
             }
         }
@@ -90,33 +102,29 @@ impl LeastTimes {
 }
 
 simd_dispatch! {
-    /// Which agents' circles, from the first one on, touch the one of an agent within the horizon; true also where that
-    /// is not sure.
+    /// Which agents' circles touch the one of an agent within the horizon; true also where that is not sure.
     fn circles_may_meet(
-        states: &AgentStates,
-        radius_m: &[Real],
-        own_radius_m: Real,
-        agent_idx: usize,
-        first: usize,
+        own: [Real; NUM_COLUMNS],
+        columns: &[&[Real]; NUM_COLUMNS],
         horizon_s: Real,
-        may_meet: &mut [u8],
+        may_meet: &mut [[u8; LANES]],
     ) {
-        let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
-        let (vx, vy) = (states.velocity_x_mps[agent_idx], states.velocity_y_mps[agent_idx]);
-        let n = may_meet.len();
-        let (xs, ys, radius_m) = (&states.x[first..][..n], &states.y[first..][..n], &radius_m[first..][..n]);
-        let (vxs, vys) = (&states.velocity_x_mps[first..][..n], &states.velocity_y_mps[first..][..n]);
-        for j in 0..n {
-            let (dx, dy) = (xs[j] - x, ys[j] - y);
-            let (wx, wy) = (vxs[j] - vx, vys[j] - vy);
-            let reach = radius_m[j] + own_radius_m;
-            let (dw, ww) = (dx * wx + dy * wy, wx * wx + wy * wy);
-            let gap = dx * dx + dy * dy - reach * reach;
-            // the circles touch when |d + w t| = reach: at t = (−dw − √(dw² − ww gap)) / ww
-            let discriminant = dw * dw - ww * gap;
-            let late = -dw - discriminant.sqrt() > horizon_s * ww;
-            let apart = (gap > 0.0) & ((dw >= 0.0) | (discriminant < 0.0) | late);
-            may_meet[j] = u8::from(!apart & (reach >= 0.0));
+        let [xs, ys, vxs, vys, radii] = columns.map(|column| &column.as_chunks::<LANES>().0[..may_meet.len()]);
+        for (block, may_meet) in may_meet.iter_mut().enumerate() {
+            for lane in 0..LANES {
+                let (dx, dy) = (xs[block][lane] - own[0], ys[block][lane] - own[1]);
+                let (wx, wy) = (vxs[block][lane] - own[2], vys[block][lane] - own[3]);
+                let reach = radii[block][lane] + own[4];
+                let (dw, ww) = (dx * wx + dy * wy, wx * wx + wy * wy);
+                let gap = dx * dx + dy * dy - reach * reach;
+                // the circles touch when |d + w t| = reach: at t = (−dw − √(dw² − ww gap)) / ww; later than the horizon
+                // where −dw − horizon · ww is more than the root
+                let discriminant = dw * dw - ww * gap;
+                let over = -dw - horizon_s * ww;
+                let late = (over > UNSURE * -dw) & (over * over > (1.0 + 10.0 * UNSURE) * discriminant);
+                let apart = (gap > 0.0) & ((dw >= 0.0) | (discriminant < 0.0) | late);
+                may_meet[lane] = u8::from(!apart & (reach >= 0.0));
+            }
         }
     }
 }
