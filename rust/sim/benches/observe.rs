@@ -112,7 +112,7 @@ fn report(name: &str, city: &City, config: &ObservationConfig) -> Result<()> {
     let layout = Layout::new(config)?;
     let (num_agents, size) = (city.scene.num_agents(), layout.size);
     let mut observer = Observer::new(layout);
-    observer.enter(&city.footprints, &city.kinds);
+    observer.enter(&city.footprints, &city.kinds, &city.segments);
     let mut out = vec![0.0_f32; num_agents * size];
     let mut tick = 0;
     let write_ns = best_ns(num_agents, || {

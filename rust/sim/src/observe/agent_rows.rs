@@ -4,7 +4,7 @@ use super::column::{ObservationColumn, clip};
 use super::columns::{AGENTS, Entry};
 use super::frame::{F32x8, Frame, Group, LANES, fill_agents};
 use super::nearest_agents::NearestAgents;
-use super::source::{OfAgent, Pairs, Target, agent_of};
+use super::source::{OfAgent, Pairs, Target};
 use super::view::View;
 use crate::geom::{Point2, Projection, Real};
 use crate::scene::AgentKind;
@@ -90,6 +90,7 @@ impl AgentRows {
         let directions = states.cos.iter().zip(&states.sin);
         let velocities = states.velocity_x_mps.iter().zip(&states.velocity_y_mps);
         let motions = velocities.zip(&states.speed_mps);
+        self.nearest.prepare(states);
         self.agents.clear();
         self.agents.extend(places.zip(directions.zip(motions)).map(
             |((x, y), ((cos, sin), ((vx, vy), speed)))| F32x8([*x, *y, *cos, *sin, *vx, *vy, 0.0, *speed]),
@@ -106,8 +107,8 @@ impl AgentRows {
         if out.is_empty() {
             return;
         }
-        let (width, keys) = (self.width, self.nearest.find(view.states, view.agent_idx));
-        let (rows, absent) = out.split_at_mut(keys.len() * width);
+        let (width, near) = (self.width, self.nearest.find(view.states, view.agent_idx));
+        let (rows, absent) = out.split_at_mut(near.len() * width);
         let [x, y, _, _, vx, vy, ..] = self.agents[view.agent_idx].0;
         let origin = F32x8([x, y, 0.0, 0.0, vx, vy, 0.0, 0.0]);
         for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
@@ -117,11 +118,11 @@ impl AgentRows {
             match columns {
                 [a, b] if b.moving.moves() => {
                     let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
-                    fill_agents::<2, 2>(&groups, frame, &origin, &added, agents, keys, width, room, rows);
+                    fill_agents::<2, 2>(&groups, frame, &origin, &added, agents, near, width, room, rows);
                 }
                 [a, b] => {
                     let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
-                    fill_agents::<2, 1>(&groups, frame, &origin, &added, agents, keys, width, room, rows);
+                    fill_agents::<2, 1>(&groups, frame, &origin, &added, agents, near, width, room, rows);
                 }
                 [a] => fill_agents::<1, 1>(
                     &[&a.moving],
@@ -129,7 +130,7 @@ impl AgentRows {
                     &origin,
                     &[&a.fixed],
                     agents,
-                    keys,
+                    near,
                     width,
                     room,
                     rows,
@@ -139,18 +140,18 @@ impl AgentRows {
         }
         if let Some(reach_m) = self.route_reach_m {
             self.places.clear();
-            self.places.extend(keys.iter().map(|key| view.states.position(agent_of(*key))));
+            self.places.extend(near.iter().map(|other| view.states.position(*other as usize)));
             view.route.project_sparsely(&self.places, view.route_s_m, reach_m, &mut self.on_route);
         }
-        let pairs = Pairs { view, keys, on_route: &self.on_route };
+        let pairs = Pairs { view, agents: near, on_route: &self.on_route };
         for PairColumn { at, column, factor, fill } in &self.pairs {
             let (low, high) = (column.low, column.high);
             fill(&pairs, Target { rows: &mut *rows, width, at: *at, factor: *factor, low, high });
         }
         absent.fill(0.0);
         if !mask.is_empty() {
-            mask[..keys.len()].fill(1.0);
-            mask[keys.len()..].fill(0.0);
+            mask[..near.len()].fill(1.0);
+            mask[near.len()..].fill(0.0);
         }
     }
 }

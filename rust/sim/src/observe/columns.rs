@@ -133,7 +133,7 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
         60.0,
         POSITIVE,
         "between centres",
-        Pair(|all, to| all.each(to, |p| p.distance_sq.sqrt())),
+        Pair(|all, to| all.each(to, |p| p.distance_m())),
     ),
     entry(
         "ttc",

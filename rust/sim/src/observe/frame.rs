@@ -84,6 +84,35 @@ impl Group {
         self.scale(lane, column);
     }
 
+    /// Makes a lane a component of a vector, the other component of which is in another lane: `own` is an index of the
+    /// numbers of the origin. +0 without a column.
+    pub(super) fn set_component(
+        &mut self,
+        lane: usize,
+        [own, other]: [usize; 2],
+        axis: Axis,
+        column: Option<&ObservationColumn>,
+    ) {
+        (self.own[lane], self.other[lane]) = (own as i32, other as i32);
+        self.rotated[lane] = u32::MAX;
+        self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
+        if let Some(column) = column {
+            self.scale(lane, column);
+        }
+    }
+
+    /// Makes a lane a number that is the same in every frame and has its scale already.
+    pub(super) fn set_constant(&mut self, lane: usize) {
+        self.other[lane] = lane as i32;
+        (self.sign[lane], self.factor[lane]) = (SIGN, 1.0);
+        (self.low.0[lane], self.high.0[lane]) = (Real::MIN, Real::MAX);
+    }
+
+    /// Whether a lane is a component of a vector.
+    pub(super) fn turns(&self) -> bool {
+        self.rotated != [0; LANES]
+    }
+
     /// Makes a column one of the numbers.
     pub(super) fn set_number(&mut self, lane: usize, at: usize, column: &ObservationColumn) {
         self.own[lane] = at as i32;
@@ -116,6 +145,13 @@ impl Group {
             high: self.high,
             origin: *origin,
         }
+    }
+
+    /// For items whose numbers are in the order of the lanes.
+    #[inline(always)]
+    fn in_lanes(&self, frame: &Frame) -> RowTransform {
+        let origin = F32x8(self.own.map(|own| [frame.x, frame.y].get(own as usize).copied().unwrap_or(0.0)));
+        self.in_frame(frame, &origin)
     }
 }
 
@@ -152,24 +188,59 @@ impl RowTransform {
         // SAFETY: eight floats
         unsafe { std::mem::transmute(_mm256_or_ps(clipped, added)) }
     }
+
+    /// The columns of an item whose numbers are in the order of the lanes.
+    #[inline(always)]
+    fn portable_lanes(&self, numbers: &F32x8) -> [Real; LANES] {
+        let v: [Real; LANES] = std::array::from_fn(|i| numbers.0[i] - self.origin.0[i]);
+        std::array::from_fn(|i| {
+            let sum = v[i] * self.cos.0[i] + v[self.other[i] as usize % LANES] * self.sin.0[i];
+            clip(sum, self.low.0[i], self.high.0[i])
+        })
+    }
+
+    /// [`Self::portable_lanes`] in one vector.
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
+    fn avx2_lanes(&self, numbers: &F32x8) -> [Real; LANES] {
+        use std::arch::x86_64::*;
+        // SAFETY: eight floats each
+        let [numbers, origin, cos]: [__m256; 3] =
+            unsafe { std::mem::transmute([*numbers, self.origin, self.cos]) };
+        // SAFETY: as above
+        let [sin, low, high]: [__m256; 3] = unsafe { std::mem::transmute([self.sin, self.low, self.high]) };
+        // SAFETY: eight numbers of 32 bits
+        let other: __m256i = unsafe { std::mem::transmute(self.other) };
+        let v = _mm256_sub_ps(numbers, origin);
+        let w = _mm256_permutevar8x32_ps(v, other);
+        let sum = _mm256_add_ps(_mm256_mul_ps(v, cos), _mm256_mul_ps(w, sin));
+        // SAFETY: eight floats
+        unsafe { std::mem::transmute(_mm256_min_ps(_mm256_max_ps(sum, low), high)) }
+    }
 }
 
-/// Puts `G` times eight numbers for each index `width` numbers apart, of which `room` are its own. Where the output ends
-/// within those of an index, its own alone.
+/// Puts `G` times eight numbers for each index `width` numbers apart, of which `room` are its own, each eight from a first one
+/// on. Where the output ends within those of an index, its own alone.
 #[inline(always)]
-fn put_each<const G: usize, T: Copy>(
-    indices: &[T],
+fn put_each<const G: usize>(
+    indices: &[u32],
+    firsts: &[usize; G],
     width: usize,
     room: usize,
     out: &mut [Real],
-    row: impl Fn(T, usize) -> [Real; LANES],
+    row: impl Fn(u32, usize) -> [Real; LANES],
 ) {
-    let room = room.min(G * LANES);
-    let num_whole = out.len().checked_sub(G * LANES).map_or(0, |most| most / width.max(1) + 1);
+    let span = firsts.last().map_or(0, |first| first + LANES).min(G * LANES);
+    let room = room.min(span);
+    let num_whole = out.len().checked_sub(span).map_or(0, |most| most / width.max(1) + 1);
     let num_whole = num_whole.min(indices.len());
-    let put = |to: &mut [Real], index: T| {
-        for (g, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-            *to = row(index, g);
+    let put = |to: &mut [Real], index: u32| {
+        for (g, first) in firsts.iter().enumerate() {
+            if let Some(to) = to.get_mut(*first..).and_then(|to| to.first_chunk_mut::<LANES>()) {
+                *to = row(index, g);
+            }
         }
     };
     let (fours, _) = indices[..num_whole].as_chunks::<4>();
@@ -177,36 +248,19 @@ fn put_each<const G: usize, T: Copy>(
         for (k, index) in indices.iter().enumerate() {
             let at = (4 * four + k) * width;
             #[allow(unsafe_code, reason = "a check for each row costs as much as the row")]
-            // SAFETY: 4 · four + k < num_whole, so at + G · LANES <= out.len()
-            put(unsafe { out.get_unchecked_mut(at..at + G * LANES) }, *index);
+            // SAFETY: 4 · four + k < num_whole, so at + span <= out.len()
+            put(unsafe { out.get_unchecked_mut(at..at + span) }, *index);
         }
     }
     for (k, index) in indices.iter().enumerate().skip(4 * fours.len()) {
         let at = k * width;
         let mut apart = [[0.0; LANES]; G];
         let is_whole = k < num_whole;
-        put(if is_whole { &mut out[at..at + G * LANES] } else { apart.as_flattened_mut() }, *index);
+        put(if is_whole { &mut out[at..at + span] } else { &mut apart.as_flattened_mut()[..span] }, *index);
         if !is_whole && let Some(to) = out.get_mut(at..at + room) {
             to.iter_mut().zip(apart.as_flattened()).for_each(|(to, from)| *to = *from);
         }
     }
-}
-
-/// Kinds of segments, a power of two.
-pub(super) const KINDS: usize = 8;
-
-/// The number 1 with a kind in its low bits: a float like any other, from which the kind is read by a mask.
-pub(super) fn of_kind(kind: usize) -> Real {
-    Real::from_bits(Real::to_bits(1.0) | (kind << KIND_BIT) as u32)
-}
-
-/// The bit from which on a kind stands, so that it counts arrays of 32 bytes.
-const KIND_BIT: usize = 5;
-
-/// The kind that [`of_kind`] put into the last number.
-#[inline(always)]
-pub(super) fn kind_idx(segment: &F32x8) -> usize {
-    (segment.0[7].to_bits() >> KIND_BIT) as usize % KINDS
 }
 
 simd_dispatch! {
@@ -216,28 +270,29 @@ simd_dispatch! {
     /// Fewer than eight columns in the last group leave something in the columns that follow them: the last columns are
     /// to be filled first.
     pub(super) fn fill_agents<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8]; G], agents: &[F32x8], keys: &[u64], width: usize, room: usize,
+        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8]; G], agents: &[F32x8], near: &[u32], width: usize, room: usize,
         out: &mut [Real],
     ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
         let added = added.map(|added| &added[..agents.len()]);
         let transforms = groups.map(|group| group.in_frame(frame, origin));
-        put_each::<G, _>(keys, width, room, out, |key, g| {
-            let agent_idx = (key & 0xffff_ffff) as usize;
+        let firsts = std::array::from_fn(|g| g * LANES);
+        put_each::<G>(near, &firsts, width, room, out, |agent_idx, g| {
+            let agent_idx = agent_idx as usize;
             let (agent, added) = (&agents[agent_idx], &added[g][agent_idx]);
             if g < T { transform(&transforms[g], (agent, added)) } else { added.0 }
         });
     }
 
-    /// The same in the rows of segments of the map; `added` holds numbers for each kind.
+    /// Fills the columns of some groups in the rows of segments of the map, `width` numbers from row to row, each group from
+    /// its first column on. `numbers` are those of each segment, lane by lane. Of the `G` groups only the first `T` move.
     pub(super) fn fill_segments<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8; KINDS]; G], segments: &[F32x8], nearest: &[u32], width: usize,
-        room: usize, out: &mut [Real],
-    ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
-        let transforms = groups.map(|group| group.in_frame(frame, origin));
-        put_each::<G, _>(nearest, width, room, out, |k, g| {
-            let segment = &segments[k as usize];
-            let added = &added[g][kind_idx(segment)];
-            if g < T { transform(&transforms[g], (segment, added)) } else { added.0 }
+        groups: &[&Group; G], firsts: &[usize; G], frame: &Frame, numbers: &[F32x8], nearest: &[u32], width: usize, out: &mut [Real],
+    ) with transform [Fn(&RowTransform, &F32x8) -> [Real; LANES]] = RowTransform::portable_lanes, RowTransform::avx2_lanes {
+        let transforms = groups.map(|group| group.in_lanes(frame));
+        let numbers = numbers.as_chunks::<G>().0;
+        put_each::<G>(nearest, firsts, width, width, out, |k, g| {
+            let numbers = &numbers[k as usize][g];
+            if g < T { transform(&transforms[g], numbers) } else { numbers.0 }
         });
     }
 }

@@ -1,18 +1,20 @@
 //! Rows of map segments.
 
-use super::columns::MAP;
-use super::frame::{F32x8, Frame, Group, KINDS, LANES, fill_segments};
-use super::map_segments::MapSegments;
+use super::column::clip;
+use super::columns::{Entry, MAP};
+use super::frame::{F32x8, Frame, Group, LANES, ZERO, fill_segments};
+use super::map_segments::{MapSegments, Segment};
 use super::source::OfSegment;
 use crate::geom::{Point2, Real};
+use std::sync::Arc;
 
-/// Chosen columns that are written at once.
+/// Chosen columns that are written at once. In lanes that are left are the components of vectors that these columns need
+/// and that are not among them.
 #[derive(Debug, Clone)]
 struct Columns {
-    /// Those that depend on the place.
-    of_places: Group,
-    /// For each kind of segment the columns of kinds, zeros elsewhere.
-    of_kinds: [F32x8; KINDS],
+    lanes: Vec<OfSegment>,
+    chosen: Vec<usize>,
+    group: Group,
 }
 
 /// Writes the nearest map segments.
@@ -20,12 +22,31 @@ struct Columns {
 pub(super) struct MapRows {
     num_rows: usize,
     width: usize,
+    chosen: Vec<usize>,
     groups: Vec<Columns>,
+    /// The numbers of each segment [N, groups].
+    numbers: Arc<[F32x8]>,
 }
 
 impl MapRows {
     pub(super) fn new(chosen: &[usize], num_rows: usize) -> Self {
-        Self { num_rows, width: chosen.len(), groups: chosen.chunks(LANES).map(Columns::new).collect() }
+        let mut groups = Vec::new();
+        let mut rest = chosen;
+        while !rest.is_empty() {
+            // a vector's component and the other one fit always
+            let fits = |n: &usize| lanes(&rest[..*n]).len() <= LANES;
+            let (columns, others) = rest.split_at((1..=rest.len()).rev().find(fits).unwrap_or(1));
+            groups.push(Columns::new(columns));
+            rest = others;
+        }
+        let numbers = Arc::default();
+        Self { num_rows, width: chosen.len(), chosen: chosen.to_vec(), groups, numbers }
+    }
+
+    /// Takes the numbers of a scene's segments.
+    pub(super) fn enter(&mut self, segments: &MapSegments) {
+        let of_segment = |segment| self.groups.iter().map(move |columns| columns.numbers(&segment));
+        self.numbers = segments.numbers(&self.chosen, || segments.segments().flat_map(of_segment).collect());
     }
 
     /// Floats of all rows.
@@ -41,37 +62,23 @@ impl MapRows {
         let nearest = segments.nearest(Point2::new(frame.x, frame.y));
         let nearest = &nearest[..nearest.len().min(self.num_rows)];
         let (rows, absent) = out.split_at_mut(nearest.len() * self.width);
-        let origin = F32x8([frame.x, frame.y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
-            let first = pass * 2 * LANES;
-            let (width, room, places) = (self.width, self.width - first, segments.places());
-            let Some(rows) = rows.get_mut(first..) else { break };
-            match columns {
-                [a, b] if b.of_places.moves() => {
-                    let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
-                    fill_segments::<2, 2>(
-                        &groups, frame, &origin, &added, places, nearest, width, room, rows,
-                    );
+        let (numbers, width) = (&*self.numbers, self.width);
+        match &self.groups[..] {
+            [a] => fill_segments::<1, 1>(&[&a.group], &[0], frame, numbers, nearest, width, rows),
+            [a, b] => {
+                let (groups, firsts) = ([&a.group, &b.group], [0, a.chosen.len()]);
+                if b.group.turns() {
+                    fill_segments::<2, 2>(&groups, &firsts, frame, numbers, nearest, width, rows);
+                } else {
+                    fill_segments::<2, 1>(&groups, &firsts, frame, numbers, nearest, width, rows);
                 }
-                [a, b] => {
-                    let (groups, added) = ([&a.of_places, &b.of_places], [&a.of_kinds, &b.of_kinds]);
-                    fill_segments::<2, 1>(
-                        &groups, frame, &origin, &added, places, nearest, width, room, rows,
-                    );
-                }
-                [a] => fill_segments::<1, 1>(
-                    &[&a.of_places],
-                    frame,
-                    &origin,
-                    &[&a.of_kinds],
-                    places,
-                    nearest,
-                    width,
-                    room,
-                    rows,
-                ),
-                _ => {}
             }
+            [a, b, c] => {
+                let firsts = [0, a.chosen.len(), a.chosen.len() + b.chosen.len()];
+                let groups = [&a.group, &b.group, &c.group];
+                fill_segments::<3, 3>(&groups, &firsts, frame, numbers, nearest, width, rows);
+            }
+            _ => {}
         }
         absent.fill(0.0);
         if !mask.is_empty() {
@@ -81,18 +88,57 @@ impl MapRows {
     }
 }
 
+// all columns, each in a lane, and all four components once more
+const _: () = assert!(MAP.len() + 4 <= 3 * (LANES - 1));
+
+/// The entries of columns.
+fn entries(chosen: &[usize]) -> impl Iterator<Item = &'static Entry<OfSegment>> {
+    chosen.iter().map(|c| &MAP[*c])
+}
+
+/// What columns are made from, and the other components of their vectors where these are not among them.
+fn lanes(chosen: &[usize]) -> Vec<OfSegment> {
+    let mut lanes: Vec<OfSegment> = entries(chosen).map(|e| e.source).collect();
+    for lane in 0..lanes.len() {
+        let other = lanes[lane].other();
+        if !lanes.contains(&other) {
+            lanes.push(other);
+        }
+    }
+    lanes
+}
+
 impl Columns {
     fn new(chosen: &[usize]) -> Self {
-        let mut columns = Self { of_places: Group::new(), of_kinds: [F32x8::default(); KINDS] };
-        for (lane, entry) in chosen.iter().map(|c| &MAP[*c]).enumerate() {
-            let (places, column) = (&mut columns.of_places, &entry.column);
-            match entry.source {
-                OfSegment::Place(axis) => places.set_vector(lane, MapSegments::PLACE, axis, column),
-                OfSegment::Direction(axis) => places.set_vector(lane, MapSegments::DIRECTION, axis, column),
-                OfSegment::HalfLength => places.set_number(lane, MapSegments::HALF_LENGTH, column),
-                OfSegment::Is(kind) => columns.of_kinds[kind as usize].0[lane] = 1.0,
+        let (lanes, mut group) = (lanes(chosen), Group::new());
+        for (lane, source) in lanes.iter().enumerate() {
+            let column = entries(chosen).nth(lane).map(|e| &e.column);
+            let other = lanes.iter().position(|l| *l == source.other()).unwrap_or(lane);
+            match source {
+                OfSegment::Place(axis) => {
+                    group.set_component(lane, [axis.own_and_other([0, 1]).0, other], *axis, column);
+                }
+                OfSegment::Direction(axis) => group.set_component(lane, [ZERO, other], *axis, column),
+                OfSegment::HalfLength | OfSegment::Is(_) => group.set_constant(lane),
             }
         }
-        columns
+        Self { lanes, chosen: chosen.to_vec(), group }
+    }
+
+    /// The numbers of a segment, lane by lane.
+    fn numbers(&self, segment: &Segment) -> F32x8 {
+        let mut numbers = F32x8::default();
+        for (lane, source) in self.lanes.iter().enumerate() {
+            numbers.0[lane] = match source {
+                OfSegment::Place(axis) => axis.own_and_other([segment.x, segment.y]).0,
+                OfSegment::Direction(axis) => axis.own_and_other([segment.cos, segment.sin]).0,
+                OfSegment::HalfLength => {
+                    let column = &MAP[self.chosen[lane]].column;
+                    clip(segment.half_length_m * (1.0 / column.scale), column.low, column.high)
+                }
+                OfSegment::Is(kind) => f32::from(u8::from(*kind == segment.kind)),
+            };
+        }
+        numbers
     }
 }

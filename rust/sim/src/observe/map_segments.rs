@@ -1,9 +1,9 @@
 //! The map as short straight segments, and the nearest of them for every place.
 
-use super::frame::{F32x8, KINDS, kind_idx, of_kind};
+use super::frame::F32x8;
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use crate::scene::{LaneKind, Map};
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Longest segment, metres, with room for rounding.
 const PIECE_M: Real = 5.01;
@@ -42,7 +42,7 @@ pub enum SegmentKind {
 
 impl SegmentKind {
     /// All kinds in order.
-    pub const ALL: [Self; KINDS] = [
+    pub const ALL: [Self; 8] = [
         Self::Lane,
         Self::Connector,
         Self::RoadDivider,
@@ -91,11 +91,13 @@ pub struct Segment {
 /// "nearest" is meant up to the cell's half diagonal, 2.8 m (places off the map take the cell at its border). Ties go
 /// to the lower index.
 ///
-/// Memory: 32 bytes a segment, 24 bytes a cell and 1 KiB for each cell in which somebody has been.
+/// Memory: 24 bytes a segment, 32 more for each eight columns of rows, 24 bytes a cell and 1 KiB for each cell in which
+/// somebody has been.
 #[derive(Debug, Default)]
 pub struct MapSegments {
-    /// x, y, cosine, sine, half length, two zeros, and the kind as [`of_kind`] writes it, of each segment.
-    places: Vec<F32x8>,
+    segments: Vec<Segment>,
+    /// What rows are made from, for each choice of columns.
+    numbers: Mutex<Vec<(Vec<usize>, Arc<[F32x8]>)>>,
     low: [Real; 2],
     cell_m: Real,
     /// One over the side of a cell, which is a power of two.
@@ -140,41 +142,41 @@ impl MapSegments {
 
     /// All segments.
     pub fn segments(&self) -> impl ExactSizeIterator<Item = Segment> {
-        (0..self.len()).map(|idx| self.segment(idx))
+        self.segments.iter().copied()
     }
 
     /// One of them.
     pub(crate) fn segment(&self, idx: usize) -> Segment {
-        let place = &self.places[idx];
-        let [x, y, cos, sin, half_length_m, ..] = place.0;
-        Segment { x, y, cos, sin, half_length_m, kind: SegmentKind::ALL[kind_idx(place)] }
+        self.segments[idx]
     }
 
-    /// Indices of the first numbers of [`Self::places`].
-    pub(super) const PLACE: usize = 0;
-    pub(super) const DIRECTION: usize = 2;
-    pub(super) const HALF_LENGTH: usize = 4;
-
-    /// The numbers of all segments.
-    #[inline(always)]
-    pub(super) fn places(&self) -> &[F32x8] {
-        &self.places
+    /// What rows of some columns are made from, made when it is first asked for.
+    pub(super) fn numbers(&self, columns: &[usize], make: impl FnOnce() -> Arc<[F32x8]>) -> Arc<[F32x8]> {
+        let mut made = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, numbers)) = made.iter().find(|(of, _)| of == columns) {
+            return Arc::clone(numbers);
+        }
+        let numbers = make();
+        made.push((columns.to_vec(), Arc::clone(&numbers)));
+        numbers
     }
 
     /// Number of segments.
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.segments.len()
     }
 
     /// Whether the map has no line.
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
+        self.segments.is_empty()
     }
 
     /// Bytes held on the heap now; grows as agents come to new cells.
     pub fn num_bytes(&self) -> usize {
         let lists = self.cells.iter().filter_map(OnceLock::get);
-        size_of_val(self.places.as_slice())
+        let numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
+        size_of_val(self.segments.as_slice())
+            + numbers.iter().map(|(_, numbers)| size_of_val::<[F32x8]>(numbers)).sum::<usize>()
             + size_of_val(self.cells.as_slice())
             + lists.map(|list| size_of_val::<[u32]>(list)).sum::<usize>()
     }
@@ -198,12 +200,12 @@ impl MapSegments {
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
-        let key = |(k, place): (usize, &F32x8)| {
-            let (dx, dy) = (place.0[0] - centre.x, place.0[1] - centre.y);
+        let key = |(k, segment): (usize, &Segment)| {
+            let (dx, dy) = (segment.x - centre.x, segment.y - centre.y);
             // distances are not negative, so their bits sort as they do
             u64::from((dx * dx + dy * dy).to_bits()) << 32 | k as u64
         };
-        let mut keys: Vec<u64> = self.places.iter().enumerate().map(key).collect();
+        let mut keys: Vec<u64> = self.segments.iter().enumerate().map(key).collect();
         if keys.len() > MAX_SEGMENTS {
             keys.select_nth_unstable(MAX_SEGMENTS);
             keys.truncate(MAX_SEGMENTS);
@@ -220,16 +222,7 @@ impl MapSegments {
         }
         let middle = nalgebra::center(&a, &b);
         let (cos, sin) = (d.x / length, d.y / length);
-        self.places.push(F32x8([
-            middle.x,
-            middle.y,
-            cos,
-            sin,
-            0.5 * length,
-            0.0,
-            0.0,
-            of_kind(kind as usize),
-        ]));
+        self.segments.push(Segment { x: middle.x, y: middle.y, cos, sin, half_length_m: 0.5 * length, kind });
     }
 
     /// Joins the short edges of a line to segments up to a bend, and cuts the long ones.
@@ -284,7 +277,7 @@ impl MapSegments {
         if self.is_empty() {
             return;
         }
-        let (low, high) = bounds(self.places.iter().map(|p| Point2::new(p.0[0], p.0[1])));
+        let (low, high) = bounds(self.segments.iter().map(|s| Point2::new(s.x, s.y)));
         let (width, height) = (high.x - low.x, high.y - low.y);
         self.low = [low.x, low.y];
         self.cell_m = CELL_M;

@@ -10,29 +10,39 @@ const MOST_COUNTED: usize = 128;
 const LANES: usize = 32;
 /// Agents gathered at once.
 const BLOCK: usize = 8;
-/// Distances are counted in whole steps; so many make the radius.
+/// Distances are counted in whole steps; so many make the farthest.
 const STEPS: Real = 32_000.0;
+/// How much farther the farthest agent of an observer may be in the next step for the guess to hold, metres.
+const MARGIN_M: Real = 1.0;
 /// Steps of what is beyond every candidate.
 const BEYOND: i16 = i16::MAX;
 
 /// Finds the nearest agents of one observer after the other.
 ///
-/// Each observer's last answer is a hint for its next: no agent farther than the farthest of them now can be among
-/// the nearest. The outcome is the same whatever the hint.
+/// How far each observer's farthest one was the last time is a guess for the next: where there are enough agents within a
+/// little more, the others are left out. The outcome is the same whatever the guess.
 ///
-/// Memory: 4 bytes for each row of each observing agent, where there are more agents than rows.
+/// Memory: 4 bytes for each agent.
 #[derive(Debug, Clone)]
 pub(super) struct NearestAgents {
     most: usize,
     radius_m: Real,
-    distance_sq: Vec<Real>,
-    /// [`key`]s of the agents within a distance by index, the same in order, and whatever else.
-    near: Vec<u64>,
-    sorted: Vec<u64>,
+    /// Agents that are there, and their places; whole blocks, with infinite places in the rest of the last one.
+    agents: Vec<u32>,
+    x: Vec<Real>,
+    y: Vec<Real>,
+    /// Place of each agent among these.
+    at: Vec<u32>,
+    /// Agents within a distance and their squared distances, then whatever else; the agents in order.
+    near: Vec<u32>,
+    near_sq: Vec<Real>,
+    sorted: Vec<u32>,
+    keys: Vec<u64>,
     /// Distances in steps, and the number of agents that are nearer.
     steps: Box<[i16; MOST_COUNTED]>,
     ranks: Box<[i16; MOST_COUNTED]>,
-    last: Vec<Vec<u32>>,
+    /// Distance of each observer's farthest agent; infinite where there was room for more.
+    farthest_m: Vec<Real>,
 }
 
 impl NearestAgents {
@@ -41,145 +51,157 @@ impl NearestAgents {
         Self {
             most,
             radius_m,
-            distance_sq: Vec::new(),
+            agents: Vec::new(),
+            x: Vec::new(),
+            y: Vec::new(),
+            at: Vec::new(),
             near: Vec::new(),
+            near_sq: Vec::new(),
             sorted: Vec::new(),
+            keys: Vec::new(),
             steps: Box::new([0; MOST_COUNTED]),
             ranks: Box::new([0; MOST_COUNTED]),
-            last: Vec::new(),
+            farthest_m: Vec::new(),
         }
     }
 
-    /// Active agents other than `agent_idx` within the distance, nearest first, ties by index: the agent in the low,
-    /// the bits of the squared distance in the high half of each number.
-    pub(super) fn find(&mut self, states: &AgentStates, agent_idx: usize) -> &[u64] {
-        let num_agents = states.len();
-        let reach_sq = self.radius_m * self.radius_m;
-        self.distance_sq.resize(num_agents, 0.0);
-        measure(states, agent_idx, reach_sq, &mut self.distance_sq);
-        let limit_sq = if num_agents > self.most + 1 { self.hinted_limit_sq(agent_idx) } else { reach_sq };
-        let limit_sq = limit_sq.min(reach_sq);
-        self.near.resize(num_agents + BLOCK, 0);
-        let mut num_near = 0;
-        gather(&self.distance_sq, limit_sq, &mut self.near, &mut num_near);
-        self.sort(num_near);
-        let sorted = &self.sorted[..num_near.min(self.most)];
-        if num_agents > self.most + 1 {
-            let last = &mut self.last[agent_idx];
-            last.clear();
-            last.extend(sorted.iter().map(|key| (key & 0xffff_ffff) as u32));
-        }
-        sorted
-    }
-
-    /// A squared distance within which there are as many agents as there are rows, if the last answer gives one.
-    fn hinted_limit_sq(&mut self, agent_idx: usize) -> Real {
-        if self.last.len() < self.distance_sq.len() {
-            self.last.resize(self.distance_sq.len(), Vec::new());
-        }
-        let last = &self.last[agent_idx];
-        if last.len() < self.most {
-            return Real::INFINITY;
-        }
-        // an agent of another scene may be none of this one
-        let far = |j: u32| self.distance_sq.get(j as usize).copied().unwrap_or(Real::INFINITY);
-        // several at a time, and one instruction each, which `max` is not
-        let mut farthest = [0.0; BLOCK];
-        for block in last.chunks(BLOCK) {
-            for (farthest, j) in farthest.iter_mut().zip(block) {
-                let far = far(*j);
-                *farthest = if far > *farthest { far } else { *farthest };
+    /// Takes the places of all agents; to be called before [`Self::find`] whenever they have changed.
+    pub(super) fn prepare(&mut self, states: &AgentStates) {
+        let (agents, x, y) = (&mut self.agents, &mut self.x, &mut self.y);
+        (agents.clear(), x.clear(), y.clear());
+        self.at.clear();
+        for (agent_idx, active) in states.active.iter().enumerate() {
+            self.at.push(agents.len() as u32);
+            if *active {
+                agents.push(agent_idx as u32);
+                x.push(states.x[agent_idx]);
+                y.push(states.y[agent_idx]);
             }
         }
-        farthest.into_iter().fold(0.0, Real::max)
+        let num_agents = agents.len().next_multiple_of(BLOCK);
+        agents.resize(num_agents, 0);
+        x.resize(num_agents, Real::INFINITY);
+        y.resize(num_agents, Real::INFINITY);
+        self.near.resize(num_agents + BLOCK, 0);
+        self.near_sq.resize(num_agents + BLOCK, 0.0);
+        self.sorted.resize((num_agents + BLOCK).max(MOST_COUNTED), 0);
+        self.farthest_m.resize(states.len(), Real::INFINITY);
     }
 
-    /// Puts the first of the gathered keys in order: a few by counting for each those of fewer steps, many by the
+    /// Active agents other than `agent_idx` within the distance, nearest first, ties by index.
+    pub(super) fn find(&mut self, states: &AgentStates, agent_idx: usize) -> &[u32] {
+        let reach_sq = self.radius_m * self.radius_m;
+        let guess_m = self.farthest_m[agent_idx] + MARGIN_M;
+        let mut limit_sq = if guess_m < self.radius_m { guess_m * guess_m } else { reach_sq };
+        let mut num_near = self.gather(states, agent_idx, limit_sq);
+        if num_near < self.most && limit_sq < reach_sq {
+            limit_sq = reach_sq;
+            num_near = self.gather(states, agent_idx, limit_sq);
+        }
+        self.sort(num_near, limit_sq);
+        let num_found = num_near.min(self.most);
+        let last = self.sorted[..num_found].last().filter(|_| num_found == self.most);
+        self.farthest_m[agent_idx] = last.map_or(Real::INFINITY, |last| {
+            (states.position(*last as usize) - states.position(agent_idx)).norm()
+        });
+        &self.sorted[..num_found]
+    }
+
+    /// Gathers the agents within a distance; returns their number.
+    fn gather(&mut self, states: &AgentStates, agent_idx: usize, limit_sq: Real) -> usize {
+        // nobody is near to itself
+        let own = Some(self.at[agent_idx] as usize).filter(|_| states.active[agent_idx]);
+        let x = own.map(|at| std::mem::replace(&mut self.x[at], Real::INFINITY));
+        let place = [states.x[agent_idx], states.y[agent_idx]];
+        let mut num_near = 0;
+        let places = [&*self.x, &*self.y];
+        gather(places, &self.agents, place, limit_sq, &mut self.near, &mut self.near_sq, &mut num_near);
+        if let (Some(at), Some(x)) = (own, x) {
+            self.x[at] = x;
+        }
+        num_near
+    }
+
+    /// Puts the first of the gathered agents in order: a few by counting for each those of fewer steps, many by the
     /// library's sort.
-    fn sort(&mut self, num_near: usize) {
-        self.sorted.resize(self.near.len().max(MOST_COUNTED), 0);
-        let near = &self.near[..num_near];
+    fn sort(&mut self, num_near: usize, limit_sq: Real) {
+        let (near, near_sq) = (&self.near[..num_near], &self.near_sq[..num_near]);
         let (Some(sorted), true) = (self.sorted.first_chunk_mut::<MOST_COUNTED>(), num_near <= MOST_COUNTED)
         else {
-            self.sorted[..num_near].copy_from_slice(near);
-            self.sorted[..num_near].sort_unstable();
+            self.keys.clear();
+            self.keys.extend(near.iter().zip(near_sq).map(|(agent, sq)| key(*sq, *agent)));
+            self.keys.sort_unstable();
+            self.sorted.iter_mut().zip(&self.keys).for_each(|(agent, key)| *agent = *key as u32);
             return;
         };
         let padded = num_near.next_multiple_of(LANES);
-        to_steps(near, STEPS / self.radius_m, &mut self.steps[..]);
+        to_steps(near_sq, STEPS / limit_sq.sqrt(), &mut self.steps[..]);
         self.steps[num_near..padded].fill(BEYOND);
         count_nearer(&self.steps[..padded], num_near, &mut self.ranks[..]);
         let ranks = &self.ranks[..num_near];
-        for (key, rank) in near.iter().zip(ranks) {
-            sorted[*rank as usize % MOST_COUNTED] = *key;
+        for (agent, rank) in near.iter().zip(ranks) {
+            sorted[*rank as usize % MOST_COUNTED] = *agent;
         }
         // ranks of which two are the same add up to less than 0 + 1 + 2 + …
-        let sum: usize = ranks.iter().map(|rank| *rank as usize).sum();
-        if 2 * sum != num_near * num_near.saturating_sub(1) {
-            place_with_ties(near.iter().copied().zip(ranks.iter().copied()), &mut sorted[..num_near]);
+        let sum: i32 = ranks.iter().map(|rank| i32::from(*rank)).sum();
+        if 2 * sum as usize != num_near * num_near.saturating_sub(1) {
+            let keys = near.iter().zip(near_sq).map(|(agent, sq)| key(*sq, *agent));
+            place_with_ties(keys.zip(ranks.iter().copied()), &mut sorted[..num_near]);
         }
     }
 }
 
 /// A number that sorts by the distance, then by the agent.
 #[inline(always)]
-fn key(distance_sq: Real, agent_idx: usize) -> u64 {
+fn key(distance_sq: Real, agent_idx: u32) -> u64 {
     // distances are not negative, so their bits sort as they do
-    u64::from(distance_sq.to_bits()) << 32 | agent_idx as u64
+    u64::from(distance_sq.to_bits()) << 32 | u64::from(agent_idx)
 }
 
-/// Puts keys in order of which the ranks say how many have a lesser number of steps.
-fn place_with_ties(keys: impl Iterator<Item = (u64, i16)>, sorted: &mut [u64]) {
-    let mut num_placed = [0u8; MOST_COUNTED];
+/// Puts the agents of keys in order of which the ranks say how many have a lesser number of steps.
+fn place_with_ties(keys: impl Iterator<Item = (u64, i16)>, sorted: &mut [u32]) {
+    let (mut num_placed, mut placed) = ([0u8; MOST_COUNTED], [0; MOST_COUNTED]);
     for (key, rank) in keys {
         let rank = rank as usize % MOST_COUNTED;
         let mut at = rank + usize::from(num_placed[rank]);
         num_placed[rank] += 1;
-        while at > rank && sorted[at - 1] > key {
-            sorted[at] = sorted[at - 1];
+        while at > rank && placed[at - 1] > key {
+            placed[at] = placed[at - 1];
             at -= 1;
         }
-        sorted[at] = key;
+        placed[at] = key;
     }
+    sorted.iter_mut().zip(placed).for_each(|(agent, key)| *agent = key as u32);
 }
 
 simd_dispatch! {
-    /// Squared distances from an agent; infinite for itself, and for agents that are out of reach or not there.
-    fn measure(states: &AgentStates, agent_idx: usize, reach_sq: Real, distance_sq: &mut [Real]) {
-        let (x, y) = (states.x[agent_idx], states.y[agent_idx]);
-        let places = states.x.iter().zip(&states.y).zip(&states.active);
-        for (d, ((px, py), active)) in distance_sq.iter_mut().zip(places) {
-            let (dx, dy) = (px - x, py - y);
-            let sq = dx * dx + dy * dy;
-            *d = if *active & (sq <= reach_sq) { sq } else { Real::INFINITY };
-        }
-        distance_sq[agent_idx] = Real::INFINITY;
-    }
-
-    /// Writes the keys of the agents within a distance, and their number; the keys need room for one block more.
-    fn gather(distance_sq: &[Real], limit_sq: Real, keys: &mut [u64], num_keys: &mut usize)
-    with pack [Fn(&[Real; BLOCK], (Real, u32)) -> ([u64; BLOCK], usize)] = pack, pack_avx2 {
+    /// Writes the agents within a distance of a place with their squared distances, and their number; there needs to be room
+    /// for one block more.
+    fn gather(
+        places: [&[Real]; 2], agents: &[u32], place: [Real; 2], limit_sq: Real, near: &mut [u32], near_sq: &mut [Real], num_near: &mut usize,
+    ) with pack [Fn(&Block, Real) -> (Block, usize)] = pack, pack_avx2 {
         let mut n = 0;
-        for (block_idx, block) in distance_sq.chunks(BLOCK).enumerate() {
-            let mut distances = [Real::INFINITY; BLOCK];
-            match block.first_chunk::<BLOCK>() {
-                Some(block) => distances = *block,
-                None => distances[..block.len()].copy_from_slice(block),
+        let [xs, ys] = places.map(|column| column.as_chunks::<BLOCK>().0);
+        for ((xs, ys), agents) in xs.iter().zip(ys).zip(agents.as_chunks::<BLOCK>().0) {
+            let distance_sq = std::array::from_fn(|lane| {
+                let (dx, dy) = (xs[lane] - place[0], ys[lane] - place[1]);
+                dx * dx + dy * dy
+            });
+            let (packed, num_packed) = pack(&Block { agents: *agents, distance_sq }, limit_sq);
+            let room = near.get_mut(n..).and_then(|near| near.first_chunk_mut::<BLOCK>());
+            if let (Some(to), Some(to_sq)) = (room, near_sq.get_mut(n..).and_then(|near| near.first_chunk_mut::<BLOCK>())) {
+                (*to, *to_sq) = (packed.agents, packed.distance_sq);
             }
-            let (packed, num_near) = pack(&distances, (limit_sq, (block_idx * BLOCK) as u32));
-            if let Some(to) = keys.get_mut(n..).and_then(|keys| keys.first_chunk_mut::<BLOCK>()) {
-                *to = packed;
-            }
-            n += num_near;
+            n += num_packed;
         }
-        *num_keys = n;
+        *num_near = n;
     }
 
-    /// Distances of keys in whole steps; never fewer steps for a greater distance.
-    fn to_steps(keys: &[u64], steps_per_metre: Real, steps: &mut [i16]) {
-        for (step, key) in steps.iter_mut().zip(keys) {
+    /// Squared distances in whole steps; never fewer steps for a greater distance.
+    fn to_steps(distance_sq: &[Real], steps_per_metre: Real, steps: &mut [i16]) {
+        for (step, distance_sq) in steps.iter_mut().zip(distance_sq) {
             // added to this number, a float has its whole part in its lowest bits
-            let whole = Real::from_bits((key >> 32) as u32).sqrt() * steps_per_metre + 8_388_608.0;
+            let whole = distance_sq.sqrt() * steps_per_metre + 8_388_608.0;
             *step = (whole.to_bits() & 0x7fff) as i16;
         }
     }
@@ -195,17 +217,23 @@ simd_dispatch! {
     }
 }
 
-/// The keys of those of a block's agents, counted from a first one, that are within a limit, then whatever else; and
-/// their number.
+/// Agents and their squared distances.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Block {
+    agents: [u32; BLOCK],
+    distance_sq: [Real; BLOCK],
+}
+
+/// Those of a block's agents that are within a limit, then whatever else; and their number.
 #[inline(always)]
-fn pack(distance_sq: &[Real; BLOCK], (limit_sq, first): (Real, u32)) -> ([u64; BLOCK], usize) {
-    let (mut keys, mut n) = ([0; BLOCK], 0);
-    for (lane, d) in distance_sq.iter().enumerate() {
+fn pack(block: &Block, limit_sq: Real) -> (Block, usize) {
+    let (mut packed, mut n) = (*block, 0);
+    for (agent, d) in block.agents.iter().zip(block.distance_sq) {
         // written always, kept if near: no branch to guess
-        keys[n % BLOCK] = key(*d, first as usize + lane);
-        n += usize::from(*d <= limit_sq);
+        (packed.agents[n % BLOCK], packed.distance_sq[n % BLOCK]) = (*agent, d);
+        n += usize::from(d <= limit_sq);
     }
-    (keys, n)
+    (packed, n)
 }
 
 /// For each set of a block's agents, by its bits, these one after the other, a byte each.
@@ -232,20 +260,23 @@ static AGENTS_OF: [[u8; BLOCK]; 1 << BLOCK] = {
 #[inline]
 #[target_feature(enable = "avx2")]
 #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
-fn pack_avx2(distance_sq: &[Real; BLOCK], (limit_sq, first): (Real, u32)) -> ([u64; BLOCK], usize) {
+fn pack_avx2(block: &Block, limit_sq: Real) -> (Block, usize) {
     use std::arch::x86_64::*;
     // SAFETY: eight floats
-    let distance_sq: __m256 = unsafe { std::mem::transmute(*distance_sq) };
+    let distance_sq: __m256 = unsafe { std::mem::transmute(block.distance_sq) };
+    // SAFETY: eight numbers of 32 bits
+    let agents: __m256i = unsafe { std::mem::transmute(block.agents) };
     let near = _mm256_cmp_ps::<_CMP_LE_OQ>(distance_sq, _mm256_set1_ps(limit_sq));
     let set = _mm256_movemask_ps(near) as usize % (1 << BLOCK);
     let lanes = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(i64::from_le_bytes(AGENTS_OF[set])));
-    let bits = _mm256_castps_si256(_mm256_permutevar8x32_ps(distance_sq, lanes));
-    let agents = _mm256_add_epi32(lanes, _mm256_set1_epi32(first as i32));
-    // keys 0, 1, 4, 5 and 2, 3, 6, 7
-    let (a, b) = (_mm256_unpacklo_epi32(agents, bits), _mm256_unpackhi_epi32(agents, bits));
-    let keys = [_mm256_permute2x128_si256::<0x20>(a, b), _mm256_permute2x128_si256::<0x31>(a, b)];
-    // SAFETY: eight numbers of 64 bits
-    (unsafe { std::mem::transmute::<[__m256i; 2], [u64; BLOCK]>(keys) }, set.count_ones() as usize)
+    // SAFETY: as above
+    let (agents, distance_sq) = unsafe {
+        (
+            std::mem::transmute::<__m256i, [u32; BLOCK]>(_mm256_permutevar8x32_epi32(agents, lanes)),
+            std::mem::transmute::<__m256, [Real; BLOCK]>(_mm256_permutevar8x32_ps(distance_sq, lanes)),
+        )
+    };
+    (Block { agents, distance_sq }, set.count_ones() as usize)
 }
 
 /// For each of some numbers the count of others that are less.
@@ -319,7 +350,8 @@ mod tests {
                     .collect();
                 expected.sort_unstable();
                 expected.truncate(most);
-                let got: Vec<usize> = nearest.find(&states, 0).iter().map(|k| (k & 0xffff_ffff) as usize).collect();
+                nearest.prepare(&states);
+                let got: Vec<usize> = nearest.find(&states, 0).iter().map(|a| *a as usize).collect();
                 prop_assert_eq!(got, expected.into_iter().map(|(_, j)| j).collect::<Vec<_>>());
             }
         }
@@ -331,13 +363,15 @@ mod tests {
         fn both_ways_to_pack_agree(
             whole in prop::array::uniform8(0u8..9), limit in 0u8..9, first in 0u32..1 << 20, beyond in 0usize..BLOCK,
         ) {
-            let mut distance_sq = whole.map(Real::from);
-            distance_sq[beyond] = Real::INFINITY;
+            let agents = std::array::from_fn(|lane| first + lane as u32);
+            let mut block = Block { agents, distance_sq: whole.map(Real::from) };
+            block.distance_sq[beyond] = Real::INFINITY;
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: just asked
-                let (wide, n) = unsafe { pack_avx2(&distance_sq, (limit.into(), first)) };
-                let (keys, num_near) = pack(&distance_sq, (limit.into(), first));
-                prop_assert_eq!((&wide[..n], n), (&keys[..num_near], num_near));
+                let (wide, num_wide) = unsafe { pack_avx2(&block, limit.into()) };
+                let (packed, n) = pack(&block, limit.into());
+                prop_assert_eq!((&wide.agents[..n], num_wide), (&packed.agents[..n], n));
+                prop_assert_eq!(&wide.distance_sq[..n], &packed.distance_sq[..n]);
             }
         }
 

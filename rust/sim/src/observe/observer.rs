@@ -6,6 +6,7 @@ use super::ego_row::EgoRow;
 use super::frame::Frame;
 use super::layout::Layout;
 use super::map_rows::MapRows;
+use super::map_segments::MapSegments;
 use super::route_rows::write_route;
 use super::view::View;
 use crate::geom::Real;
@@ -34,8 +35,9 @@ impl Observer {
     }
 
     /// Takes what stays what it is in a scene; to be called before [`Observer::prepare`] in each scene.
-    pub fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
+    pub fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind], segments: &MapSegments) {
         self.agents.enter(footprints, kinds);
+        self.map.enter(segments);
     }
 
     /// Takes what all rows of a step have in common from the states; to be called before [`Observer::write`] whenever

@@ -69,8 +69,7 @@ pub(super) enum OfAgent {
 /// The agents that an observer sees, nearest first.
 pub(super) struct Pairs<'a> {
     pub(super) view: &'a View<'a>,
-    /// See [`super::nearest_agents::NearestAgents::find`].
-    pub(super) keys: &'a [u64],
+    pub(super) agents: &'a [u32],
     /// Their places along the observer's route, where they are asked for.
     pub(super) on_route: &'a [Projection],
 }
@@ -81,8 +80,6 @@ pub(super) struct Pair<'a> {
     pub(super) view: &'a View<'a>,
     /// The agent.
     pub(super) other: usize,
-    /// Distance of the two, squared, m².
-    pub(super) distance_sq: Real,
 }
 
 /// A column in rows of numbers: value = clip(quantity · factor, low, high).
@@ -95,19 +92,12 @@ pub(super) struct Target<'a> {
     pub(super) high: Real,
 }
 
-/// The agent of a key.
-#[inline(always)]
-pub(super) fn agent_of(key: u64) -> usize {
-    (key & 0xffff_ffff) as usize
-}
-
 impl<'a> Pairs<'a> {
     /// Fills a column with a number of each pair.
     #[inline(always)]
     pub(super) fn each(&self, to: Target<'_>, quantity: impl Fn(Pair<'a>) -> Real) {
-        for (row, key) in to.rows.chunks_exact_mut(to.width).zip(self.keys) {
-            let distance_sq = Real::from_bits((key >> 32) as u32);
-            let number = quantity(Pair { view: self.view, other: agent_of(*key), distance_sq });
+        for (row, other) in to.rows.chunks_exact_mut(to.width).zip(self.agents) {
+            let number = quantity(Pair { view: self.view, other: *other as usize });
             row[to.at] = clip(number * to.factor, to.low, to.high);
         }
     }
@@ -115,16 +105,23 @@ impl<'a> Pairs<'a> {
     /// The same of numbers of the agent's place along the route.
     #[inline(always)]
     pub(super) fn each_on_route(&self, to: Target<'_>, quantity: impl Fn(Pair<'a>, &Projection) -> Real) {
-        for (row, (key, place)) in to.rows.chunks_exact_mut(to.width).zip(self.keys.iter().zip(self.on_route))
-        {
-            let distance_sq = Real::from_bits((key >> 32) as u32);
-            let number = quantity(Pair { view: self.view, other: agent_of(*key), distance_sq }, place);
+        let agents = self.agents.iter().zip(self.on_route);
+        for (row, (other, place)) in to.rows.chunks_exact_mut(to.width).zip(agents) {
+            let number = quantity(Pair { view: self.view, other: *other as usize }, place);
             row[to.at] = clip(number * to.factor, to.low, to.high);
         }
     }
 }
 
 impl Pair<'_> {
+    /// Distance of the two, metres.
+    #[inline(always)]
+    pub(super) fn distance_m(&self) -> Real {
+        (self.view.states.position(self.other) - self.view.states.position(self.view.agent_idx))
+            .norm_squared()
+            .sqrt()
+    }
+
     /// The agent's velocity, m/s.
     #[inline(always)]
     pub(super) fn velocity(&self) -> Vector2 {
@@ -133,7 +130,7 @@ impl Pair<'_> {
 }
 
 /// Where a number about a segment of the map comes from.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum OfSegment {
     /// A component of its middle.
     Place(Axis),
@@ -143,4 +140,15 @@ pub(super) enum OfSegment {
     HalfLength,
     /// 1 for segments of a kind.
     Is(SegmentKind),
+}
+
+impl OfSegment {
+    /// The other component of a vector; itself for what is none.
+    pub(super) fn other(self) -> Self {
+        match self {
+            Self::Place(axis) => Self::Place(axis.own_and_other([Axis::X, Axis::Y]).1),
+            Self::Direction(axis) => Self::Direction(axis.own_and_other([Axis::X, Axis::Y]).1),
+            constant => constant,
+        }
+    }
 }

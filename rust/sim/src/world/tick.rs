@@ -107,7 +107,8 @@ impl World {
     /// Puts another scene under the world.
     pub(super) fn enter(&mut self, scene: Arc<PreparedScene>) {
         self.scene = scene;
-        self.observer.enter(&self.scene.footprints, &self.scene.kinds);
+        let PreparedScene { footprints, kinds, segments, .. } = &*self.scene;
+        self.observer.enter(footprints, kinds, segments);
     }
 
     pub(crate) fn view<'a>(&'a self, config: &'a WorldConfig) -> WorldView<'a> {
