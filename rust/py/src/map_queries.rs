@@ -170,7 +170,7 @@ fn map_lane_ahead<'py>(
         for (row, (scene, pose)) in places.each().enumerate() {
             let Some(ahead) = scene.lane_ahead(pose, reach_m, length_m) else { continue };
             lane[row] = i64::from(ahead.lane.lane_idx);
-            (lateral_m[row], heading_error_rad[row]) = (ahead.lane.lateral_m, ahead.lane.heading_error_rad);
+            (lateral_m[row], heading_error_rad[row]) = (ahead.lane.lateral_m, ahead.lane.heading_error_rad());
             for (k, i) in (row * num_points..).zip(0..num_points) {
                 if let Some(at) = ahead.at(i as f32 * spacing_m) {
                     let Point2 { coords: at } = pose.to_local(at);

@@ -63,9 +63,9 @@ fn hits_say_where_along_and_beside_the_lane_a_point_is() {
     let hit = index.nearest(Point2::new(30.25, -1.0), 1.0, 0.0, 5.0).unwrap();
     assert_eq!(hit.lane_idx, 0);
     assert!((hit.s_m - 30.25).abs() < 1e-3 && (hit.lateral_m - 0.75).abs() < 1e-5);
-    assert!((hit.distance_m - 0.75).abs() < 1e-5 && hit.heading_error_rad.abs() < 1e-6);
+    assert!((hit.distance_m - 0.75).abs() < 1e-5 && hit.heading_error_rad().abs() < 1e-6);
     let turned = index.nearest(Point2::new(30.0, -1.0), 0.8, 0.6, 5.0).unwrap();
-    assert!((turned.heading_error_rad - 0.6_f32.asin()).abs() < 1e-5);
+    assert!((turned.heading_error_rad() - 0.6_f32.asin()).abs() < 1e-5);
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn lanes_that_agree_with_the_heading_come_first() {
     // lane 1 is out of range: the nearest of any direction
     let hit = index.nearest(Point2::new(50.0, -1.75), -1.0, 0.0, 3.0).unwrap();
     assert_eq!(hit.lane_idx, 0);
-    assert!((hit.heading_error_rad.abs() - PI).abs() < 1e-5 && !hit.agrees());
+    assert!((hit.heading_error_rad().abs() - PI).abs() < 1e-5 && !hit.agrees());
 }
 
 #[test]
@@ -141,7 +141,7 @@ proptest! {
             let (surely, perhaps) = (scan(&map, point, direction, 0.2), scan(&map, point, direction, -0.2));
             prop_assert!(distance(near.agreeing) < surely + 0.011, "{:?} {}", near.agreeing, surely);
             prop_assert!(distance(near.agreeing) > perhaps.min(8.0) - 0.011, "{:?} {}", near.agreeing, perhaps);
-            prop_assert!(near.agreeing.is_none_or(|h| h.heading_error_rad.abs() <= FRAC_PI_2 + 1e-4));
+            prop_assert!(near.agreeing.is_none_or(|h| h.heading_error_rad().abs() <= FRAC_PI_2 + 1e-4));
             if let Some(hit) = near.any {
                 let lane = &map.lanes[hit.lane_idx as usize].centreline;
                 let oracle = Polyline::new(lane.clone()).unwrap();

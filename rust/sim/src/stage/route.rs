@@ -85,7 +85,7 @@ impl Route {
 /// Appends the lanes that follow the last pose, else a straight line; tells whether lanes were found.
 fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneIndex>) -> bool {
     let hit = lanes.and_then(|l| l.nearest(pose.position, pose.cos, pose.sin, 3.0));
-    let hit = hit.filter(|h| h.heading_error_rad.abs() < 0.6);
+    let hit = hit.filter(|h| h.heading_error_rad().abs() < 0.6);
     let Some(hit) = hit else {
         points.push(pose.to_outer(Point2::new(EXTENSION_M, 0.0)));
         return false;
