@@ -2,7 +2,7 @@
 
 use super::column::{ObservationColumn, clip};
 use super::columns::{AGENTS, Entry};
-use super::frame::{F32x8, Frame, Group, LANES, fill_agents};
+use super::frame::{F32x8, Frame, Group, LANES, MOST_GROUPS, Part, fill_rows};
 use super::nearest_agents::NearestAgents;
 use super::source::{OfAgent, Pairs, Target};
 use super::view::View;
@@ -10,21 +10,13 @@ use crate::geom::{Point2, Projection, Real};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
 
-/// Indices of the first numbers of an agent: place, direction, velocity, speed.
+/// Places of the vectors of an agent among the numbers of an origin.
 const PLACE: usize = 0;
 const DIRECTION: usize = 2;
 const VELOCITY: usize = 4;
-const SPEED: usize = 7;
 
-/// Chosen columns that are written at once; those of pairs are left out.
-#[derive(Debug, Clone)]
-struct Columns {
-    entries: Vec<&'static Entry<OfAgent>>,
-    /// Those that change with the states.
-    moving: Group,
-    /// For each agent the columns that stay what they are in a scene, zeros elsewhere.
-    fixed: Vec<F32x8>,
-}
+// all columns, and all six components once more
+const _: () = assert!(AGENTS.len() + 6 <= MOST_GROUPS * (LANES - 1));
 
 /// A chosen column of pairs, and its place in the row.
 #[derive(Debug, Clone)]
@@ -42,9 +34,10 @@ pub(super) struct AgentRows {
     width: usize,
     /// How far along the route agents are looked for, metres, where columns about the route are chosen.
     route_reach_m: Option<Real>,
-    groups: Vec<Columns>,
-    /// The numbers of all agents that change with the states, see [`PLACE`].
-    agents: Vec<F32x8>,
+    groups: Vec<Group>,
+    entries: Vec<&'static Entry<OfAgent>>,
+    /// The numbers of all agents [A, groups]; those that stay what they are in a scene are written when it is entered.
+    numbers: Vec<F32x8>,
     pairs: Vec<PairColumn>,
     nearest: NearestAgents,
     /// Places of the nearest agents, and these along the route.
@@ -62,17 +55,33 @@ impl AgentRows {
             }
             _ => None,
         };
-        let mut groups: Vec<Columns> = chosen.chunks(LANES).map(Columns::new).collect();
+        let part = |entry: &&'static Entry<OfAgent>| {
+            let part = match entry.source {
+                OfAgent::Place(axis) => Part::Component(PLACE, axis),
+                OfAgent::Direction(axis) => Part::Component(DIRECTION, axis),
+                OfAgent::Velocity(axis) => Part::Component(VELOCITY, axis),
+                OfAgent::Speed | OfAgent::Fixed(_) | OfAgent::Pair(_) | OfAgent::OnRoute(_) => Part::Constant,
+            };
+            (part, &entry.column)
+        };
+        let mut groups = Group::of_row(&entries.iter().map(part).collect::<Vec<_>>());
+        let is_of_pairs = |e: &&Entry<OfAgent>| matches!(e.source, OfAgent::Pair(_) | OfAgent::OnRoute(_));
         // columns of pairs are filled one by one
-        while groups.pop_if(|last| last.is_of_pairs()).is_some() {}
+        let mut num_written = entries.len();
+        while let Some(last) =
+            groups.pop_if(|last| entries[num_written - last.num_columns..num_written].iter().all(is_of_pairs))
+        {
+            num_written -= last.num_columns;
+        }
         let on_route = entries.iter().any(|e| matches!(e.source, OfAgent::OnRoute(_)));
         Self {
             num_rows,
             width: chosen.len(),
             route_reach_m: on_route.then_some(radius_m),
             groups,
-            agents: Vec::new(),
+            numbers: Vec::new(),
             pairs: entries.iter().enumerate().filter_map(pair).collect(),
+            entries,
             nearest: NearestAgents::new(num_rows, radius_m),
             places: Vec::new(),
             on_route: Vec::new(),
@@ -81,20 +90,47 @@ impl AgentRows {
 
     /// Takes the numbers that stay what they are in a scene.
     pub(super) fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.groups.iter_mut().for_each(|columns| columns.enter(footprints, kinds));
+        self.numbers.clear();
+        self.numbers.resize(footprints.len() * self.groups.len(), F32x8::default());
+        for (g, lane, entry) in lanes(&self.groups, &self.entries) {
+            let (ObservationColumn { scale, low, high, .. }, OfAgent::Fixed(number)) =
+                (&entry.column, entry.source)
+            else {
+                continue;
+            };
+            let agents = self.numbers.chunks_exact_mut(self.groups.len());
+            for (numbers, (footprint, kind)) in agents.zip(footprints.iter().zip(kinds)) {
+                numbers[g].0[lane] = clip(number(footprint, *kind) * (1.0 / scale), *low, *high);
+            }
+        }
     }
 
     /// Takes what the rows of all observers have in common from the states.
     pub(super) fn prepare(&mut self, states: &AgentStates) {
-        let places = states.x.iter().zip(&states.y);
-        let directions = states.cos.iter().zip(&states.sin);
-        let velocities = states.velocity_x_mps.iter().zip(&states.velocity_y_mps);
-        let motions = velocities.zip(&states.speed_mps);
         self.nearest.prepare(states);
-        self.agents.clear();
-        self.agents.extend(places.zip(directions.zip(motions)).map(
-            |((x, y), ((cos, sin), ((vx, vy), speed)))| F32x8([*x, *y, *cos, *sin, *vx, *vy, 0.0, *speed]),
-        ));
+        for (g, group) in self.groups.iter().enumerate() {
+            for (lane, part) in group.parts.iter().enumerate() {
+                let Part::Component(vector, axis) = *part else { continue };
+                let components = match vector {
+                    PLACE => [&states.x, &states.y],
+                    DIRECTION => [&states.cos, &states.sin],
+                    _ => [&states.velocity_x_mps, &states.velocity_y_mps],
+                };
+                let agents = self.numbers.chunks_exact_mut(self.groups.len());
+                for (numbers, component) in agents.zip(axis.own_and_other(components).0) {
+                    numbers[g].0[lane] = *component;
+                }
+            }
+        }
+        for (g, lane, entry) in lanes(&self.groups, &self.entries) {
+            if matches!(entry.source, OfAgent::Speed) {
+                let (factor, low, high) = (1.0 / entry.column.scale, entry.column.low, entry.column.high);
+                let agents = self.numbers.chunks_exact_mut(self.groups.len());
+                for (numbers, speed) in agents.zip(&states.speed_mps) {
+                    numbers[g].0[lane] = clip(speed * factor, low, high);
+                }
+            }
+        }
     }
 
     /// Floats of all rows.
@@ -109,35 +145,9 @@ impl AgentRows {
         }
         let (width, near) = (self.width, self.nearest.find(view.states, view.agent_idx));
         let (rows, absent) = out.split_at_mut(near.len() * width);
-        let [x, y, _, _, vx, vy, ..] = self.agents[view.agent_idx].0;
-        let origin = F32x8([x, y, 0.0, 0.0, vx, vy, 0.0, 0.0]);
-        for (pass, columns) in self.groups.chunks(2).enumerate().rev() {
-            let first = pass * 2 * LANES;
-            let (room, agents) = (width - first, &self.agents);
-            let Some(rows) = rows.get_mut(first..) else { break };
-            match columns {
-                [a, b] if b.moving.moves() => {
-                    let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
-                    fill_agents::<2, 2>(&groups, frame, &origin, &added, agents, near, width, room, rows);
-                }
-                [a, b] => {
-                    let (groups, added) = ([&a.moving, &b.moving], [&*a.fixed, &*b.fixed]);
-                    fill_agents::<2, 1>(&groups, frame, &origin, &added, agents, near, width, room, rows);
-                }
-                [a] => fill_agents::<1, 1>(
-                    &[&a.moving],
-                    frame,
-                    &origin,
-                    &[&a.fixed],
-                    agents,
-                    near,
-                    width,
-                    room,
-                    rows,
-                ),
-                _ => {}
-            }
-        }
+        let velocity = view.states.velocity(view.agent_idx);
+        let origin = F32x8([frame.x, frame.y, 0.0, 0.0, velocity.x, velocity.y, 0.0, 0.0]);
+        fill_rows(&self.groups, frame, &origin, &self.numbers, near, width, rows);
         if let Some(reach_m) = self.route_reach_m {
             self.places.clear();
             self.places.extend(near.iter().map(|other| view.states.position(*other as usize)));
@@ -156,39 +166,12 @@ impl AgentRows {
     }
 }
 
-impl Columns {
-    fn new(chosen: &[usize]) -> Self {
-        let entries: Vec<_> = chosen.iter().map(|c| &AGENTS[*c]).collect();
-        let mut moving = Group::new();
-        for (lane, entry) in entries.iter().enumerate() {
-            match entry.source {
-                OfAgent::Place(axis) => moving.set_vector(lane, PLACE, axis, &entry.column),
-                OfAgent::Direction(axis) => moving.set_vector(lane, DIRECTION, axis, &entry.column),
-                OfAgent::Velocity(axis) => moving.set_vector(lane, VELOCITY, axis, &entry.column),
-                OfAgent::Speed => moving.set_number(lane, SPEED, &entry.column),
-                OfAgent::Fixed(_) | OfAgent::Pair(_) | OfAgent::OnRoute(_) => {}
-            }
-        }
-        Self { entries, moving, fixed: Vec::new() }
-    }
-
-    /// Whether all columns are those of pairs.
-    fn is_of_pairs(&self) -> bool {
-        self.entries.iter().all(|e| matches!(e.source, OfAgent::Pair(_) | OfAgent::OnRoute(_)))
-    }
-
-    fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.fixed.clear();
-        self.fixed.resize(footprints.len(), F32x8::default());
-        for (lane, entry) in self.entries.iter().enumerate() {
-            let (ObservationColumn { scale, low, high, .. }, OfAgent::Fixed(number)) =
-                (&entry.column, entry.source)
-            else {
-                continue;
-            };
-            for (fixed, (footprint, kind)) in self.fixed.iter_mut().zip(footprints.iter().zip(kinds)) {
-                fixed.0[lane] = clip(number(footprint, *kind) * (1.0 / scale), *low, *high);
-            }
-        }
-    }
+/// The group and the lane of each column that is written with others.
+fn lanes<'a>(
+    groups: &'a [Group],
+    entries: &'a [&'static Entry<OfAgent>],
+) -> impl Iterator<Item = (usize, usize, &'static Entry<OfAgent>)> + 'a {
+    let lanes =
+        groups.iter().enumerate().flat_map(|(g, group)| (0..group.num_columns).map(move |lane| (g, lane)));
+    lanes.zip(entries).map(|((g, lane), entry)| (g, lane, *entry))
 }

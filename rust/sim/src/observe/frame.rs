@@ -36,12 +36,37 @@ impl Frame {
     }
 }
 
-/// Up to eight columns that are made from the eight numbers of an item, in the frame of any observer:
-/// clip((own − its origin) · cos + (other − its origin) · sin, low, high), where `own` and `other` are two of these
-/// numbers, by index. For a component of a vector they are both its components.
-#[derive(Debug, Clone, Copy)]
+/// What a column of a row is made from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    /// A component of one of the vectors of an item, by the place of the vector's x among the numbers of an origin.
+    Component(usize, Axis),
+    /// A number that is the same in every frame, in its scale.
+    Constant,
+}
+
+impl Part {
+    /// The other component of a vector; itself for what is none.
+    fn other(self) -> Self {
+        match self {
+            Self::Component(vector, axis) => {
+                Self::Component(vector, axis.own_and_other([Axis::X, Axis::Y]).1)
+            }
+            Self::Constant => self,
+        }
+    }
+}
+
+/// Up to eight columns that are made at once from as many numbers of an item, lane by lane, in the frame of any observer:
+/// clip((own − its origin) · cos + (other − its origin) · sin, low, high), where `other` is the other component of a vector.
+/// In lanes that are left are components that are not among the columns.
+#[derive(Debug, Clone)]
 pub(super) struct Group {
-    own: [i32; LANES],
+    /// What is in the lanes.
+    pub(super) parts: Vec<Part>,
+    pub(super) num_columns: usize,
+    /// Where a lane's number is among those of an origin, and the lane of the other component.
+    own: [usize; LANES],
     other: [i32; LANES],
     /// All bits for components of vectors, none for numbers that are the same in every frame.
     rotated: [u32; LANES],
@@ -55,7 +80,6 @@ pub(super) struct Group {
 /// A [`Group`] in the frame of one observer.
 #[derive(Debug, Clone, Copy)]
 struct RowTransform {
-    own: [i32; LANES],
     other: [i32; LANES],
     cos: F32x8,
     sin: F32x8,
@@ -64,71 +88,65 @@ struct RowTransform {
     origin: F32x8,
 }
 
-/// An index of numbers that are zero for all items.
-pub(super) const ZERO: usize = 6;
+/// Most groups of a row.
+pub(super) const MOST_GROUPS: usize = 4;
+/// A place among the numbers of an origin that is zero.
+const ZERO: usize = 7;
 const SIGN: u32 = 1 << 31;
 
 impl Group {
-    /// Columns that are +0, until they are set.
-    pub(super) fn new() -> Self {
-        let (zero, nothing) = (F32x8([0.0; LANES]), [ZERO as i32; LANES]);
-        let (none, factor) = ([0; LANES], [0.0; LANES]);
-        Self { own: nothing, other: nothing, rotated: none, sign: none, factor, low: zero, high: zero }
-    }
-
-    /// Makes a column a component of the vector whose components are the numbers `first` and `first + 1`.
-    pub(super) fn set_vector(&mut self, lane: usize, first: usize, axis: Axis, column: &ObservationColumn) {
-        (self.own[lane], self.other[lane]) = axis.own_and_other([first as i32, first as i32 + 1]);
-        self.rotated[lane] = u32::MAX;
-        self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
-        self.scale(lane, column);
-    }
-
-    /// Makes a lane a component of a vector, the other component of which is in another lane: `own` is an index of the
-    /// numbers of the origin. +0 without a column.
-    pub(super) fn set_component(
-        &mut self,
-        lane: usize,
-        [own, other]: [usize; 2],
-        axis: Axis,
-        column: Option<&ObservationColumn>,
-    ) {
-        (self.own[lane], self.other[lane]) = (own as i32, other as i32);
-        self.rotated[lane] = u32::MAX;
-        self.sign[lane] = if axis == Axis::X { 0 } else { SIGN };
-        if let Some(column) = column {
-            self.scale(lane, column);
+    /// The groups of a row of columns.
+    pub(super) fn of_row<'a>(columns: &[(Part, &'a ObservationColumn)]) -> Vec<Self> {
+        let (mut groups, mut rest) = (Vec::new(), columns);
+        while !rest.is_empty() {
+            // a component and the other one fit always
+            let fits = |n: &usize| Self::lanes(&rest[..*n]).len() <= LANES;
+            let (chosen, others) = rest.split_at((1..=rest.len()).rev().find(fits).unwrap_or(1));
+            groups.push(Self::new(chosen));
+            rest = others;
         }
+        groups
     }
 
-    /// Makes a lane a number that is the same in every frame and has its scale already.
-    pub(super) fn set_constant(&mut self, lane: usize) {
-        self.other[lane] = lane as i32;
-        (self.sign[lane], self.factor[lane]) = (SIGN, 1.0);
-        (self.low.0[lane], self.high.0[lane]) = (Real::MIN, Real::MAX);
+    /// Columns, and the other components of their vectors where these are not among them.
+    fn lanes(columns: &[(Part, &ObservationColumn)]) -> Vec<Part> {
+        let mut lanes: Vec<Part> = columns.iter().map(|(part, _)| *part).collect();
+        for lane in 0..lanes.len() {
+            let other = lanes[lane].other();
+            if !lanes.contains(&other) {
+                lanes.push(other);
+            }
+        }
+        lanes
+    }
+
+    fn new(columns: &[(Part, &ObservationColumn)]) -> Self {
+        let parts = Self::lanes(columns);
+        let (zero, none) = (F32x8([0.0; LANES]), [0; LANES]);
+        let (own, other) = ([ZERO; LANES], std::array::from_fn(|lane| lane as i32));
+        let (sign, factor, num_columns) = (none, [0.0; LANES], columns.len());
+        let mut group =
+            Self { parts, num_columns, own, other, rotated: none, sign, factor, low: zero, high: zero };
+        for (lane, part) in group.parts.iter().enumerate() {
+            if let Part::Component(vector, axis) = *part {
+                group.own[lane] = axis.own_and_other([vector, vector + 1]).0;
+                let other = group.parts.iter().position(|p| *p == part.other());
+                group.other[lane] = other.unwrap_or(lane) as i32;
+                group.rotated[lane] = u32::MAX;
+            }
+            // a number and the zero of its sign add up to its bits
+            group.sign[lane] = if matches!(part, Part::Component(_, Axis::Y)) { SIGN } else { 0 };
+            // what is not among the columns is left zero
+            let Some((_, column)) = columns.get(lane) else { continue };
+            group.factor[lane] = if *part == Part::Constant { 1.0 } else { 1.0 / column.scale };
+            (group.low.0[lane], group.high.0[lane]) = (column.low, column.high);
+        }
+        group
     }
 
     /// Whether a lane is a component of a vector.
     pub(super) fn turns(&self) -> bool {
         self.rotated != [0; LANES]
-    }
-
-    /// Makes a column one of the numbers.
-    pub(super) fn set_number(&mut self, lane: usize, at: usize, column: &ObservationColumn) {
-        self.own[lane] = at as i32;
-        // −0 added to a number leaves its bits
-        self.sign[lane] = SIGN;
-        self.scale(lane, column);
-    }
-
-    /// Whether there is a column that was set.
-    pub(super) fn moves(&self) -> bool {
-        self.factor != [0.0; LANES]
-    }
-
-    fn scale(&mut self, lane: usize, column: &ObservationColumn) {
-        self.factor[lane] = 1.0 / column.scale;
-        (self.low.0[lane], self.high.0[lane]) = (column.low, column.high);
     }
 
     #[inline(always)]
@@ -137,33 +155,24 @@ impl Group {
         let cos = |i: usize| Real::from_bits(cos & self.rotated[i] | one & !self.rotated[i]) * self.factor[i];
         let sin = |i: usize| Real::from_bits(sin & self.rotated[i] ^ self.sign[i]) * self.factor[i];
         RowTransform {
-            own: self.own,
             other: self.other,
             cos: F32x8(std::array::from_fn(cos)),
             sin: F32x8(std::array::from_fn(sin)),
             low: self.low,
             high: self.high,
-            origin: *origin,
+            origin: F32x8(self.own.map(|own| origin.0[own % LANES])),
         }
-    }
-
-    /// For items whose numbers are in the order of the lanes.
-    #[inline(always)]
-    fn in_lanes(&self, frame: &Frame) -> RowTransform {
-        let origin = F32x8(self.own.map(|own| [frame.x, frame.y].get(own as usize).copied().unwrap_or(0.0)));
-        self.in_frame(frame, &origin)
     }
 }
 
 impl RowTransform {
-    /// The columns of an item, and the numbers of `added` where these are +0.
+    /// The columns of an item.
     #[inline(always)]
-    fn portable(&self, (item, added): (&F32x8, &F32x8)) -> [Real; LANES] {
+    fn portable(&self, numbers: &F32x8) -> [Real; LANES] {
+        let v: [Real; LANES] = std::array::from_fn(|i| numbers.0[i] - self.origin.0[i]);
         std::array::from_fn(|i| {
-            let pick = |at: i32| item.0[at as usize % LANES] - self.origin.0[at as usize % LANES];
-            let sum = pick(self.own[i]) * self.cos.0[i] + pick(self.other[i]) * self.sin.0[i];
-            let rotated = clip(sum, self.low.0[i], self.high.0[i]);
-            Real::from_bits(rotated.to_bits() | added.0[i].to_bits())
+            let sum = v[i] * self.cos.0[i] + v[self.other[i] as usize % LANES] * self.sin.0[i];
+            clip(sum, self.low.0[i], self.high.0[i])
         })
     }
 
@@ -172,39 +181,7 @@ impl RowTransform {
     #[inline]
     #[target_feature(enable = "avx2")]
     #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
-    fn avx2(&self, (item, added): (&F32x8, &F32x8)) -> [Real; LANES] {
-        use std::arch::x86_64::*;
-        // SAFETY: eight floats each
-        let [item, added, origin]: [__m256; 3] = unsafe { std::mem::transmute([*item, *added, self.origin]) };
-        // SAFETY: as above
-        let [cos, sin, low, high]: [__m256; 4] =
-            unsafe { std::mem::transmute([self.cos, self.sin, self.low, self.high]) };
-        // SAFETY: eight numbers of 32 bits each
-        let [own, other]: [__m256i; 2] = unsafe { std::mem::transmute([self.own, self.other]) };
-        let item = _mm256_sub_ps(item, origin);
-        let (v, w) = (_mm256_permutevar8x32_ps(item, own), _mm256_permutevar8x32_ps(item, other));
-        let sum = _mm256_add_ps(_mm256_mul_ps(v, cos), _mm256_mul_ps(w, sin));
-        let clipped = _mm256_min_ps(_mm256_max_ps(sum, low), high);
-        // SAFETY: eight floats
-        unsafe { std::mem::transmute(_mm256_or_ps(clipped, added)) }
-    }
-
-    /// The columns of an item whose numbers are in the order of the lanes.
-    #[inline(always)]
-    fn portable_lanes(&self, numbers: &F32x8) -> [Real; LANES] {
-        let v: [Real; LANES] = std::array::from_fn(|i| numbers.0[i] - self.origin.0[i]);
-        std::array::from_fn(|i| {
-            let sum = v[i] * self.cos.0[i] + v[self.other[i] as usize % LANES] * self.sin.0[i];
-            clip(sum, self.low.0[i], self.high.0[i])
-        })
-    }
-
-    /// [`Self::portable_lanes`] in one vector.
-    #[cfg(target_arch = "x86_64")]
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
-    fn avx2_lanes(&self, numbers: &F32x8) -> [Real; LANES] {
+    fn avx2(&self, numbers: &F32x8) -> [Real; LANES] {
         use std::arch::x86_64::*;
         // SAFETY: eight floats each
         let [numbers, origin, cos]: [__m256; 3] =
@@ -221,19 +198,40 @@ impl RowTransform {
     }
 }
 
-/// Puts `G` times eight numbers for each index `width` numbers apart, of which `room` are its own, each eight from a first one
-/// on. Where the output ends within those of an index, its own alone.
+/// Fills the columns of groups in the rows of items, `width` numbers from row to row. `numbers` [N, groups] are those of all
+/// items, lane by lane, `origin` the vectors of the observer.
+///
+/// Columns of a row that follow those of the groups are left with something in them.
+pub(super) fn fill_rows(
+    groups: &[Group],
+    frame: &Frame,
+    origin: &F32x8,
+    numbers: &[F32x8],
+    items: &[u32],
+    width: usize,
+    out: &mut [Real],
+) {
+    match groups {
+        [a] => fill::<1>(&[a], frame, origin, numbers, items, width, out),
+        [a, b] => fill::<2>(&[a, b], frame, origin, numbers, items, width, out),
+        [a, b, c] => fill::<3>(&[a, b, c], frame, origin, numbers, items, width, out),
+        [a, b, c, d] => fill::<4>(&[a, b, c, d], frame, origin, numbers, items, width, out),
+        _ => debug_assert!(groups.is_empty()),
+    }
+}
+
+/// Puts `G` times eight numbers for each index `width` numbers apart, each eight from a first one on. Where the output ends
+/// within those of an index, those up to there.
 #[inline(always)]
 fn put_each<const G: usize>(
     indices: &[u32],
     firsts: &[usize; G],
     width: usize,
-    room: usize,
     out: &mut [Real],
     row: impl Fn(u32, usize) -> [Real; LANES],
 ) {
     let span = firsts.last().map_or(0, |first| first + LANES).min(G * LANES);
-    let room = room.min(span);
+    let room = span.min(width);
     let num_whole = out.len().checked_sub(span).map_or(0, |most| most / width.max(1) + 1);
     let num_whole = num_whole.min(indices.len());
     let put = |to: &mut [Real], index: u32| {
@@ -264,35 +262,21 @@ fn put_each<const G: usize>(
 }
 
 simd_dispatch! {
-    /// Fills the columns of some groups in the rows of agents, `width` numbers from row to row, of which `room` are theirs.
-    /// `added` holds numbers for each agent. Of the `G` groups only the first `T` have columns that move.
-    ///
-    /// Fewer than eight columns in the last group leave something in the columns that follow them: the last columns are
-    /// to be filled first.
-    pub(super) fn fill_agents<G, T>(
-        groups: &[&Group; G], frame: &Frame, origin: &F32x8, added: &[&[F32x8]; G], agents: &[F32x8], near: &[u32], width: usize, room: usize,
-        out: &mut [Real],
-    ) with transform [Fn(&RowTransform, (&F32x8, &F32x8)) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
-        let added = added.map(|added| &added[..agents.len()]);
+    /// [`fill_rows`] of `G` groups.
+    fn fill<G>(
+        groups: &[&Group; G], frame: &Frame, origin: &F32x8, numbers: &[F32x8], items: &[u32], width: usize, out: &mut [Real],
+    ) with transform [Fn(&RowTransform, &F32x8) -> [Real; LANES]] = RowTransform::portable, RowTransform::avx2 {
         let transforms = groups.map(|group| group.in_frame(frame, origin));
-        let firsts = std::array::from_fn(|g| g * LANES);
-        put_each::<G>(near, &firsts, width, room, out, |agent_idx, g| {
-            let agent_idx = agent_idx as usize;
-            let (agent, added) = (&agents[agent_idx], &added[g][agent_idx]);
-            if g < T { transform(&transforms[g], (agent, added)) } else { added.0 }
+        let turns = groups.map(Group::turns);
+        let mut first = 0;
+        let firsts = groups.map(|group| {
+            first += group.num_columns;
+            first - group.num_columns
         });
-    }
-
-    /// Fills the columns of some groups in the rows of segments of the map, `width` numbers from row to row, each group from
-    /// its first column on. `numbers` are those of each segment, lane by lane. Of the `G` groups only the first `T` move.
-    pub(super) fn fill_segments<G, T>(
-        groups: &[&Group; G], firsts: &[usize; G], frame: &Frame, numbers: &[F32x8], nearest: &[u32], width: usize, out: &mut [Real],
-    ) with transform [Fn(&RowTransform, &F32x8) -> [Real; LANES]] = RowTransform::portable_lanes, RowTransform::avx2_lanes {
-        let transforms = groups.map(|group| group.in_lanes(frame));
         let numbers = numbers.as_chunks::<G>().0;
-        put_each::<G>(nearest, firsts, width, width, out, |k, g| {
-            let numbers = &numbers[k as usize][g];
-            if g < T { transform(&transforms[g], numbers) } else { numbers.0 }
+        put_each::<G>(items, &firsts, width, out, |item, g| {
+            let numbers = &numbers[item as usize][g];
+            if turns[g] { transform(&transforms[g], numbers) } else { numbers.0 }
         });
     }
 }
@@ -308,26 +292,24 @@ mod tests {
         #[allow(unsafe_code, reason = "the function is called where the processor has the instructions")]
         fn both_ways_to_turn_a_row_give_the_same_bits(
             item in prop::array::uniform8(-500f32..500.0), pose in prop::array::uniform3(-300f32..300.0),
-            scale in prop::array::uniform8(1f32..100.0), added in prop::array::uniform8(0f32..1.0),
-            at in prop::array::uniform8(0usize..7),
+            scale in prop::array::uniform8(1f32..100.0), at in prop::array::uniform8(0usize..7),
         ) {
             let frame = Frame::new(&Pose2::new(pose[0], pose[1], pose[2]));
-            let mut group = Group::new();
-            for lane in 0..LANES {
-                let column = ObservationColumn {
-                    name: "", unit: "", scale: scale[lane], low: -1.0, high: 1.0, doc: "", in_default: true,
-                };
-                match lane % 3 {
-                    0 => group.set_vector(lane, at[lane], Axis::X, &column),
-                    1 => group.set_vector(lane, at[lane], Axis::Y, &column),
-                    _ => group.set_number(lane, at[lane], &column),
-                }
-            }
+            let column = |lane: usize| ObservationColumn {
+                name: "", unit: "", scale: scale[lane], low: -1.0, high: 1.0, doc: "", in_default: true,
+            };
+            let columns: [ObservationColumn; LANES] = std::array::from_fn(column);
+            let part = |lane: usize| match at[lane] {
+                6 => Part::Constant,
+                at => Part::Component(at / 2 * 2, if at % 2 == 0 { Axis::X } else { Axis::Y }),
+            };
+            let row: Vec<_> = columns.iter().enumerate().map(|(lane, column)| (part(lane), column)).collect();
+            let group = &Group::of_row(&row)[0];
             let transform = group.in_frame(&frame, &F32x8([frame.x, frame.y, 0.0, 0.0, 1.5, -1.5, 0.0, 0.0]));
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: just asked
-                let wide = unsafe { transform.avx2((&F32x8(item), &F32x8(added))) };
-                let portable = transform.portable((&F32x8(item), &F32x8(added)));
+                let wide = unsafe { transform.avx2(&F32x8(item)) };
+                let portable = transform.portable(&F32x8(item));
                 prop_assert_eq!(wide.map(Real::to_bits), portable.map(Real::to_bits));
             }
         }

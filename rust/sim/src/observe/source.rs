@@ -130,7 +130,7 @@ impl Pair<'_> {
 }
 
 /// Where a number about a segment of the map comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 pub(super) enum OfSegment {
     /// A component of its middle.
     Place(Axis),
@@ -140,15 +140,4 @@ pub(super) enum OfSegment {
     HalfLength,
     /// 1 for segments of a kind.
     Is(SegmentKind),
-}
-
-impl OfSegment {
-    /// The other component of a vector; itself for what is none.
-    pub(super) fn other(self) -> Self {
-        match self {
-            Self::Place(axis) => Self::Place(axis.own_and_other([Axis::X, Axis::Y]).1),
-            Self::Direction(axis) => Self::Direction(axis.own_and_other([Axis::X, Axis::Y]).1),
-            constant => constant,
-        }
-    }
 }
