@@ -11,7 +11,8 @@ its processor time; more: per second of the clock. Best of some rounds.
   floats each: the work that other simulators' figures are quoted for. ``--scenes`` names real
   roads: the eight scenes of most vehicles, before the embedded city with 64 of them.
 
-The last lines say how much resident memory one more world takes, its share of the arrays included.
+The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone, and
+how much resident memory one more world takes, its share of the arrays included.
 """
 
 from __future__ import annotations
@@ -167,6 +168,28 @@ def equal_work(scenes: Sequence[Scene], envs: int, threads: int) -> Steps:
     return Steps(lambda: worlds.native.step(actions, out), envs, threads, there, out.obs.shape[-1])
 
 
+def one_of_many(rounds: int, envs: int = 1024) -> None:
+    """Print what it costs to reset one world of many, and to step one of them."""
+    config = WorldConfig(autoreset="same_step")
+    worlds = Worlds(scene_set(None), config, num_worlds=envs, num_threads=1)
+    out, native, nothing = worlds.arrays(), worlds.native, [None] * envs
+    native.reset(list(range(envs)), nothing, None, out)
+    actions = np.zeros((envs, 1, 2), np.float32)
+    one, nobody = np.eye(1, envs, dtype=np.bool_)[0], np.zeros(envs, np.bool_)
+    masks = {"none": nobody.tolist(), "one": one.tolist()}
+    figures = {
+        f"reset of {name}": lambda mask=mask: native.reset(nothing, nothing, mask, out)
+        for name, mask in masks.items()
+    }
+    figures |= {
+        "step of all": lambda: native.step(actions, out),
+        "step of none": lambda: native.step(actions, out, nobody),
+        "step of one": lambda: native.step(actions, out, one),
+    }
+    for name, call in figures.items():
+        print(f"{name} of {envs} worlds: {best_s(call, 1, rounds) * 1e6:,.1f} us")
+
+
 def table(rounds: int, source: str | None) -> None:
     """Print all figures, those of real roads first."""
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
@@ -188,6 +211,7 @@ def table(rounds: int, source: str | None) -> None:
         vector_env(envs, "replay", 1).report("make_vec, replay, copy, full info", rounds)
     for envs, n in sizes:
         equal_work([crowded()], envs, n).report("equal work, embedded city", rounds)
+    one_of_many(rounds)
     if Path("/proc/self/statm").exists():
         for kind in RESIDENT:
             print(f"{kind}: {memory_per_world_kib(kind):.0f} KiB for one more world and its arrays")
