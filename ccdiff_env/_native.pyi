@@ -397,11 +397,11 @@ class VecWorld:
         seeds: Sequence[int | None],
         scenes: Sequence[int | None],
         mask: Sequence[bool] | None,
-        out: object,
+        out: tuple[object, ...],
     ) -> None:
-        """Begin episodes; writes into the arrays of :meth:`step_arrays`, attributes of ``out``."""
+        """Begin episodes; writes into the arrays of :meth:`step_arrays`, in their order."""
 
-    def step(self, actions: F32, out: object, active: Bool | None = None) -> None:
+    def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None:
         """Advance all worlds, or those of ``active`` [E], by one step; actions [E, C, W].
 
         A world that rests stays as it is; its observations in the arrays are not touched.

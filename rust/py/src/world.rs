@@ -17,7 +17,7 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyCapsule, PyDict};
+use pyo3::types::{PyBytes, PyCapsule, PyDict, PyTuple};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -35,6 +35,8 @@ pub(crate) struct PyVecWorld {
     home: ProcessGuard,
     /// Actions of the present step.
     actions: Vec<f32>,
+    /// The arrays that a reset or step writes.
+    arrays: Vec<ArraySpec>,
     /// The array of observations of the last call.
     rows: Option<Py<PyAny>>,
 }
@@ -77,16 +79,15 @@ fn writable<'py, T: Element>(
     })
 }
 
-/// An array of a step, an attribute of what the caller hands over; `None` where the configuration does not ask for it.
+/// An array of a step; `None` where the configuration does not ask for it.
 fn step_array<'py, T: Element>(
-    given: &Bound<'py, PyAny>,
+    array: &Bound<'py, PyAny>,
     spec: &ArraySpec,
 ) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
-    let array = given.getattr(spec.name)?;
     match (array.is_none(), spec.shape.is_empty()) {
         (true, true) => Ok(None),
         (false, true) => Err(py::ShapeError::new_err(format!("{} is given, expected None", spec.name))),
-        _ => writable(spec.name, &array, &spec.shape).map(Some),
+        _ => writable(spec.name, array, &spec.shape).map(Some),
     }
 }
 
@@ -106,10 +107,15 @@ macro_rules! outputs {
         }
 
         impl<'py> Outputs<'py> {
-            fn check(given: &Bound<'py, PyAny>, world: &VecWorld) -> PyResult<Self> {
-                let mut specs = world.extent().arrays(world.num_worlds()).into_iter();
-                let mut next = || specs.next().ok_or_else(|| py::ShapeError::new_err("an array too many"));
-                Ok(Self { $($name: step_array(given, &next()?)?),+ })
+            /// Takes the arrays that a caller hands over in the order of their specifications.
+            fn check(given: &Bound<'py, PyTuple>, specs: &[ArraySpec]) -> PyResult<Self> {
+                if given.len() != specs.len() {
+                    let (got, expected) = (given.len(), specs.len());
+                    return Err(py::ShapeError::new_err(format!("{got} arrays, expected {expected}")));
+                }
+                let mut arrays = given.iter().zip(specs);
+                let mut next = || arrays.next().ok_or_else(|| py::ShapeError::new_err("an array too few"));
+                Ok(Self { $($name: { let (array, spec) = next()?; step_array(&array, spec)? }),+ })
             }
 
             fn buffers(&mut self) -> PyResult<StepBuffers<'_>> {
@@ -139,8 +145,8 @@ pub(crate) struct PyWorldStatus {
 impl PyVecWorld {
     /// Tells the worlds whether observations go where they went in the last call. The array is held, so that no other
     /// one takes its place.
-    fn keep_rows(&mut self, out: &Bound<'_, PyAny>) -> PyResult<()> {
-        let rows = out.getattr("obs")?;
+    fn keep_rows(&mut self, out: &Bound<'_, PyTuple>) -> PyResult<()> {
+        let rows = out.get_item(0)?;
         let same = self.rows.as_ref().is_some_and(|last| last.is(&rows));
         self.world.keep_rows(same);
         self.rows = Some(rows.unbind());
@@ -173,7 +179,8 @@ impl PyVecWorld {
                 .map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
-        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new(), rows: None })
+        let arrays = world.extent().arrays(num_worlds);
+        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new(), arrays, rows: None })
     }
 
     /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
@@ -186,7 +193,9 @@ impl PyVecWorld {
     fn set_autoreset(&mut self, config: &str) -> PyResult<()> {
         self.home.check()?;
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
-        self.world.set_autoreset(config.autoreset).map_err(from_sim)
+        self.world.set_autoreset(config.autoreset).map_err(from_sim)?;
+        self.arrays = self.world.extent().arrays(self.world.num_worlds());
+        Ok(())
     }
 
     /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
@@ -196,12 +205,12 @@ impl PyVecWorld {
         seeds: Vec<Option<u64>>,
         scenes: Vec<Option<usize>>,
         mask: Option<Vec<bool>>,
-        out: &Bound<'py, PyAny>,
+        out: &Bound<'py, PyTuple>,
     ) -> PyResult<()> {
         self.home.check()?;
+        let mut outputs = Outputs::check(out, &self.arrays)?;
         self.keep_rows(out)?;
-        let mut out = Outputs::check(out, &self.world)?;
-        let buffers = out.buffers()?;
+        let buffers = outputs.buffers()?;
         let world = &mut self.world;
         let request = ResetRequest { seeds: &seeds, scenes: &scenes, mask: mask.as_deref() };
         enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
@@ -219,27 +228,25 @@ impl PyVecWorld {
         &mut self,
         py: Python<'py>,
         actions: &Bound<'py, PyAny>,
-        out: &Bound<'py, PyAny>,
+        out: &Bound<'py, PyTuple>,
         active: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
         self.home.check()?;
-        self.keep_rows(out)?;
-        let world = &mut self.world;
-        let shape = [world.num_worlds(), world.config().num_slots, world.decoder().width()];
+        let shape = [self.world.num_worlds(), self.world.config().num_slots, self.world.decoder().width()];
         // copied, so that nobody changes them while the GIL is released
         self.actions.clear();
         self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
-        let actions = &self.actions;
         let active = match active {
             Some(mask) => Some(flags(&typed::<bool>("active", mask, &shape[..1])?.try_readonly()?)?),
             None => None,
         };
         let active = active.as_deref();
-        let mut out = Outputs::check(out, world)?;
-        let buffers = out.buffers()?;
+        let mut outputs = Outputs::check(out, &self.arrays)?;
+        self.keep_rows(out)?;
+        let (world, actions, buffers) = (&mut self.world, &self.actions, outputs.buffers()?);
         enter(py, || world.step(actions, active, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut self.trails {
-            trails.follow(&self.world, active, elements(&mut out.was_reset)?).map_err(from_sim)?;
+            trails.follow(&self.world, active, elements(&mut outputs.was_reset)?).map_err(from_sim)?;
         }
         Ok(())
     }
@@ -335,8 +342,7 @@ impl PyVecWorld {
 
     /// Name, dtype and shape of the arrays that a reset or step writes; no shape where there is no such array.
     fn step_arrays(&self) -> Vec<(&'static str, &'static str, Vec<usize>)> {
-        let arrays = self.world.extent().arrays(self.world.num_worlds());
-        arrays.into_iter().map(|a| (a.name, a.dtype, a.shape)).collect()
+        self.arrays.iter().map(|a| (a.name, a.dtype, a.shape.clone())).collect()
     }
 
     /// Present states of the agents as new arrays; entries of agents that are not active are zero.
