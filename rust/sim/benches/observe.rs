@@ -117,7 +117,7 @@ fn report(name: &str, city: &City, config: &ObservationConfig) -> Result<()> {
     let mut tick = 0;
     let write_ns = best_ns(num_agents, || {
         tick += 1;
-        observer.prepare(&city.states[tick % city.states.len()]);
+        observer.prepare(&city.states[tick % city.states.len()], usize::MAX);
         for (a, row) in out.chunks_exact_mut(size).enumerate() {
             observer.write(&city.view(tick, a), row);
         }

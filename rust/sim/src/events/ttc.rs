@@ -6,6 +6,8 @@ use crate::state::{AgentStates, Footprint};
 
 /// Agents asked about at once.
 const LANES: usize = 8;
+/// So many agents that are asked about are many.
+const MANY: usize = 4;
 /// Relative differences that rounding could make are left to [`time_to_contact`].
 const UNSURE: Real = 1e-3;
 
@@ -15,9 +17,9 @@ const NUM_COLUMNS: usize = 5;
 /// Finds the least times to contact of some agents; holds the memory that it works in.
 #[derive(Debug, Clone, Default)]
 pub struct LeastTimes {
-    /// Agents that are there, those that are asked about first.
+    /// Agents that are asked about; where they are many, then those others that are there.
     agents: Vec<u32>,
-    /// Their numbers; whole blocks, in which those that are left never meet anybody.
+    /// Their numbers, then those of the others; whole blocks, in which those that are left never meet anybody.
     columns: [Vec<Real>; NUM_COLUMNS],
     /// 1 for agents that may be met.
     may_meet: Vec<[u8; LANES]>,
@@ -41,30 +43,43 @@ impl LeastTimes {
         self.agents.clear();
         self.agents.extend(agents.clone().filter(|a| states.active[*a]).map(|a| a as u32));
         let num_asked = self.agents.len();
-        let others = (0..states.len()).filter(|a| states.active[*a] && self.least_s[*a] == 0.0);
-        self.agents.extend(others.map(|a| a as u32));
+        let may_be_met = |(active, least_s): (&bool, &Real)| active & (*least_s == 0.0);
+        let may_be_met = states.active.iter().zip(&self.least_s).map(may_be_met);
+        // to leave out the others pays where many are asked about
+        let leaves_out = num_asked >= MANY;
+        if leaves_out {
+            let others = (0u32..).zip(may_be_met.clone());
+            self.agents.extend(others.filter(|(_, may)| *may).map(|(a, _)| a));
+        }
+        let gathered = &self.agents;
         let of_states =
             [&states.x, &states.y, &states.velocity_x_mps, &states.velocity_y_mps].map(Vec::as_slice);
-        let num_padded = self.agents.len().next_multiple_of(LANES);
+        let num_others = if leaves_out { 0 } else { states.len() };
+        let num_padded = (gathered.len() + num_others).next_multiple_of(LANES);
         let [columns @ .., radii] = &mut self.columns;
         for (column, of_states) in columns.iter_mut().zip(of_states) {
             column.clear();
-            column.extend(self.agents.iter().map(|a| of_states[*a as usize]));
+            column.extend(gathered.iter().map(|a| of_states[*a as usize]));
+            column.extend_from_slice(if leaves_out { &[] } else { of_states });
             column.resize(num_padded, 0.0);
         }
         radii.clear();
-        radii.extend(self.agents.iter().map(|a| footprints[*a as usize].radius_m));
+        radii.extend(gathered.iter().map(|a| footprints[*a as usize].radius_m));
+        if !leaves_out {
+            let radius_m = |(f, may): (&Footprint, bool)| if may { f.radius_m } else { Real::NEG_INFINITY };
+            radii.extend(footprints.iter().zip(may_be_met).map(radius_m));
+        }
         radii.resize(num_padded, Real::NEG_INFINITY);
         self.may_meet.resize(num_padded / LANES, [0; LANES]);
         // who is not there would meet the others, but they do not meet it
         for a in agents.filter(|a| !states.active[*a]) {
-            for other in &self.agents {
-                let time_s = time_to_contact(states, footprints, a, *other as usize, self.least_s[a]);
+            for other in (0..states.len()).filter(|other| states.active[*other]) {
+                let time_s = time_to_contact(states, footprints, a, other, self.least_s[a]);
                 self.least_s[a] = time_s.map_or(self.least_s[a], |time_s| time_s.min(self.least_s[a]));
             }
         }
         for rank in 0..num_asked {
-            self.measure(states, footprints, rank, horizon_s);
+            self.measure(states, footprints, rank, num_asked, horizon_s);
         }
     }
 
@@ -73,8 +88,16 @@ impl LeastTimes {
         self.least_s[agent_idx]
     }
 
-    /// Looks at the agent of a rank with all that follow it.
-    fn measure(&mut self, states: &AgentStates, footprints: &[Footprint], rank: usize, horizon_s: Real) {
+    /// Looks at the agent of a rank with all that follow it; after those that are asked about come others of the list, or all
+    /// agents by index.
+    fn measure(
+        &mut self,
+        states: &AgentStates,
+        footprints: &[Footprint],
+        rank: usize,
+        num_asked: usize,
+        horizon_s: Real,
+    ) {
         let own = std::array::from_fn(|column| self.columns[column][rank]);
         let (block, before) = ((rank + 1) / LANES, (rank + 1) % LANES);
         let columns = self.columns.each_ref().map(|column| &column[(block * LANES).min(column.len())..]);
@@ -87,7 +110,8 @@ impl LeastTimes {
         for (k, may_meet) in may_meet.iter().enumerate() {
             let mut left = u64::from_le_bytes(*may_meet);
             while left != 0 {
-                let other = self.agents[(block + k) * LANES + left.trailing_zeros() as usize / 8] as usize;
+                let at = (block + k) * LANES + left.trailing_zeros() as usize / 8;
+                let other = self.agents.get(at).map_or(at - num_asked, |a| *a as usize);
                 left &= left - 1;
                 let (own_s, other_s) = (self.least_s[agent_idx], self.least_s[other]);
                 if let Some(time_s) =

@@ -2,7 +2,7 @@
 
 use super::column::{ObservationColumn, clip};
 use super::columns::{AGENTS, Entry};
-use super::frame::{F32x8, Frame, Group, LANES, MOST_GROUPS, Part, fill_rows};
+use super::frame::{F32x8, Frame, Group, LANES, MOST_GROUPS, Part, fill_rows, spread};
 use super::nearest_agents::NearestAgents;
 use super::source::{OfAgent, Pairs, Target};
 use super::view::View;
@@ -14,9 +14,21 @@ use crate::state::{AgentStates, Footprint};
 const PLACE: usize = 0;
 const DIRECTION: usize = 2;
 const VELOCITY: usize = 4;
+/// A number that is zero, and the place of the speed.
+const ZERO: usize = 6;
+const SPEED: usize = 7;
+/// So many observers are many.
+const MANY: usize = 4;
 
 // all columns, and all six components once more
 const _: () = assert!(AGENTS.len() + 6 <= MOST_GROUPS * (LANES - 1));
+
+/// Which lanes of a group change with the states, by a mask, and where their numbers are among those of an agent.
+#[derive(Debug, Clone)]
+struct Moving {
+    places: [i32; LANES],
+    mask: [u32; LANES],
+}
 
 /// A chosen column of pairs, and its place in the row.
 #[derive(Debug, Clone)]
@@ -36,6 +48,14 @@ pub(super) struct AgentRows {
     route_reach_m: Option<Real>,
     groups: Vec<Group>,
     entries: Vec<&'static Entry<OfAgent>>,
+    moving: Vec<Moving>,
+    /// Factor and bounds of the column of the speed.
+    speed: [Real; 3],
+    /// Whether there are many observers, for whom the numbers of all agents are made at once.
+    many: bool,
+    all: Vec<u32>,
+    /// Vectors and speeds of all agents, see [`PLACE`].
+    agents: Vec<F32x8>,
     /// The numbers of all agents [A, groups]; those that stay what they are in a scene are written when it is entered.
     numbers: Vec<F32x8>,
     pairs: Vec<PairColumn>,
@@ -73,12 +93,25 @@ impl AgentRows {
         {
             num_written -= last.num_columns;
         }
+        let mut moving: Vec<_> = groups.iter().map(Moving::new).collect();
+        let mut speed = [0.0; 3];
+        for (g, lane, entry) in lanes(&groups, &entries) {
+            if matches!(entry.source, OfAgent::Speed) {
+                (moving[g].places[lane], moving[g].mask[lane]) = (SPEED as i32, u32::MAX);
+                speed = [1.0 / entry.column.scale, entry.column.low, entry.column.high];
+            }
+        }
         let on_route = entries.iter().any(|e| matches!(e.source, OfAgent::OnRoute(_)));
         Self {
             num_rows,
             width: chosen.len(),
             route_reach_m: on_route.then_some(radius_m),
             groups,
+            moving,
+            speed,
+            many: false,
+            all: Vec::new(),
+            agents: Vec::new(),
             numbers: Vec::new(),
             pairs: entries.iter().enumerate().filter_map(pair).collect(),
             entries,
@@ -90,6 +123,8 @@ impl AgentRows {
 
     /// Takes the numbers that stay what they are in a scene.
     pub(super) fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.all.clear();
+        self.all.extend(0..footprints.len() as u32);
         self.numbers.clear();
         self.numbers.resize(footprints.len() * self.groups.len(), F32x8::default());
         for (g, lane, entry) in lanes(&self.groups, &self.entries) {
@@ -106,30 +141,22 @@ impl AgentRows {
     }
 
     /// Takes what the rows of all observers have in common from the states.
-    pub(super) fn prepare(&mut self, states: &AgentStates) {
-        self.nearest.prepare(states);
-        for (g, group) in self.groups.iter().enumerate() {
-            for (lane, part) in group.parts.iter().enumerate() {
-                let Part::Component(vector, axis) = *part else { continue };
-                let components = match vector {
-                    PLACE => [&states.x, &states.y],
-                    DIRECTION => [&states.cos, &states.sin],
-                    _ => [&states.velocity_x_mps, &states.velocity_y_mps],
-                };
-                let agents = self.numbers.chunks_exact_mut(self.groups.len());
-                for (numbers, component) in agents.zip(axis.own_and_other(components).0) {
-                    numbers[g].0[lane] = *component;
-                }
-            }
-        }
-        for (g, lane, entry) in lanes(&self.groups, &self.entries) {
-            if matches!(entry.source, OfAgent::Speed) {
-                let (factor, low, high) = (1.0 / entry.column.scale, entry.column.low, entry.column.high);
-                let agents = self.numbers.chunks_exact_mut(self.groups.len());
-                for (numbers, speed) in agents.zip(&states.speed_mps) {
-                    numbers[g].0[lane] = clip(speed * factor, low, high);
-                }
-            }
+    pub(super) fn prepare(&mut self, states: &AgentStates, num_observers: usize) {
+        self.many = num_observers >= MANY;
+        self.nearest.prepare(states, self.many);
+        let places = states.x.iter().zip(&states.y);
+        let directions = states.cos.iter().zip(&states.sin);
+        let velocities = states.velocity_x_mps.iter().zip(&states.velocity_y_mps);
+        let motions = velocities.zip(&states.speed_mps);
+        let [factor, low, high] = self.speed;
+        self.agents.clear();
+        self.agents.extend(places.zip(directions.zip(motions)).map(
+            |((x, y), ((cos, sin), ((vx, vy), speed)))| {
+                F32x8([*x, *y, *cos, *sin, *vx, *vy, 0.0, clip(speed * factor, low, high)])
+            },
+        ));
+        if self.many {
+            spread_all(&self.moving, &self.agents, &self.all, &mut self.numbers);
         }
     }
 
@@ -147,6 +174,9 @@ impl AgentRows {
         let (rows, absent) = out.split_at_mut(near.len() * width);
         let velocity = view.states.velocity(view.agent_idx);
         let origin = F32x8([frame.x, frame.y, 0.0, 0.0, velocity.x, velocity.y, 0.0, 0.0]);
+        if !self.many {
+            spread_all(&self.moving, &self.agents, near, &mut self.numbers);
+        }
         fill_rows(&self.groups, frame, &origin, &self.numbers, near, width, rows);
         if let Some(reach_m) = self.route_reach_m {
             self.places.clear();
@@ -163,6 +193,27 @@ impl AgentRows {
             mask[..near.len()].fill(1.0);
             mask[near.len()..].fill(0.0);
         }
+    }
+}
+
+/// Makes the numbers of some agents that change with the states.
+fn spread_all(moving: &[Moving], agents: &[F32x8], which: &[u32], numbers: &mut [F32x8]) {
+    for (g, Moving { places, mask }) in moving.iter().enumerate().filter(|(_, m)| m.mask != [0; LANES]) {
+        spread(places, mask, agents, which, g, moving.len(), numbers);
+    }
+}
+
+impl Moving {
+    /// The components of vectors.
+    fn new(group: &Group) -> Self {
+        let mut moving = Self { places: [ZERO as i32; LANES], mask: [0; LANES] };
+        for (lane, part) in group.parts.iter().enumerate() {
+            if let Part::Component(vector, axis) = *part {
+                moving.places[lane] = axis.own_and_other([vector, vector + 1]).0 as i32;
+                moving.mask[lane] = u32::MAX;
+            }
+        }
+        moving
     }
 }
 

@@ -261,7 +261,42 @@ fn put_each<const G: usize>(
     }
 }
 
+/// Eight of an item's numbers, each by its place.
+#[inline(always)]
+fn pick(places: &[i32; LANES], item: &F32x8) -> [Real; LANES] {
+    places.map(|at| item.0[at as usize % LANES])
+}
+
+/// [`pick`] in one vector.
+#[cfg(target_arch = "x86_64")]
+#[inline]
+#[target_feature(enable = "avx2")]
+#[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
+fn pick_avx2(places: &[i32; LANES], item: &F32x8) -> [Real; LANES] {
+    use std::arch::x86_64::*;
+    // SAFETY: eight numbers of 32 bits each
+    let (places, item): (__m256i, __m256) =
+        unsafe { (std::mem::transmute(*places), std::mem::transmute(*item)) };
+    // SAFETY: eight floats
+    unsafe { std::mem::transmute(_mm256_permutevar8x32_ps(item, places)) }
+}
+
 simd_dispatch! {
+    /// Puts numbers of some items, by their places, where a mask has all bits, into one of the groups of all items' numbers
+    /// [N, groups].
+    pub(super) fn spread(
+        places: &[i32; LANES], mask: &[u32; LANES], items: &[F32x8], which: &[u32], group: usize, groups: usize,
+        numbers: &mut [F32x8],
+    ) with pick [Fn(&[i32; LANES], &F32x8) -> [Real; LANES]] = pick, pick_avx2 {
+        for item in which {
+            let item = *item as usize;
+            let (picked, numbers) = (pick(places, &items[item]), &mut numbers[item * groups + group]);
+            numbers.0 = std::array::from_fn(|lane| {
+                Real::from_bits(picked[lane].to_bits() & mask[lane] | numbers.0[lane].to_bits() & !mask[lane])
+            });
+        }
+    }
+
     /// [`fill_rows`] of `G` groups.
     fn fill<G>(
         groups: &[&Group; G], frame: &Frame, origin: &F32x8, numbers: &[F32x8], items: &[u32], width: usize, out: &mut [Real],

@@ -41,9 +41,9 @@ impl Observer {
     }
 
     /// Takes what all rows of a step have in common from the states; to be called before [`Observer::write`] whenever
-    /// they have changed.
-    pub fn prepare(&mut self, states: &AgentStates) {
-        self.agents.prepare(states);
+    /// they have changed. `num_observers` is about how many rows follow: it decides how, not what.
+    pub fn prepare(&mut self, states: &AgentStates, num_observers: usize) {
+        self.agents.prepare(states, num_observers);
     }
 
     /// Writes the row of one agent: `layout.size` floats.

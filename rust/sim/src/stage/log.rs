@@ -1,6 +1,6 @@
 //! The log of a scene step by step, as replay puts it in place of the states of a world.
 
-use crate::geom::{Pose2, Real, Vector2, math};
+use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::scene::Scene;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::AgentStates;
@@ -57,6 +57,14 @@ impl Log {
         }
         let [x, y, heading_rad, cos, sin, _, vx, vy] = std::array::from_fn(|column| self.columns[column][at]);
         Some((Pose2 { position: [x, y].into(), heading_rad, cos, sin }, Vector2::new(vx, vy)))
+    }
+
+    /// Position of an agent at a step; `None` where it is not logged.
+    #[inline]
+    pub(crate) fn position(&self, agent_idx: usize, step_idx: usize) -> Option<Point2> {
+        let at = step_idx * self.num_agents + agent_idx;
+        let is_logged = self.valid.get(at).is_some_and(|valid| *valid);
+        is_logged.then(|| [self.columns[0][at], self.columns[1][at]].into())
     }
 
     /// Moves the agents of `follow` [A] to a step, as one step of `dt_s` moves them; those that are not logged there
@@ -167,6 +175,7 @@ mod tests {
                 let at = scene.at(a, t);
                 let logged = log.at(a, t);
                 assert_eq!(logged.is_some(), scene.tracks.valid[at]);
+                assert_eq!(log.position(a, t), logged.map(|(pose, _)| pose.position));
                 if !follow[a] {
                     assert_eq!((states.x[a], states.speed_mps[a], states.active[a]), (0.0, 0.0, true));
                     continue;

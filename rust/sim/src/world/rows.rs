@@ -26,7 +26,7 @@ impl World {
         let e = &self.episode;
         let mut apart = Vec::new();
         let blank = if again { &mut self.blank } else { &mut apart };
-        self.observer.prepare(&e.states);
+        self.observer.prepare(&e.states, e.slots.iter().filter(|s| s.alive).count());
         let bytes = extent.raster.iter().product::<usize>();
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];

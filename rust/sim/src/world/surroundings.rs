@@ -60,9 +60,6 @@ pub(crate) fn road_and_lane(
 
 /// Distance of an agent from its log, metres; 0 where there is none.
 pub(crate) fn log_distance(e: &Episode, scene: &PreparedScene, a: usize) -> Real {
-    let log = &scene.scene;
-    if !log.is_valid(a, e.step_idx) {
-        return 0.0;
-    }
-    (e.states.position(a) - log.tracks.position[log.at(a, e.step_idx)]).norm()
+    let logged = scene.log.position(a, e.step_idx);
+    logged.map_or(0.0, |p| (e.states.position(a) - p).norm())
 }
