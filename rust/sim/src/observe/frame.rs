@@ -96,7 +96,7 @@ const SIGN: u32 = 1 << 31;
 
 impl Group {
     /// The groups of a row of columns.
-    pub(super) fn of_row<'a>(columns: &[(Part, &'a ObservationColumn)]) -> Vec<Self> {
+    pub(super) fn of_row(columns: &[(Part, &ObservationColumn)]) -> Vec<Self> {
         let (mut groups, mut rest) = (Vec::new(), columns);
         while !rest.is_empty() {
             // a component and the other one fit always
@@ -274,9 +274,10 @@ fn pick(places: &[i32; LANES], item: &F32x8) -> [Real; LANES] {
 #[allow(unsafe_code, reason = "arrays and vectors of the same numbers are the same bytes")]
 fn pick_avx2(places: &[i32; LANES], item: &F32x8) -> [Real; LANES] {
     use std::arch::x86_64::*;
-    // SAFETY: eight numbers of 32 bits each
-    let (places, item): (__m256i, __m256) =
-        unsafe { (std::mem::transmute(*places), std::mem::transmute(*item)) };
+    // SAFETY: eight numbers of 32 bits
+    let places: __m256i = unsafe { std::mem::transmute(*places) };
+    // SAFETY: eight floats
+    let item: __m256 = unsafe { std::mem::transmute(*item) };
     // SAFETY: eight floats
     unsafe { std::mem::transmute(_mm256_permutevar8x32_ps(item, places)) }
 }

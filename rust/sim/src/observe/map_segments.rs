@@ -68,6 +68,9 @@ impl SegmentKind {
     }
 }
 
+/// Columns, and the numbers of all segments that rows of them are made from.
+type NumbersOf = (Vec<usize>, Arc<[F32x8]>);
+
 /// A short straight part of a line of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Segment {
@@ -97,7 +100,7 @@ pub struct Segment {
 pub struct MapSegments {
     segments: Vec<Segment>,
     /// What rows are made from, for each choice of columns.
-    numbers: Mutex<Vec<(Vec<usize>, Arc<[F32x8]>)>>,
+    numbers: Mutex<Vec<NumbersOf>>,
     low: [Real; 2],
     cell_m: Real,
     /// One over the side of a cell, which is a power of two.

@@ -72,7 +72,7 @@ impl NearestAgents {
     pub(super) fn prepare(&mut self, states: &AgentStates, leaves_out: bool) {
         let (num_agents, room) = (states.len(), states.len() + BLOCK);
         self.agents.resize(room, 0);
-        [&mut self.x, &mut self.y].map(|column| column.resize(room, 0.0));
+        [&mut self.x, &mut self.y].into_iter().for_each(|column| column.resize(room, 0.0));
         self.at.resize(num_agents, 0);
         let (agents, x, y) = (&mut self.agents[..room], &mut self.x[..room], &mut self.y[..room]);
         let places = states.x.iter().zip(&states.y).zip(&states.active);

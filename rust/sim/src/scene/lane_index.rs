@@ -249,7 +249,8 @@ simd_dispatch! {
         }
         *keys = [(any_sq, any), (agreeing_sq, agreeing)].map(|(distance_sq, blocks)| {
             let key = |lane: usize| {
-                u64::from(distance_sq[lane].to_bits()) << 32 | u64::from(blocks[lane]) * LANES as u64 + lane as u64
+                let at = blocks[lane] as usize * LANES + lane;
+                u64::from(distance_sq[lane].to_bits()) << 32 | at as u64
             };
             (0..LANES).map(key).fold(u64::MAX, u64::min)
         });
