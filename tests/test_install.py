@@ -115,7 +115,7 @@ import sys, types
 import ccdiff_env
 {before}
 try:
-    ccdiff_env.EgoEnv(traffic="strive")
+    ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={{"device": "cuda"}})
 except ccdiff_env.errors.MissingFeatureError as error:
     assert isinstance(error, ImportError)
     print(error)

@@ -15,28 +15,25 @@ from test_determinism import digests
 
 from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError
+<<<<<<< HEAD
 from ccdiff_env.models import require_networks, shipped_weights, weight_files
+=======
+from ccdiff_env.models import guidance_preset, require_networks, shipped_weights
+>>>>>>> 7ec0b7e (feat(nets): CTG, BITS, TrafficSim and STRIVE on own kernels)
 from ccdiff_env.scenes import load_nuscenes
 
 FILES = {file.stem: os.fspath(file) for file in weight_files()}
 GOLDEN = Path(__file__).parent / "golden" / "plans.json"
-#: Weights that own kernels have all layers of.
-OWN = (
-    "ccdiff_fast",
-    "ccdiff_one_step",
-    "ccdiff_routes",
-    "ccdiff_routes_one_step",
-    "ccdiff_equal_fast",
-    "ctgpp_fast",
-    "simnet_fast",
-    "tokens_fast",
-)
-#: Those of them that denoise, and attend to each other.
-SCENE_DIFFUSIONS = tuple(name for name in OWN if name not in ("simnet_fast", "tokens_fast"))
+#: All shipped networks of traffic.
+NAMES = sorted(path.stem for path in DATA.glob("*.safetensors") if "ego" not in path.stem)
+#: Those of them that denoise, and those that also attend to each other.
+SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"))]
+DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]
+KINDS = sorted({name.split("_")[0] for name in NAMES} - {"ctgpp"})
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
 
 
-def plans(model, name: str, *, found=None, samples: int = 1, weight: float = 1.0, steps=5):
+def plans(model, name, *, found=None, samples=1, weight=1.0, steps=5, guidance=None, guided=None):
     """Plans of scenes at two moments, with attention and, where it is known, routes."""
     if found is None:
         found = [embedded_scenes("val")[scene] for scene in SCENES]
@@ -49,8 +46,8 @@ def plans(model, name: str, *, found=None, samples: int = 1, weight: float = 1.0
         solver_steps=1 if "one_step" in name else steps,
         num_samples=samples,
         guidance_weight=weight,
-        guidance=None,
-        guided=None,
+        guidance=guidance,
+        guided=guided,
         collision_targets=None,
         attention=True,
         gradient_statistics=False,
@@ -66,10 +63,10 @@ def own(name: str):
     ("name", "samples", "weight", "steps"),
     [
         (name, *draw)
-        for name in OWN
+        for name in NAMES
         for draw in ((1, 1.0, 5), (3, 1.5, 5), (1, 1.0, None))
         # some were taught to plan in one step, and some do not denoise
-        if draw[-1] or (name in SCENE_DIFFUSIONS and "one_step" not in name)
+        if draw[-1] or (name in DIFFUSIONS and "one_step" not in name)
     ],
 )
 def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps):
@@ -97,7 +94,7 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
 
 
 @pytest.mark.nuscenes
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", NAMES)
 def test_so_they_are_on_real_scenes(name, data_root):
     require_networks()
     from ccdiff_env import _models
@@ -112,6 +109,24 @@ def test_so_they_are_on_real_scenes(name, data_root):
     assert 0.0 < farthest < 2e-4
 
 
+@pytest.mark.parametrize("name", ["trafficsim_fast", "strive_fast"])
+def test_latents_descend_by_the_gradients_of_torch(name):
+    require_networks()
+    from ccdiff_env import _models
+
+    models = (own(name), _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu"))
+    free = plans(models[0], name)
+    guided = {
+        "guidance": json.dumps(guidance_preset("rl")),
+        "guided": [plan["agents"][1:3].tolist() for plan in free],
+    }
+    moved = 0.0
+    for a, b, c in zip(*(plans(model, name, **guided) for model in models), free, strict=True):
+        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 2e-4
+        moved = max(moved, np.abs(a["states"][..., :2] - c["states"][..., :2]).max())
+    assert moved > 3.0
+
+
 def digest(found) -> str:
     hasher = hashlib.blake2b(digest_size=8)
     for plan in found:
@@ -121,13 +136,13 @@ def digest(found) -> str:
     return hasher.hexdigest()
 
 
-@pytest.mark.parametrize("name", OWN)
-def test_plans_have_the_bits_that_they_have_on_every_machine(name):
+def test_plans_have_the_bits_that_they_have_on_every_machine():
+    """``PYTHONPATH=. python tests/test_networks.py`` writes those of new weights."""
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))
-    assert digest(plans(own(name), name, samples=2)) == golden[name]
+    assert {name: digest(plans(own(name), name, samples=2)) for name in NAMES} == golden
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_scene_has_the_same_plan_alone_and_among_others(name):
     together = plans(own(name), name)
     alone = plans(own(name), name, found=[embedded_scenes("val")[SCENES[0]]])
@@ -135,7 +150,7 @@ def test_a_scene_has_the_same_plan_alone_and_among_others(name):
         assert a["states"].tobytes() == b["states"].tobytes()
 
 
-@pytest.mark.parametrize("traffic", ["ccdiff", "ctgpp", "simnet", "tokens"])
+@pytest.mark.parametrize("traffic", KINDS)
 def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
     options = {"traffic": traffic}
     batch = digests(8, num_threads=1, **options)
@@ -163,6 +178,10 @@ print(env.explain() is not None, "torch" in sys.modules and sys.modules["torch"]
         "traffic='ctgpp'",
         "traffic='simnet'",
         "traffic='simnet', simnet={'criticality': 1.0}",
+        "traffic='ctg', ctg={'criticality': 1.0}",
+        "traffic='bits', bits={'criticality': 1.0}",
+        "traffic='trafficsim', trafficsim={'criticality': 1.0}",
+        "traffic='strive', strive={'criticality': 1.0}",
         "traffic='tokens', tokens={'follow_route': True, 'careful': True}",
         "traffic='ccdiff', ccdiff={'criticality': 1.0, 'denoising_steps': 1}",
         "traffic='ccdiff', ccdiff={'follow_route': True, 'num_samples': 3, 'cfg_weight': 1.3}",
@@ -173,13 +192,6 @@ def test_traffic_drives_where_there_is_no_torch(options):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True", "False"]
-
-
-def test_networks_without_own_kernels_are_named():
-    path = os.fspath(shipped_weights("strive"))
-    assert _native.needs_torch(path)
-    with pytest.raises(ConfigError, match=r"model\.kind is strive.*without torch"):
-        _native.load_network(path)
 
 
 def changed(tmp_path: Path, change) -> str:
@@ -196,6 +208,16 @@ def changed(tmp_path: Path, change) -> str:
     path = tmp_path / "weights.safetensors"
     path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size :])
     return os.fspath(path)
+
+
+def test_what_own_kernels_lack_is_named(tmp_path):
+    def per_step(_, own_header):
+        own_header["model"]["history"] = "per_step"
+
+    path = changed(tmp_path, per_step)
+    assert _native.needs_torch(path)
+    with pytest.raises(ConfigError, match=r"model\.history is per_step.*without torch"):
+        _native.load_network(path)
 
 
 def test_hostile_weights_are_refused_by_name(tmp_path):
@@ -226,3 +248,8 @@ def test_hostile_weights_are_refused_by_name(tmp_path):
     assert _native.load_network(changed(tmp_path, lambda *_: None)).num_parameters > 0
     with pytest.raises(OSError, match=r"nowhere\.safetensors"):
         _native.load_network("nowhere.safetensors")
+
+
+if __name__ == "__main__":
+    found = {name: digest(plans(own(name), name, samples=2)) for name in NAMES}
+    GOLDEN.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")

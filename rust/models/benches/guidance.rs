@@ -13,6 +13,7 @@ use ccdiff_models::guidance::{
 use ccdiff_models::noise::Noise;
 use ccdiff_models::torch::Torch;
 use ccdiff_nets::ccdiff::Network;
+use ccdiff_nets::planner::{Denoises, Weighted};
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;
 use tch::{Device, Kind, Tensor, nn};
@@ -66,7 +67,7 @@ fn main() {
     let noisy = Tensor::from_slice(&knots).view([rows, model.num_knots() as i64, 2]);
     let steps = Tensor::full([rows], 50, (Kind::Int64, Device::Cpu));
     let context = tch::no_grad(|| network.encode(&batch, false));
-    let pass = least_ms(|| drop(tch::no_grad(|| network.denoise(&context, &noisy, &steps))));
+    let pass = least_ms(|| drop(tch::no_grad(|| network.predict(&context, &noisy, &steps))));
     println!("{WORLDS} worlds x {VEHICLES} vehicles, {} torch threads", tch::get_num_threads());
     println!("network pass, no map: {pass:.2} ms");
     for guided in [3, VEHICLES] {

@@ -11,16 +11,19 @@ use crate::sampler::{self, Denoiser, SampleOptions, Samples};
 use crate::schedule::Schedule;
 use crate::torch::Torch;
 use ccdiff_nets::ccdiff::Network;
+use ccdiff_nets::ctg::HalfUnet;
 use tch::{Kind, Tensor, nn};
 
 /// CCDiff.
 pub(crate) const CCDIFF: TorchKind =
-    TorchKind { name: "ccdiff", build: scene_diffusion, fast: |settings| settings };
+    TorchKind { name: "ccdiff", build: denoising::<Network<Torch>>, fast: |settings| settings };
 /// CTG++.
 pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
+/// CTG.
+pub(crate) const CTG: TorchKind = TorchKind { name: "ctg", build: denoising::<HalfUnet<Torch>>, ..CCDIFF };
 
-fn scene_diffusion(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
-    Ok(Box::new(Diffusion::new(Network::<Torch>::new(p, config))?))
+fn denoising<D: Denoiser + 'static>(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
+    Ok(Box::new(Diffusion::new(D::new(p, config))?))
 }
 
 /// A denoising network with its schedule.

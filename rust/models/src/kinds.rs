@@ -1,8 +1,8 @@
 //! The networks on torch.
 
-use crate::baselines::{BITS, CTG, SIMNET, STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+use crate::baselines::{BITS, SIMNET, STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
 use crate::config::ModelConfig;
-use crate::diffusion::{CCDIFF, CTGPP};
+use crate::diffusion::{CCDIFF, CTG, CTGPP};
 use crate::error::Result;
 use crate::plan_model::{PlanModel, TorchKind};
 use crate::tokens::TOKENS;
@@ -25,6 +25,7 @@ fn of(name: &str) -> Result<&'static TorchKind> {
 /// # Errors
 /// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
 pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
+    config.network()?.check(config)?;
     (of(config.kind.as_str())?.build)(p, config)
 }
 

@@ -27,7 +27,6 @@ pub mod tokens;
 pub mod torch;
 pub mod torch_model;
 pub mod train;
-mod trunk;
 pub mod unicycle;
 
 pub use ccdiff_nets::{

@@ -7,7 +7,9 @@ use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
+use crate::torch::Torch;
 use crate::train::TrainConfig;
+use ccdiff_nets::planner::{Asked, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 
@@ -38,6 +40,60 @@ pub trait PlanModel: Debug + Send {
         options: SampleOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples>;
+}
+
+/// What a network that plans at once is trained with.
+pub trait Imitates: Proposes<Torch> + Send {
+    /// Loss of one batch of a training step, with its gradient.
+    fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
+}
+
+/// A network that plans at once.
+#[derive(Debug)]
+pub(crate) struct Proposing<N> {
+    network: N,
+    space: PlanSpace,
+}
+
+/// One with fresh weights under a path.
+pub(crate) fn proposing<N: Imitates + 'static>(
+    p: &nn::Path,
+    config: &ModelConfig,
+) -> Result<Box<dyn PlanModel>> {
+    Ok(Box::new(Proposing { network: N::new(p, config), space: PlanSpace::new(config, p.device()) }))
+}
+
+impl<N: Imitates> PlanModel for Proposing<N> {
+    fn space(&self) -> &PlanSpace {
+        &self.space
+    }
+
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        self.network.loss(&self.space, step)
+    }
+
+    fn propose(
+        &self,
+        batch: &Batch,
+        seeds: &[u64],
+        options: SampleOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Samples> {
+        proposed(&self.network, batch, seeds, options, guide)
+    }
+}
+
+/// Plans of a network that plans at once.
+pub(crate) fn proposed<N: Proposes<Torch>>(
+    network: &N,
+    batch: &Batch,
+    seeds: &[u64],
+    options: SampleOptions,
+    guide: Option<&mut Guidance<'_>>,
+) -> Result<Samples> {
+    let knots = network.propose(batch, &Asked { rows: batch.rows(), seeds, options }, guide)?;
+    let knots = Tensor::from_slice(&knots).view([-1, network.config().num_knots() as i64, 2]);
+    Ok(Samples { knots: knots.to_device(batch.speed_mps.device()), attention: None })
 }
 
 /// A network on torch: its file declares one, `kinds.rs` lists it.

@@ -5,29 +5,17 @@ pub use ccdiff_nets::sampler::{Rows, SampleOptions};
 use crate::batch::Batch;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::plan_space::PlanSpace;
 use crate::schedule::Schedule;
+use crate::torch::Torch;
+use ccdiff_nets::planner::Denoises;
 use ccdiff_nets::sampler::{self, Draws, Predict};
 use std::fmt::Debug;
 use tch::{Device, Kind, Tensor};
 
-/// A network from noisy plans to clean ones.
-pub trait Denoiser: Debug + Send {
-    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
-    type Context;
-
-    /// The space of its plans.
-    fn space(&self) -> &PlanSpace;
-
-    /// Encodes a batch. `train` switches batch normalisation.
-    fn encode(&self, batch: &Batch, train: bool) -> Self::Context;
-
+/// A network from noisy plans to clean ones, of which samples are drawn at once.
+pub trait Denoiser: Denoises<Torch> + Send {
     /// The same context for N samples: rows are repeated sample by sample, [N · R].
     fn repeated(context: &Self::Context, samples: i64) -> Self::Context;
-
-    /// Predicts clean knots [R, knots, 2] from noisy ones at diffusion steps [R] (int64), with the attention between
-    /// agents [R, K, tokens] of a network that has it.
-    fn predict(&self, context: &Self::Context, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>);
 }
 
 /// What a sampling run gives.
@@ -58,7 +46,7 @@ impl<D: Denoiser> Predict for Encoded<'_, D> {
             Some(context) => to_vec(&self.network.predict(context, &noisy, &steps).0),
             None => {
                 let (clean, attention) = self.network.predict(&self.with_graph, &noisy, &steps);
-                self.attention = attention;
+                self.attention = attention.map(|a| a.mean_dim([3i64].as_slice(), false, Kind::Float));
                 to_vec(&clean)
             }
         }

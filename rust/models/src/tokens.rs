@@ -4,15 +4,14 @@ use crate::batch::{Batch, Targets};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::plan_model::{PlanModel, TorchKind, TrainingStep};
+use crate::plan_model::{PlanModel, TorchKind, TrainingStep, proposed};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples, to_vec};
 use crate::torch::Torch;
 use crate::train::TrainConfig;
+use ccdiff_nets::planner::Weighted;
 use ccdiff_nets::segments::SEGMENT_ODD;
-use ccdiff_nets::tokens::{
-    BINS, NUM_TOKENS, Network, Now, TOKEN_STEPS, drawn, near_columns, own_columns, token_of,
-};
+use ccdiff_nets::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, near_columns, own_columns, token_of};
 use tch::{Kind, Tensor, nn};
 
 /// Tokens.
@@ -164,14 +163,7 @@ impl PlanModel for Tokens {
         options: SampleOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Samples> {
-        let (tokens, lines) = (&batch.tokens, batch.image.as_ref().map(Tensor::shallow_clone));
-        let logits = to_vec(&self.logits(&tokens.own, &tokens.near, &lines.unwrap_or_default()));
-        let speed_mps = to_vec(&batch.speed_mps);
-        let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &tokens.yaw_rate_radps };
-        let config = self.space.config();
-        let knots = drawn(&logits, now, batch.rows(), seeds, options, config, guide)?;
-        let knots = Tensor::from_slice(&knots).view([-1, config.num_knots() as i64, 2]);
-        Ok(Samples { knots: knots.to_device(batch.speed_mps.device()), attention: None })
+        proposed(&self.network, batch, seeds, options, guide)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The backend on libtorch: with gradients, on any device. What [`ccdiff_nets::ccdiff`] is trained with.
+//! The backend on libtorch: with gradients, on any device. What networks are trained with.
 
 use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};
@@ -6,10 +6,14 @@ use crate::layers::inputs;
 use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
-use crate::sampler::Denoiser;
+use crate::raster::ZERO;
+use crate::sampler::{Denoiser, to_vec};
 use ccdiff_nets::backend::{Backend, KeyValue};
 use ccdiff_nets::ccdiff::{Context, Network};
+use ccdiff_nets::ctg::{Condition, HalfUnet};
+use ccdiff_nets::latents::{Decoder, Pulls};
 use ccdiff_nets::layers::embed::ROUTE_SCALE_M;
+use ccdiff_nets::trunk::Encoded;
 use tch::{Kind, Tensor, nn};
 
 /// Layers on libtorch.
@@ -31,6 +35,8 @@ impl Backend for Torch {
     type Linear = nn::Linear;
     type Joint = Joint;
     type Norm = nn::LayerNorm;
+    type Filter = nn::Conv1D;
+    type Groups = nn::GroupNorm;
     type Raster = RasterEncoder;
     type Space = PlanSpace;
     type Batch<'a> = Batch;
@@ -59,6 +65,15 @@ impl Backend for Torch {
 
     fn norm(p: &nn::Path<'_>, width: i64) -> nn::LayerNorm {
         nn::layer_norm(p, vec![width], Default::default())
+    }
+
+    fn filter(p: &nn::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> nn::Conv1D {
+        let config = nn::ConvConfig { stride, padding: kernel / 2, ..Default::default() };
+        nn::conv1d(p, inputs, outputs, kernel, config)
+    }
+
+    fn groups(p: &nn::Path<'_>, groups: i64, width: i64) -> nn::GroupNorm {
+        nn::group_norm(p, groups, width, Default::default())
     }
 
     fn raster(p: &nn::Path<'_>, config: &MapConfig, history_steps: usize) -> RasterEncoder {
@@ -120,6 +135,24 @@ impl Backend for Torch {
         batch.image.as_ref().map(|image| raster.forward(image, train))
     }
 
+    fn road(batch: &Batch, _: &ModelConfig) -> Option<Vec<f32>> {
+        let first = batch.image.as_ref()?.narrow(1, 0, 1);
+        Some(to_vec(&(first.to_kind(Kind::Float) - f64::from(ZERO))))
+    }
+
+    fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {
+        let tokens = &batch.tokens;
+        (tokens.own.unsqueeze(1), tokens.near.shallow_clone(), tokens.yaw_rate_radps.clone())
+    }
+
+    fn numbers(x: &Tensor) -> Vec<f32> {
+        to_vec(x)
+    }
+
+    fn placed(beside: &Tensor, numbers: Vec<f32>, tokens: usize, width: usize) -> Tensor {
+        Tensor::from_slice(&numbers).view([-1, tokens as i64, width as i64]).to_device(beside.device())
+    }
+
     fn apply(layer: &nn::Linear, x: &Tensor) -> Tensor {
         x.apply(layer)
     }
@@ -147,12 +180,33 @@ impl Backend for Torch {
         (x + y).apply(norm)
     }
 
+    fn filtered(filter: &nn::Conv1D, x: &Tensor) -> Tensor {
+        x.transpose(1, 2).apply(filter).transpose(1, 2)
+    }
+
+    fn groups_mish(norm: &nn::GroupNorm, x: Tensor) -> Tensor {
+        x.transpose(1, 2).apply(norm).mish().transpose(1, 2)
+    }
+
     fn sum(x: &Tensor, y: Tensor) -> Tensor {
         x + y
     }
 
     fn sum_table(x: Tensor, table: &Tensor) -> Tensor {
         x + table
+    }
+
+    fn sum_token(x: Tensor, y: &Tensor) -> Tensor {
+        x + y
+    }
+
+    fn modulated(x: &Tensor, by: &Tensor) -> Tensor {
+        let by = by.chunk(2, 2);
+        x * (&by[0] + 1.0) + &by[1]
+    }
+
+    fn cut(x: Tensor, width: i64) -> Tensor {
+        x.reshape([x.size()[0], -1, width])
     }
 
     fn columns(x: &Tensor, from: i64, count: i64) -> Tensor {
@@ -239,23 +293,44 @@ impl Backend for Torch {
     }
 }
 
+impl Pulls for Torch {
+    type Back = ();
+
+    fn turned(_: &Decoder<Torch>) {}
+
+    fn pulled(
+        decoder: &Decoder<Torch>,
+        _: &(),
+        seen: &Encoded<Torch>,
+        z: &Tensor,
+        of_knots: &[f32],
+    ) -> Vec<f32> {
+        tch::with_grad(|| {
+            let leaf = z.detach().copy().set_requires_grad(true);
+            let knots = decoder.forward(seen, &leaf);
+            let fixed = Tensor::from_slice(of_knots).view_as(&knots).to_device(z.device());
+            (knots * fixed).sum(Kind::Float).backward();
+            to_vec(&leaf.grad())
+        })
+    }
+}
+
+fn repeated(t: &Tensor, samples: i64) -> Tensor {
+    let mut times = vec![1; t.dim()];
+    times[0] = samples;
+    t.repeat(times)
+}
+
+impl Denoiser for HalfUnet<Torch> {
+    fn repeated(context: &Condition<Torch>, samples: i64) -> Condition<Torch> {
+        let repeat = |t| repeated(t, samples);
+        Condition { token: repeat(&context.token), speed: repeat(&context.speed) }
+    }
+}
+
 impl Denoiser for Network<Torch> {
-    type Context = Context<Torch>;
-
-    fn space(&self) -> &PlanSpace {
-        Self::space(self)
-    }
-
-    fn encode(&self, batch: &Batch, train: bool) -> Context<Torch> {
-        Self::encode(self, batch, train)
-    }
-
     fn repeated(context: &Context<Torch>, samples: i64) -> Context<Torch> {
-        let repeat = |t: &Tensor| {
-            let mut times = vec![1; t.dim()];
-            times[0] = samples;
-            t.repeat(times)
-        };
+        let repeat = |t: &Tensor| repeated(t, samples);
         Context {
             history: repeat(&context.history),
             edges: repeat(&context.edges),
@@ -264,10 +339,5 @@ impl Denoiser for Network<Torch> {
             mask: context.mask.as_ref().map(repeat),
             speed: repeat(&context.speed),
         }
-    }
-
-    fn predict(&self, context: &Context<Torch>, noisy: &Tensor, steps: &Tensor) -> (Tensor, Option<Tensor>) {
-        let (clean, attention) = self.denoise(context, noisy, steps);
-        (clean, attention.map(|a| a.mean_dim([3i64].as_slice(), false, Kind::Float)))
     }
 }

@@ -16,6 +16,7 @@ use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_models::{ModelError, raster::MapBitmap};
+use ccdiff_nets::planner::{Denoises, Weighted};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{Map, Scene};
 use std::path::PathBuf;
@@ -76,7 +77,7 @@ fn denoised(network: &Network, batch: &Batch) -> Tensor {
     let values = Noise::new(5, 5).normals((rows * knots * 2) as usize);
     let noisy = Tensor::from_slice(&values).view([rows, knots, 2]);
     let steps = Tensor::full([rows], 40, (Kind::Int64, Device::Cpu));
-    tch::no_grad(|| network.denoise(&network.encode(batch, false), &noisy, &steps).0)
+    tch::no_grad(|| network.predict(&network.encode(batch, false), &noisy, &steps).0)
 }
 
 #[test]

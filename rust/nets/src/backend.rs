@@ -18,6 +18,10 @@ pub trait Backend: Debug + Sized {
     type Joint: Debug;
     /// A layer norm.
     type Norm: Debug;
+    /// A convolution over the tokens of a row.
+    type Filter: Debug;
+    /// A group norm.
+    type Groups: Debug;
     /// An encoder of rasters.
     type Raster: Debug;
     /// The space of plans.
@@ -49,6 +53,12 @@ pub trait Backend: Debug + Sized {
 
     /// A layer norm.
     fn norm(p: &Self::Path<'_>, width: i64) -> Self::Norm;
+
+    /// A convolution of so many tokens, an odd number, every `stride` of them.
+    fn filter(p: &Self::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Self::Filter;
+
+    /// A group norm over the tokens of a row.
+    fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
 
     /// An encoder of rasters.
     fn raster(p: &Self::Path<'_>, config: &MapConfig, history_steps: usize) -> Self::Raster;
@@ -86,6 +96,18 @@ pub trait Backend: Debug + Sized {
     /// Tokens of the rasters; `None` without rasters. `train` switches batch normalisation.
     fn raster_tokens(raster: &Self::Raster, batch: &Self::Batch<'_>, train: bool) -> Option<Self::Tensor>;
 
+    /// The first layer of the rasters, above zero where there is road, [R, pixels]; `None` without rasters.
+    fn road(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>>;
+
+    /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
+    fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);
+
+    /// The numbers of a tensor, row by row.
+    fn numbers(x: &Self::Tensor) -> Vec<f32>;
+
+    /// Numbers [R, tokens, width] as a tensor where another one is.
+    fn placed(beside: &Self::Tensor, numbers: Vec<f32>, tokens: usize, width: usize) -> Self::Tensor;
+
     /// A linear layer on tokens.
     fn apply(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor;
 
@@ -104,11 +126,26 @@ pub trait Backend: Debug + Sized {
     /// A layer norm of x + y.
     fn sum_normed(norm: &Self::Norm, x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
 
+    /// A convolution, with zeros beyond both ends.
+    fn filtered(filter: &Self::Filter, x: &Self::Tensor) -> Self::Tensor;
+
+    /// A group norm, then Mish.
+    fn groups_mish(norm: &Self::Groups, x: Self::Tensor) -> Self::Tensor;
+
     /// x + y.
     fn sum(x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
 
     /// x + table [tokens, width] for every row.
     fn sum_table(x: Self::Tensor, table: &Self::Tensor) -> Self::Tensor;
+
+    /// x + y [R, 1, width] for every token of a row.
+    fn sum_token(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
+
+    /// x · (1 + a) + b for every token of a row, from [a, b] [R, 1, 2 · width].
+    fn modulated(x: &Self::Tensor, by: &Self::Tensor) -> Self::Tensor;
+
+    /// The numbers of each row in tokens of another width.
+    fn cut(x: Self::Tensor, width: i64) -> Self::Tensor;
 
     /// Some of the numbers of each token.
     fn columns(x: &Self::Tensor, from: i64, count: i64) -> Self::Tensor;

@@ -45,8 +45,8 @@ pub struct NetworkKind {
     pub fits: fn(&ModelConfig) -> Result<()>,
     /// How its inputs are built.
     pub features: MakeFeatures,
-    /// How it is made without torch; `None`: it needs torch.
-    pub own: Option<MakeOwn>,
+    /// How it is made without torch.
+    pub own: MakeOwn,
 }
 
 fn by_distance(preset: ModelConfig) -> ModelConfig {
@@ -54,8 +54,8 @@ fn by_distance(preset: ModelConfig) -> ModelConfig {
 }
 
 impl NetworkKind {
-    /// A network about which nothing special is known: it sees neighbours by distance and needs torch.
-    pub const fn of(kind: Kind) -> Self {
+    /// A network about which nothing special is known: it sees neighbours by distance.
+    pub const fn of(kind: Kind, own: MakeOwn) -> Self {
         Self {
             kind,
             weights: &["fast"],
@@ -69,26 +69,13 @@ impl NetworkKind {
             sizes: by_distance,
             fits: |_| Ok(()),
             features: features::build,
-            own: None,
+            own,
         }
     }
 
     /// The same with the trunk that rivals share.
-    pub const fn with_trunk(kind: Kind) -> Self {
-        Self { trunk: true, ..Self::of(kind) }
-    }
-
-    /// How it is made without torch.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] where it needs torch.
-    pub fn own(&self) -> Result<MakeOwn> {
-        let expected = "a network with kernels of its own, without torch";
-        self.own.ok_or_else(|| ModelError::Config {
-            field: "model.kind",
-            got: self.kind.name.into(),
-            expected,
-        })
+    pub const fn with_trunk(kind: Kind, own: MakeOwn) -> Self {
+        Self { trunk: true, ..Self::of(kind, own) }
     }
 
     /// Checks that the network can have these sizes.

@@ -3,21 +3,24 @@
 //! Units: metres, seconds, radians. Shapes: R rows (agents of all scenes), H history steps, T horizon steps, K neighbour slots.
 
 pub mod backend;
+pub mod bits;
 pub mod ccdiff;
 pub mod config;
+pub mod ctg;
 pub mod error;
 pub mod features;
 pub mod guidance;
 pub mod kernels;
 pub mod kind;
 pub mod kinds;
+pub mod latents;
 pub mod layers;
 pub mod logged;
 pub mod noise;
 pub mod own;
 mod own_planner;
 pub mod plan_space;
-mod planner;
+pub mod planner;
 pub mod raster;
 pub mod rivals;
 pub mod sampler;

@@ -1,16 +1,14 @@
 //! Networks as plans are drawn from them on the kernels of this crate.
 
-use crate::ccdiff::{Context, Network};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::guidance::Guidance;
 use crate::own::{Array, Inputs, Own, Place};
 use crate::plan_space::PlanSpace;
-use crate::planner::{Drawn, PlanOptions, Planner};
+use crate::planner::{Asked, Denoises, Drawn, PlanOptions, Planner, Proposes, Weighted};
 use crate::sampler::{self, Draws, Predict, Rows};
 use crate::schedule::Schedule;
-use crate::simnet::Simnet;
 use crate::weights::{Entry, Weights};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,34 +16,47 @@ use std::path::Path;
 /// Worlds that share a batch: as many as leave a layer's numbers in the cache.
 const MOST_WORLDS: usize = 2;
 
-/// Scene diffusion with the tensors of a file.
-///
-/// # Errors
-/// [`crate::ModelError::Config`] for a network that needs torch, [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-pub(crate) fn denoiser(
+/// A network with the tensors of a file.
+fn filled<N: Weighted<Own>>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
-) -> Result<Box<dyn Planner>> {
+) -> Result<N> {
     let weights = Weights::new(path, tensors);
-    let network = Network::new(&Place::root(&weights), config);
-    weights.finish()?;
-    Ok(Box::new(Denoiser { network, schedule: Schedule::cosine(config.diffusion_steps)? }))
+    let network = N::new(&Place::root(&weights), config);
+    weights.finish().map(|()| network)
 }
 
-/// SimNet with the tensors of a file.
+/// A network that denoises, with the tensors of a file.
 ///
 /// # Errors
-/// As [`denoiser`].
-pub(crate) fn regressor(
+/// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
+pub(crate) fn denoising<N: Denoises<Own> + Send + 'static>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
 ) -> Result<Box<dyn Planner>> {
-    let weights = Weights::new(path, tensors);
-    let network = Simnet::new(&Place::root(&weights), config);
-    weights.finish()?;
-    Ok(Box::new(Regressor { network, space: PlanSpace::new(config) }))
+    let network: N = filled(path, config, tensors)?;
+    Ok(Box::new(Denoising { network, schedule: Schedule::cosine(config.diffusion_steps)? }))
+}
+
+/// A network that plans at once, with the tensors of a file.
+///
+/// # Errors
+/// As [`denoising`].
+pub(crate) fn proposing<N: Proposes<Own> + Send + 'static>(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    let network: N = filled(path, config, tensors)?;
+    Ok(Box::new(Proposing { network, space: PlanSpace::new(config) }))
+}
+
+/// Agents of each scene, and the seeds of their own noise.
+fn sizes(scenes: &[&SceneFeatures]) -> (Vec<usize>, Vec<Option<u64>>) {
+    let seeds = scenes.iter().flat_map(|s| s.noise_seed.iter().copied());
+    (scenes.iter().map(|s| s.agents.len()).collect(), seeds.collect())
 }
 
 /// Plans of clean knots, sample by sample.
@@ -60,19 +71,18 @@ fn drawn(
     Drawn { states: space.states(&actions, &speed_mps), actions, knots, attention }
 }
 
-/// SimNet.
+/// A network that plans at once.
 #[derive(Debug)]
-struct Regressor {
-    network: Simnet<Own>,
+struct Proposing<N> {
+    network: N,
     space: PlanSpace,
 }
 
-impl Planner for Regressor {
+impl<N: Proposes<Own> + Send> Planner for Proposing<N> {
     fn most_worlds(&self) -> usize {
         MOST_WORLDS
     }
 
-    /// The one plan, N times.
     fn draw(
         &self,
         scenes: &[&SceneFeatures],
@@ -80,36 +90,33 @@ impl Planner for Regressor {
         options: &PlanOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
-        let sizes: Vec<usize> = scenes.iter().map(|s| s.agents.len()).collect();
-        Rows { scene_sizes: &sizes, noise_seeds: &[] }.check_seeds(seeds)?;
-        let plan = self.network.plan(&Inputs { scenes, alone: false }, false);
-        let mut knots = plan.into_numbers().repeat(options.sampling.num_samples);
-        if let Some(guide) = guide {
-            guide.adjust_finished(&mut knots)?;
-        }
+        let (scene_sizes, noise_seeds) = sizes(scenes);
+        let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
+        let asked = Asked { rows, seeds, options: options.sampling };
+        let knots = self.network.propose(&Inputs { scenes, alone: false }, &asked, guide)?;
         Ok(drawn(&self.space, scenes, knots, None))
     }
 }
 
-/// CCDiff and CTG++ with their schedule.
+/// A network that denoises, with its schedule.
 #[derive(Debug)]
-struct Denoiser {
-    network: Network<Own>,
+struct Denoising<N> {
+    network: N,
     schedule: Schedule,
 }
 
 /// A network on scenes that it has encoded.
-struct Encoded<'a> {
-    network: &'a Network<Own>,
-    with_graph: Context<Own>,
-    alone: Option<Context<Own>>,
+struct Encoded<'a, N: Denoises<Own>> {
+    network: &'a N,
+    with_graph: N::Context,
+    alone: Option<N::Context>,
     /// Numbers of the noisy plans of one sample.
     per_sample: usize,
     /// Weights of the last pass with the graph, of each sample.
     attention: Vec<Vec<f32>>,
 }
 
-impl Predict for Encoded<'_> {
+impl<N: Denoises<Own>> Predict for Encoded<'_, N> {
     fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32> {
         let context = self.alone.as_ref().filter(|_| alone).unwrap_or(&self.with_graph);
         if !alone {
@@ -118,7 +125,7 @@ impl Predict for Encoded<'_> {
         let mut clean = Vec::with_capacity(noisy.len());
         for sample in noisy.chunks_exact(self.per_sample) {
             let noisy = Array::new(self.network.config().num_knots(), 2, sample.to_vec());
-            let (knots, attention) = self.network.denoise(context, &noisy, &step);
+            let (knots, attention) = self.network.predict(context, &noisy, &step);
             clean.extend(knots.into_numbers());
             if !alone {
                 self.attention.extend(attention);
@@ -128,7 +135,7 @@ impl Predict for Encoded<'_> {
     }
 }
 
-impl Planner for Denoiser {
+impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
     fn most_worlds(&self) -> usize {
         MOST_WORLDS
     }
@@ -141,10 +148,8 @@ impl Planner for Denoiser {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         let (network, config) = (&self.network, self.network.config());
-        let sizes: Vec<usize> = scenes.iter().map(|s| s.agents.len()).collect();
-        let noise_seeds: Vec<Option<u64>> =
-            scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect();
-        let rows = Rows { scene_sizes: &sizes, noise_seeds: &noise_seeds };
+        let (scene_sizes, noise_seeds) = sizes(scenes);
+        let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
         let n = &config.normalisation;
         let normalised =
             |action: [f32; 2]| [0, 1].map(|c| (action[c] - n.action_mean[c] as f32) / n.action_std[c] as f32);
@@ -163,14 +168,15 @@ impl Planner for Denoiser {
         let draws =
             Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots, first: &first };
         let knots = sampler::sample(&draws, &mut encoded, guide)?;
-        let attention = options.attention.then(|| {
+        let slots = N::slots(&encoded.with_graph).filter(|_| options.attention);
+        let attention = slots.map(|pairs| {
             let executed = options.executed_tokens(config);
             let slots = scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
             let per_row = rows.count() * slots;
             let tokens = config.history_token_steps().len() + num_knots;
             let mut mean = vec![0.0; per_row];
             for weights in &encoded.attention {
-                let spread = encoded.with_graph.slots.spread(weights, slots);
+                let spread = pairs.spread(weights, slots);
                 for (mean, of_tokens) in mean.iter_mut().zip(spread.chunks_exact(tokens)) {
                     let of_plan = &of_tokens[tokens - num_knots..][..executed];
                     *mean += of_plan.iter().sum::<f32>() / (executed * encoded.attention.len()) as f32;

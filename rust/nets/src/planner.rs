@@ -1,10 +1,11 @@
 //! What plans are drawn from, and how.
 
+use crate::backend::Backend;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::guidance::{Guidance, GuidanceConfig};
-use crate::sampler::SampleOptions;
+use crate::sampler::{Rows, SampleOptions};
 use std::fmt::Debug;
 
 /// How plans are drawn.
@@ -82,4 +83,63 @@ pub trait Planner: Debug + Send {
         options: &PlanOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn>;
+}
+
+/// A network on any backend.
+pub trait Weighted<B: Backend>: Debug + Sized {
+    /// The network with its weights under a path.
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self;
+
+    /// The configuration.
+    fn config(&self) -> &ModelConfig;
+}
+
+/// What is drawn of a network that plans at once.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked<'a> {
+    /// The rows.
+    pub rows: Rows<'a>,
+    /// One seed per scene.
+    pub seeds: &'a [u64],
+    /// How plans are drawn.
+    pub options: SampleOptions,
+}
+
+/// A network that plans at once.
+pub trait Proposes<B: Backend>: Weighted<B> {
+    /// Draws normalised knots [N · R, knots, 2], sample by sample; `guide` moves the plans, or has agents choose.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Shape`] for a wrong number of seeds.
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>>;
+}
+
+/// A network from noisy plans to clean ones.
+pub trait Denoises<B: Backend>: Weighted<B> {
+    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
+    type Context;
+
+    /// The space of its plans.
+    fn space(&self) -> &B::Space;
+
+    /// Encodes a batch. `train` switches batch normalisation.
+    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Self::Context;
+
+    /// Who sits in which slot, for a network whose plans attend to each other.
+    fn slots(_: &Self::Context) -> Option<&B::Slots> {
+        None
+    }
+
+    /// Predicts clean knots [R, knots, 2] from noisy ones, with the attention between agents of a network that has it.
+    fn predict(
+        &self,
+        context: &Self::Context,
+        noisy: &B::Tensor,
+        steps: &B::Steps,
+    ) -> (B::Tensor, Option<B::Attention>);
 }

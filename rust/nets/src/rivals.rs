@@ -1,23 +1,35 @@
-//! The paper's rivals of CCDiff (rivals.md): SimNet has kernels of this crate, the others need torch.
+//! The paper's rivals of CCDiff (rivals.md).
 
+use crate::bits::{self, Bits};
+use crate::ctg::{self, HalfUnet};
 use crate::kind::NetworkKind;
-use crate::own_planner::regressor;
+use crate::latents::Cvae;
+use crate::own::Own;
+use crate::own_planner::{denoising, proposing};
+use crate::simnet::Simnet;
 use crate::traffic::driver;
 
 /// One plan per agent by regression.
 pub const SIMNET: NetworkKind = NetworkKind {
     one_plan: true,
-    own: Some(regressor),
-    ..NetworkKind::with_trunk(driver("simnet", "SimNet"))
+    ..NetworkKind::with_trunk(driver("simnet", "SimNet"), proposing::<Simnet<Own>>)
 };
 /// Latents of all agents decoded jointly, after the paper.
-pub const TRAFFICSIM: NetworkKind = NetworkKind::with_trunk(driver("trafficsim", "TrafficSim"));
+pub const TRAFFICSIM: NetworkKind =
+    NetworkKind::with_trunk(driver("trafficsim", "TrafficSim"), proposing::<Cvae<Own>>);
 /// Latents of each agent under a fixed prior, as ported by others.
 pub const TRAFFICSIM_PORT: NetworkKind =
-    NetworkKind::with_trunk(driver("trafficsim_port", "TrafficSim, as ported"));
+    NetworkKind::with_trunk(driver("trafficsim_port", "TrafficSim, as ported"), proposing::<Cvae<Own>>);
 /// Latents of each agent under a learned prior, optimised.
-pub const STRIVE: NetworkKind = NetworkKind::with_trunk(driver("strive", "STRIVE"));
+pub const STRIVE: NetworkKind = NetworkKind::with_trunk(driver("strive", "STRIVE"), proposing::<Cvae<Own>>);
 /// Goals on a grid, a policy that drives to them, a choice among them.
-pub const BITS: NetworkKind = NetworkKind::with_trunk(driver("bits", "BITS"));
+pub const BITS: NetworkKind = NetworkKind {
+    fits: bits::fits,
+    ..NetworkKind::with_trunk(driver("bits", "BITS"), proposing::<Bits<Own>>)
+};
 /// Diffusion of each agent's actions.
-pub const CTG: NetworkKind = NetworkKind { denoises: true, ..NetworkKind::with_trunk(driver("ctg", "CTG")) };
+pub const CTG: NetworkKind = NetworkKind {
+    denoises: true,
+    fits: ctg::fits,
+    ..NetworkKind::with_trunk(driver("ctg", "CTG"), denoising::<HalfUnet<Own>>)
+};

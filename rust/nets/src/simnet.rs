@@ -5,7 +5,10 @@
 
 use crate::backend::Backend;
 use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::guidance::Guidance;
 use crate::layers::perceptron::Perceptron;
+use crate::planner::{Asked, Proposes, Weighted};
 use crate::trunk::Trunk;
 
 /// Hidden width of the regression head.
@@ -19,8 +22,14 @@ pub struct Simnet<B: Backend> {
 }
 
 impl<B: Backend> Simnet<B> {
-    /// A network with its weights under a path.
-    pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+    /// Normalised knots of the plans, those of an agent side by side, [R, 1, 2 · knots].
+    pub fn plan(&self, batch: &B::Batch<'_>, train: bool) -> B::Tensor {
+        self.head.forward(&self.trunk.forward(batch, train).state)
+    }
+}
+
+impl<B: Backend> Weighted<B> for Simnet<B> {
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let widths = [config.width + 1, HIDDEN, 2 * config.num_knots() as i64];
         Self {
             trunk: Trunk::new(&B::sub(p, "trunk"), config),
@@ -28,13 +37,24 @@ impl<B: Backend> Simnet<B> {
         }
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &ModelConfig {
+    fn config(&self) -> &ModelConfig {
         self.trunk.config()
     }
+}
 
-    /// Normalised knots of the plans, those of an agent side by side, [R, 1, 2 · knots].
-    pub fn plan(&self, batch: &B::Batch<'_>, train: bool) -> B::Tensor {
-        self.head.forward(&self.trunk.forward(batch, train).state)
+impl<B: Backend> Proposes<B> for Simnet<B> {
+    /// The one plan, N times.
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>> {
+        asked.rows.check_seeds(asked.seeds)?;
+        let mut knots = B::numbers(&self.plan(batch, false)).repeat(asked.options.num_samples);
+        if let Some(guide) = guide {
+            guide.adjust_finished(&mut knots)?;
+        }
+        Ok(knots)
     }
 }

@@ -111,7 +111,7 @@ impl TrajectoryModel {
     ) -> Result<Self> {
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
         check_own(&config)?;
-        let planner = config.network()?.own()?(path, &config, tensors)?;
+        let planner = (config.network()?.own)(path, &config, tensors)?;
         Self::of(planner, header, config, num_parameters)
     }
 

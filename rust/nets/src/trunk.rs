@@ -26,6 +26,8 @@ pub struct Encoded<B: Backend> {
     pub token: B::Tensor,
     /// Tokens and normalised speeds [R, 1, d + 1].
     pub state: B::Tensor,
+    /// Normalised speeds [R, 1, 1].
+    pub speed: B::Tensor,
     /// Encoded edges now.
     pub edges: B::Tensor,
     /// Who sits in which slot.
@@ -71,7 +73,8 @@ impl<B: Backend> Trunk<B> {
         let edges = self.edges.forward(&edges);
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);
         let token = B::normed(&self.norm, &x);
-        let state = B::beside(&token, &B::standard_speed(batch, config));
-        Encoded { token, state, edges, slots, map }
+        let speed = B::standard_speed(batch, config);
+        let state = B::beside(&token, &speed);
+        Encoded { token, state, speed, edges, slots, map }
     }
 }

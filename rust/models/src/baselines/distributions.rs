@@ -1,9 +1,7 @@
 //! Diagonal Gaussians of latents.
 
-use tch::{Device, Kind, Tensor};
-
-/// Bounds of ln σ².
-const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
+use ccdiff_nets::latents::LOG_VARIANCE;
+use tch::{Kind, Tensor};
 
 /// A Gaussian for each of R rows, independent in D numbers.
 #[derive(Debug)]
@@ -21,9 +19,9 @@ impl Gaussian {
         Self { mean: parts[0].shallow_clone(), log_variance: parts[1].clamp(LOG_VARIANCE.0, LOG_VARIANCE.1) }
     }
 
-    /// N(0, I) of R rows.
-    pub(super) fn standard(rows: i64, latent: i64, device: Device) -> Self {
-        let zeros = Tensor::zeros([rows, latent], (Kind::Float, device));
+    /// N(0, I) of as many rows and numbers.
+    pub(super) fn standard(like: &Tensor) -> Self {
+        let zeros = like.zeros_like();
         Self { mean: zeros.shallow_clone(), log_variance: zeros }
     }
 
@@ -43,11 +41,6 @@ impl Gaussian {
         let sum = &prior.log_variance - &self.log_variance + ratio + off - 1.0;
         sum.sum_dim_intlist([1i64].as_slice(), false, Kind::Float) * 0.5
     }
-
-    /// The same rows N times, sample by sample, [N · R].
-    pub(super) fn repeated(&self, samples: i64) -> Self {
-        Self { mean: self.mean.repeat([samples, 1]), log_variance: self.log_variance.repeat([samples, 1]) }
-    }
 }
 
 #[cfg(test)]
@@ -63,7 +56,7 @@ mod tests {
     fn divergences_have_the_tabulated_values() {
         // tabulated in float64
         let q = gaussian(&[0.5, -1.0, 0.25, 2.0], &[-0.5, 0.3, -2.0, 0.1]);
-        let standard = Gaussian::standard(1, 4, Device::Cpu);
+        let standard = Gaussian::standard(&q.mean);
         assert!((q.kl(&standard).double_value(&[0]) - 3.304_698).abs() < 1e-5);
         assert!(standard.kl(&standard).double_value(&[0]).abs() < 1e-7);
         let q = gaussian(&[0.5, -1.0], &[-0.5, 0.3]);

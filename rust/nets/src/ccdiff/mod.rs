@@ -5,7 +5,8 @@ mod network;
 pub use network::{Context, Network};
 
 use crate::kind::NetworkKind;
-use crate::own_planner::denoiser;
+use crate::own::Own;
+use crate::own_planner::denoising;
 use crate::traffic::driver;
 
 /// Scene diffusion over the decision causal graph.
@@ -16,14 +17,12 @@ pub const CCDIFF: NetworkKind = NetworkKind {
     causal: true,
     routes: true,
     sizes: |preset| preset,
-    own: Some(denoiser),
-    ..NetworkKind::of(driver("ccdiff", "CCDiff"))
+    ..NetworkKind::of(driver("ccdiff", "CCDiff"), denoising::<Network<Own>>)
 };
 
 /// Scene diffusion over a graph of distances.
 pub const CTGPP: NetworkKind = NetworkKind {
     denoises: true,
     attends: true,
-    own: Some(denoiser),
-    ..NetworkKind::of(driver("ctgpp", "CTG++"))
+    ..NetworkKind::of(driver("ctgpp", "CTG++"), denoising::<Network<Own>>)
 };

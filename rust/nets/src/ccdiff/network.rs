@@ -4,7 +4,7 @@
 //! histories, noisy plan ─► tokens ─► round 0: [map] temporal, edge-aware social (masked by G)
 //!                                    round 1: [map] temporal, plain social (masked by G) ─► clean action knots
 //! ```
-//! [`Network::encode`] computes what does not depend on the noisy plan once; [`Network::denoise`] runs per step.
+//! [`Denoises::encode`] computes what does not depend on the noisy plan once; [`Denoises::predict`] runs per step.
 
 use crate::backend::{Backend, KeyValue};
 use crate::config::{HistoryTokens, ModelConfig};
@@ -13,6 +13,7 @@ use crate::layers::edge::EdgeEncoder;
 use crate::layers::embed::{self, HistoryEmbedding, RouteEmbedding, StepEmbedding};
 use crate::layers::map::MapNetwork;
 use crate::layers::social::{EdgeAwareLayer, PlainLayer};
+use crate::planner::{Denoises, Weighted};
 
 /// Decoder rounds: the first ends in the edge-aware social layers, the second in a plain one.
 const ROUNDS: usize = 2;
@@ -60,9 +61,8 @@ pub struct Context<B: Backend> {
     pub speed: B::Tensor,
 }
 
-impl<B: Backend> Network<B> {
-    /// A network with its weights under a path.
-    pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+impl<B: Backend> Weighted<B> for Network<B> {
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (d, heads) = (config.width, config.heads);
         let at = |name: &str| B::sub(p, name);
         let numbered = |name: &str, i: usize| B::sub(&B::sub(p, name), &i.to_string());
@@ -102,18 +102,23 @@ impl<B: Backend> Network<B> {
         }
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &ModelConfig {
+    fn config(&self) -> &ModelConfig {
         &self.config
     }
+}
 
-    /// The space of its plans.
-    pub fn space(&self) -> &B::Space {
+impl<B: Backend> Denoises<B> for Network<B> {
+    type Context = Context<B>;
+
+    fn space(&self) -> &B::Space {
         &self.space
     }
 
-    /// Encodes histories, edges and maps. `train` switches batch normalisation.
-    pub fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Context<B> {
+    fn slots(context: &Context<B>) -> Option<&B::Slots> {
+        Some(&context.slots)
+    }
+
+    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Context<B> {
         let config = self.config();
         let history = B::history(batch, config);
         let (edges, slots) = B::edges(batch, config);
@@ -129,11 +134,8 @@ impl<B: Backend> Network<B> {
         Context { history, edges: self.edges.forward(&edges), slots, map, mask, speed: B::speed(batch) }
     }
 
-    /// Predicts the clean knots from noisy ones, with the attention weights of the first edge-aware layer.
-    ///
-    /// # Shapes
-    /// `noisy` [R, knots, 2] normalised → [R, knots, 2] normalised.
-    pub fn denoise(
+    /// With the attention weights of the first edge-aware layer.
+    fn predict(
         &self,
         context: &Context<B>,
         noisy: &B::Tensor,

@@ -31,6 +31,15 @@ impl Packed {
         Self { inputs, columns, weights, bias: padded }
     }
 
+    /// From gradients of the columns to gradients of the inputs.
+    pub(crate) fn turned(&self) -> Self {
+        let weight = |column: usize, input: usize| {
+            self.weights[(column / PANEL * self.inputs + input) * PANEL + column % PANEL]
+        };
+        let rows = (0..self.inputs).flat_map(|i| (0..self.columns).map(move |c| weight(c, i)));
+        Self::new(&rows.collect::<Vec<_>>(), &[], self.inputs, self.columns)
+    }
+
     fn panels(&self) -> usize {
         self.columns.div_ceil(PANEL)
     }
@@ -39,6 +48,30 @@ impl Packed {
 /// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
 pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
     let rows = x.len() / weights.inputs.max(1);
+    layer(level, x, (rows, Rows::apart(weights.inputs)), weights, relu, out);
+}
+
+/// Weights times windows of lines, each line `line` numbers: of each `places` windows, `step` numbers apart.
+pub(crate) fn filter(
+    level: Checked,
+    lines: &[f32],
+    line: usize,
+    (places, step): (usize, usize),
+    weights: &Packed,
+    out: &mut Vec<f32>,
+) {
+    let from = Rows { per: places, outer: line, inner: step };
+    layer(level, lines, (lines.len() / line.max(1) * places, from), weights, false, out);
+}
+
+fn layer(
+    level: Checked,
+    x: &[f32],
+    (rows, from): (usize, Rows),
+    weights: &Packed,
+    relu: bool,
+    out: &mut Vec<f32>,
+) {
     let wide = weights.panels() * PANEL;
     let p = Product {
         rows,
@@ -49,7 +82,7 @@ pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, ou
         panels: weights.panels(),
         panel_step: weights.inputs * PANEL,
         weight_step: PANEL,
-        from: Rows::apart(weights.inputs),
+        from,
         to: Rows::apart(wide),
         relu,
     };

@@ -22,6 +22,7 @@ macro_rules! at_levels {
         }
     )+};
 }
+pub(super) use at_levels;
 
 /// The sum of numbers of a row, by sixteen lanes, then halves of them.
 #[inline(always)]
@@ -64,7 +65,7 @@ fn norm_row(row: &mut [f32], weight: &[f32], bias: &[f32], relu: bool) {
 
 /// e to the power x, for x up to 88. Below -50 it is zero: nothing beside a one, and no denormal numbers behind it.
 #[inline(always)]
-fn exp(x: f32) -> f32 {
+pub(super) fn exp(x: f32) -> f32 {
     let small = x < -50.0;
     let x = if small { -50.0 } else { x };
     // the nearest whole power of two, in the last bits of a large number

@@ -38,7 +38,7 @@ impl<B: Backend> Attention<B> {
 
 /// Two linear layers with a ReLU between them.
 #[derive(Debug)]
-pub struct FeedForward<B: Backend>(B::Linear, B::Linear);
+pub struct FeedForward<B: Backend>(pub(crate) B::Linear, pub(crate) B::Linear);
 
 impl<B: Backend> FeedForward<B> {
     /// Layers `up` to the hidden width and `down` from it.

@@ -4,7 +4,7 @@ use crate::backend::Backend;
 
 /// A multi-layer perceptron without an activation at its end.
 #[derive(Debug)]
-pub struct Perceptron<B: Backend>(Vec<B::Linear>);
+pub struct Perceptron<B: Backend>(pub(crate) Vec<B::Linear>);
 
 impl<B: Backend> Perceptron<B> {
     /// Layers between these widths.

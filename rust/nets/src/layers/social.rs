@@ -17,14 +17,14 @@ pub struct EdgeAwareLayer<B: Backend> {
     pub value: B::Joint,
     /// From what was attended to.
     pub out: B::Linear,
-    own: B::Linear,
-    gate_in: B::Linear,
-    gate_own: B::Linear,
+    pub(crate) own: B::Linear,
+    pub(crate) gate_in: B::Linear,
+    pub(crate) gate_own: B::Linear,
     /// Before the queries.
     pub norm: B::Norm,
-    feed: FeedForward<B>,
-    feed_norm: B::Norm,
-    heads: i64,
+    pub(crate) feed: FeedForward<B>,
+    pub(crate) feed_norm: B::Norm,
+    pub(crate) heads: i64,
 }
 
 impl<B: Backend> EdgeAwareLayer<B> {

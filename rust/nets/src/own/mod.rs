@@ -2,7 +2,7 @@
 
 mod parts;
 
-pub use parts::{Array, Inputs, Norm, Pairs, Place, Raster};
+pub use parts::{Array, Filter, Groups, Inputs, Norm, Pairs, Place, Raster};
 
 use crate::backend::{Backend, KeyValue};
 use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
@@ -13,6 +13,7 @@ use crate::layers::embed::ROUTE_SCALE_M;
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
+use crate::tokens::{NEAR, NEAR_NUMBERS};
 use parts::packed;
 use std::convert::Infallible;
 
@@ -53,6 +54,8 @@ impl Backend for Own {
     type Linear = Packed;
     type Joint = [Packed; 2];
     type Norm = Norm;
+    type Filter = Filter;
+    type Groups = Groups;
     type Raster = Raster;
     type Space = PlanSpace;
     type Batch<'a> = Inputs<'a>;
@@ -86,6 +89,18 @@ impl Backend for Own {
         Norm { weight: numbers("weight"), bias: numbers("bias") }
     }
 
+    fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
+        let stored = p.take("weight", &[outputs, inputs, kernel]);
+        let turned = stored.map(|w| turned(w, inputs as usize, kernel as usize));
+        let all = inputs * kernel;
+        let weights = packed(turned.as_deref(), p.take("bias", &[outputs]), outputs, all, 0, all);
+        Filter { weights, kernel: kernel as usize, stride: stride as usize }
+    }
+
+    fn groups(p: &Place<'_>, groups: i64, width: i64) -> Groups {
+        Groups { norm: Self::norm(p, width), groups: groups as usize }
+    }
+
     fn raster(p: &Place<'_>, config: &MapConfig, history_steps: usize) -> Raster {
         let (width, channels) = (config.feature_width, config.num_channels(history_steps));
         let side = config.size_px / 8;
@@ -93,12 +108,7 @@ impl Backend for Own {
         let convolution = |(i, (inputs, outputs)): (usize, (i64, i64))| {
             let q = Self::sub(&Self::sub(p, "conv"), &i.to_string());
             let weight = q.take("weight", &[outputs, inputs, 4, 4]);
-            // [outputs, inputs, 4, 4] to [outputs, 4, 4, inputs]
-            let turn = |row: &[f32]| -> Vec<f32> {
-                (0..row.len()).map(|at| row[at % inputs as usize * 16 + at / inputs as usize]).collect()
-            };
-            let turned =
-                weight.map(|w| w.chunks_exact(16 * inputs as usize).flat_map(turn).collect::<Vec<_>>());
+            let turned = weight.map(|w| turned(w, inputs as usize, 16));
             let all = 16 * inputs;
             packed(turned.as_deref(), q.take("bias", &[outputs]), outputs, all, 0, all)
         };
@@ -213,6 +223,28 @@ impl Backend for Own {
         (!tokens.is_empty()).then(|| Array::new(side * side, third.columns, tokens))
     }
 
+    fn road(batch: &Inputs<'_>, config: &ModelConfig) -> Option<Vec<f32>> {
+        let channels = config.map.as_ref()?.num_channels(config.history_steps);
+        let bytes = batch.scenes.iter().flat_map(|s| s.image.iter().step_by(channels));
+        let pixels: Vec<f32> = bytes.map(|byte| f32::from(*byte) - f32::from(ZERO)).collect();
+        (!pixels.is_empty()).then_some(pixels)
+    }
+
+    fn tokens(batch: &Inputs<'_>) -> (Array, Array, Vec<f32>) {
+        let own = batch.numbers(|s| &s.tokens.own);
+        let own = Array::new(1, own.len() / batch.num_rows().max(1), own);
+        let near = Array::new(NEAR, NEAR_NUMBERS, batch.numbers(|s| &s.tokens.near));
+        (own, near, batch.numbers(|s| &s.tokens.yaw_rate_radps))
+    }
+
+    fn numbers(x: &Array) -> Vec<f32> {
+        x.numbers.clone()
+    }
+
+    fn placed(_: &Array, numbers: Vec<f32>, tokens: usize, width: usize) -> Array {
+        Array::new(tokens, width, numbers)
+    }
+
     fn apply(layer: &Packed, x: &Array) -> Array {
         Self::linear_of(x, layer, false)
     }
@@ -241,6 +273,26 @@ impl Backend for Own {
         y
     }
 
+    fn filtered(filter: &Filter, x: &Array) -> Array {
+        let (width, row, pad) = (x.width, x.row(), filter.kernel / 2);
+        let padded = (x.tokens + 2 * pad) * width;
+        let mut lines = vec![0.0; x.numbers.len() / row * padded];
+        for (line, row) in lines.chunks_exact_mut(padded).zip(x.numbers.chunks_exact(row)) {
+            line[pad * width..][..row.len()].copy_from_slice(row);
+        }
+        let tokens = (x.tokens + 2 * pad - filter.kernel) / filter.stride + 1;
+        let mut numbers = Vec::new();
+        let (level, step) = (Checked::now(), filter.stride * width);
+        kernels::filter(level, &lines, padded, (tokens, step), &filter.weights, &mut numbers);
+        Array::new(tokens, filter.weights.columns, numbers)
+    }
+
+    fn groups_mish(Groups { norm, groups }: &Groups, mut x: Array) -> Array {
+        let row = x.row();
+        kernels::groups_mish(Checked::now(), &mut x.numbers, row, *groups, &norm.weight, &norm.bias);
+        x
+    }
+
     fn sum(x: &Array, mut y: Array) -> Array {
         kernels::add(Checked::now(), &mut y.numbers, &x.numbers);
         y
@@ -249,6 +301,30 @@ impl Backend for Own {
     fn sum_table(mut x: Array, table: &Array) -> Array {
         kernels::add_cycle(Checked::now(), &mut x.numbers, &table.numbers);
         x
+    }
+
+    fn sum_token(mut x: Array, y: &Array) -> Array {
+        let (level, row) = (Checked::now(), x.row());
+        for (x, y) in x.numbers.chunks_exact_mut(row).zip(y.numbers.chunks_exact(x.width.max(1))) {
+            kernels::add_cycle(level, x, y);
+        }
+        x
+    }
+
+    fn modulated(x: &Array, by: &Array) -> Array {
+        let mut numbers = Vec::with_capacity(x.numbers.len());
+        for (row, by) in x.numbers.chunks_exact(x.row()).zip(by.numbers.chunks_exact(2 * x.width)) {
+            let (a, b) = by.split_at(x.width);
+            for token in row.chunks_exact(x.width) {
+                numbers.extend(token.iter().zip(a).zip(b).map(|((x, a), b)| x * (a + 1.0) + b));
+            }
+        }
+        x.like(numbers)
+    }
+
+    fn cut(x: Array, width: i64) -> Array {
+        let width = width as usize;
+        Array { tokens: x.tokens * x.width / width, width, ..x }
     }
 
     fn columns(x: &Array, from: i64, count: i64) -> Array {
@@ -355,6 +431,14 @@ impl Backend for Own {
         let rows = x.numbers.chunks_exact(x.row());
         Array::new(count, x.width, rows.flat_map(|row| &row[from..]).copied().collect())
     }
+}
+
+/// Weights [outputs, inputs, places] as [outputs, places, inputs].
+fn turned(weights: &[f32], inputs: usize, places: usize) -> Vec<f32> {
+    let turn = |row: &[f32]| -> Vec<f32> {
+        (0..row.len()).map(|at| row[at % inputs * places + at / inputs]).collect()
+    };
+    weights.chunks_exact(places * inputs).flat_map(turn).collect()
 }
 
 /// Edges at times from now on, and who is seen.

@@ -23,6 +23,21 @@ impl Array {
         self.numbers
     }
 
+    /// Number of rows.
+    pub(crate) fn rows(&self) -> usize {
+        self.numbers.len() / self.row()
+    }
+
+    /// Numbers of a token.
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The numbers.
+    pub(crate) fn as_numbers(&self) -> &[f32] {
+        &self.numbers
+    }
+
     pub(super) fn like(&self, numbers: Vec<f32>) -> Self {
         Self { numbers, ..*self }
     }
@@ -79,6 +94,29 @@ pub struct Norm {
     pub(super) bias: Vec<f32>,
 }
 
+impl Norm {
+    /// Weights of the numbers of a row.
+    pub(crate) fn weights(&self) -> &[f32] {
+        &self.weight
+    }
+}
+
+/// A convolution over tokens.
+#[derive(Debug)]
+pub struct Filter {
+    /// Inputs token by token.
+    pub(super) weights: Packed,
+    pub(super) kernel: usize,
+    pub(super) stride: usize,
+}
+
+/// A group norm.
+#[derive(Debug)]
+pub struct Groups {
+    pub(super) norm: Norm,
+    pub(super) groups: usize,
+}
+
 /// Three strided convolutions; every pixel of the last is a token with a learned position.
 #[derive(Debug)]
 pub struct Raster {
@@ -103,7 +141,7 @@ pub struct Inputs<'a> {
 /// Whom rows see: others, or themselves where there are none; and themselves with the others.
 #[derive(Debug)]
 pub struct Pairs {
-    pub(super) others: Seen,
+    pub(crate) others: Seen,
     pub(super) all: Seen,
 }
 

@@ -6,7 +6,7 @@ use crate::error::{ModelError, Result};
 use crate::features::row_offsets;
 use crate::guidance::Guidance;
 use crate::noise::Noise;
-use crate::sampler::{Rows, SampleOptions};
+use crate::planner::Asked;
 
 /// Slower than this a vehicle stands, m/s: nobody reverses.
 const STANDING_MPS: f32 = 0.08;
@@ -25,11 +25,11 @@ pub const CAREFUL_STEPS: usize = 15;
 
 /// Motion of rows now.
 #[derive(Debug, Clone, Copy)]
-pub struct Now<'a> {
+pub(crate) struct Now<'a> {
     /// Speeds, m/s, [R].
-    pub speed_mps: &'a [f32],
+    pub(crate) speed_mps: &'a [f32],
     /// Yaw rates, rad/s, [R].
-    pub yaw_rate_radps: &'a [f32],
+    pub(crate) yaw_rate_radps: &'a [f32],
 }
 
 /// Normalised knots [N · R, T, 2] of tokens drawn from logits [R, [`NUM_TOKENS`]], each world's by its own seed. Speed and yaw rate go
@@ -38,15 +38,14 @@ pub struct Now<'a> {
 ///
 /// # Errors
 /// [`ModelError::Shape`] for a wrong number of seeds.
-pub fn drawn(
+pub(crate) fn drawn(
     logits: &[f32],
     now: Now<'_>,
-    rows: Rows<'_>,
-    seeds: &[u64],
-    options: SampleOptions,
+    asked: &Asked<'_>,
     config: &ModelConfig,
     guide: Option<&mut Guidance<'_>>,
 ) -> Result<Vec<f32>> {
+    let Asked { rows, seeds, options } = *asked;
     rows.check_seeds(seeds)?;
     let (count, n) = (rows.count(), options.num_samples);
     if logits.len() != count * NUM_TOKENS {

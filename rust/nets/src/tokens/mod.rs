@@ -9,10 +9,10 @@
 mod draw;
 mod grid;
 mod network;
-mod planner;
 mod seen;
 
-pub use draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS, Now, drawn};
+pub use draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
+pub(crate) use draw::{Now, drawn};
 pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
 pub use network::Network;
 pub use seen::{HISTORY_STEPS, NEAR, NEAR_NUMBERS, build, near_columns, own_columns};
@@ -20,6 +20,8 @@ pub use seen::{HISTORY_STEPS, NEAR, NEAR_NUMBERS, build, near_columns, own_colum
 use crate::config::{MapConfig, MapEncoder, ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::kind::NetworkKind;
+use crate::own::Own;
+use crate::own_planner::proposing;
 use crate::traffic::driver;
 
 /// Each agent's next token of a grid of motions.
@@ -29,8 +31,7 @@ pub const TOKENS: NetworkKind = NetworkKind {
     sizes,
     fits,
     features: build,
-    own: Some(planner::made),
-    ..NetworkKind::of(driver("tokens", "Tokens"))
+    ..NetworkKind::of(driver("tokens", "Tokens"), proposing::<Network<Own>>)
 };
 
 /// Places on a route that the network is told of, metres ahead.

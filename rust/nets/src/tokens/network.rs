@@ -1,9 +1,12 @@
 //! The network of tokens, on any backend.
 
-use super::{NEAR_NUMBERS, NUM_TOKENS, own_columns};
+use super::{NEAR_NUMBERS, NUM_TOKENS, Now, drawn, own_columns};
 use crate::backend::Backend;
 use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use crate::guidance::Guidance;
 use crate::layers::attention::FeedForward;
+use crate::planner::{Asked, Proposes, Weighted};
 use crate::segments::SEGMENT_FEATURES;
 
 /// A two-layer perceptron over the elements of a row.
@@ -62,11 +65,11 @@ pub struct Network<B: Backend> {
     rounds: Vec<Round<B>>,
     norm: B::Norm,
     head: Elements<B>,
+    config: ModelConfig,
 }
 
-impl<B: Backend> Network<B> {
-    /// A network with its weights under a path.
-    pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+impl<B: Backend> Weighted<B> for Network<B> {
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (d, inner) = (config.width, config.edge_width);
         let at = |name: &str| B::sub(p, name);
         let round = |r: usize| {
@@ -86,9 +89,16 @@ impl<B: Backend> Network<B> {
             rounds: (0..config.temporal_layers).map(round).collect(),
             norm: B::norm(&at("norm"), d),
             head: Elements::new(&at("head"), d, d, NUM_TOKENS as i64),
+            config: config.clone(),
         }
     }
 
+    fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+}
+
+impl<B: Backend> Network<B> {
     /// Logits [R, 1, [`NUM_TOKENS`]] from own numbers [R, 1, own], neighbours [R, [`super::NEAR`],
     /// [`NEAR_NUMBERS`]] and lines of the map [R, lines, 20].
     pub fn logits(&self, own: &B::Tensor, near: &B::Tensor, lines: &B::Tensor) -> B::Tensor {
@@ -100,5 +110,23 @@ impl<B: Backend> Network<B> {
             x = B::sum(&y, round.feed.forward(&B::normed(&round.norm, &y)));
         }
         self.head.forward(&B::normed(&self.norm, &x))
+    }
+}
+
+impl<B: Backend> Proposes<B> for Network<B> {
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>> {
+        let Some(lines) = B::lines(batch) else {
+            return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
+        };
+        let (own, near, yaw_rate_radps) = B::tokens(batch);
+        let logits = B::numbers(&self.logits(&own, &near, &lines));
+        let speed_mps = B::numbers(&B::speed(batch));
+        let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &yaw_rate_radps };
+        drawn(&logits, now, asked, self.config(), guide)
     }
 }

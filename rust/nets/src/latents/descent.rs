@@ -1,0 +1,165 @@
+//! Guidance of networks that plan from latents: descent in the latents (rivals.md#guidance).
+//!
+//! Objectives know plans as numbers, so their gradient g with respect to the knots is taken as a constant of each step:
+//! the gradient of g · x(z) with respect to z is then exact.
+
+use super::LOG_VARIANCE;
+use crate::error::Result;
+use crate::guidance::Guidance;
+
+const BETA: (f32, f32) = (0.9, 0.999);
+/// Largest norm of a row's gradient: those through 52 steps of the unicycle grow with time.
+const CLIP_NORM: f32 = 10.0;
+
+/// A Gaussian for each of R rows, independent in D numbers, [R · D].
+#[derive(Debug)]
+pub(super) struct Gaussian {
+    mean: Vec<f32>,
+    std: Vec<f32>,
+}
+
+impl Gaussian {
+    /// From D means and D logarithms of variances per row, which are bounded.
+    pub(super) fn new(numbers: &[f32], latent: usize) -> Self {
+        let (low, high) = LOG_VARIANCE;
+        let std = |v: &f32| libm::exp(0.5 * f64::from(*v).clamp(low, high)) as f32;
+        let rows = || numbers.chunks_exact(2 * latent);
+        Self {
+            mean: rows().flat_map(|row| &row[..latent]).copied().collect(),
+            std: rows().flat_map(|row| &row[latent..]).map(std).collect(),
+        }
+    }
+
+    /// N(0, I).
+    pub(super) fn standard(numbers: usize) -> Self {
+        Self { mean: vec![0.0; numbers], std: vec![1.0; numbers] }
+    }
+
+    /// Samples from standard normal noise [N · R · D].
+    pub(super) fn sample(&self, noise: &[f32]) -> Vec<f32> {
+        let parameters = self.mean.iter().zip(&self.std).cycle();
+        noise.iter().zip(parameters).map(|(x, (mean, std))| mean + std * x).collect()
+    }
+}
+
+/// Latents [N · R, D] that guidance prefers to `start`, found by Adam; rows that are not guided keep their bits. With a
+/// prior, ½‖(z − μ)/σ‖², mean over the agents of a world, is minimised as well. `pulled` makes gradients by latents of those by knots.
+pub(super) fn descended(
+    start: &[f32],
+    latent: usize,
+    prior: Option<&Gaussian>,
+    guide: &Guidance<'_>,
+    decode: &dyn Fn(&[f32]) -> Vec<f32>,
+    pulled: &dyn Fn(&[f32], &[f32]) -> Vec<f32>,
+) -> Result<Vec<f32>> {
+    let (scales, shares, config) = (guide.guidance_scales(), guide.shares(), guide.config());
+    let (mut z, mut first, mut second) = (start.to_vec(), vec![0f32; start.len()], vec![0f32; start.len()]);
+    let mut unbias = (1f32, 1f32);
+    for _ in 0..config.gradient_steps {
+        unbias = (unbias.0 * BETA.0, unbias.1 * BETA.1);
+        let mut gradient = pulled(&z, &guide.gradient(&decode(&z))?);
+        if let Some(prior) = prior {
+            add_prior(&mut gradient, &z, latent, prior, &shares);
+        }
+        for (row, gradient) in gradient.chunks_exact(latent).enumerate().filter(|(row, _)| scales[*row] > 0.0)
+        {
+            let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
+            let clip = CLIP_NORM / norm.max(CLIP_NORM);
+            for (at, g) in (row * latent..).zip(gradient) {
+                let g = g * clip;
+                first[at] = first[at] * BETA.0 + g * (1.0 - BETA.0);
+                second[at] = second[at] * BETA.1 + g * g * (1.0 - BETA.1);
+                let spread = (second[at] / (1.0 - unbias.1)).sqrt() + 1e-8;
+                z[at] -= first[at] / (1.0 - unbias.0) / spread * config.learning_rate;
+            }
+        }
+    }
+    for (at, z) in z.iter_mut().enumerate().filter(|(at, _)| scales[at / latent] > 0.0) {
+        *z = start[at] + scales[at / latent] * (*z - start[at]);
+    }
+    Ok(z)
+}
+
+/// Adds the gradient of the distance from a prior.
+fn add_prior(gradient: &mut [f32], z: &[f32], latent: usize, prior: &Gaussian, shares: &[f32]) {
+    let parameters = prior.mean.iter().zip(&prior.std).cycle();
+    for (at, ((g, z), (mean, std))) in gradient.iter_mut().zip(z).zip(parameters).enumerate() {
+        *g += shares[at / latent] * (z - mean) / (std * std);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ModelConfig;
+    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, GuidanceContext, Objective};
+    use ccdiff_sim::geom::Pose2;
+
+    #[test]
+    fn samples_and_the_gradient_of_a_prior_have_the_tabulated_values() {
+        // ln σ² is bounded: those of the last two numbers are -6 and 2
+        let prior = Gaussian::new(&[0.5, -1.0, 2.0, 0.4, -9.0, 9.0], 3);
+        let z = prior.sample(&[1.0, 2.0, -1.0]);
+        for (got, want) in z.iter().zip([0.5 + 0.2f32.exp(), -1.0 + 2.0 * (-3f32).exp(), 2.0 - 1f32.exp()]) {
+            assert!((got - want).abs() < 1e-6, "{z:?}");
+        }
+        // tabulated in float64: z / M
+        let mut gradient = vec![-0.75, -2.0];
+        add_prior(&mut gradient, &[0.3, -0.2], 2, &Gaussian::standard(2), &[0.25]);
+        assert!((gradient[0] + 0.675).abs() < 1e-6 && (gradient[1] + 2.05).abs() < 1e-6);
+    }
+
+    /// A car, and one 12 m ahead in the next lane, both at 8 m/s; the first is guided.
+    fn pair(model: &ModelConfig) -> GuidanceContext<'static> {
+        GuidanceContext {
+            num_steps: model.horizon_steps,
+            dt_s: model.dt_s as f32,
+            poses: vec![Pose2::new(0.0, 0.0, 0.0), Pose2::new(12.0, 2.5, 0.0)],
+            speed_mps: vec![8.0; 2],
+            length_m: vec![4.5; 2],
+            width_m: vec![2.0; 2],
+            moving: vec![true; 2],
+            guided: vec![true, false],
+            guidance_scale: 1.0,
+            partner: vec![true; 2],
+            road: None,
+            goals: vec![None; 2],
+            target_speed_mps: vec![None; 2],
+            speed_limit_mps: None,
+            step_weights: vec![1.0 / 52.0; 52],
+        }
+    }
+
+    fn descended_pair(weight: f32, prior: Option<&Gaussian>) -> (Vec<f32>, Vec<f32>) {
+        let model = ModelConfig::of("strive", "fast").unwrap();
+        let config = GuidanceConfig {
+            objectives: vec![
+                Objective::AgentCollision(AgentCollision { weight, ..AgentCollision::default() }),
+                Objective::Approach(Approach { weight, ..Approach::default() }),
+            ],
+            gradient_steps: 60,
+            learning_rate: 0.1,
+            ..GuidanceConfig::rl()
+        };
+        let guide = Guidance::new(&config, &model, vec![Some(pair(&model))], &[2], 1, false).unwrap();
+        let start = vec![1.0, -0.5, 0.7, 0.2];
+        // two latents: all accelerations, all yaw rates
+        let decode = |z: &[f32]| z.chunks(2).flat_map(|z| [0.5 * z[0], 0.5 * z[1]].repeat(13)).collect();
+        let pulled = |_: &[f32], g: &[f32]| {
+            let of = |row: &[f32], c: usize| 0.5 * row.iter().skip(c).step_by(2).sum::<f32>();
+            g.chunks(26).flat_map(|row| [of(row, 0), of(row, 1)]).collect()
+        };
+        let end = descended(&start, 2, prior, &guide, &decode, &pulled).unwrap();
+        (start, end)
+    }
+
+    #[test]
+    fn rows_that_are_not_guided_keep_their_bits_and_a_prior_alone_draws_to_its_mean() {
+        let (start, end) = descended_pair(-50.0, None);
+        assert_eq!(start[2..], end[2..]);
+        assert!((start[0] - end[0]).abs() > 1e-3 || (start[1] - end[1]).abs() > 1e-3);
+        let (start, end) = descended_pair(0.0, Some(&Gaussian::standard(4)));
+        assert_eq!(start[2..], end[2..]);
+        assert!(end[0].abs() < 0.15 && end[1].abs() < 0.15, "{end:?}");
+    }
+}
