@@ -77,7 +77,7 @@ def require_networks() -> None:
 
 
 def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
-    """Whether a network is computed by torch: on a graphics card, or with layers that own kernels lack.
+    """Whether torch computes a network: on a graphics card, or with layers that own kernels lack.
 
     Shipped networks on the processor need no torch, and have the same bits on every machine, in
     every batch and on any number of threads.
