@@ -30,8 +30,8 @@ CITY = "data/city.zip"
 @cache
 def embedded_splits() -> dict[str, tuple[str, ...]]:
     """Return the names of the embedded scenes by split: ``train``, ``val`` and ``city``."""
-    splits = {**json.loads(shipped()["splits.json"]), **json.loads(shipped(CITY)["splits.json"])}
-    return {name: tuple(names) for name, names in splits.items()}
+    files = [shipped(file, "splits.json")["splits.json"] for file in (SHIPPED, CITY)]
+    return {name: tuple(names) for text in files for name, names in json.loads(text).items()}
 
 
 @cache
@@ -66,8 +66,8 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
         return load_nuscenes(folder, VERSION, scenes=names, interpolation="linear", cache=False)
 
 
-def shipped(file: str = SHIPPED) -> dict[str, bytes]:
-    """Return the members of a shipped data set by path.
+def shipped(file: str = SHIPPED, member: str | None = None) -> dict[str, bytes]:
+    """Return the members of a shipped data set by path, or one of them.
 
     Raises
     ------
@@ -76,8 +76,9 @@ def shipped(file: str = SHIPPED) -> dict[str, bytes]:
     """
     try:
         with as_file(files("ccdiff_env") / file) as path, zipfile.ZipFile(path) as archive:
-            return {name: archive.read(name) for name in archive.namelist()}
-    except (OSError, zipfile.BadZipFile) as error:
+            members = archive.namelist() if member is None else [member]
+            return {name: archive.read(name) for name in members}
+    except (OSError, KeyError, zipfile.BadZipFile) as error:
         raise DatasetError(f"the package's {file} cannot be read: {error}") from error
 
 
