@@ -69,37 +69,6 @@ def test_benchmarks_of_rules_leave_torch_alone(tmp_path):
     assert python(f"import sys\n{code}") == "0 False"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["planners", "--planners", "idm", "--traffic", "ccdiff"],
-        ["traffic", "--methods", "ccdiff_one_step", "--k", "1", "--t", "1"],
-        ["speed", "--rounds", "1"],
-    ],
-    ids=lambda words: words[0],
-)
-def test_benchmarks_of_ccdiff_run_where_there_is_no_torch(words, tmp_path):
-    workers = [] if words[0] == "speed" else ["--workers", "1"]
-    command = ["bench", *words, *workers, "--limit", "1", "--out", str(tmp_path / "run")]
-    code = "import sys\nsys.modules['torch'] = None\n"
-    code += f"from ccdiff_env_cli import main\nprint(main({command}))"
-    assert python(code).splitlines()[-1] == "0"
-
-
-def test_banks_are_recorded_where_there_is_no_torch(tmp_path):
-    code = f"""
-import pathlib, sys
-sys.modules["torch"] = None
-import ccdiff_env
-from ccdiff_env.record.bank import _record
-packed = [ccdiff_env.embedded_scenes("val")[0].to_bytes()]
-_record(pathlib.Path({str(tmp_path / "a.scenes")!r}), packed, "idm", 1.0, 0, "", False)
-print("done")
-"""
-    assert python(code) == "done"
-    assert (tmp_path / "a.scenes").stat().st_size > 1000
-
-
 def test_worlds_with_rules_leave_torch_alone():
     episode = """
 env = ccdiff_env.EgoEnv(traffic="idm")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -157,41 +155,6 @@ def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
     assert digests(8, num_threads=2, **options) == batch
     assert digests(1, **options) == batch[:1]
     assert digests(1, first=5, **options) == batch[5:6]
-
-
-WITHOUT_TORCH = """
-import sys
-sys.modules["torch"] = None
-import ccdiff_env
-env = ccdiff_env.EgoEnv({options})
-env.reset(seed=3)
-for _ in range(12):
-    env.step([0.5, 0.0])
-print(env.explain() is not None, "torch" in sys.modules and sys.modules["torch"] is not None)
-"""
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        "traffic='ccdiff'",
-        "traffic='ctgpp'",
-        "traffic='simnet'",
-        "traffic='simnet', simnet={'criticality': 1.0}",
-        "traffic='ctg', ctg={'criticality': 1.0}",
-        "traffic='bits', bits={'criticality': 1.0}",
-        "traffic='trafficsim', trafficsim={'criticality': 1.0}",
-        "traffic='strive', strive={'criticality': 1.0}",
-        "traffic='tokens', tokens={'follow_route': True, 'careful': True}",
-        "traffic='ccdiff', ccdiff={'criticality': 1.0, 'denoising_steps': 1}",
-        "traffic='ccdiff', ccdiff={'follow_route': True, 'num_samples': 3, 'cfg_weight': 1.3}",
-    ],
-)
-def test_traffic_drives_where_there_is_no_torch(options):
-    code = WITHOUT_TORCH.format(options=options)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["True", "False"]
 
 
 def changed(tmp_path: Path, change) -> str:

@@ -81,7 +81,8 @@ fn bits(name: &str, sizes: &[usize]) -> Vec<Vec<u32>> {
 
 #[test]
 fn every_level_gives_the_same_plans() {
-    for name in ["ccdiff_one_step", "ccdiff_fast", "ccdiff_routes", "ctgpp_fast", "simnet_fast"] {
+    let rivals = ["ctgpp_fast", "simnet_fast", "trafficsim_fast", "strive_fast", "bits_fast", "ctg_fast"];
+    for name in ["ccdiff_one_step", "ccdiff_fast", "ccdiff_routes"].into_iter().chain(rivals) {
         let widest = bits(name, &[7]);
         assert!(widest[0].iter().any(|b| f32::from_bits(*b) > 5.0), "nobody moves");
         for level in Level::available() {
