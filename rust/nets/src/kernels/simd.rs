@@ -199,57 +199,66 @@ static ONES: [Ones; 16] = {
     all
 };
 
+/// A vector of these intrinsics.
+#[cfg_attr(
+    not(any(
+        target_arch = "x86_64",
+        target_arch = "aarch64",
+        all(target_arch = "wasm32", target_feature = "simd128")
+    )),
+    allow(unused_macros, reason = "of processors that have intrinsics")
+)]
+macro_rules! vector {
+    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)?) => {
+        // SAFETY of all: the caller's promises are those of the intrinsics
+        impl Vector for $name {
+            const LANES: usize = $lanes;
+
+            #[inline(always)]
+            unsafe fn load(from: *const f32) -> Self {
+                unsafe { $load(from) }
+            }
+
+            #[inline(always)]
+            unsafe fn store(self, to: *mut f32) {
+                unsafe { $store(to, self) }
+            }
+
+            #[inline(always)]
+            unsafe fn splat(x: f32) -> Self {
+                unsafe { $splat(x) }
+            }
+
+            #[inline(always)]
+            unsafe fn plus_product(self, a: Self, b: Self) -> Self {
+                unsafe { $add(self, $mul(a, b)) }
+            }
+
+            #[inline(always)]
+            unsafe fn or_zero(self) -> Self {
+                unsafe { $max(self, $zero()) }
+            }
+
+            #[inline(always)]
+            unsafe fn or(self, other: Self) -> Self {
+                unsafe { $or(self, other) }
+            }
+
+            #[inline(always)]
+            unsafe fn nonzero(self) -> u32 {
+                let $x = self;
+                unsafe { $nonzero }
+            }
+
+            $($more)?
+        }
+    };
+}
+
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::{PANEL, Vector};
     use std::arch::x86_64::*;
-
-    macro_rules! vector {
-        ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)?) => {
-            // SAFETY of all: the caller's promises are those of the intrinsics
-            impl Vector for $name {
-                const LANES: usize = $lanes;
-
-                #[inline(always)]
-                unsafe fn load(from: *const f32) -> Self {
-                    unsafe { $load(from) }
-                }
-
-                #[inline(always)]
-                unsafe fn store(self, to: *mut f32) {
-                    unsafe { $store(to, self) }
-                }
-
-                #[inline(always)]
-                unsafe fn splat(x: f32) -> Self {
-                    unsafe { $splat(x) }
-                }
-
-                #[inline(always)]
-                unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-                    unsafe { $add(self, $mul(a, b)) }
-                }
-
-                #[inline(always)]
-                unsafe fn or_zero(self) -> Self {
-                    unsafe { $max(self, $zero()) }
-                }
-
-                #[inline(always)]
-                unsafe fn or(self, other: Self) -> Self {
-                    unsafe { $or(self, other) }
-                }
-
-                #[inline(always)]
-                unsafe fn nonzero(self) -> u32 {
-                    let $x = self;
-                    unsafe { $nonzero }
-                }
-
-                $($more)?
-            }
-        };
-    }
 
     vector!(
         __m128,
@@ -305,64 +314,100 @@ mod x86 {
     );
 }
 
+/// NEON: the bits of SSE2.
+#[cfg(target_arch = "aarch64")]
+mod neon {
+    use super::Vector;
+    use std::arch::aarch64::*;
+
+    static BITS: [u32; 4] = [1, 2, 4, 8];
+
+    #[inline(always)]
+    unsafe fn zero() -> float32x4_t {
+        unsafe { vdupq_n_f32(0.0) }
+    }
+
+    #[inline(always)]
+    unsafe fn or(a: float32x4_t, b: float32x4_t) -> float32x4_t {
+        unsafe { vreinterpretq_f32_u32(vorrq_u32(vreinterpretq_u32_f32(a), vreinterpretq_u32_f32(b))) }
+    }
+
+    vector!(
+        float32x4_t,
+        4,
+        vld1q_f32,
+        vst1q_f32,
+        vdupq_n_f32,
+        vaddq_f32,
+        vmulq_f32,
+        vmaxnmq_f32,
+        zero,
+        or,
+        x => vaddvq_u32(vandq_u32(vmvnq_u32(vceqzq_f32(x)), vld1q_u32(BITS.as_ptr())))
+    );
+}
+
 /// simd128: the bits of SSE2.
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
 mod wasm {
     use super::Vector;
     use std::arch::wasm32::*;
 
-    // SAFETY of all: the caller's promises are those of the intrinsics
-    impl Vector for v128 {
-        const LANES: usize = 4;
-
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            unsafe { v128_load(from.cast()) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            unsafe { v128_store(to.cast(), self) }
-        }
-
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self {
-            f32x4_splat(x)
-        }
-
-        #[inline(always)]
-        unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-            f32x4_add(self, f32x4_mul(a, b))
-        }
-
-        #[inline(always)]
-        unsafe fn or_zero(self) -> Self {
-            f32x4_pmax(f32x4_splat(0.0), self)
-        }
-
-        #[inline(always)]
-        unsafe fn or(self, other: Self) -> Self {
-            v128_or(self, other)
-        }
-
-        #[inline(always)]
-        unsafe fn nonzero(self) -> u32 {
-            u32::from(i32x4_bitmask(f32x4_ne(self, f32x4_splat(0.0))))
-        }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> v128 {
+        // SAFETY: the caller lets four numbers be read
+        unsafe { v128_load(from.cast()) }
     }
+
+    #[inline(always)]
+    unsafe fn store(to: *mut f32, x: v128) {
+        // SAFETY: as above, for writing
+        unsafe { v128_store(to.cast(), x) }
+    }
+
+    #[inline(always)]
+    fn zero() -> v128 {
+        f32x4_splat(0.0)
+    }
+
+    #[inline(always)]
+    fn greater(a: v128, b: v128) -> v128 {
+        f32x4_pmax(b, a)
+    }
+
+    vector!(
+        v128,
+        4,
+        load,
+        store,
+        f32x4_splat,
+        f32x4_add,
+        f32x4_mul,
+        greater,
+        zero,
+        v128_or,
+        x => u32::from(i32x4_bitmask(f32x4_ne(x, f32x4_splat(0.0))))
+    );
 }
 
+/// The vector of processors of other families.
+#[cfg(target_arch = "aarch64")]
+pub(super) type Four = std::arch::aarch64::float32x4_t;
 /// The vector of processors of other families.
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
 pub(super) type Four = std::arch::wasm32::v128;
 /// The vector of processors of other families.
-#[cfg(not(any(target_arch = "x86_64", all(target_arch = "wasm32", target_feature = "simd128"))))]
+#[cfg(not(any(
+    target_arch = "x86_64",
+    target_arch = "aarch64",
+    all(target_arch = "wasm32", target_feature = "simd128")
+)))]
 pub(super) type Four = Plain;
 
-/// Four numbers in plain Rust, which compilers turn into NEON.
+/// Four numbers in plain Rust, of which compilers make scalar sums at best.
 #[derive(Clone, Copy)]
 #[cfg_attr(
-    any(target_arch = "x86_64", target_arch = "wasm32"),
+    any(target_arch = "x86_64", target_arch = "aarch64", target_arch = "wasm32"),
     allow(dead_code, reason = "of other processors, and of tests")
 )]
 pub(super) struct Plain([f32; 4]);
