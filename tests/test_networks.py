@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +157,23 @@ def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
     assert digests(8, num_threads=2, **options) == batch
     assert digests(1, **options) == batch[:1]
     assert digests(1, first=5, **options) == batch[5:6]
+
+
+HELD_DOWN = """
+from test_networks import NAMES, digest, digests, own, plans
+print({name: digest(plans(own(name), name, samples=2)) for name in NAMES}, digests(1, traffic="ccdiff"))
+"""
+
+
+@pytest.mark.parametrize("bits", ["128", "256"])
+def test_narrower_vectors_have_the_same_plans_and_episodes(bits):
+    """SSE2 and AVX2, where the processor has more."""
+    here = {name: digest(plans(own(name), name, samples=2)) for name in NAMES}
+    paths = os.pathsep.join([os.fspath(DATA.parents[1]), os.fspath(Path(__file__).parent)])
+    env = {**os.environ, "PYTHONPATH": paths, "CCDIFF_VECTOR_BITS": bits}
+    command = [sys.executable, "-c", HELD_DOWN]
+    found = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == f"{here} {digests(1, traffic='ccdiff')}"
 
 
 def changed(tmp_path: Path, change) -> str:
