@@ -161,7 +161,8 @@ def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
 
 HELD_DOWN = """
 from test_networks import NAMES, digest, digests, own, plans
-print({name: digest(plans(own(name), name, samples=2)) for name in NAMES}, digests(1, traffic="ccdiff"))
+found = {name: digest(plans(own(name), name, samples=2)) for name in NAMES}
+print(found, digests(1, traffic="ccdiff"))
 """
 
 
