@@ -84,7 +84,6 @@ impl NetworkKind {
     /// [`ModelError::Config`] names the field.
     pub fn check(&self, config: &ModelConfig) -> Result<()> {
         let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
-        (self.fits)(config)?;
         if self.trunk && config.history != HistoryTokens::Summary {
             let got = config.history.name().to_owned();
             return fail("model.history", got, "a summary, as in \"fast\", for this model");
@@ -93,6 +92,7 @@ impl NetworkKind {
             let got = format!("{} points for {}", config.route_points_m.len(), self.kind.name);
             return fail("model.route_points_m", got, "none: this model knows no routes");
         }
+        (self.fits)(config)?;
         let Some(map) = &config.map else { return Ok(()) };
         if map.encoder == MapEncoder::Polylines && (map.history_channels || self.trunk) {
             let expected = "an encoder of rasters for history channels and this model";
