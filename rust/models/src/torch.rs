@@ -7,14 +7,11 @@ use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
-use crate::sampler::{Denoiser, to_vec};
 use ccdiff_nets::backend::{Backend, KeyValue};
-use ccdiff_nets::ccdiff::{Context, Network};
-use ccdiff_nets::ctg::{Condition, HalfUnet};
 use ccdiff_nets::latents::{Decoder, Pulls};
 use ccdiff_nets::layers::embed::ROUTE_SCALE_M;
 use ccdiff_nets::trunk::Encoded;
-use tch::{Kind, Tensor, nn};
+use tch::{Device, Kind, Tensor, nn};
 
 /// Layers on libtorch.
 #[derive(Debug)]
@@ -315,29 +312,11 @@ impl Pulls for Torch {
     }
 }
 
-fn repeated(t: &Tensor, samples: i64) -> Tensor {
-    let mut times = vec![1; t.dim()];
-    times[0] = samples;
-    t.repeat(times)
-}
-
-impl Denoiser for HalfUnet<Torch> {
-    fn repeated(context: &Condition<Torch>, samples: i64) -> Condition<Torch> {
-        let repeat = |t| repeated(t, samples);
-        Condition { token: repeat(&context.token), speed: repeat(&context.speed) }
-    }
-}
-
-impl Denoiser for Network<Torch> {
-    fn repeated(context: &Context<Torch>, samples: i64) -> Context<Torch> {
-        let repeat = |t: &Tensor| repeated(t, samples);
-        Context {
-            history: repeat(&context.history),
-            edges: repeat(&context.edges),
-            slots: context.slots.repeated(samples),
-            map: context.map.iter().map(|m| m.as_ref().map(|(k, v)| (repeat(k), repeat(v)))).collect(),
-            mask: context.mask.as_ref().map(repeat),
-            speed: repeat(&context.speed),
-        }
-    }
+/// The numbers of a tensor.
+pub(crate) fn to_vec(tensor: &Tensor) -> Vec<f32> {
+    let flat = tensor.to_device(Device::Cpu).contiguous();
+    let count = flat.numel();
+    let mut values = vec![0f32; count];
+    flat.view([-1]).copy_data(&mut values, count);
+    values
 }

@@ -3,7 +3,6 @@
 use crate::bits::{self, Bits};
 use crate::ctg::{self, HalfUnet};
 use crate::kind::NetworkKind;
-use crate::latents::Cvae;
 use crate::own::Own;
 use crate::own_planner::{denoising, proposing};
 use crate::simnet::Simnet;
@@ -14,14 +13,6 @@ pub const SIMNET: NetworkKind = NetworkKind {
     one_plan: true,
     ..NetworkKind::with_trunk(driver("simnet", "SimNet"), proposing::<Simnet<Own>>)
 };
-/// Latents of all agents decoded jointly, after the paper.
-pub const TRAFFICSIM: NetworkKind =
-    NetworkKind::with_trunk(driver("trafficsim", "TrafficSim"), proposing::<Cvae<Own>>);
-/// Latents of each agent under a fixed prior, as ported by others.
-pub const TRAFFICSIM_PORT: NetworkKind =
-    NetworkKind::with_trunk(driver("trafficsim_port", "TrafficSim, as ported"), proposing::<Cvae<Own>>);
-/// Latents of each agent under a learned prior, optimised.
-pub const STRIVE: NetworkKind = NetworkKind::with_trunk(driver("strive", "STRIVE"), proposing::<Cvae<Own>>);
 /// Goals on a grid, a policy that drives to them, a choice among them.
 pub const BITS: NetworkKind = NetworkKind {
     fits: bits::fits,

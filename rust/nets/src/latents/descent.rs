@@ -49,8 +49,8 @@ pub(super) fn descended(
     latent: usize,
     prior: Option<&Gaussian>,
     guide: &Guidance<'_>,
-    decode: &dyn Fn(&[f32]) -> Vec<f32>,
-    pulled: &dyn Fn(&[f32], &[f32]) -> Vec<f32>,
+    decode: impl Fn(&[f32]) -> Vec<f32>,
+    pulled: impl Fn(&[f32], &[f32]) -> Vec<f32>,
 ) -> Result<Vec<f32>> {
     let (scales, shares, config) = (guide.guidance_scales(), guide.shares(), guide.config());
     let (mut z, mut first, mut second) = (start.to_vec(), vec![0f32; start.len()], vec![0f32; start.len()]);
@@ -149,7 +149,7 @@ mod tests {
             let of = |row: &[f32], c: usize| 0.5 * row.iter().skip(c).step_by(2).sum::<f32>();
             g.chunks(26).flat_map(|row| [of(row, 0), of(row, 1)]).collect()
         };
-        let end = descended(&start, 2, prior, &guide, &decode, &pulled).unwrap();
+        let end = descended(&start, 2, prior, &guide, decode, pulled).unwrap();
         (start, end)
     }
 

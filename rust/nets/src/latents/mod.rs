@@ -16,12 +16,25 @@ use crate::backend::Backend;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
+use crate::kind::NetworkKind;
 use crate::layers::perceptron::Perceptron;
 use crate::layers::social::EdgeAwareLayer;
+use crate::own::Own;
+use crate::own_planner::proposing;
 use crate::planner::{Asked, Proposes, Weighted};
 use crate::simnet::HIDDEN;
+use crate::traffic::driver;
 use crate::trunk::{Encoded, Trunk};
 use descent::{Gaussian, descended};
+
+/// Latents of all agents decoded jointly, after the paper.
+pub const TRAFFICSIM: NetworkKind =
+    NetworkKind::with_trunk(driver("trafficsim", "TrafficSim"), proposing::<Cvae<Own>>);
+/// Latents of each agent under a fixed prior, as ported by others.
+pub const TRAFFICSIM_PORT: NetworkKind =
+    NetworkKind::with_trunk(driver("trafficsim_port", "TrafficSim, as ported"), proposing::<Cvae<Own>>);
+/// Latents of each agent under a learned prior, optimised.
+pub const STRIVE: NetworkKind = NetworkKind::with_trunk(driver("strive", "STRIVE"), proposing::<Cvae<Own>>);
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
@@ -200,7 +213,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
                     |(z, g): (&[f32], &[f32])| B::pulled(&self.decoder, &self.back, &seen, &placed(z), g);
                 samples.zip(of_knots).flat_map(of).collect()
             };
-            z = descended(&z, latent, likely, guide, &decode, &pulled)?;
+            z = descended(&z, latent, likely, guide, decode, pulled)?;
         }
         Ok(decode(&z))
     }
