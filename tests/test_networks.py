@@ -15,18 +15,14 @@ from test_determinism import digests
 
 from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError
-<<<<<<< HEAD
-from ccdiff_env.models import require_networks, shipped_weights, weight_files
-=======
-from ccdiff_env.models import guidance_preset, require_networks, shipped_weights
->>>>>>> 7ec0b7e (feat(nets): CTG, BITS, TrafficSim and STRIVE on own kernels)
+from ccdiff_env.models import guidance_preset, require_networks, shipped_weights, weight_files
 from ccdiff_env.scenes import load_nuscenes
 from ccdiff_env.traffic import KINDS
 
 FILES = {file.stem: os.fspath(file) for file in weight_files()}
 GOLDEN = Path(__file__).parent / "golden" / "plans.json"
 #: All shipped networks of traffic.
-NAMES = sorted(path.stem for path in DATA.glob("*.safetensors") if path.stem.split("_")[0] in KINDS)
+NAMES = sorted(name for name in FILES if name.split("_")[0] in KINDS)
 #: Those of them that denoise, and those that also attend to each other.
 SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"))]
 DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]
@@ -115,7 +111,7 @@ def test_latents_descend_by_the_gradients_of_torch(name):
     require_networks()
     from ccdiff_env import _models
 
-    models = (own(name), _models.load_network(os.fspath(DATA / f"{name}.safetensors"), "cpu"))
+    models = (own(name), _models.load_network(FILES[name], "cpu"))
     free = plans(models[0], name)
     guided = {
         "guidance": json.dumps(guidance_preset("rl")),
@@ -171,7 +167,7 @@ print(found, digests(1, traffic="ccdiff"))
 
 def test_the_narrowest_vectors_have_the_same_plans_and_episodes():
     here = {name: digest(plans(own(name), name, samples=2)) for name in NAMES}
-    paths = os.pathsep.join([os.fspath(DATA.parents[1]), os.fspath(Path(__file__).parent)])
+    paths = os.pathsep.join([*map(os.fspath, (GOLDEN.parents[2], GOLDEN.parents[1]))])
     command, env = [sys.executable, "-c", HELD_DOWN], {**os.environ, "PYTHONPATH": paths}
     found = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == f"{here} {digests(1, traffic='ccdiff')}"

@@ -47,19 +47,12 @@ for _ in range(10):
 print("CCDiff without torch:", planned.explain().agents.shape)
 
 try:
-    ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={"device": "cuda"})
+    ccdiff_env.EgoEnv(traffic="strive")
 except ccdiff_env.errors.MissingFeatureError as error:
-<<<<<<< HEAD
     print("STRIVE without its weights:", error)
     assert "ccdiff-env[rivals]" in str(error)
 else:
     raise AssertionError("STRIVE traffic without its weights")
-=======
-    print("a graphics card without torch:", error)
-    assert "ccdiff-env[models]" in str(error)
-else:
-    raise AssertionError("a graphics card without torch")
->>>>>>> 7ec0b7e (feat(nets): CTG, BITS, TrafficSim and STRIVE on own kernels)
 """
 
 WITH_TORCH = """
