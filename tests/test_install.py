@@ -84,7 +84,7 @@ import sys, types
 import ccdiff_env
 {before}
 try:
-    ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={{"device": "cuda"}})
+    ccdiff_env.EgoEnv(traffic="strive", strive={{"device": "cuda"}})
 except ccdiff_env.errors.MissingFeatureError as error:
     assert isinstance(error, ImportError)
     print(error)
