@@ -18,7 +18,7 @@ pub mod layers;
 pub mod logged;
 pub mod noise;
 pub mod own;
-mod own_planner;
+pub mod own_planner;
 pub mod plan_space;
 pub mod planner;
 pub mod raster;

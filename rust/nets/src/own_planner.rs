@@ -31,7 +31,7 @@ fn filled<N: Weighted<Own>>(
 ///
 /// # Errors
 /// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-pub(crate) fn denoising<N: Denoises<Own> + Send + 'static>(
+pub fn denoising<N: Denoises<Own> + Send + 'static>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
@@ -44,7 +44,7 @@ pub(crate) fn denoising<N: Denoises<Own> + Send + 'static>(
 ///
 /// # Errors
 /// As [`denoising`].
-pub(crate) fn proposing<N: Proposes<Own> + Send + 'static>(
+pub fn proposing<N: Proposes<Own> + Send + 'static>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
