@@ -60,7 +60,6 @@ class SelectionKeywords(TypedDict, total=False):
     ccdiff: CcdiffConfig | Mapping[str, Any]
     simnet: CcdiffConfig | Mapping[str, Any]
     trafficsim: CcdiffConfig | Mapping[str, Any]
-    trafficsim_port: CcdiffConfig | Mapping[str, Any]
     strive: CcdiffConfig | Mapping[str, Any]
     bits: CcdiffConfig | Mapping[str, Any]
     ctg: CcdiffConfig | Mapping[str, Any]

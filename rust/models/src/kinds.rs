@@ -1,6 +1,6 @@
 //! The networks on torch.
 
-use crate::baselines::{BITS, SIMNET, STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+use crate::baselines::{BITS, SIMNET, STRIVE, TRAFFICSIM};
 use crate::config::ModelConfig;
 use crate::diffusion::{CCDIFF, CTG, CTGPP};
 use crate::error::Result;
@@ -11,8 +11,7 @@ use ccdiff_nets::kinds::named;
 use tch::nn;
 
 /// All of [`ccdiff_nets::kinds::NETWORKS`]; a new one is a line here.
-static NETWORKS: [TorchKind; 9] =
-    [CCDIFF, SIMNET, TRAFFICSIM, TRAFFICSIM_PORT, STRIVE, BITS, CTG, CTGPP, TOKENS];
+static NETWORKS: [TorchKind; 8] = [CCDIFF, SIMNET, TRAFFICSIM, STRIVE, BITS, CTG, CTGPP, TOKENS];
 
 fn of(name: &str) -> Result<&'static TorchKind> {
     let name = named(name)?.kind.name;

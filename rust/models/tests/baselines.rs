@@ -93,7 +93,6 @@ fn every_network_has_the_tabulated_number_of_parameters() {
     for (kind, want) in [
         ("ccdiff", 384_530),
         ("simnet", 219_690),
-        ("trafficsim_port", 267_634),
         ("trafficsim", 348_202),
         ("strive", 295_018),
         ("bits", 274_740),

@@ -4,7 +4,7 @@ use crate::ccdiff::{CCDIFF, CTGPP};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::kind::NetworkKind;
-use crate::latents::{STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+use crate::latents::{STRIVE, TRAFFICSIM};
 use crate::rivals::{BITS, CTG, SIMNET};
 use crate::tokens::TOKENS;
 use crate::{own, weights};
@@ -12,8 +12,7 @@ use ccdiff_sim::SimError;
 use std::path::Path;
 
 /// All of them; a new one is a line here.
-pub static NETWORKS: [NetworkKind; 9] =
-    [CCDIFF, SIMNET, TRAFFICSIM, TRAFFICSIM_PORT, STRIVE, BITS, CTG, CTGPP, TOKENS];
+pub static NETWORKS: [NetworkKind; 8] = [CCDIFF, SIMNET, TRAFFICSIM, STRIVE, BITS, CTG, CTGPP, TOKENS];
 
 /// The network of a name.
 ///

@@ -5,7 +5,7 @@ use super::contact::{Pairs, off_road};
 use super::distributions::Gaussian;
 use crate::batch::Targets;
 use crate::guidance::MOVING_MPS;
-use crate::losses::{logged_actions, plan_loss, trajectory_loss};
+use crate::losses::{logged_actions, trajectory_loss};
 use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
@@ -16,10 +16,6 @@ use tch::{Kind, Reduction, Tensor};
 
 /// Weight of the divergence of learned priors.
 const DIVERGENCE: f64 = 2e-3;
-/// And of the fixed one, as in the port.
-const PORT_DIVERGENCE: f64 = 1e-4;
-/// Weight of the mean squared yaw rate, (rad/s)², as in the port.
-const PORT_YAW: f64 = 0.1;
 /// Weight of contact between sampled plans.
 const CONTACT: f64 = 0.05;
 /// Weight of sampled plans' departures from the road.
@@ -30,9 +26,6 @@ pub(crate) const TRAFFICSIM: TorchKind =
     TorchKind { name: "trafficsim", build: proposing::<Cvae<Torch>>, fast: with_own_contact };
 /// STRIVE.
 pub(crate) const STRIVE: TorchKind = TorchKind { name: "strive", ..TRAFFICSIM };
-/// TrafficSim as ported.
-pub(crate) const TRAFFICSIM_PORT: TorchKind =
-    TorchKind { name: "trafficsim_port", fast: |settings| settings, ..TRAFFICSIM };
 
 /// Contact has a loss of its own.
 fn with_own_contact(settings: TrainConfig) -> TrainConfig {
@@ -55,13 +48,6 @@ fn imitation(form: Form, space: &PlanSpace, step: &TrainingStep<'_>, knots: &Ten
     let (batch, targets) = (step.batch, step.targets);
     let states = || space.states(knots, &batch.speed_mps);
     match form {
-        Form::TrafficsimPort => {
-            let share = || Tensor::ones([batch.num_rows()], (Kind::Float, knots.device()));
-            let weight = step.config.collision_weight;
-            let yaw_rate = space.actions(knots).select(2, 1);
-            plan_loss(space, knots, batch, targets, weight, share)
-                + yaw_rate.square().mean(Kind::Float) * PORT_YAW
-        }
         Form::Trafficsim => huber(space, &states(), targets),
         Form::Strive => trajectory_loss(space, &states(), targets, &targets.valid),
     }
@@ -89,14 +75,13 @@ fn huber(space: &PlanSpace, states: &Tensor, targets: &Targets) -> Tensor {
 }
 
 impl Imitates for Cvae<Torch> {
-    /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and,
-    /// but for the port, what a sample of the prior does.
+    /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and
+    /// what a sample of the prior does.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
         let (batch, targets, form) = (step.batch, step.targets, self.form());
         let seen = self.encode(batch, true);
         let posterior = posterior(self, space, &seen, targets);
-        let standard = || Gaussian::standard(&posterior.mean);
-        let prior = self.prior(&seen).map_or_else(standard, |numbers| Gaussian::new(&numbers.squeeze_dim(1)));
+        let prior = Gaussian::new(&self.prior(&seen).squeeze_dim(1));
         let normals = |stream: u64| {
             let numbers = step.draw(stream).normals(posterior.mean.numel());
             Tensor::from_slice(&numbers).view_as(&posterior.mean).to_device(posterior.mean.device())
@@ -107,9 +92,6 @@ impl Imitates for Cvae<Torch> {
         let divergence =
             (posterior.kl(&prior) * &logged).sum(Kind::Float) / logged.sum(Kind::Float).clamp_min(1.0);
         let imitation = imitation(form, space, step, &knots);
-        if form == Form::TrafficsimPort {
-            return imitation + divergence * PORT_DIVERGENCE;
-        }
         let risen = (step.step as f64 / step.config.warmup_steps.max(1) as f64).min(1.0);
         let sampled = decode(prior.sample(&normals(1)));
         imitation + divergence * (DIVERGENCE * risen) + together(form, space, step, &sampled)

@@ -20,6 +20,7 @@ impl Gaussian {
     }
 
     /// N(0, I) of as many rows and numbers.
+    #[cfg(test)]
     pub(super) fn standard(like: &Tensor) -> Self {
         let zeros = like.zeros_like();
         Self { mean: zeros.shallow_clone(), log_variance: zeros }

@@ -8,5 +8,5 @@ mod distributions;
 mod simnet;
 
 pub(crate) use bits::BITS;
-pub(crate) use cvae::{STRIVE, TRAFFICSIM, TRAFFICSIM_PORT};
+pub(crate) use cvae::{STRIVE, TRAFFICSIM};
 pub(crate) use simnet::SIMNET;

@@ -31,7 +31,8 @@ impl Gaussian {
     }
 
     /// N(0, I).
-    pub(super) fn standard(numbers: usize) -> Self {
+    #[cfg(test)]
+    fn standard(numbers: usize) -> Self {
         Self { mean: vec![0.0; numbers], std: vec![1.0; numbers] }
     }
 

@@ -5,7 +5,6 @@
 //! token c ─► prior p(z) ────────────────────┴─► z of each agent ┘
 //! ```
 //! `trafficsim`: a joint decoder. `strive`: a decoder per agent, a wide latent, and a prior that guidance stays close to.
-//! `trafficsim_port`: the one without a learned prior that the paper's table seems to have been made with.
 
 mod adjoint;
 mod descent;
@@ -30,20 +29,15 @@ use descent::{Gaussian, descended};
 /// Latents of all agents decoded jointly, after the paper.
 pub const TRAFFICSIM: NetworkKind =
     NetworkKind::with_trunk(driver("trafficsim", "TrafficSim"), proposing::<Cvae<Own>>);
-/// Latents of each agent under a fixed prior, as ported by others.
-pub const TRAFFICSIM_PORT: NetworkKind =
-    NetworkKind::with_trunk(driver("trafficsim_port", "TrafficSim, as ported"), proposing::<Cvae<Own>>);
 /// Latents of each agent under a learned prior, optimised.
 pub const STRIVE: NetworkKind = NetworkKind::with_trunk(driver("strive", "STRIVE"), proposing::<Cvae<Own>>);
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
 
-/// Which of the three it is.
+/// Which of the two it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
-    /// A fixed prior.
-    TrafficsimPort,
     /// A joint decoder.
     Trafficsim,
     /// A prior that guidance stays close to.
@@ -54,7 +48,6 @@ impl Form {
     fn of(config: &ModelConfig) -> Self {
         match config.kind.as_str() {
             "strive" => Self::Strive,
-            "trafficsim_port" => Self::TrafficsimPort,
             _ => Self::Trafficsim,
         }
     }
@@ -64,7 +57,6 @@ impl Form {
         match self {
             Self::Trafficsim => 16,
             Self::Strive => 32,
-            Self::TrafficsimPort => 4,
         }
     }
 }
@@ -118,7 +110,7 @@ pub struct Cvae<B: Pulls> {
     future: Perceptron<B>,
     posterior: Perceptron<B>,
     /// `None`: N(0, I).
-    prior: Option<Perceptron<B>>,
+    prior: Perceptron<B>,
     decoder: Decoder<B>,
     back: B::Back,
 }
@@ -134,9 +126,9 @@ impl<B: Pulls> Cvae<B> {
         self.trunk.forward(batch, train)
     }
 
-    /// Means and ln σ² of the prior [R, 1, 2 D], not yet bounded; `None`: N(0, I).
-    pub fn prior(&self, seen: &Encoded<B>) -> Option<B::Tensor> {
-        self.prior.as_ref().map(|network| network.forward(&seen.token))
+    /// Means and ln σ² of the prior [R, 1, 2 D], not yet bounded.
+    pub fn prior(&self, seen: &Encoded<B>) -> B::Tensor {
+        self.prior.forward(&seen.token)
     }
 
     /// Those of the posterior given futures [R, 1, 3 · knots]: actions, then shares of steps that are logged.
@@ -166,7 +158,7 @@ impl<B: Pulls> Weighted<B> for Cvae<B> {
         let trunk = Trunk::new(&at("trunk"), config);
         let future = mlp("future", &[3 * knots, HIDDEN, d]);
         let posterior = mlp("posterior", &[2 * d, HIDDEN, 2 * latent]);
-        let prior = (form != Form::TrafficsimPort).then(|| mlp("prior", &[d, HIDDEN, 2 * latent]));
+        let prior = mlp("prior", &[d, HIDDEN, 2 * latent]);
         let joint = (form == Form::Trafficsim).then(joint);
         let layers = mlp("decoder", &[latent + d + 1, HIDDEN, HIDDEN, 2 * knots]);
         let decoder = Decoder { joint, layers };
@@ -195,10 +187,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
         if self.form == Form::Strive {
             noise[..of_sample].fill(0.0);
         }
-        let prior = self.prior(&seen).map_or_else(
-            || Gaussian::standard(of_sample),
-            |numbers| Gaussian::new(&B::numbers(&numbers), latent),
-        );
+        let prior = Gaussian::new(&B::numbers(&self.prior(&seen)), latent);
         let mut z = prior.sample(&noise);
         let placed = |z: &[f32]| B::placed(&seen.token, z.to_vec(), 1, latent);
         let decode = |z: &[f32]| -> Vec<f32> {
