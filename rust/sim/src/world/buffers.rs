@@ -2,8 +2,8 @@
 
 use crate::error::{Result, SimError};
 use crate::observe::Layout;
-use crate::world::columns::NUM_COLUMNS;
 use crate::world::config::{Autoreset, WorldConfig};
+use crate::world::reward_columns::NUM_COLUMNS;
 
 /// Sizes that every world's part of the arrays has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

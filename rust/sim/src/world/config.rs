@@ -9,7 +9,7 @@ use crate::options;
 use crate::options::{Table, above, at_least, within};
 use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
-use crate::world::columns::{RewardConfig, WEIGHT};
+use crate::world::reward_columns::{RewardConfig, WEIGHT};
 use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! What is summed up over an episode, from the info columns of its steps.
 
 use crate::geom::Real;
-use crate::world::columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
+use crate::world::reward_columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, NUM_COMPONENTS, TTC_HORIZON_S};
 use serde::{Deserialize, Serialize};
 
 const fn metric(name: &'static str, unit: &'static str, doc: &'static str) -> InfoColumn {

@@ -11,7 +11,6 @@ mod assist;
 mod autoreset;
 mod buffers;
 mod candidates;
-mod columns;
 mod config;
 mod decide;
 mod detect;
@@ -24,6 +23,7 @@ mod map_queries;
 mod motion;
 mod policies;
 mod reward;
+mod reward_columns;
 mod rng;
 mod roles;
 mod rows;
@@ -39,7 +39,6 @@ mod traffic;
 pub use actions::ActionDecoder;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
-pub use columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
     WorldConfig,
@@ -47,6 +46,7 @@ pub use config::{
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use inspect::WorldStatus;
 pub use map_queries::{LaneAhead, NearPiece};
+pub use reward_columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
 pub use rng::Rng;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use step_metrics::StepMetrics;

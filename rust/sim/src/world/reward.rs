@@ -1,11 +1,11 @@
-//! Reward of a step: what the entries of the table in [`columns`] are made from.
+//! Reward of a step: what the entries of the table in [`reward_columns`] are made from.
 
 use crate::events::Contact;
 use crate::geom::Real;
 use crate::state::AgentStates;
-use crate::world::columns::{self, RewardForm, Step};
 use crate::world::config::WorldConfig;
 use crate::world::episode::{STATIONARY_M, Slot};
+use crate::world::reward_columns::{self, RewardForm, Step};
 
 /// Scale of accelerations in the discomfort, m/s².
 const COMFORT_MPS2: Real = 4.0;
@@ -90,7 +90,7 @@ pub(crate) fn score(
         step.contact_counts = facts.contact.is_some_and(|c| c.at_fault);
         step.soft = 0.0;
     }
-    columns::fill(&step, &config.reward, columns)
+    reward_columns::fill(&step, &config.reward, columns)
 }
 
 /// Whether an episode that ends now was a success.

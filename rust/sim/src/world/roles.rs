@@ -2,8 +2,8 @@
 
 use crate::geom::Real;
 use crate::world::buffers::StepBuffers;
-use crate::world::columns::{Col, NUM_COLUMNS};
 use crate::world::config::WorldConfig;
+use crate::world::reward_columns::{Col, NUM_COLUMNS};
 use crate::world::tick::World;
 
 impl World {

@@ -1,10 +1,10 @@
 //! Phase "reward" of a tick: scores, info columns, and whose episode ends by what.
 
 use crate::world::buffers::StepBuffers;
-use crate::world::columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::config::{Consequence, WorldConfig};
 use crate::world::episode::Phase;
 use crate::world::reward::{self, StepFacts};
+use crate::world::reward_columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
 
