@@ -92,6 +92,12 @@ class WorldConfig(WorldOptions):
             for name, policy in self.policies.items()
         }
         object.__setattr__(self, "policies", own)
+        for entry in dataclasses.fields(self):
+            make: Any = entry.default_factory
+            value = getattr(self, entry.name)
+            if dataclasses.is_dataclass(make) and not isinstance(value, make):
+                # a dictionary of the fields to change
+                object.__setattr__(self, entry.name, _fitting(entry.name, value, make, make()))
         for name, policy in own.items():
             kind = KINDS.get(name)
             if name == "external" or (kind and (kind.always or name != policy.kind)):

@@ -186,3 +186,13 @@ def test_scaled_rewards_are_all_weights_times_the_factor():
     for field in (f for f in dataclasses.fields(RewardConfig) if f.name != "form"):
         expected = 0.2 * getattr(weights, field.name)
         assert getattr(scaled, field.name) == pytest.approx(expected)
+
+
+def test_nested_dictionaries_are_the_fields_to_change():
+    config = WorldConfig(reward={"collision": -3.0}, ccdiff={"num_samples": 2})
+    assert config == WorldConfig().with_options(
+        reward={"collision": -3.0}, ccdiff={"num_samples": 2}
+    )
+    for wrong in ({"colision": -3.0}, 5):
+        with pytest.raises(ConfigError, match="reward"):
+            WorldConfig(reward=wrong)
