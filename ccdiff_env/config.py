@@ -95,7 +95,7 @@ class WorldConfig(WorldOptions):
         for entry in dataclasses.fields(self):
             make: Any = entry.default_factory
             value = getattr(self, entry.name)
-            if dataclasses.is_dataclass(make) and not isinstance(value, make):
+            if hasattr(make, "__dataclass_fields__") and not isinstance(value, make):
                 # a dictionary of the fields to change
                 object.__setattr__(self, entry.name, _fitting(entry.name, value, make, make()))
         for name, policy in own.items():
