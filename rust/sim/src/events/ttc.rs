@@ -111,7 +111,7 @@ impl LeastTimes {
             let mut left = u64::from_le_bytes(*may_meet);
             while left != 0 {
                 let at = (block + k) * LANES + left.trailing_zeros() as usize / 8;
-                let other = self.agents.get(at).map_or(at - num_asked, |a| *a as usize);
+                let other = self.agents.get(at).map_or_else(|| at - num_asked, |a| *a as usize);
                 left &= left - 1;
                 let (own_s, other_s) = (self.least_s[agent_idx], self.least_s[other]);
                 if let Some(time_s) =
