@@ -100,6 +100,18 @@ TABLES: dict[str, Made] = {
             "score": Column("score", interval=False),
         },
     ),
+    "matrix": Made(
+        "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
+        "pdm_ccdiff,diffusion,ccdiff,ego,imitation --planners "
+        "idm,lane_idm,constant_velocity,pdm,pdm_ccdiff,diffusion,ego,imitation",
+        "cross.csv",
+        ("planner",),
+        {
+            "collides": Column("collision", interval=False),
+            "at fault": Column("at_fault", interval=False),
+            "score": Column("score", interval=False),
+        },
+    ),
     "criticality": Made(
         "bench traffic --k Full --methods "
         "ccdiff_unguided,ccdiff-0.25,ccdiff-0.5,ccdiff-0.75,ccdiff,ccdiff-1.5,ccdiff-2",
@@ -134,11 +146,13 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
     about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     with (folder / table.file).open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+        # of scenarios those that could have been avoided
+        rows = [row for row in csv.DictReader(file) if row.get("scenarios") != "all"]
     made = about["made_with"]
+    first = re.search(r"--limit (\d+)", table.command)
     head = {
         "command": f"ccdiff-env {table.command}",
-        "scenes": about["coverage"],
+        "scenes": about["coverage"] + (f", the first {first[1]}" if first else ""),
         "weights": about["weights"],
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),
@@ -159,8 +173,10 @@ def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
         found: dict[str, Any] = dict(zip(table.keys, keys, strict=True))
         for column in table.columns.values():
             if f"{column.name}_low" in group[0]:
-                values = [group[0][column.name + end] for end in ("", "_low", "_high")]
-                figure = [float(value) if value else np.nan for value in values]
+                # rows of several sets are averaged, without an interval
+                ends = ("", "_low", "_high") if len(group) == 1 else ("",)
+                values = [[float(r[column.name + e] or "nan") for r in group] for e in ends]
+                figure = [float(np.mean(v)) for v in values] + [np.nan] * (3 - len(ends))
             else:
                 scenes: dict[str, list[float]] = {}
                 for row in group:
@@ -188,8 +204,7 @@ def render(name: str, chosen: str | None = None) -> str:
         "planner": _planner,
         "traffic": lambda name: TRAFFIC[name].label,
     }
-    planners = table.keys == ("planner",)
-    for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if planners else 0):
+    for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
         cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
         for column in table.columns.values():
             value, low, high = (np.nan if v is None else v for v in row[column.name])
