@@ -81,8 +81,9 @@ def test_names_of_scenes_are_no_paths(tmp_path, monkeypatch):
         assert main(["view", "evil.npz"]) == 0
         write_replay(log_rollout(scene), deep / "replays" / file_name(f"x-{name}", ".html"))
         monkeypatch.setattr(scenario_sets, "scenes_of", lambda *_, scene=scene: [scene])
+        monkeypatch.setattr(scenario_sets, "scene_hashes", lambda *_, name=name: {name: "0"})
         scenario_sets.generate(
-            source={},
+            source="embedded/val",
             names=[name],
             generator="replay",
             traffic="replay",

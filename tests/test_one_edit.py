@@ -9,7 +9,7 @@ from ccdiff_env import EgoEnv, embedded_scenes, load
 from ccdiff_env.bench.planners import TRAFFIC, play
 from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.policies.planners import BUILT_IN
 from ccdiff_env.scenes.sources import SOURCES, Source
 from ccdiff_env_cli import main
 
@@ -140,7 +140,7 @@ def test_a_planner_is_one_entry(scenes, monkeypatch):
 
     with pytest.raises(ConfigError, match="'coast'"):
         play(scenes[:1], "coast", TRAFFIC["replay"])
-    monkeypatch.setitem(RULES, "coast", Coast)
+    monkeypatch.setitem(BUILT_IN, "coast", Coast)
     [named] = play(scenes[:1], "coast", TRAFFIC["replay"])
     [given] = play(scenes[:1], Coast, TRAFFIC["replay"])
     assert named["score"] == given["score"]
