@@ -120,6 +120,13 @@ TABLES: dict[str, Made] = {
         _GUIDED,
     ),
     "rivals": Made("bench traffic --k 5 --methods all", "figures.csv", ("method",), _GUIDED),
+    "grid": Made(
+        "bench traffic --k 1,2,3,4,5,10,Full --t 0.5,1,2,5 --t-at 5 --methods "
+        "simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
+        "figures.csv",
+        ("method", "k", "t"),
+        _GUIDED,
+    ),
     "steps": Made(
         "bench traffic --k 5 --methods ccdiff_one_sample,ccdiff_one_step_one_sample,"
         "ccdiff,ccdiff_one_step",
