@@ -3,7 +3,7 @@
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
 pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
-the columns A and B alone.
+the columns A and B alone. ``grid`` has a row per method, and a figure in a column per K and T.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ TABLES: dict[str, Made] = {
         "bench traffic --k 1,2,3,4,5,10,Full --t 0.5,1,2,5 --t-at 5 --methods "
         "simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
         "figures.csv",
-        ("method", "k", "t"),
+        ("method", "K", "replan_s"),
         _GUIDED,
     ),
     "steps": Made(
@@ -206,6 +206,8 @@ def render(name: str, chosen: str | None = None) -> str:
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
+    if len(table.keys) > 1:
+        return _grid(kept, *table.columns.values())
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {
         "planner": _planner,
@@ -221,6 +223,23 @@ def render(name: str, chosen: str | None = None) -> str:
     command = f"`{kept['command']}`, " if chosen is None else ""
     text = f"{command}{kept['scenes']}, {kept['date']}."
     return document(Table([*table.keys, *columns], rows), text).rstrip()
+
+
+def _grid(kept: dict[str, Any], column: Column) -> str:
+    """One figure of every method, in a column per K at the first T, then per T at K = 5."""
+    from ccdiff_env.bench.methods import label_of
+
+    rows = kept["rows"]
+    cells = {(row["K"], row["replan_s"]): f"K = {row['K']}" for row in rows}
+    first = next(iter(cells))[1]
+    cells = {cell: head if cell[1] == first else f"T = {cell[1]} s" for cell, head in cells.items()}
+    figures = {(row["method"], row["K"], row["replan_s"]): row[column.name] for row in rows}
+    methods = dict.fromkeys(row["method"] for row in rows)
+    table: TableRows = [
+        [label_of(method), *(figures[(method, *cell)][0] for cell in cells)] for method in methods
+    ]
+    heads = (replace(column, head=head, interval=False) for head in cells.values())
+    return document(Table(["method", *heads], table), f"{kept['scenes']}, {kept['date']}.").rstrip()
 
 
 def _planner(name: str) -> str:
