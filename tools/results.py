@@ -72,9 +72,11 @@ TABLES: dict[str, Made] = {
     "planners_smoke": _PLANNERS,
     "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
     "realism": Made(
-        "bench realism --samples 8 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
+        "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
-        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful",
+        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful,simnet_unguided,"
+        "trafficsim_one_sample,strive_one_sample,bits_one_sample,ctg_one_sample,ctgpp_one_sample,"
+        "ccdiff_equal_one_sample",
         "likelihoods.csv",
         ("method",),
         {
@@ -87,6 +89,7 @@ TABLES: dict[str, Made] = {
             "min ADE m": Column("min_ade_m", interval=False),
             "SCR": Column("scr", digits=3, interval=False),
             "off road %": Column("orr", factor=100.0, interval=False),
+            "processor s": Column("processor_s", digits=2, interval=False),
         },
     ),
     "dial": Made(
