@@ -229,6 +229,15 @@ class Scene:
     def map_layers(self) -> MapLayers:
         """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
 
+    def with_ego(self, agent_id: str) -> Scene:
+        """Return the scene with another agent as its ego; the one of before is ``"former ego"``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such agent.
+        """
+
     def render(
         self,
         step: int = 0,
@@ -366,6 +375,10 @@ class WorldStatus:
     def elapsed_steps(self) -> int:
         """Steps since the episode began."""
 
+    @property
+    def ego_idx(self) -> int | None:
+        """Index of the ego; ``None`` in a scene without one."""
+
 @final
 class Planner:
     """A planner of the package: ``"pdm"``, ``"idm"`` or ``"plan"``, the last one with a network."""
@@ -398,8 +411,12 @@ class VecWorld:
         scenes: Sequence[int | None],
         mask: Sequence[bool] | None,
         out: tuple[object, ...],
+        wanted: Sequence[tuple[int | None, int | None]] = ...,
     ) -> None:
-        """Begin episodes; writes into the arrays of :meth:`step_arrays`, in their order."""
+        """Begin episodes; writes into the arrays of :meth:`step_arrays`, in their order.
+
+        ``wanted`` are egos (indices) and starts (steps); all are drawn where it is empty.
+        """
 
     def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None:
         """Advance all worlds, or those of ``active`` [E], by one step; actions [E, C, W].

@@ -132,6 +132,8 @@ class WorldConfig(WorldOptions):
             If a name is unknown (the message names near ones) or a value has the wrong type.
         """
         given: dict[str, Any] = {**options}
+        if "ego" in given:
+            given["controlled"] = _fitting("ego", given.pop("ego"), Literal["ego", "any"], None)
         shortcuts: dict[str, Any] = {
             k: given.pop(k) for k in ("dynamics", "discrete", "grid") if k in given
         }
@@ -372,7 +374,9 @@ def _controlled(path: str, value: Any) -> Controlled:
             for name, ids in scenes.items()
         }
     if isinstance(value, str):
-        return typing.cast("Controlled", _fitting(path, value, Literal["ego", "vehicles"], None))
+        return typing.cast(
+            "Controlled", _fitting(path, value, Literal["ego", "any", "vehicles"], None)
+        )
     return _tuple(path, value, (str, ...))
 
 

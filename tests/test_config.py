@@ -143,7 +143,7 @@ def test_numpy_numbers_are_numbers():
         ({"grid": {"first": [1.0]}}, "second is missing"),
         ({"grid": {"first": [1.0], "secnd": [1.0]}}, "did you mean"),
         ({"dynamics": {"unicycle": {"speed_mps": [1.0]}}}, "2"),
-        ({"controlled": "trucks"}, "ego, vehicles"),
+        ({"controlled": "trucks"}, "ego, any, vehicles"),
         ({"controlled": {"scene-1": "a"}}, "sequence"),
         ({"observation": {"ego_columns": "speed"}}, "sequence"),
     ],

@@ -125,7 +125,7 @@ from ccdiff_env.traffic.python import PythonTraffic
 KEYWORDS = {
     "SelectionKeywords": (),
     "AgentKeywords": ("reward", "driver", "decision_steps"),
-    "EgoKeywords": ("adversaries", "adversary_shaping"),
+    "EgoKeywords": ("ego", "adversaries", "adversary_shaping"),
     "WorldKeywords": ("observation", "controlled", "num_slots", "autoreset"),
 }
 #: What keywords take beside what fields hold.
@@ -324,6 +324,7 @@ def keywords(found: list[Table]) -> str:
     """Return the module of keywords."""
     by_name = {t["name"]: {e["name"]: e for e in t["fields"]} for t in found}
     fields = {name: _keyword(name, e["form"]) for name, e in by_name["WorldConfig"].items()}
+    fields["ego"] = 'Literal["ego", "any"]'
     fields |= {name: _keyword(name, by_name[t][name]["form"]) for name, t in SHORT.items()}
     kinds = {k["name"]: k["options"] for k in _native.driver_kinds() if k["options"]}
     kinds["python"] = "PythonTraffic"

@@ -96,7 +96,7 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("rgb_array",))
         self._render_options = checked_render_options(render_options)
-        for name in ("controlled", "num_slots", "autoreset"):
+        for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
         chosen = scene_set(scenes)

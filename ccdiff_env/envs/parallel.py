@@ -119,7 +119,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         check_choices(observation, info, FORMS)
         check_render_mode(render_mode, ("human", "rgb_array"))
         self._render_options = checked_render_options(render_options)
-        for name in ("controlled", "num_slots", "autoreset"):
+        for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
         if max_cycles is not None:

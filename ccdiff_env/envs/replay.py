@@ -90,9 +90,11 @@ def replay(
             f"certificate: made by version {certificate.package}, whose observations or info "
             "columns differ from this one's"
         )
-    env.reset(seed=certificate.seed)
-    for _ in range(certificate.episode_idx):
-        env.reset()
+    start = {"ego": certificate.ego, "start": certificate.start_step}
+    chosen = None if certificate.ego is None else {"scene": scene.name, **start}
+    for i in range(certificate.episode_idx + 1):
+        last = i == certificate.episode_idx
+        env.reset(seed=None if i else certificate.seed, options=chosen if last else None)
     frames = [env.render() if render_mode == "rgb_array" else None]
     rewards = []
     shape = env.action_space.shape or ()

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
-from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
+from ccdiff_env.envs.vector import RESET_OPTIONS, InfoLevel, check_choices, check_ego
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
@@ -61,6 +61,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     Start
         3.0 s into the log of a scene that the seed draws, with all agents that are there then.
         ``start_spread_steps`` spreads the starts; ``options={"scene": name}`` names the scene.
+        With ``ego="any"`` the seed draws a vehicle that drives on for 10 m, and a step of the log.
 
     End
         Terminated: a collision, a corner off the road, or the goal (the logged position at the
@@ -153,26 +154,30 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         seed
             Any integer; ``None`` goes on with the world's generator.
         options
-            ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles by id,
-            for this episode.
+            ``scene``: name or index of the scene; with ``ego="any"`` besides ``ego``: id, and
+            ``start``: step of the log; ``drivers``: drivers of single vehicles by id, for this
+            episode.
 
         Returns
         -------
         obs, info
-            First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``.
+            First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``, and where they
+            are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
-        for name in options or {}:
-            if name not in ("scene", "drivers"):
-                raise unknown("reset option", str(name), ("scene", "drivers"))
-        drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
-        scene_idx = self.worlds.scene_index((options or {}).get("scene"))
+        options = options or {}
+        for name in options:
+            if name not in RESET_OPTIONS:
+                raise unknown("reset option", str(name), RESET_OPTIONS)
+        drivers = self.worlds.agent_drivers(options.get("drivers", {}))
+        scene_idx = self.worlds.scene_index(options.get("scene"))
+        wanted = self.worlds.wanted(scene_idx, options.get("ego"), options.get("start"))
         normalized = None if seed is None else normalize_seed(seed)
         super().reset(seed=normalized)
         if normalized is None and not self._seeded:
             normalized = int(self.np_random.integers(2**63))
         self._seeded = self._begun = True
         out = self.worlds.arrays()
-        self.worlds.native.reset([normalized], [scene_idx], None, out)
+        self.worlds.native.reset([normalized], [scene_idx], None, out, [wanted])
         self.worlds.assign(0, drivers)
         self._actions = []
         if self.render_mode == "human":

@@ -20,7 +20,6 @@ from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import (
     FollowsTraining,
-    SceneChoice,
     Scenes,
     StepArrays,
     Worlds,
@@ -41,6 +40,9 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 InfoLevel = Literal["full", "end", "none"]
+
+#: What resets of one ego per world take.
+RESET_OPTIONS = ("scene", "ego", "start", "drivers")
 
 _AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",
@@ -71,8 +73,8 @@ def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
     for name in ("controlled", "num_slots", "autoreset"):
         if name in options:
             raise ConfigError(f"{name} is not an option of environments with one ego per world")
-    if config is not None and (config.controlled != "ego" or config.num_slots != 1):
-        raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego'")
+    if config is not None and (config.controlled not in ("ego", "any") or config.num_slots != 1):
+        raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'")
 
 
 class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
@@ -123,7 +125,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
     (:func:`~ccdiff_env.models.needs_torch`), rounds by the size of the batch. In sequential order
     its next scene is E further on: together the worlds play each scene once.
     ``reset(options={"scene": ...})`` chooses scenes by name or index, one for all worlds or a list
-    with one entry per world (``None``: no choice).
+    with one entry per world (``None``: no choice); so do ``ego`` and ``start``, where egos are
+    drawn.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
@@ -223,24 +226,27 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with their
             generators).
         options
-            ``scene``: name or index, or one per world; ``reset_mask``: worlds [E] to reset;
-            ``drivers``: drivers of single vehicles by id, for these episodes, of those vehicles
-            that a world's scene has.
+            ``scene``: name or index, or one per world; with ``ego="any"`` besides ``ego``: id, and
+            ``start``: step of the log; ``reset_mask``: worlds [E] to reset; ``drivers``: drivers of
+            single vehicles by id, for these episodes, of those vehicles that a world's scene has.
 
         Returns
         -------
         obs
             Observations [E, ...].
         infos
-            ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were reset.
+            ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were reset;
+            where they are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
         options = options or {}
         for name in options:
-            if name not in ("scene", "reset_mask", "drivers"):
-                raise unknown("reset option", str(name), ("scene", "reset_mask", "drivers"))
+            if name not in (*RESET_OPTIONS, "reset_mask"):
+                raise unknown("reset option", str(name), (*RESET_OPTIONS, "reset_mask"))
         drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         seeds = self._seeds(seed)
-        scenes = self._scenes(options.get("scene"))
+        scenes = [self.worlds.scene_index(one) for one in self._each("scene", options)]
+        egos, starts = self._each("ego", options), self._each("start", options)
+        wanted = [self.worlds.wanted(*one) for one in zip(scenes, egos, starts, strict=True)]
         mask = options.get("reset_mask")
         mask = None if mask is None else self._reset_mask(mask)
         arrays = self._kept or self.worlds.arrays()
@@ -248,7 +254,7 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             for i in np.flatnonzero(~mask):
                 self._keep(arrays, int(i))
         listed = None if mask is None else mask.tolist()
-        self.worlds.native.reset(seeds, scenes, listed, arrays)
+        self.worlds.native.reset(seeds, scenes, listed, arrays, wanted)
         for i in range(self.num_envs):
             if mask is None or mask[i]:
                 ids = set(self.worlds.scenes[self.worlds.native.status(i).scene_idx].agent_ids)
@@ -401,14 +407,17 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self._seeded = True
         return seeds
 
-    def _scenes(self, choice: SceneChoice | Sequence[SceneChoice]) -> list[int | None]:
+    def _each(self, name: str, options: Mapping[str, Any]) -> list[Any]:
+        """Return an option of a reset, world by world."""
+        choice = options.get(name)
         if isinstance(choice, (list, tuple)) or (isinstance(choice, np.ndarray) and choice.ndim):
             if len(choice) != self.num_envs:
                 raise ConfigError(
-                    f"options['scene'] has {len(choice)} entries, expected num_envs={self.num_envs}"
+                    f"options[{name!r}] has {len(choice)} entries, expected "
+                    f"num_envs={self.num_envs}"
                 )
-            return [self.worlds.scene_index(one) for one in choice]
-        return [self.worlds.scene_index(choice)] * self.num_envs  # type: ignore[arg-type]
+            return list(choice)
+        return [choice] * self.num_envs
 
     def _mask(self, name: str, mask: Any) -> Bool:
         shape = (self.num_envs,)

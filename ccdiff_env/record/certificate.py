@@ -67,6 +67,8 @@ class Certificate:
         Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
     digest
         Digest of the final states and of the metrics of the episode.
+    ego, start_step
+        Id and first step of an ego that was drawn.
     """
 
     package: str
@@ -78,6 +80,8 @@ class Certificate:
     episode_idx: int
     actions: npt.NDArray[np.float32] = field(repr=False)
     digest: str
+    ego: str | None = None
+    start_step: int | None = None
 
     @classmethod
     def of(cls, worlds: Worlds, actions: bytes) -> Certificate:
@@ -90,6 +94,10 @@ class Certificate:
             config = config.with_criticality(worlds.criticality[0])
         if worlds.drivers.get(0):  # chosen at the reset
             config = config.with_options(drivers={**config.drivers, **worlds.drivers[0]})
+        drawn: dict[str, Any] = {}
+        if config.controlled == "any" and status.ego_idx is not None:
+            drawn["ego"] = scene.agent_ids[status.ego_idx]
+            drawn["start_step"] = status.step_idx - status.elapsed_steps
         return cls(
             package=__version__,
             schema=schema_digest(worlds),
@@ -100,11 +108,14 @@ class Certificate:
             episode_idx=status.episode - 1,
             actions=rows,
             digest=_state_digest(worlds),
+            **drawn,
         )
 
     def to_json(self) -> str:
         """Return the certificate as JSON."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        if self.ego is None:
+            del fields["ego"], fields["start_step"]
         fields["config"] = json.loads(self.config.to_json())
         fields["actions"] = {
             "shape": list(self.actions.shape),

@@ -67,6 +67,8 @@ class Recorder:
 
     Notes
     -----
+    An ego that is drawn is ``"ego"`` in the recording, and ``meta["ego"]`` its id in the scene.
+
     In autoreset mode SAME_STEP the last state of an episode is never seen from outside, so that it
     is missing; NEXT_STEP and DISABLED show it.
 
@@ -105,6 +107,10 @@ class Recorder:
         native, world = self._worlds.native, self._world_idx
         status = native.status(world)
         self._scene = self._worlds.scenes[status.scene_idx]
+        self._drawn = {}
+        if self._worlds.config.controlled == "any" and status.ego_idx is not None:
+            self._drawn["ego"] = self._scene.agent_ids[status.ego_idx]
+            self._scene = self._scene.with_ego(self._drawn["ego"])
         self._episode = (status.scene_idx, status.seed, status.episode)
         self._elapsed, self._start_step = status.elapsed_steps, status.step_idx
         self._states: list[dict[str, Any]] = []
@@ -239,6 +245,7 @@ class Recorder:
                 "config": json.loads(config.to_json()),
                 "traffic": _in_words(config.traffic),
                 "source": self._scene.source,
+                **self._drawn,
                 **self._meta,
             },
         )

@@ -78,6 +78,7 @@ class AgentKeywords(SelectionKeywords, total=False):
 class EgoKeywords(AgentKeywords, total=False):
     """Keywords of environments of one ego per world."""
 
+    ego: Literal["ego", "any"]
     adversaries: Mapping[str, list[str] | tuple[str, ...]]
     adversary_shaping: float
 

@@ -287,6 +287,31 @@ class Worlds:
             raise UnknownNameError(f"no scene {index}, expected an index below {len(self._index)}")
         return index
 
+    def wanted(self, scene_idx: int | None, ego: Any, start: Any) -> tuple[int | None, int | None]:
+        """Return the ego (index) and the step of the start that a reset asks for, checked.
+
+        Raises
+        ------
+        ConfigError
+            If no scene is named with them, or they are no id and no step.
+        UnknownNameError
+            If the scene has no such agent.
+        """
+        if (ego is not None or start is not None) and scene_idx is None:
+            raise ConfigError("options: ego and start are given without a scene")
+        if start is not None:
+            if isinstance(start, (bool, np.bool_)) or not hasattr(start, "__index__"):
+                raise ConfigError(f"start is {start!r}, expected a step of the log")
+            start = operator.index(start)
+            if not 0 <= start < 2**63:
+                raise ConfigError(f"start is {start}, expected a step of the log")
+        if ego is None or scene_idx is None:
+            return None, start
+        scene = self.scenes[scene_idx]
+        if ego not in (ids := list(scene.agent_ids)):
+            raise UnknownNameError(f"ego: {scene.name} has no agent {ego!r}")
+        return ids.index(ego), start
+
     def check_world(self, world_idx: int) -> None:
         """Refuse the index of a world that does not exist."""
         if type(world_idx) is not int or not 0 <= world_idx < self.num_worlds:
@@ -370,6 +395,7 @@ class Worlds:
     def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
         """Return what ``info`` says about a new episode: scene, its token, seed, episode.
 
+        An ego that is drawn is reported with the step of the log at which the episode starts.
         Level ``"none"`` has numbers alone: some learners take no text.
 
         With a curriculum, the episode's criticality is drawn, set and reported here.
@@ -383,8 +409,12 @@ class Worlds:
             "seed": seed,
             "episode_idx": episode_idx,
         }
+        if self.config.controlled == "any" and status.ego_idx is not None:
+            info["ego"], info["ego_idx"] = scene.agent_ids[status.ego_idx], status.ego_idx
+            info["start_step"] = status.step_idx
         if level == "none":
-            del info["scene"], info["scene_token"]
+            for text in ("scene", "scene_token", "ego"):
+                info.pop(text, None)
         if self.curriculum is not None:
             strength = self.curriculum.draw(seed, episode_idx)
             self.native.override_plan(world_idx, guided=None, criticality=strength)

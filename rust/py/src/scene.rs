@@ -284,6 +284,14 @@ impl PyScene {
         scene_map::to_dict(py, &self.scene.map)
     }
 
+    /// The scene with another agent as its ego.
+    fn with_ego(&self, agent_id: &str) -> PyResult<Self> {
+        let found = self.scene.agent_index(agent_id).ok_or_else(|| {
+            py::UnknownNameError::new_err(format!("{}: no agent {agent_id:?}", self.scene.name))
+        })?;
+        Ok(Arc::new(self.scene.with_ego(found)).into())
+    }
+
     /// One step of the log as an image, uint8 [H, W, 3].
     #[pyo3(signature = (step=0, *, size=(640, 640), span_m=100.0, centre=CentreArg::Id(EGO_ID.to_owned()),
         heading_up=false, trails=true, route=true, labels=true, theme="light"))]

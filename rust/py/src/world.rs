@@ -11,7 +11,7 @@ use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::policy::PlanOverride;
-use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, Wanted, WorldConfig};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
     PyUntypedArrayMethods,
@@ -140,6 +140,8 @@ pub(crate) struct PyWorldStatus {
     step_idx: usize,
     /// Steps since the episode began.
     elapsed_steps: usize,
+    /// Index of the ego; `None` in a scene without one.
+    ego_idx: Option<usize>,
 }
 
 impl PyVecWorld {
@@ -198,7 +200,9 @@ impl PyVecWorld {
         Ok(())
     }
 
-    /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`.
+    /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`; `wanted` are egos
+    /// (indices) and starts (steps).
+    #[pyo3(signature = (seeds, scenes, mask, out, wanted=Vec::new()))]
     fn reset<'py>(
         &mut self,
         py: Python<'py>,
@@ -206,13 +210,15 @@ impl PyVecWorld {
         scenes: Vec<Option<usize>>,
         mask: Option<Vec<bool>>,
         out: &Bound<'py, PyTuple>,
+        wanted: Vec<(Option<usize>, Option<usize>)>,
     ) -> PyResult<()> {
         self.home.check()?;
         let mut outputs = Outputs::check(out, &self.arrays)?;
         self.keep_rows(out)?;
         let buffers = outputs.buffers()?;
         let world = &mut self.world;
-        let request = ResetRequest { seeds: &seeds, scenes: &scenes, mask: mask.as_deref() };
+        let wanted: Vec<_> = wanted.into_iter().map(|(ego, start)| Wanted { ego, start }).collect();
+        let request = ResetRequest { seeds: &seeds, scenes: &scenes, wanted: &wanted, mask: mask.as_deref() };
         enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut self.trails {
             for i in (0..self.world.num_worlds()).filter(|i| mask.as_ref().is_none_or(|m| m[*i])) {
@@ -337,6 +343,7 @@ impl PyVecWorld {
             episode: s.episode,
             step_idx: s.step_idx,
             elapsed_steps: s.elapsed_steps,
+            ego_idx: self.world.ego(world_idx).map_err(from_sim)?,
         })
     }
 

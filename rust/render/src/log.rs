@@ -73,7 +73,7 @@ pub fn render_log(scene: &Scene, map: &MapLayers, log_view: &LogView) -> Result<
     let (caption, names, legend) = if log_view.labels {
         let there = (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx));
         let titled = (0..scene.num_agents()).map(|a| (driver_of(scene, a), driver_of(scene, a).title()));
-        let names = there.map(|a| name_of(scene, a)).collect();
+        let names = there.map(|a| name_of(ego, a)).collect();
         let seen = ego.filter(|a| scene.is_valid(*a, step_idx));
         let speed_mps = seen.map(|a| scene.tracks.velocity[scene.at(a, step_idx)].norm());
         (caption(scene, step_idx, speed_mps), names, legend_of(scene, titled, log_view.theme))
@@ -122,8 +122,8 @@ pub(crate) fn caption(scene: &Scene, steps: usize, speed_mps: Option<Real>) -> S
 }
 
 /// What an agent is called in images, as on the replay page: `ego`, or its number in the scene.
-pub fn name_of(scene: &Scene, agent_idx: usize) -> String {
-    if scene.agents[agent_idx].id == EGO_ID { EGO_ID.to_owned() } else { agent_idx.to_string() }
+pub fn name_of(ego: Option<usize>, agent_idx: usize) -> String {
+    if ego == Some(agent_idx) { EGO_ID.to_owned() } else { agent_idx.to_string() }
 }
 
 /// Colours and titles of a legend: everybody in a scene once, in the order of [`DrawStyle`], obstacles last.

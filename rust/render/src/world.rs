@@ -10,7 +10,7 @@ use crate::lines::Line;
 use crate::log::{Centre, caption, legend_of, name_of};
 use crate::palette::{DrawStyle, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
-use ccdiff_sim::scene::{AgentKind, EGO_ID};
+use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::VecWorld;
 use std::collections::VecDeque;
 
@@ -155,7 +155,7 @@ impl WorldImage {
     ) -> ccdiff_sim::Result<Self> {
         let status = world.status(world_idx)?;
         let scene = world.scene(status.scene_idx)?;
-        let slots = world.slot_agents(world_idx)?;
+        let (ego, slots) = (world.ego(world_idx)?, world.slot_agents(world_idx)?);
         let states = status.states;
         let focus = slots.iter().enumerate().find_map(|(c, a)| Some((c, (*a)?)));
         let middle = match (view.centre, focus) {
@@ -172,7 +172,7 @@ impl WorldImage {
                 let (name, kind) = world.driver_name(status.drivers[a]);
                 match look(kind) {
                     _ if is_guided(a, name) => (DrawStyle::Adversary, DrawStyle::Adversary.title()),
-                    _ if scene.agents[a].id == EGO_ID => (DrawStyle::Ego, DrawStyle::Ego.title()),
+                    _ if ego == Some(a) => (DrawStyle::Ego, DrawStyle::Ego.title()),
                     look => look,
                 }
             })
@@ -216,7 +216,7 @@ impl WorldImage {
         if view.labels {
             let speed_mps = focus.map(|(_, a)| states.speed_mps[a]);
             image.caption = caption(scene, status.elapsed_steps, speed_mps);
-            image.names = there.map(|a| name_of(scene, a)).collect();
+            image.names = there.map(|a| name_of(ego, a)).collect();
             image.legend = legend_of(scene, looks.iter().copied(), view.theme);
         }
         Ok(image)

@@ -89,7 +89,7 @@ impl Bench {
         let none = vec![None; envs];
         let before = resident_bytes();
         let (world, out, _) = bench.parts();
-        world.reset(&ResetRequest { seeds: &seeds, scenes: &none, mask: None }, out)?;
+        world.reset(&ResetRequest { seeds: &seeds, scenes: &none, ..ResetRequest::default() }, out)?;
         bench.world_bytes = resident_bytes() - before;
         Ok(bench)
     }

@@ -97,7 +97,7 @@ impl Playground {
         let policies = self.traffic(&text, &scene)?;
         let mut world = VecWorld::new(vec![scene], config, 1, 1, policies).map_err(|e| e.to_string())?;
         self.out = Arrays::of(&world);
-        let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], mask: None };
+        let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], ..ResetRequest::default() };
         world.reset(&request, self.out.buffers()).map_err(|e| e.to_string())?;
         self.world = Some(world);
         self.keep()

@@ -8,7 +8,7 @@ use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_tt
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::policy::{Driver, PlanOverride, PlanRequest, WorldView};
-use ccdiff_sim::scene::{AgentKind, EGO_ID};
+use ccdiff_sim::scene::AgentKind;
 use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
@@ -41,7 +41,7 @@ pub(super) struct RankingInputs {
 
 /// Whether an agent is the ego or driven from outside.
 pub(super) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
-    world.drivers[agent_idx] == Driver::External || world.scene.scene.agents[agent_idx].id == EGO_ID
+    world.drivers[agent_idx] == Driver::External || world.ego == Some(agent_idx)
 }
 
 /// Which agents of a scene do not move in an episode.

@@ -46,6 +46,8 @@ pub struct WorldView<'a> {
     pub states: &'a AgentStates,
     /// Position of each agent along its route, metres, kept for route followers.
     pub route_s_m: &'a [f32],
+    /// The ego.
+    pub ego: Option<usize>,
     /// Who drives each agent.
     pub drivers: &'a [Driver],
     /// Whether a contact has stopped an agent for the rest of the episode.

@@ -231,6 +231,20 @@ impl Scene {
         step_idx < self.num_steps && self.tracks.valid[self.at(agent_idx, step_idx)]
     }
 
+    /// The scene with another agent as its ego; the one of before is `"former ego"` then.
+    pub fn with_ego(&self, agent_idx: usize) -> Self {
+        let mut scene = self.clone();
+        if let Some(before) = scene.agent_index(EGO_ID).filter(|a| *a != agent_idx) {
+            let mut id = "former ego".to_owned();
+            while scene.agent_index(&id).is_some() {
+                id.push('+');
+            }
+            scene.agents[before].id = id;
+        }
+        scene.agents[agent_idx].id = EGO_ID.into();
+        scene
+    }
+
     /// Index of the agent with an id.
     pub fn agent_index(&self, id: &str) -> Option<usize> {
         self.agents.iter().position(|a| a.id == id)

@@ -4,6 +4,7 @@ use crate::stage::PreparedScene;
 use crate::world::buffers::StepBuffers;
 use crate::world::config::Autoreset;
 use crate::world::episode::Episode;
+use crate::world::start::Wanted;
 use crate::world::tick::{Shared, World};
 use std::sync::Arc;
 
@@ -25,7 +26,7 @@ impl World {
         }
         if reset_pending || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
-            self.begin(scene, scene_idx, shared);
+            self.begin(scene, scene_idx, shared, Wanted::default());
             out.was_reset[0] = true;
         }
     }

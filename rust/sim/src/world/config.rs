@@ -20,6 +20,9 @@ choices! {
     pub enum Controlled {
         /// The ego.
         Ego = "ego",
+        /// A vehicle and a start drawn for each episode from those whose log is 10 m away at the end of the horizon; in a
+        /// scene without any, the ego. `ego="any"` for short.
+        Any = "any",
         /// Vehicles present at the start, in the scene's order (the ego first), as many as there are slots.
         Vehicles = "vehicles",
         /// Agents by id; those a scene does not have leave their slot empty.
@@ -34,7 +37,7 @@ impl Controlled {
     pub(crate) fn anyone_at(&self, scene: &Scene, step: usize) -> bool {
         let present = |id: &str| scene.agent_index(id).is_some_and(|a| scene.is_valid(a, step));
         match self {
-            Self::Ego => present(EGO_ID),
+            Self::Ego | Self::Any => present(EGO_ID),
             Self::Vehicles => (0..scene.num_agents())
                 .any(|a| scene.agents[a].kind == AgentKind::Vehicle && scene.is_valid(a, step)),
             Self::Ids(ids) => ids.iter().any(|id| present(id)),
@@ -141,14 +144,15 @@ options! {
         /// Logged steps before the first free one; episodes start at this step of the log. Drivers that look back farther
         /// are told that the states before were not there.
         history_steps: usize = 30;
-        /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
+        /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene. Egos that are
+        /// drawn start anywhere by default.
         start_spread_steps: usize = 0;
         /// Steps of an episode at most.
         horizon_steps: usize = 100, range at_least(1.0);
         /// Steps for which an action is held: a call of `step` advances by so many, or up to the end of the episode.
         /// Rewards are summed up; a learner's discount per call is that of a step to this power.
         decision_steps: usize = 1, range at_least(1.0);
-        /// Agents with a slot: `"ego"`, `"vehicles"` (present at the start, the ego first), ids, or ids by the name of the
+        /// Agents with a slot: `"ego"`, `"any"` vehicle as the ego, `"vehicles"` (present at the start, the ego first), ids, or ids by the name of the
         /// scene.
         controlled: Controlled = Controlled::Ego;
         /// Slots per world.
@@ -251,7 +255,7 @@ impl WorldConfig {
 
     fn check_together(&self) -> Result<()> {
         check(
-            self.controlled != Controlled::Ego || self.num_slots == 1,
+            !matches!(self.controlled, Controlled::Ego | Controlled::Any) || self.num_slots == 1,
             "num_slots",
             self.num_slots,
             "1 when only the ego is controlled",

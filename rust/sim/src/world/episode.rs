@@ -11,6 +11,7 @@ use crate::world::config::{Controlled, WorldConfig};
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
 use crate::world::rng::Rng;
+use crate::world::start::{Start, Wanted};
 use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
@@ -127,13 +128,17 @@ impl Episode {
         scene_idx: usize,
         config: &WorldConfig,
         policies: &Policies,
+        wanted: Wanted,
     ) {
         let log = &scene.scene;
         let num_agents = log.num_agents();
         self.phase = Phase::Running;
         self.number += 1;
         self.scene_idx = scene_idx;
-        self.step_idx = self.start_step(log, config);
+        let rng = Rng::new(self.seed).split(self.number).split(u64::MAX);
+        let start = Start::draw(log, config, wanted, rng);
+        let start = start.unwrap_or(Start { ego: None, step_idx: config.history_steps });
+        self.step_idx = start.step_idx;
         self.elapsed_steps = 0;
         self.states.clear_for(num_agents);
         self.route_s_m.clear();
@@ -152,7 +157,7 @@ impl Episode {
                 self.enter(scene, a);
             }
         }
-        self.fill_slots(scene, config, policies.of_slots());
+        self.fill_slots(scene, config, policies.of_slots(), start.ego);
         for (id, driver) in policies.by_id() {
             let agent = log.agent_index(id).filter(|a| scene.kinds[*a] == AgentKind::Vehicle);
             // actions reach agents with a slot only
@@ -167,18 +172,6 @@ impl Episode {
         self.plans.clear();
         self.plans.resize(policies.len(), None);
         self.plan_override = PlanOverride::default();
-    }
-
-    /// Step of the log at which the episode starts: drawn, or the first where nobody is to be controlled there.
-    fn start_step(&self, log: &Scene, config: &WorldConfig) -> usize {
-        let first = config.history_steps;
-        let spread = config.start_spread_steps.min(log.num_steps.saturating_sub(first + 2));
-        if spread == 0 {
-            return first;
-        }
-        let mut rng = Rng::new(self.seed).split(self.number).split(u64::MAX);
-        let step = first + rng.below(spread + 1);
-        if config.controlled.anyone_at(log, step) { step } else { first }
     }
 
     /// Puts an agent at its logged state of the present step.
@@ -207,7 +200,13 @@ impl Episode {
         }
     }
 
-    fn fill_slots(&mut self, scene: &PreparedScene, config: &WorldConfig, driver: Driver) {
+    fn fill_slots(
+        &mut self,
+        scene: &PreparedScene,
+        config: &WorldConfig,
+        driver: Driver,
+        drawn: Option<usize>,
+    ) {
         let log = &scene.scene;
         let mut first_unseen = 0;
         let (start_step, end_step) = (self.step_idx, self.step_idx + config.horizon_steps);
@@ -215,6 +214,7 @@ impl Episode {
         for c in 0..config.num_slots {
             let agent = match &config.controlled {
                 Controlled::Ego => log.agent_index(crate::scene::EGO_ID),
+                Controlled::Any => drawn,
                 Controlled::Ids(ids) => ids.get(c).and_then(|id| log.agent_index(id)),
                 Controlled::PerScene(scenes) => {
                     scenes.get(&log.name).and_then(|ids| ids.get(c)).and_then(|id| log.agent_index(id))

@@ -230,6 +230,14 @@ impl VecWorld {
         })
     }
 
+    /// The ego of a world's present episode; `None` where its scene has none.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn ego(&self, world_idx: usize) -> Result<Option<usize>> {
+        Ok(self.begun(world_idx)?.ego(&self.config))
+    }
+
     /// Agent of each slot of a world.
     ///
     /// # Errors

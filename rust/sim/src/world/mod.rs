@@ -30,6 +30,7 @@ mod rows;
 mod scenes;
 mod selection_reward;
 mod snapshot;
+mod start;
 mod step_metrics;
 mod surroundings;
 mod termination;
@@ -49,6 +50,7 @@ pub use map_queries::{LaneAhead, NearPiece};
 pub use reward_columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
 pub use rng::Rng;
 pub use selection_reward::{CountedCollisions, SelectionReward};
+pub use start::{LEAST_WAY_M, Wanted};
 pub use step_metrics::StepMetrics;
 pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, Traffic};
@@ -67,12 +69,14 @@ use std::sync::Arc;
 use tick::{Shared, World};
 
 /// What a reset asks for, world by world; `None` leaves the choice to the world.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct ResetRequest<'a> {
     /// Seeds [E]; a world without one goes on with its generator.
     pub seeds: &'a [Option<u64>],
     /// Indices of scenes [E].
     pub scenes: &'a [Option<usize>],
+    /// Egos and starts [E]; all are left to the draw where it is empty.
+    pub wanted: &'a [Wanted],
     /// Worlds to reset [E]; all without it. The buffers of the others are not touched.
     pub mask: Option<&'a [bool]>,
 }
@@ -222,7 +226,13 @@ impl VecWorld {
             let expected = format!("an index below {n}");
             return Err(SimError::Unknown { what: "scene", got: idx.to_string(), expected });
         }
-        let wanted = |i: usize| request.mask.is_none_or(|m| m[i]);
+        if !request.wanted.is_empty() && request.wanted.len() != num_worlds {
+            return length("wanted", request.wanted.len());
+        }
+        let goes = |i: usize| request.mask.is_none_or(|m| m[i]);
+        for (i, wanted) in request.wanted.iter().enumerate().filter(|(i, _)| goes(*i)) {
+            wanted.check(request.scenes[i].map(|scene| &*self.scenes.list[scene].0), &self.config)?;
+        }
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
@@ -231,7 +241,7 @@ impl VecWorld {
         };
         let scenes = &self.scenes;
         let job = |i: usize, world: &mut World, _: &[Real], mut out: StepBuffers<'_>| {
-            if !wanted(i) {
+            if !goes(i) {
                 return;
             }
             let episode = &mut world.episode;
@@ -242,7 +252,8 @@ impl VecWorld {
                 Some(idx) => (scenes.prepared(idx), idx),
                 None => scenes.next(episode, shared.config.scene_order, num_worlds),
             };
-            world.begin(scene, scene_idx, &shared);
+            let wanted = request.wanted.get(i).copied().unwrap_or_default();
+            world.begin(scene, scene_idx, &shared, wanted);
             out.clear_step();
             out.was_reset.fill(true);
             world.finish(&shared, 0, &mut out);

@@ -6,6 +6,8 @@ use crate::scene::Scene;
 use crate::stage::PreparedScene;
 use crate::world::config::{SceneOrder, WorldConfig};
 use crate::world::episode::Episode;
+use crate::world::rng::Rng;
+use crate::world::start::{Start, Wanted};
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
@@ -101,7 +103,7 @@ pub(super) fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
         };
         return fail("num_steps", has.to_string(), expected.into());
     }
-    if config.controlled.anyone_at(scene, config.history_steps) {
+    if Start::draw(scene, config, Wanted::default(), Rng::new(0)).is_some() {
         Ok(())
     } else {
         fail("agents", "nobody to control".into(), "a controlled agent present at the start".into())

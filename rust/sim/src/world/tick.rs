@@ -6,14 +6,16 @@ use crate::events::{Collisions, Contact, LeastTimes};
 use crate::geom::{Pose2, Real};
 use crate::observe::Observer;
 use crate::policy::{AgentMotion, Driver, PlanRequest, WorldView};
+use crate::scene::EGO_ID;
 use crate::stage::PreparedScene;
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
-use crate::world::config::WorldConfig;
+use crate::world::config::{Controlled, WorldConfig};
 use crate::world::episode::{Episode, Phase};
 use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
 use crate::world::policies::Policies;
+use crate::world::start::Wanted;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -111,6 +113,14 @@ impl World {
         self.observer.enter(footprints, kinds, segments);
     }
 
+    /// The ego of the present episode: the data's, unless it is drawn.
+    pub(crate) fn ego(&self, config: &WorldConfig) -> Option<usize> {
+        match config.controlled {
+            Controlled::Any => self.episode.slots.first()?.agent_idx,
+            _ => self.scene.scene.agent_index(EGO_ID),
+        }
+    }
+
     pub(crate) fn view<'a>(&'a self, config: &'a WorldConfig) -> WorldView<'a> {
         let e = &self.episode;
         WorldView {
@@ -119,6 +129,7 @@ impl World {
             scene: &self.scene,
             states: &e.states,
             route_s_m: &e.route_s_m,
+            ego: self.ego(config),
             drivers: &e.drivers,
             halted: &e.halted,
             history: e.history.as_ref(),
@@ -142,9 +153,15 @@ impl World {
     }
 
     /// Begins an episode in a scene.
-    pub(crate) fn begin(&mut self, scene: Arc<PreparedScene>, scene_idx: usize, shared: &Shared<'_>) {
+    pub(crate) fn begin(
+        &mut self,
+        scene: Arc<PreparedScene>,
+        scene_idx: usize,
+        shared: &Shared<'_>,
+        wanted: Wanted,
+    ) {
         self.enter(scene);
-        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies);
+        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies, wanted);
         halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
         self.cast(shared.config);
         self.forget();

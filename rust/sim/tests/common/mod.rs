@@ -94,7 +94,7 @@ impl Batch {
     }
 
     pub(crate) fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
-        let request = ResetRequest { seeds, scenes, mask: None };
+        let request = ResetRequest { seeds, scenes, ..ResetRequest::default() };
         self.world.reset(&request, buffers!(self))
     }
 
@@ -106,7 +106,12 @@ impl Batch {
 
     pub(crate) fn reset_masked(&mut self, mask: &[bool]) -> Result<()> {
         let n = self.world.num_worlds();
-        let request = ResetRequest { seeds: &vec![None; n], scenes: &vec![None; n], mask: Some(mask) };
+        let request = ResetRequest {
+            seeds: &vec![None; n],
+            scenes: &vec![None; n],
+            mask: Some(mask),
+            ..ResetRequest::default()
+        };
         self.world.reset(&request, buffers!(self))
     }
 
