@@ -94,7 +94,11 @@ def paths_in(text: str) -> Iterator[tuple[str, ...]]:
 
 
 class Crate:
-    """Files of a crate by their path of modules, and who uses whom."""
+    """Files of a crate by their path of modules, and who uses whom.
+
+    A path through a room's face (``mod.rs``) uses the face, whoever defines the name. What a face
+    takes from its own files (``use child::Name``) is no arrow.
+    """
 
     def __init__(self, name: str) -> None:
         source = ROOT / "rust" / name / "src"
@@ -102,14 +106,6 @@ class Crate:
         for file in source.rglob("*.rs"):
             parts = file.relative_to(source).with_suffix("").parts
             self.files[parts[:-1] if parts[-1] in ("mod", "lib") else parts] = file
-        #: What a module hands on from one of its files: path of the name -> file.
-        self.handed_on: dict[tuple[str, ...], tuple[str, ...]] = {}
-        for module, file in self.files.items():
-            pattern = r"pub(?:\(\w+\))? use (?:self::)?(\w+)::(\{[^}]*\}|\w+)"
-            for child, names in re.findall(pattern, code_of(file)):
-                if (*module, child) in self.files:
-                    for name in re.findall(r"\w+", names):
-                        self.handed_on[(*module, name)] = (*module, child)
         self.graph = {
             "/".join(module) or "lib": {
                 "/".join(used) or "lib"
@@ -126,11 +122,8 @@ class Crate:
             path = path[1:]
         full = (*module, *path)
         for length in range(len(full), -1, -1):
-            prefix = full[:length]
-            if prefix in self.handed_on:
-                return self.handed_on[prefix]
-            if prefix in self.files:
-                return prefix
+            if full[:length] in self.files:
+                return full[:length]
         return None
 
 

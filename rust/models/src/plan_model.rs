@@ -8,7 +8,7 @@ use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::Torch;
-use crate::train::TrainConfig;
+use crate::train::config::TrainConfig;
 use ccdiff_nets::planner::{Asked, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};

@@ -8,7 +8,7 @@ use crate::plan_model::{PlanModel, TorchKind, TrainingStep, proposed};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::{Torch, to_vec};
-use crate::train::TrainConfig;
+use crate::train::config::TrainConfig;
 use ccdiff_nets::planner::Weighted;
 use ccdiff_nets::segments::SEGMENT_ODD;
 use ccdiff_nets::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, near_columns, own_columns, token_of};

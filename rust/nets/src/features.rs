@@ -3,8 +3,8 @@
 //! Everything is agent-centric (reference.md#frames): for agent i the origin is its position at the current step and +x its
 //! heading. Numbers are physical here; the network normalises them.
 
-mod scene;
-mod window;
+pub(crate) mod scene;
+pub(crate) mod window;
 
 pub use scene::{Futures, SceneFeatures, TokenInputs, row_offsets, vehicles};
 pub use window::{Window, route_ahead};

@@ -9,7 +9,8 @@
 
 use crate::config::{MapConfig, MapEncoder};
 use crate::error::Result;
-use crate::features::{SceneFeatures, Window};
+use crate::features::scene::SceneFeatures;
+use crate::features::window::Window;
 use crate::kernels::{self, Checked};
 use crate::segments;
 use ccdiff_sim::geom::{Point2, Polygon, Pose2};

@@ -6,7 +6,7 @@ use crate::kind::NetworkKind;
 use crate::own::Own;
 use crate::own_planner::{denoising, proposing};
 use crate::simnet::Simnet;
-use crate::traffic::driver;
+use crate::traffic::config::driver;
 
 /// One plan per agent by regression.
 pub const SIMNET: NetworkKind = NetworkKind {

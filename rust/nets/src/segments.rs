@@ -3,7 +3,7 @@
 //! Differs from the paper, whose map is a raster: lanes, connectors, edges of the road, crossings, stop lines and dividers are cut
 //! into pieces of at most 5 m, and an agent sees those nearest to the straight way ahead of it.
 
-use crate::features::SceneFeatures;
+use crate::features::scene::SceneFeatures;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::observe::{MapSegments, Segment, SegmentKind};
 use ccdiff_sim::scene::Map;

@@ -9,7 +9,7 @@ use crate::losses::{logged_actions, trajectory_loss};
 use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
-use crate::train::TrainConfig;
+use crate::train::config::TrainConfig;
 use ccdiff_nets::latents::{Cvae, Form};
 use ccdiff_nets::trunk::Encoded;
 use tch::{Kind, Reduction, Tensor};

@@ -7,7 +7,7 @@ pub use network::{Context, Network};
 use crate::kind::NetworkKind;
 use crate::own::Own;
 use crate::own_planner::denoising;
-use crate::traffic::driver;
+use crate::traffic::config::driver;
 
 /// Scene diffusion over the decision causal graph.
 pub const CCDIFF: NetworkKind = NetworkKind {

@@ -22,7 +22,7 @@ use crate::own::Own;
 use crate::own_planner::proposing;
 use crate::planner::{Asked, Proposes, Weighted};
 use crate::simnet::HIDDEN;
-use crate::traffic::driver;
+use crate::traffic::config::driver;
 use crate::trunk::{Encoded, Trunk};
 use descent::{Gaussian, descended};
 

@@ -13,7 +13,7 @@ use crate::layers::embed::ROUTE_SCALE_M;
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use crate::tokens::{NEAR, NEAR_NUMBERS};
+use crate::tokens::seen::{NEAR, NEAR_NUMBERS};
 use parts::packed;
 use std::convert::Infallible;
 

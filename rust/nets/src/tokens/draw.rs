@@ -17,11 +17,11 @@ const LEAST_BOUND_RADPS: f32 = 0.05;
 const KEPT: f32 = 0.5;
 
 /// Draws of a careful vehicle.
-pub const CAREFUL_DRAWS: usize = 8;
+pub(crate) const CAREFUL_DRAWS: usize = 8;
 /// Draws of a guided vehicle at criticality 1.
-pub const GUIDED_DRAWS: usize = 16;
+pub(crate) const GUIDED_DRAWS: usize = 16;
 /// Steps ahead in which a careful vehicle looks out.
-pub const CAREFUL_STEPS: usize = 15;
+pub(crate) const CAREFUL_STEPS: usize = 15;
 
 /// Motion of rows now.
 #[derive(Debug, Clone, Copy)]

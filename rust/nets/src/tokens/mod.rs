@@ -6,12 +6,11 @@
 //! After KiGRAS (Zhao et al. 2025: a grid of controls of a unicycle) and SMART (Wu et al. 2024: the next token of every vehicle).
 //! Differs from both: a vehicle is a row of its own, in its own frame; elements are attended to without projections.
 
-mod draw;
+pub(crate) mod draw;
 mod grid;
 mod network;
-mod seen;
+pub(crate) mod seen;
 
-pub use draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 pub(crate) use draw::{Now, drawn};
 pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
 pub use network::Network;
@@ -22,7 +21,7 @@ use crate::error::{ModelError, Result};
 use crate::kind::NetworkKind;
 use crate::own::Own;
 use crate::own_planner::proposing;
-use crate::traffic::driver;
+use crate::traffic::config::driver;
 
 /// Each agent's next token of a grid of motions.
 pub const TOKENS: NetworkKind = NetworkKind {

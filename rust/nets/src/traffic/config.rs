@@ -5,7 +5,7 @@ use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::kind::NetworkKind;
 use crate::planner::PlanOptions;
 use crate::sampler::SampleOptions;
-use crate::tokens::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
+use crate::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{Form, Setting, above, at_least, within};

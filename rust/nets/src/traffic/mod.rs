@@ -7,7 +7,7 @@
 //! Differs from the released code: vehicles that arrive later are driven too, and nobody vanishes where the log ends but
 //! at the edge of the map, unless the world is told otherwise (reference.md#consequences-of-contact).
 
-mod config;
+pub(crate) mod config;
 mod memory;
 mod planned_agents;
 mod planning;
