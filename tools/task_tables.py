@@ -29,19 +29,23 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:
-    return _table(("key", "unit", "what"), ((f"`{c.name}`", c.unit, c.doc) for c in columns))
+    def row(c: InfoColumn) -> tuple[str, str]:
+        return f"`{c.name}`", f"{c.doc} ({c.unit})" if c.unit else c.doc
+
+    return _table(("key", "what"), map(row, columns))
 
 
-def _info() -> str:
-    columns = read_columns(_native.columns_json())
+def _unweighted(columns: Iterable[InfoColumn]) -> str:
     return _columns(c for c in columns if not c.name.startswith("reward_"))
 
 
 def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
     default = {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)}  # type: ignore[arg-type]
     parts = [(c.name.removeprefix("reward_"), c) for c in columns if c.name.startswith("reward_")]
-    rows = ((f"`{name}`", f"{default[name]:g}", f"`{c.name}`", c.doc) for name, c in parts)
-    return _table(("weight", "default", "key of `info`", "what"), rows)
+    words = {name: c.doc.removeprefix("weighted reward of ") for name, c in parts}
+    return _table(
+        ("weight", "default", "for"), ((f"`{n}`", f"{default[n]:g}", w) for n, w in words.items())
+    )
 
 
 def _observation() -> str:
@@ -53,10 +57,10 @@ def _observation() -> str:
 
 #: Maker of each table by its name in the page.
 TABLES: dict[str, Callable[[], str]] = {
-    "info": _info,
+    "info": lambda: _unweighted(read_columns(_native.columns_json())),
     "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
-    "metrics": lambda: _columns(read_columns(_native.metrics_json())),
-    "selection_info": lambda: _columns(c for c in INFO_COLUMNS if not c.name.startswith("reward_")),
+    "metrics": lambda: _unweighted(read_columns(_native.metrics_json())),
+    "selection_info": lambda: _unweighted(INFO_COLUMNS),
     "selection_rewards": lambda: _rewards(INFO_COLUMNS, SelectionReward()),
     "selection_observation": _observation,
 }
