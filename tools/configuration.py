@@ -406,17 +406,16 @@ def page(found: list[Table]) -> str:
     seen = set[str]()
     for table in found:
         lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
-        lines += ["| field | default | unit | range | what |", "|---|---|---|---|---|"]
+        lines += ["| field | default | what |", "|---|---|---|"]
         for entry in table["fields"]:
-            doc = " ".join(_text(entry["doc"])).replace("|", "\\|")
-            cells = (f"`{entry['name']}`", _shown(entry, table), entry["unit"], entry["range"], doc)
-            lines.append(f"| {' | '.join(cell or '' for cell in cells)} |")
+            doc = _described(entry).replace("|", "\\|")
+            lines.append(f"| `{entry['name']}` | {_shown(entry, table)} | {doc} |")
         for entry in table["fields"]:
             for choice in _choices(entry["form"]):
                 if choice["name"] in seen:
                     continue
                 seen.add(choice["name"])
-                lines += ["", f"`{entry['name']}`: {' '.join(_text(choice['doc']))}", ""]
+                lines += ["", f"`{entry['name']}`:", ""]
                 lines += [
                     f"* `{v['name']}`{_linked(v['form'])}: {' '.join(_text(v['doc']))}"
                     for v in choice["variants"]

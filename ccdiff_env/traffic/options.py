@@ -28,9 +28,7 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
 
 
 #: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
-Controlled: TypeAlias = (
-    Literal["ego", "any", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
-)
+Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 
 #: Who moves pedestrians.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
@@ -288,16 +286,14 @@ class WorldOptions:
     #: look back farther are told that the states before were not there.
     history_steps: int = 30
     #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
-    #: Egos that are drawn start anywhere by default.
     start_spread_steps: int = 0
     #: Steps of an episode at most (>= 1).
     horizon_steps: int = 100
-    #: Steps for which an action is held: a call of ``step`` advances by so many, or up to the end
-    #: of the episode (>= 1). Rewards are summed up; a learner's discount per call is that of a step
-    #: to this power.
+    #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (>= 1).
+    #: Rewards are summed up; a learner's discount per call is that of a step to this power.
     decision_steps: int = 1
-    #: Agents with a slot: ``"ego"``, ``"any"`` vehicle as the ego, ``"vehicles"`` (present at the
-    #: start, the ego first), ids, or ids by the name of the scene.
+    #: Agents with a slot, which are observed and rewarded; ids as a list, or as lists by the name
+    #: of the scene.
     controlled: Controlled = "ego"
     #: Slots per world (in [1, 512]).
     num_slots: int = 1
@@ -307,7 +303,7 @@ class WorldOptions:
     #: each vehicle and episode from the world's seed. Cyclists, motorcycles and obstacles follow
     #: the log. A ``PythonTraffic`` stands for itself.
     traffic: str | Mapping[str, float] = "replay"
-    #: Who moves pedestrians: their log, or the social force model along their logged paths.
+    #: Who moves pedestrians.
     pedestrians: Pedestrians = "replay"
     #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
     drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
@@ -319,8 +315,8 @@ class WorldOptions:
     truncate_at_log_end: bool = True
     #: Consequence of a collision for a controlled agent.
     on_collision: Consequence = "terminate"
-    #: Consequence of a contact for agents without a slot, where a vehicle takes part in it that
-    #: does not follow its log.
+    #: What follows when agents without a slot touch and one of them, a vehicle, does not follow its
+    #: log.
     on_traffic_collision: TrafficCollision = "stop"
     #: Consequence of a box corner off the road for a controlled agent.
     on_off_road: Consequence = "terminate"
@@ -367,20 +363,18 @@ class SelectionReward:
     collision: float = 5.0
     #: Which collisions count, of agents that were adversaries in the episode.
     count: CountedCollisions = "ego"
-    #: Whether collisions count that the ego is at fault for, such as rear-ending an adversary that
-    #: brakes; the paper counts them.
+    #: Whether collisions count that the ego is at fault for (paper), such as rear-ending an
+    #: adversary that brakes.
     ego_fault: bool = True
-    #: Whether collisions of the ego count only where some ego plan would have avoided them, the
-    #: others doing as they did (``counterfactual.rollout_avoidability``); the search takes up to a
-    #: second per collision.
+    #: Whether collisions of the ego count only where another ego plan would have avoided them
+    #: (``counterfactual.rollout_avoidability``, up to a second each).
     avoidable_only: bool = False
     #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
     #: C), mean over adversaries.
     realism: float = -0.02
     #: Per share of steps that adversaries spend off the road.
     off_road: float = -0.1
-    #: Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4
-    #: m/s²)², at most 3, mean over steps and adversaries.
+    #: Per unit of discomfort (as ``RewardConfig``), mean over steps and adversaries.
     comfort: float = -0.005
 
     def __post_init__(self) -> None:
@@ -443,9 +437,8 @@ class CcdiffConfig:
     weights: str = "fast"
     #: Where the network runs.
     device: DeviceName = "cpu"
-    #: Distance from the ego, or from any vehicle that is driven from outside, beyond which nobody
-    #: is planned for: the intelligent driver model drives there, along the routes, and the network
-    #: sees nobody there (m, >= 0). ``None``: all are.
+    #: Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along
+    #: the routes, unseen by the network (m, >= 0). ``None``: all are planned for.
     plan_radius_m: float | None = None
     #: Steps from one plan to the next n, at most the horizon of the plans (>= 1).
     replan_steps: int = 5
@@ -456,31 +449,27 @@ class CcdiffConfig:
     num_samples: int = 1
     #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
     cfg_weight: float = 1.0
-    #: What the logits of tokens are divided by, or the standard deviation of the noise that is
-    #: denoised: below 1 the likely plans are drawn more often (> 0); 1 for other networks.
+    #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (>
+    #: 0); 1 for other networks. Below 1 likely plans are drawn more often.
     temperature: float = 1.0
     #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
     tie_first_knot: bool = False
     #: Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the
     #: same). Speeds after 3 s are then spread as those of the log (docs/results.md#calibration).
     keep_noise: bool = False
-    #: Whether the vehicles that the network drives are told their routes, which are those of the
-    #: rule-based traffic: the path of the log, then the lanes ahead. For weights that were trained
-    #: with routes.
+    #: Whether the network is told the routes of the vehicles that it drives: the path of the log,
+    #: then the lanes ahead. For weights that were trained with routes.
     follow_route: bool = False
-    #: The decision causal graph G that the network sees; ``"full"`` joins all pairs (ablation).
+    #: The decision causal graph G that the network sees.
     graph: GraphMode = "causal"
     #: Vehicles that are guided K; ``None``: all.
     num_guided: int | None = 5
-    #: How they are found: cliques of the time-to-contact graph, greedy cliques on G times
-    #: attention, cliques of the distance graph, time to contact with those who count in
-    #: ``collision_targets``, the scene's order, a shuffle, agreement of the gradients of realism
-    #: and guidance, or agent ids by scene name, most important first (a mapping, or the path of a
-    #: JSON file, see ``ccdiff_env.traffic.read_ranking``).
+    #: How they are found; a list may be a mapping or the path of a JSON file
+    #: (``ccdiff_env.traffic.read_ranking``).
     ranking: Ranking = "cliques"
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True
-    #: Who drives the vehicles that are not guided; ``"ccdiff"``: the network itself.
+    #: Who drives the vehicles that are not guided.
     background_driver: BackgroundDriver = "ccdiff"
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
     #: configured (one denoising step: a fifth of it, so that an ego collides as often) (>= 0).
@@ -489,23 +478,20 @@ class CcdiffConfig:
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
-    #: Whether plans of worlds that are not guided are moved too: off contacts and back onto the
-    #: road, at the cost of the gradients. Tokens: whether they are the first of 8 draws without
-    #: either in 1.5 s.
+    #: Whether plans without guidance are moved off contacts and onto the road, at the cost of the
+    #: gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
     careful: bool = False
     #: Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
     mask_guidance: bool = True
-    #: Contacts with whom count in the collision objectives: with the ego and vehicles driven from
-    #: outside, or with anybody (paper).
+    #: Contacts with whom count in the collision objectives.
     collision_targets: CollisionTargets = "ego"
     #: Ids of the agents with whom contacts count, in place of ``collision_targets``; empty: those.
     targets: tuple[str, ...] = ()
-    #: Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest
-    #: target may be guided; empty: all.
+    #: Kinds of conflict: only vehicles that stand so to the nearest target are guided; empty: all.
     conflicts: tuple[Conflict, ...] = ()
-    #: Whether guided plans that leave the ego no way out are dropped: the world is planned for once
-    #: more, without guidance. Ways are steady accelerations (−8 to 3 m/s²) on the route and up to
-    #: 2.5 m beside it, between the guided vehicles.
+    #: Whether guided plans that leave the ego no way out give way to plans without guidance. Ways
+    #: are steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the
+    #: guided vehicles.
     avoidable_only: bool = False
     #: Time of the episode from which plans are guided (s, >= 0).
     guided_from_s: float = 0.0
@@ -513,5 +499,5 @@ class CcdiffConfig:
     guided_until_s: float | None = None
     #: Whether plans keep attention and gradient statistics, at some cost.
     explain: bool = False
-    #: Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
+    #: Vehicles that stand still for the whole episode.
     parked_rule: ParkedRule = "parked"

@@ -23,8 +23,7 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
         guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
-        /// What the logits of tokens are divided by, or the standard deviation of the noise that is denoised: below 1 the likely
-        /// plans are drawn more often; 1 for other networks.
+        /// As that of `CcdiffConfig`.
         temperature: f64 = 1.0, range above(0.0);
     }
 }

@@ -73,7 +73,7 @@ options! {
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct GuidanceConfig {
-        /// Terms of the loss.
+        /// Terms of the loss, Σ w · mean: a negative weight on a collision loss seeks collisions.
         objectives: Vec<Objective> = vec![
             Objective::AgentCollision(AgentCollision::default()),
             Objective::MapCollision(MapCollision::default()),
@@ -86,9 +86,9 @@ options! {
         learning_rate: f32 = 0.3, range above(0.0);
         /// Rule of a gradient step.
         optimiser: Optimiser = Optimiser::Adam;
-        /// Measure of the largest move per denoising step.
+        /// How far guidance may move a plan in one denoising step.
         clip: Clip = Clip::Sigma;
-        /// The largest move, in that measure.
+        /// The largest such move.
         clip_limit: f32 = 1.0, range above(0.0);
         /// What is moved.
         target: Target = Target::Mu;
@@ -97,7 +97,7 @@ options! {
         executed_steps: Option<usize> = None, range at_least(1.0);
         /// Leading steps of the plan that collision losses look at; `None`: all.
         seen_steps: Option<usize> = None, range at_least(1.0);
-        /// Choice among samples.
+        /// Weights with which losses choose among samples.
         filter_weights: FilterWeights = FilterWeights::Signed;
     }
 }

@@ -48,7 +48,7 @@ choices! {
         Random = "random",
         /// Alignment of the gradients of realism and guidance (the paper's ideal definition).
         Gradient = "gradient",
-        /// Lists of agent ids by scene name, as of a human; scenes without a list are filled by nearness.
+        /// Agent ids by scene name, most important first; scenes without a list are filled by nearness.
         List(BTreeMap<String, Vec<String>>) = "list",
     }
 }
@@ -141,8 +141,8 @@ options! {
         weights: String = "fast".into();
         /// Where the network runs.
         device: DeviceName = DeviceName::Cpu;
-        /// Distance from the ego, or from any vehicle that is driven from outside, beyond which nobody is planned for: the
-        /// intelligent driver model drives there, along the routes, and the network sees nobody there. `None`: all are.
+        /// Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along the routes, unseen by
+        /// the network. `None`: all are planned for.
         plan_radius_m: Option<Real> = None, unit "m", range at_least(0.0);
         /// Steps from one plan to the next n, at most the horizon of the plans.
         replan_steps: usize = 5, range at_least(1.0);
@@ -152,28 +152,26 @@ options! {
         num_samples: usize = 1, range at_least(1.0);
         /// Weight w of the conditional branch in classifier-free guidance.
         cfg_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
-        /// What the logits of tokens are divided by, or the standard deviation of the noise that is denoised: below 1 the likely
-        /// plans are drawn more often; 1 for other networks.
+        /// Standard deviation of the noise that is denoised, or what logits of tokens are divided by; 1 for other networks.
+        /// Below 1 likely plans are drawn more often.
         temperature: f64 = 1.0, range above(0.0);
         /// Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
         tie_first_knot: bool = false;
         /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
         /// then spread as those of the log (docs/results.md#calibration).
         keep_noise: bool = false;
-        /// Whether the vehicles that the network drives are told their routes, which are those of the rule-based traffic: the
-        /// path of the log, then the lanes ahead. For weights that were trained with routes.
+        /// Whether the network is told the routes of the vehicles that it drives: the path of the log, then the lanes ahead.
+        /// For weights that were trained with routes.
         follow_route: bool = false;
-        /// The decision causal graph G that the network sees; `"full"` joins all pairs (ablation).
+        /// The decision causal graph G that the network sees.
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
         num_guided: Option<usize> = Some(5);
-        /// How they are found: cliques of the time-to-contact graph, greedy cliques on G times attention, cliques of the
-        /// distance graph, time to contact with those who count in `collision_targets`, the scene's order, a shuffle, agreement of the gradients of realism and guidance, or agent ids by
-        /// scene name, most important first (a mapping, or the path of a JSON file, see `ccdiff_env.traffic.read_ranking`).
+        /// How they are found; a list may be a mapping or the path of a JSON file (`ccdiff_env.traffic.read_ranking`).
         ranking: Ranking = Ranking::Cliques;
         /// Whether they are found anew at every plan, not only at the first one.
         rerank: bool = true;
-        /// Who drives the vehicles that are not guided; `"ccdiff"`: the network itself.
+        /// Who drives the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
         /// denoising step: a fifth of it, so that an ego collides as often). Tokens: guided
@@ -181,21 +179,19 @@ options! {
         criticality: Real = 0.0, range at_least(0.0);
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
-        /// Whether plans of worlds that are not guided are moved too: off contacts and back onto the road, at the cost of
-        /// the gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
+        /// Whether plans without guidance are moved off contacts and onto the road, at the cost of the gradients. Tokens:
+        /// whether they are the first of 8 draws without either in 1.5 s.
         careful: bool = false;
         /// Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
         mask_guidance: bool = true;
-        /// Contacts with whom count in the collision objectives: with the ego and vehicles driven from outside, or with
-        /// anybody (paper).
+        /// Contacts with whom count in the collision objectives.
         collision_targets: CollisionTargets = CollisionTargets::Ego;
         /// Ids of the agents with whom contacts count, in place of `collision_targets`; empty: those.
         targets: Vec<String> = Vec::new();
-        /// Kinds of conflict that are sought: at each plan only vehicles that stand so to the nearest target may be guided;
-        /// empty: all.
+        /// Kinds of conflict: only vehicles that stand so to the nearest target are guided; empty: all.
         conflicts: Vec<Conflict> = Vec::new();
-        /// Whether guided plans that leave the ego no way out are dropped: the world is planned for once more, without guidance.
-        /// Ways are steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
+        /// Whether guided plans that leave the ego no way out give way to plans without guidance. Ways are steady
+        /// accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
         avoidable_only: bool = false;
         /// Time of the episode from which plans are guided.
         guided_from_s: Real = 0.0, unit "s", range at_least(0.0);
@@ -203,7 +199,7 @@ options! {
         guided_until_s: Option<Real> = None, unit "s", range at_least(0.0);
         /// Whether plans keep attention and gradient statistics, at some cost.
         explain: bool = false;
-        /// Vehicles that never move: those parked in the log, or those slower than 0.5 m/s at the start.
+        /// Vehicles that stand still for the whole episode.
         parked_rule: ParkedRule = ParkedRule::Parked;
     }
 }

@@ -25,9 +25,9 @@ choices! {
         Any = "any",
         /// Vehicles present at the start, in the scene's order (the ego first), as many as there are slots.
         Vehicles = "vehicles",
-        /// Agents by id; those a scene does not have leave their slot empty.
+        /// Agents by id; unknown ones leave their slot empty.
         Ids(Vec<String>) = "ids",
-        /// Agents by id, chosen for each scene by its name; slots beyond a scene's list stay empty.
+        /// Agents by id for each scene by its name; other slots stay empty.
         PerScene(BTreeMap<String, Vec<String>>) = "per_scene",
     }
 }
@@ -149,11 +149,10 @@ options! {
         start_spread_steps: usize = 0;
         /// Steps of an episode at most.
         horizon_steps: usize = 100, range at_least(1.0);
-        /// Steps for which an action is held: a call of `step` advances by so many, or up to the end of the episode.
-        /// Rewards are summed up; a learner's discount per call is that of a step to this power.
+        /// Steps that a call of `step` holds its action for, at most to the end of the episode. Rewards are summed up; a
+        /// learner's discount per call is that of a step to this power.
         decision_steps: usize = 1, range at_least(1.0);
-        /// Agents with a slot: `"ego"`, `"any"` vehicle as the ego, `"vehicles"` (present at the start, the ego first), ids, or ids by the name of the
-        /// scene.
+        /// Agents with a slot, which are observed and rewarded; ids as a list, or as lists by the name of the scene.
         controlled: Controlled = Controlled::Ego;
         /// Slots per world.
         num_slots: usize = 1, range within(1.0, 512.0);
@@ -163,7 +162,7 @@ options! {
         /// episode from the world's seed. Cyclists, motorcycles and obstacles follow the log. A `PythonTraffic`
         /// stands for itself.
         traffic: Traffic = "replay".into();
-        /// Who moves pedestrians: their log, or the social force model along their logged paths.
+        /// Who moves pedestrians.
         pedestrians: Pedestrians = Pedestrians::Replay;
         /// Drivers of single vehicles by id, whatever `driver` and `traffic` say.
         drivers: BTreeMap<String, String> = BTreeMap::new();
@@ -175,8 +174,7 @@ options! {
         truncate_at_log_end: bool = true;
         /// Consequence of a collision for a controlled agent.
         on_collision: Consequence = Consequence::Terminate;
-        /// Consequence of a contact for agents without a slot, where a vehicle takes part in it that does not follow its
-        /// log.
+        /// What follows when agents without a slot touch and one of them, a vehicle, does not follow its log.
         on_traffic_collision: TrafficCollision = TrafficCollision::Stop;
         /// Consequence of a box corner off the road for a controlled agent.
         on_off_road: Consequence = Consequence::Terminate;

@@ -25,19 +25,17 @@ options! {
         collision: f64 = 5.0;
         /// Which collisions count, of agents that were adversaries in the episode.
         count: CountedCollisions = CountedCollisions::Ego;
-        /// Whether collisions count that the ego is at fault for, such as rear-ending an adversary that brakes; the paper
-        /// counts them.
+        /// Whether collisions count that the ego is at fault for (paper), such as rear-ending an adversary that brakes.
         ego_fault: bool = true;
-        /// Whether collisions of the ego count only where some ego plan would have avoided them, the others doing as they
-        /// did (`counterfactual.rollout_avoidability`); the search takes up to a second per collision.
+        /// Whether collisions of the ego count only where another ego plan would have avoided them
+        /// (`counterfactual.rollout_avoidability`, up to a second each).
         avoidable_only: bool = false;
         /// Per unit of realism cost (total variation between guided and unguided actions, the paper's C), mean over
         /// adversaries.
         realism: f64 = -0.02;
         /// Per share of steps that adversaries spend off the road.
         off_road: f64 = -0.1;
-        /// Per unit of discomfort of the adversaries, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3,
-        /// mean over steps and adversaries.
+        /// Per unit of discomfort (as `RewardConfig`), mean over steps and adversaries.
         comfort: f64 = -0.005;
     }
 }
