@@ -28,7 +28,9 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
 
 
 #: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
-Controlled: TypeAlias = Literal["ego", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
+Controlled: TypeAlias = (
+    Literal["ego", "any", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
+)
 
 #: Who moves pedestrians.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
@@ -286,6 +288,7 @@ class WorldOptions:
     #: look back farther are told that the states before were not there.
     history_steps: int = 30
     #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
+    #: Egos that are drawn start anywhere by default.
     start_spread_steps: int = 0
     #: Steps of an episode at most (>= 1).
     horizon_steps: int = 100
