@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
-from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
+from ccdiff_env.envs.as_vector import AsVector, with_masks
+from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
 from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import (
     FollowsTraining,
-    SceneChoice,
     Scenes,
     StepArrays,
     Worlds,
-    normalize_seed,
     scene_set,
     world_config,
 )
@@ -45,7 +42,7 @@ Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
 
-class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
+class AgentVectorEnv(FollowsTraining, AsVector):
     """E worlds of C slots in Rust as E x C rows; row i is slot ``i % C`` of world ``i // C``.
 
     A row's episode ends when its vehicle's does. It then waits, with observations and rewards of
@@ -133,12 +130,6 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self._info = info
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
         self._adversary = np.zeros((num_worlds, self.num_slots), np.bool_)
-        self._seeded = False
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the worlds."""
-        return self.worlds.config
 
     def active_masks(self) -> Bool:
         """Return the rows [E x C] whose vehicles are driven by the next actions."""
@@ -168,10 +159,8 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         for name in options or {}:
             if name != "scene":
                 raise unknown("reset option", str(name), ("scene",))
-        given = (options or {}).get("scene")
-        many = isinstance(given, (list, tuple)) or (isinstance(given, np.ndarray) and given.ndim)
-        listed = self._per_world("scene", given) if many else [given] * self.num_worlds
-        scenes = [self.worlds.scene_index(cast("SceneChoice", one)) for one in listed]
+        listed = self._per_world("scene", (options or {}).get("scene"))
+        scenes = [self.worlds.scene_index(one) for one in listed]
         out = self.worlds.arrays()
         self.worlds.native.reset(self._seeds(seed), scenes, None, out)
         self._active = out.alive.copy()
@@ -179,32 +168,6 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self._begin(infos, np.ones(self.num_worlds, np.bool_))
         infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
         return self._shown(out), infos
-
-    def _per_world(self, name: str, values: Any) -> list[Any]:
-        listed = list(values)
-        if len(listed) == self.num_envs:
-            return listed[:: self.num_slots]
-        if len(listed) != self.num_worlds:
-            raise ConfigError(
-                f"{name} has {len(listed)} entries, expected {self.num_worlds} or {self.num_envs}"
-            )
-        return listed
-
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        fresh: list[int | None] = [None] * self.num_worlds
-        if not self._seeded:
-            fresh = [int(n) for n in self.np_random.integers(2**63, size=self.num_worlds)]
-        self._seeded = True
-        if seed is None:
-            return fresh
-        if isinstance(seed, (list, tuple, np.ndarray)):
-            pairs = zip(self._per_world("seed", seed), fresh, strict=True)
-            return [new if one is None else normalize_seed(one) for one, new in pairs]
-        first = normalize_seed(seed)
-        super().reset(seed=first)
-        return [
-            normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_worlds)
-        ]
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Advance all worlds by one step.
@@ -264,13 +227,8 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         return found
 
     def _figures(self, columns: F32, mask: Bool) -> Info:
-        rows = columns.reshape(self.num_envs, -1)
-        shown = mask.ravel()
-        info: Info = {}
-        for i, name in enumerate(self.worlds.column_names):
-            info[name] = np.where(shown, rows[:, i], np.float32(0.0))
-            info["_" + name] = shown.copy()
-        return info
+        values = np.where(mask.ravel(), columns.reshape(self.num_envs, -1).T, np.float32(0.0))
+        return with_masks(self.worlds.column_names, values, mask.ravel())
 
     def _final(
         self,
@@ -293,10 +251,8 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             values = np.zeros((len(self.worlds.metric_names), self.num_envs))
             for (e, c), row_metrics in metrics.items():
                 values[:, e * self.num_slots + c] = row_metrics
-            table: Info = {}
-            for name, one in zip(self.worlds.metric_names, values, strict=True):
-                table[name], table["_" + name] = one, ended.ravel().copy()
-            final["metrics"], final["_metrics"] = table, ended.ravel().copy()
+            final["metrics"] = with_masks(self.worlds.metric_names, values, ended.ravel())
+            final["_metrics"] = ended.ravel().copy()
         infos["final_obs"], infos["_final_obs"] = final_obs, done.copy()
         infos["final_info"], infos["_final_info"] = final, done.copy()
 
@@ -314,29 +270,10 @@ class AgentVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
                 values = {**common, **texts}
                 self._put(infos, int(e) * self.num_slots + c, values)
 
-    def _put(self, infos: Info, row: int, values: Info) -> None:
-        for name, value in values.items():
-            if name not in infos:
-                kind = type(value) if isinstance(value, (int, float)) else object
-                infos[name] = np.full(self.num_envs, None if kind is object else 0, dtype=kind)
-                infos["_" + name] = np.zeros(self.num_envs, np.bool_)
-            infos[name][row] = value
-            infos["_" + name][row] = value is not None
-
     def _shown(self, out: StepArrays) -> Any:
         rows = out.obs.reshape(self.num_envs, -1)
         bev = None if out.bev is None else out.bev.reshape(self.num_envs, *out.bev.shape[2:])
         return self.worlds.layout.observation(self._form, rows, bev)
-
-    def render(self) -> tuple[Image, ...] | None:
-        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
-        if self.render_mode is None:
-            return None
-        native = self.worlds.native
-        return tuple(native.render(i, **self._render_options) for i in range(self.num_worlds))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Do nothing: the worlds go with the environment."""
 
 
 def _last(out: StepArrays) -> tuple[F32, U8 | None]:

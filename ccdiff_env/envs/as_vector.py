@@ -1,21 +1,34 @@
-"""What Gymnasium's own vector environments can be asked, for those whose worlds are one object."""
+"""What vector environments share: many worlds that are one object, with a row or more for each."""
 
 from __future__ import annotations
 
-from typing import Any
+import operator
+from collections.abc import Sequence
+from typing import Any, cast
 
-from gymnasium.vector import AutoresetMode
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode, VectorEnv
 
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.drawing import Image
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds import Worlds, normalize_seed
 
 __all__ = ["AsVector"]
 
 
-class AsVector:
-    """``autoreset_mode``, ``call``, ``get_attr``, ``set_attr``, as ``SyncVectorEnv`` has them."""
+class AsVector(VectorEnv[Any, Any, Any]):
+    """Besides: ``call``, ``get_attr``, ``set_attr``, as ``SyncVectorEnv`` has them."""
 
-    num_envs: int
-    metadata: dict[str, Any]
+    worlds: Worlds
+    _render_options: dict[str, Any]
+    _seeded = False
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the worlds."""
+        return self.worlds.config
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
@@ -50,3 +63,65 @@ class AsVector:
                 "the same: the worlds share their attributes"
             )
         setattr(self, name, listed[0])
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
+        if self.render_mode is None:
+            return None
+        native, worlds = self.worlds.native, range(self.worlds.num_worlds)
+        return tuple(native.render(i, **self._render_options) for i in worlds)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Do nothing: the worlds go with the environment."""
+
+    def _per_world(self, name: str, value: Any) -> list[Any]:
+        """Return what a reset is given, world by world: one for all, or one per world or row."""
+        num_worlds, num_envs = self.worlds.num_worlds, self.num_envs
+        if not isinstance(value, (list, tuple, np.ndarray)) or not np.ndim(value):
+            return [value] * num_worlds
+        listed = list(value)
+        if len(listed) not in (num_worlds, num_envs):
+            known = (
+                f"num_worlds={num_worlds} or " * (num_worlds < num_envs) + f"num_envs={num_envs}"
+            )
+            raise ConfigError(f"{name} has {len(listed)} entries, expected {known}")
+        return listed[:: len(listed) // num_worlds]
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return seeds of the worlds; ``None`` goes on with a world's generator."""
+        num_worlds = self.worlds.num_worlds
+        seeds: list[int | None] = [None] * num_worlds
+        if not self._seeded:
+            seeds = [int(n) for n in self.np_random.integers(2**63, size=num_worlds)]
+        if isinstance(seed, (list, tuple, np.ndarray)):
+            pairs = zip(self._per_world("seed", seed), seeds, strict=True)
+            seeds = [fresh if one is None else normalize_seed(one) for one, fresh in pairs]
+        elif seed is not None:
+            super().reset(seed=normalize_seed(seed))
+            first = operator.index(cast("int", seed))
+            seeds = [normalize_seed(first + i) for i in range(num_worlds)]
+        self._seeded = True
+        return seeds
+
+    def _put(self, infos: dict[str, Any], row: int, values: dict[str, Any]) -> None:
+        """Write values of a row into arrays with masks."""
+        for name, value in values.items():
+            if name not in infos:
+                kind = type(value) if isinstance(value, (int, float)) else object
+                infos[name] = np.full(self.num_envs, None if kind is object else 0, dtype=kind)
+                infos["_" + name] = np.zeros(self.num_envs, np.bool_)
+            infos[name][row] = value
+            infos["_" + name][row] = value is not None
+
+
+def with_masks(
+    names: Sequence[str], values: npt.NDArray[Any], mask: npt.NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Values [K, E] as arrays [E], each with a mask of its own."""
+    masks = np.empty((len(names), len(mask)), np.bool_)
+    masks[:] = mask
+    info: dict[str, Any] = {}
+    for name, row, shown in zip(names, values, masks, strict=True):
+        info[name] = row
+        info["_" + name] = shown
+    return info

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
+from ccdiff_env.envs.as_vector import AsVector, with_masks
+from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
@@ -23,7 +22,6 @@ from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
     Worlds,
-    normalize_seed,
     scene_set,
     world_config,
 )
@@ -77,7 +75,7 @@ def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
         raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'")
 
 
-class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
+class EgoVectorEnv(FollowsTraining, AsVector):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
     Parameters
@@ -180,12 +178,6 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self._copy = copy
         self._kept = self._arrays_for(mode)
         self._begun = np.zeros(num_envs, np.bool_)
-        self._seeded = False
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the worlds."""
-        return self.worlds.config
 
     @property
     def begun(self) -> bool:
@@ -244,8 +236,10 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
                 raise unknown("reset option", str(name), (*RESET_OPTIONS, "reset_mask"))
         drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         seeds = self._seeds(seed)
-        scenes = [self.worlds.scene_index(one) for one in self._each("scene", options)]
-        egos, starts = self._each("ego", options), self._each("start", options)
+        named, egos, starts = (
+            self._per_world(n, options.get(n)) for n in ("scene", "ego", "start")
+        )
+        scenes = [self.worlds.scene_index(one) for one in named]
         wanted = [self.worlds.wanted(*one) for one in zip(scenes, egos, starts, strict=True)]
         mask = options.get("reset_mask")
         mask = None if mask is None else self._reset_mask(mask)
@@ -339,13 +333,13 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         values = columns.T.copy()
         if partly:
             values[:, ~mask] = 0.0
-        return _with_masks(self.worlds.column_names, values, mask)
+        return with_masks(self.worlds.column_names, values, mask)
 
     def _metrics(self, done: Bool) -> Info:
         rows = np.flatnonzero(done)
         values = np.zeros((len(self.worlds.metric_names), self.num_envs))
         values[:, rows] = self.worlds.native.ended_metrics(rows.tolist())[:, 0].T
-        return _with_masks(self.worlds.metric_names, values, done)
+        return with_masks(self.worlds.metric_names, values, done)
 
     def _final_obs(self, out: StepArrays) -> npt.NDArray[np.object_]:
         assert out.final_obs is not None
@@ -357,15 +351,8 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         return final
 
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
-        rows = np.flatnonzero(which)
-        for i in rows:
-            for name, value in self.worlds.reset_info(int(i), self._info).items():
-                if name not in infos:
-                    kind = object if isinstance(value, str) else type(value)
-                    empty = None if kind is object else 0
-                    infos[name] = np.full(self.num_envs, empty, dtype=kind)
-                    infos[f"_{name}"] = which.copy()
-                infos[name][i] = value
+        for i in np.flatnonzero(which):
+            self._put(infos, int(i), self.worlds.reset_info(int(i), self._info))
         return infos
 
     def _observation(self, out: StepArrays) -> Any:
@@ -382,43 +369,6 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
             arrays.bev[world_idx] = bev
         return self.worlds.layout.observation(self._form, rows[0], None if bev is None else bev[0])
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        seeds: list[int | None]
-        if seed is None:
-            seeds = [None] * self.num_envs
-            if not self._seeded:
-                seeds = [int(n) for n in self.np_random.integers(2**63, size=self.num_envs)]
-        elif isinstance(seed, (list, tuple, np.ndarray)):
-            if len(seed) != self.num_envs:
-                raise ConfigError(
-                    f"seed has {len(seed)} entries, expected num_envs={self.num_envs}"
-                )
-            seeds = [None if s is None else normalize_seed(s) for s in seed]
-            if not self._seeded:
-                fresh = self.np_random.integers(2**63, size=self.num_envs)
-                pairs = zip(seeds, fresh, strict=True)
-                seeds = [int(new) if given is None else given for given, new in pairs]
-        else:
-            first = normalize_seed(seed)
-            super().reset(seed=first)
-            seeds = [
-                normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)
-            ]
-        self._seeded = True
-        return seeds
-
-    def _each(self, name: str, options: Mapping[str, Any]) -> list[Any]:
-        """Return an option of a reset, world by world."""
-        choice = options.get(name)
-        if isinstance(choice, (list, tuple)) or (isinstance(choice, np.ndarray) and choice.ndim):
-            if len(choice) != self.num_envs:
-                raise ConfigError(
-                    f"options[{name!r}] has {len(choice)} entries, expected "
-                    f"num_envs={self.num_envs}"
-                )
-            return list(choice)
-        return [choice] * self.num_envs
-
     def _mask(self, name: str, mask: Any) -> Bool:
         shape = (self.num_envs,)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != shape:
@@ -433,13 +383,6 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         if not (self._begun | mask).all():
             raise ConfigError("the first reset must reset all worlds")
         return mask
-
-    def render(self) -> tuple[Image, ...] | None:
-        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
-        if self.render_mode is None:
-            return None
-        native = self.worlds.native
-        return tuple(native.render(i, **self._render_options) for i in range(self.num_envs))
 
     def explain(self, world_idx: int) -> TrafficPlan | None:
         """Return the plan that CCDiff follows in a world; ``None`` before the first one.
@@ -473,17 +416,3 @@ class EgoVectorEnv(FollowsTraining, AsVector, VectorEnv[Any, Any, Any]):
         self.worlds.native.restore(world_idx, Snapshot.from_bytes(snapshot).world)
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Do nothing: the worlds go with the environment."""
-
-
-def _with_masks(names: Sequence[str], values: npt.NDArray[Any], mask: Bool) -> Info:
-    """Values [K, E] as arrays [E], each with a mask of its own."""
-    masks = np.empty((len(names), len(mask)), np.bool_)
-    masks[:] = mask
-    info: Info = {}
-    for name, row, shown in zip(names, values, masks, strict=True):
-        info[name] = row
-        info["_" + name] = shown
-    return info

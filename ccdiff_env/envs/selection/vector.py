@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.drawing import FPS, Image, check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
-from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.errors import ShapeError
 from ccdiff_env.policies.planners import Ego
-from ccdiff_env.worlds import Scenes, Worlds, normalize_seed
+from ccdiff_env.worlds import Scenes
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,7 +34,7 @@ Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
 
-class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
+class AdversarySelectionVectorEnv(AsVector):
     """E worlds; ended ones begin anew within the step (SAME_STEP).
 
     World i of ``reset(seed=n)`` gets the seed n + i and then runs as the single environment.
@@ -91,18 +90,13 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
             trails=render_mode is not None,
             options=options,
         )
+        self.worlds = self._batch.worlds
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space: gymnasium.Space[Any] = self._batch.observation_space
         self.single_action_space: gymnasium.Space[Any] = self._batch.actions.space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._seeded = False
-
-    @property
-    def worlds(self) -> Worlds:
-        """The native worlds."""
-        return self._batch.worlds
 
     def reset(
         self,
@@ -127,30 +121,12 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
         for name in options or {}:
             if name != "scene":
                 raise unknown("reset option", str(name), ("scene",))
-        given = (options or {}).get("scene")
-        listed = list(given) if isinstance(given, (list, tuple)) else [given] * self.num_envs
-        if len(listed) != self.num_envs:
-            raise ConfigError(f"scene has {len(listed)} entries, expected {self.num_envs}")
+        listed = self._per_world("scene", (options or {}).get("scene"))
         scenes = [self.worlds.scene_index(one) for one in listed]
         self._batch.reset(self._seeds(seed), scenes)
         infos: Info = {}
         self._reset_infos(infos, np.ones(self.num_envs, np.bool_))
         return self._observations(), infos
-
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        fresh: list[int | None] = [None] * self.num_envs
-        if not self._seeded:
-            fresh = [int(n) for n in self.np_random.integers(2**63, size=self.num_envs)]
-        self._seeded = True
-        if seed is None:
-            return fresh
-        if isinstance(seed, (list, tuple, np.ndarray)):
-            if len(seed) != self.num_envs:
-                raise ConfigError(f"seed has {len(seed)} entries, expected {self.num_envs}")
-            pairs = zip(seed, fresh, strict=True)
-            return [new if one is None else normalize_seed(one) for one, new in pairs]
-        super().reset(seed=normalize_seed(seed))
-        return [normalize_seed(operator.index(cast("int", seed)) + i) for i in range(self.num_envs)]
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Choose adversaries in all worlds and advance until the next plans.
@@ -204,13 +180,7 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
 
     def _reset_infos(self, infos: Info, which: Bool) -> None:
         for i in np.flatnonzero(which):
-            for name, value in self.worlds.reset_info(int(i), "full").items():
-                if name not in infos:
-                    kind = object if isinstance(value, str) else type(value)
-                    empty = None if kind is object else 0
-                    infos[name] = np.full(self.num_envs, empty, dtype=kind)
-                    infos["_" + name] = which.copy()
-                infos[name][i] = value
+            self._put(infos, int(i), self.worlds.reset_info(int(i), "full"))
 
     def _observations(self) -> dict[str, npt.NDArray[Any]]:
         rows = [self._batch.observe(i) for i in range(self.num_envs)]
@@ -245,13 +215,3 @@ class AdversarySelectionVectorEnv(AsVector, VectorEnv[Any, Any, Any]):
             If the ego is a policy; if the traffic cannot be guided.
         """
         return self._batch.fork_gaps(steps)
-
-    def render(self) -> tuple[Image, ...] | None:
-        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
-        if self.render_mode is None:
-            return None
-        native = self.worlds.native
-        return tuple(native.render(i, **self._render_options) for i in range(self.num_envs))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Do nothing: the worlds go with the environment."""
