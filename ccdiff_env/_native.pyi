@@ -474,6 +474,9 @@ class VecWorld:
     def restore(self, world_idx: int, snapshot: bytes) -> None:
         """Put a world into the state of a snapshot."""
 
+    def reseed(self, world_idx: int, seed: int) -> None:
+        """Let a world go on with the random numbers of another seed."""
+
     def digest(self, world_idx: int) -> int:
         """Return a digest of everything that the future of a world depends on."""
 

@@ -17,7 +17,7 @@ from test_envs import ID, assert_same_trace, same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, embedded_scenes
-from ccdiff_env.errors import ForkError, SnapshotError
+from ccdiff_env.errors import ConfigError, ForkError, ResetNeededError, SnapshotError
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +90,72 @@ def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
     fewer = EgoEnv(scenes=list(scenes)[::-1])
     with pytest.raises(SnapshotError):
         fewer.restore(saved)
+
+
+@pytest.mark.parametrize("traffic", ["ccdiff", "idm"])
+def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
+    options = {"traffic": traffic, "on_off_road": "ignore", "on_collision": "ignore"}
+    if traffic == "ccdiff":
+        options["ccdiff"] = {"denoising_steps": 1}
+    env = EgoEnv(scenes=scenes, **options)
+    env.reset(seed=8)
+    for action in ACTIONS[:7]:
+        obs, *_ = env.step(action)
+    saved = env.snapshot()
+
+    def future(of, count=25):
+        trace = []
+        for action in ACTIONS[7 : 7 + count]:
+            row, *_ = of.step(action)
+            trace.append(np.concatenate([row, of.worlds.native.states(0)["position"].ravel()]))
+        return np.array(trace)
+
+    forks = [env.fork(seed=3), env.fork(seed=4), env.fork()]
+    one, other, own = (future(fork) for fork in forks)
+    assert same(env.restore(saved), obs)
+    assert np.array_equal(future(env), own), "without a seed nothing is drawn anew"
+    assert (traffic == "idm") == np.array_equal(one, other) == np.array_equal(one, own)
+    assert np.array_equal(one[:3], own[:3]), "the present plan stays until the next one"
+    assert same(env.restore(saved, seed=3), obs)
+    assert np.array_equal(future(env), one)
+    with pytest.raises(SnapshotError, match="seed"):
+        env.certificate()
+    assert same(env.reset()[0], EgoEnv(scenes=scenes, **options).reset(seed=3)[0])
+    assert env.certificate().seed == 3
+    worlds = ccdiff_env.make_vec(
+        5, scenes=scenes, num_threads=2, autoreset_mode="disabled", **options
+    )
+    worlds.reset(seed=1)
+    for world_idx, seed in ((1, 3), (3, 4), (4, 3)):
+        assert np.array_equal(worlds.restore(world_idx, saved, seed=seed), obs)
+    for action, first, second in zip(ACTIONS[7:], one, other, strict=False):
+        rows, *_ = worlds.step(np.tile(action, (5, 1)))
+        width = rows.shape[1]
+        assert np.array_equal(rows[1], first[:width])
+        assert np.array_equal(rows[3], second[:width])
+        assert np.array_equal(rows[4], first[:width])
+
+
+def test_seeds_of_futures_are_checked(scenes):
+    env = EgoEnv(scenes=scenes)
+    fresh = env.snapshot()
+    with pytest.raises(ResetNeededError):
+        env.restore(fresh, seed=1)
+    env.reset(seed=0)
+    env.step(ACTIONS[0])
+    digest, saved = env.worlds.native.digest(0), env.snapshot()
+    env.step(ACTIONS[1])
+    for wrong in ("1", 1.5):
+        with pytest.raises(ConfigError, match="seed"):
+            env.restore(saved, seed=wrong)
+    assert env.worlds.native.digest(0) != digest, "nothing was restored"
+    env.restore(saved, seed=-(2**70))
+    game = ccdiff_env.parallel_env(agents=2, traffic="ccdiff", ccdiff={"denoising_steps": 1})
+    game.reset(seed=0)
+    digests = [fork.worlds.native.digest(0) for fork in (game.fork(seed=5), game.fork(), game)]
+    assert digests[0] != digests[1] == digests[2]
+    game.restore(game.snapshot(), seed=5)
+    assert game.worlds.native.digest(0) == digests[0]
 
 
 # ---------------------------------------------------------------------- threads and processes

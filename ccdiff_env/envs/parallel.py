@@ -347,15 +347,17 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         """Return everything that the world's future depends on."""
         return Snapshot(self.worlds.native.snapshot(0)).to_bytes()
 
-    def restore(self, snapshot: bytes) -> Rows:
+    def restore(self, snapshot: bytes, *, seed: int | None = None) -> Rows:
         """Return to the state of a snapshot; returns the observations of that moment.
+
+        With a ``seed`` traffic goes on as another draw, see :meth:`EgoEnv.restore`.
 
         Raises
         ------
         SnapshotError
             If the bytes are damaged, or belong to another configuration or other scenes.
         """
-        self.worlds.native.restore(0, Snapshot.from_bytes(snapshot).world)
+        Snapshot.from_bytes(snapshot).put(self.worlds, 0, seed)
         self.agents = []
         if not self.worlds.native.begun(0):
             return {}
@@ -366,9 +368,12 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         rows, bev = self.worlds.observe(0)
         return self._observations(rows[None], None if bev is None else bev[None], self.agents)
 
-    def fork(self) -> MultiAgentEnv:
-        """Return an independent environment in the same state."""
-        return copy.deepcopy(self)
+    def fork(self, *, seed: int | None = None) -> MultiAgentEnv:
+        """Return an independent environment in the same state, with a ``seed`` of its own."""
+        fork = copy.deepcopy(self)
+        if seed is not None:
+            fork.restore(fork.snapshot(), seed=seed)
+        return fork
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or a pickle holds; a window is not part of it."""

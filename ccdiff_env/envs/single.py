@@ -244,13 +244,16 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         actions = None if self._actions is None else b"".join(self._actions)
         return Snapshot(self.worlds.native.snapshot(0), actions).to_bytes()
 
-    def restore(self, snapshot: bytes) -> Any:
+    def restore(self, snapshot: bytes, *, seed: int | None = None) -> Any:
         """Return to the state of a snapshot, bit for bit.
 
         Parameters
         ----------
         snapshot
             What :meth:`snapshot` of an environment of the same configuration and scenes gave.
+        seed
+            Any integer: from here on, traffic draws from this seed; its present plan and drivers
+            stay. The next episode is the first of the seed.
 
         Returns
         -------
@@ -262,6 +265,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         SnapshotError
             If the bytes are damaged, or belong to another configuration or other scenes; nothing
             has changed then.
+        ResetNeededError
+            With a seed, if the snapshot was taken before the first reset.
         """
         saved = Snapshot.from_bytes(snapshot)
         row_bytes = 4 * self.worlds.native.action_width
@@ -271,8 +276,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
                 raise SnapshotError("snapshot: actions do not fit")
             starts = range(0, len(saved.actions), row_bytes)
             actions = [saved.actions[i : i + row_bytes] for i in starts]
-        self.worlds.native.restore(0, saved.world)
-        self._actions = actions
+        saved.put(self.worlds, 0, seed)
+        self._actions = actions if seed is None else None
         self._seeded = self._begun = self.worlds.native.begun(0)
         return self.observation() if self._begun else None
 
@@ -286,9 +291,12 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         """
         return self.worlds.explain(0)
 
-    def fork(self) -> EgoEnv:
-        """Return an independent environment in the same state."""
-        return copy.deepcopy(self)
+    def fork(self, *, seed: int | None = None) -> EgoEnv:
+        """Return an independent environment in the same state, with a ``seed`` of its own."""
+        fork = copy.deepcopy(self)
+        if seed is not None:
+            fork.restore(fork.snapshot(), seed=seed)
+        return fork
 
     def certificate(self) -> Certificate:
         """Return the certificate of the episode so far: from it, it can be simulated again.
@@ -296,12 +304,16 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         Raises
         ------
         SnapshotError
-            If the environment was restored from a snapshot that does not hold the actions.
+            If the environment was restored with another seed, or from a snapshot that does not
+            hold the actions.
         ResetNeededError
             Before the first reset.
         """
         if self._actions is None:
-            raise SnapshotError("certificate: the actions before the restored snapshot are unknown")
+            raise SnapshotError(
+                "certificate: the environment was restored with another seed, or from a snapshot "
+                "without the actions before it"
+            )
         return Certificate.of(self.worlds, b"".join(self._actions))
 
     def __getstate__(self) -> dict[str, Any]:

@@ -399,8 +399,10 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         self.worlds.check_world(world_idx)
         return Snapshot(self.worlds.native.snapshot(world_idx)).to_bytes()
 
-    def restore(self, world_idx: int, snapshot: bytes) -> Any:
+    def restore(self, world_idx: int, snapshot: bytes, *, seed: int | None = None) -> Any:
         """Put a world into the state of a snapshot, its own or another world's.
+
+        With a ``seed`` its traffic goes on as another draw, see :meth:`EgoEnv.restore`.
 
         Returns
         -------
@@ -413,6 +415,6 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             If the bytes are damaged, or belong to another configuration or other scenes.
         """
         self.worlds.check_world(world_idx)
-        self.worlds.native.restore(world_idx, Snapshot.from_bytes(snapshot).world)
+        Snapshot.from_bytes(snapshot).put(self.worlds, world_idx, seed)
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)

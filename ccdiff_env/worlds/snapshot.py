@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass
 
 from ccdiff_env.errors import SnapshotError
+from ccdiff_env.worlds import Worlds, normalize_seed
 
 _MAGIC = b"CCDENV"
 _VERSION = 1
@@ -27,6 +28,21 @@ class Snapshot:
 
     world: bytes
     actions: bytes | None = None
+
+    def put(self, worlds: Worlds, world_idx: int, seed: int | None = None) -> None:
+        """Put a world into it; with a seed, its future is another one.
+
+        Raises
+        ------
+        SnapshotError
+            If it belongs to another configuration or other scenes; nothing has changed then.
+        ResetNeededError
+            With a seed, if the world was never reset.
+        """
+        other = None if seed is None else normalize_seed(seed)
+        worlds.native.restore(world_idx, self.world)
+        if other is not None:
+            worlds.native.reseed(world_idx, other)
 
     def to_bytes(self) -> bytes:
         """Return the snapshot as bytes."""

@@ -323,6 +323,12 @@ impl PyVecWorld {
         Ok(())
     }
 
+    /// Lets a world go on with the random numbers of another seed.
+    fn reseed(&mut self, world_idx: usize, seed: u64) -> PyResult<()> {
+        self.home.check()?;
+        self.world.reseed(world_idx, seed).map_err(from_sim)
+    }
+
     /// Digest of everything that the future of a world depends on.
     fn digest(&self, world_idx: usize) -> PyResult<u64> {
         self.home.check()?;

@@ -82,6 +82,18 @@ impl VecWorld {
         Ok(())
     }
 
+    /// Lets a world go on from where it is with the random numbers of another seed: plans made from here on differ, and
+    /// its next episode is the first of that seed. What was drawn before, such as drivers and the present plan, stays.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for a world that does not exist, [`SimError::ResetNeeded`] before its first reset.
+    pub fn reseed(&mut self, world_idx: usize, seed: u64) -> Result<()> {
+        self.status(world_idx)?;
+        let episode = &mut self.worlds[world_idx].episode;
+        episode.reseed(seed, episode.next_scene_idx);
+        Ok(())
+    }
+
     /// FNV-1a digest of the bits of a world's states, its clock, its generator and its plans: equal digests, equal worlds.
     ///
     /// # Errors
