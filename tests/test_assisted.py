@@ -8,6 +8,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.policies.steering import Steering
 from ccdiff_env.record.counterfactual import avoidability
 
 
@@ -93,8 +94,15 @@ def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
     env.reset(seed=0)
     with pytest.raises(ConfigError, match=r"action\.dynamics"):
         env.expert_action()
-    with pytest.raises(ConfigError, match="unicycle or bicycle"):
-        avoidability(env)
+
+
+def test_plans_are_changes_of_idm_and_distances_from_the_route(scenes):
+    env = EgoEnv(scenes=scenes, dynamics={"assisted": {"delta_mps2": (-6.0, 2.0)}})
+    env.reset(seed=0)
+    steering = Steering(env.worlds)
+    for plan, action in (((0.0, 0.0), (0.0, 0.0)), ((-3.0, 0.75), (-0.5, 0.5)), ((9, -9), (1, -1))):
+        assert steering.action(0, None, 0, *plan).tolist() == list(action)
+    assert avoidability(env, num_samples=1).avoidable, "IDM"
 
 
 @pytest.mark.parametrize(

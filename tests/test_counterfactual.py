@@ -8,6 +8,8 @@ import pytest
 from ccdiff_env import EgoEnv, Scene, embedded_scenes
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.record.counterfactual import (
+    STEADY,
+    EgoPlan,
     attribute,
     avoidability,
     branch,
@@ -98,6 +100,63 @@ def test_a_found_plan_is_free_of_collisions_when_driven():
     assert t == 100
 
 
+def test_steady_plans_end_and_the_ego_drives_on():
+    # 6 m/s² over 2.1 s stop 10 m/s after 8 m; 4 m/s² leave 1.6 m/s, which reach the wall later
+    for distance, possible in ((20.0, True), (2.0, False)):
+        env = started(road(0.0, 10.0, wall(distance, width=20.0)), traffic="idm")
+        found = avoidability(env, reactive=True, ego=straight)
+        assert (found.avoidable, found.held, found.unchanged) == (possible, float(possible), 0.0)
+        assert found.plan == (EgoPlan((-6, -6), 0.0, 0) if possible else None)
+        assert found.num_safe == (3 if possible else 0), "at the three distances from the route"
+        assert found.num_tried == 15
+    careful = avoidability(started(env.scene, traffic="idm"), reactive=True, ego="idm", horizon_s=9)
+    assert careful.unchanged == 0.0
+    far = started(road(0.0, 10.0, wall(40.0, width=20.0)), traffic="idm")
+    careful = avoidability(far, reactive=True)
+    assert (careful.plan, careful.unchanged) == (EgoPlan((0, 0), 0.0, 0), 1.0), "IDM stops itself"
+
+
+def test_plans_that_react_are_chosen_in_some_futures_and_tested_in_others():
+    from ccdiff_env.policies.steering import Steering
+
+    env = EgoEnv(
+        scenes=embedded_scenes("val"),
+        traffic="ccdiff",
+        ccdiff={"denoising_steps": 1},
+        horizon_steps=60,
+    )
+    drawn = np.random.SeedSequence(5).generate_state(3, np.uint64).tolist()
+    verdicts = set()
+    for seed in range(6):
+        env.reset(seed=seed)
+        before = env.snapshot()
+        found = avoidability(env, reactive=True, ego=straight, seed=5, num_samples=4)
+        assert env.snapshot() == before
+        assert found == avoidability(env, reactive=True, ego=straight, seed=5, num_samples=4)
+
+        def safe(plan, future):
+            fork = env.fork(seed=future)
+            steering, t, done = Steering(fork.worlds), 0, False
+            while not done:
+                action, states = np.zeros(2, np.float32), fork.worlds.native.states(0)
+                if plan is not None and t < 21:
+                    action = steering.action(0, states, 0, plan.acceleration_mps2[0], plan.offset_m)
+                *_, terminated, truncated, info = fork.step(action)
+                if info["collision"] or info["off_road"]:
+                    return False
+                done, t = terminated or truncated, t + 1
+            return True
+
+        good = [all(safe(plan, future) for future in (None, drawn[0])) for plan in STEADY[:4]]
+        assert found.num_safe == sum(good)
+        assert found.unchanged == np.mean([safe(None, future) for future in drawn[1:]])
+        if found.avoidable:
+            assert found.plan == STEADY[good.index(True)]
+            assert found.held == np.mean([safe(found.plan, future) for future in drawn[1:]])
+        verdicts.add((found.avoidable, found.unchanged))
+    assert len(verdicts) > 1
+
+
 def test_the_route_is_followed_round_a_bend():
     scene = next(s for s in embedded_scenes("val") if "curve" in s.name)
     env = started(scene, traffic="replay")
@@ -155,3 +214,8 @@ def test_mistakes_are_named():
         avoidability(started(scene, driver="idm"))
     with pytest.raises(ConfigError, match="ccdiff"):
         attribute(started(scene), ego="idm")
+    with pytest.raises(ConfigError, match="reacts"):
+        avoidability(started(scene), reactive=True)
+    for wrong in ({"draws": 0}, {"ego": "replay"}, {"ego": "nobody"}):
+        with pytest.raises(ConfigError, match=next(iter(wrong))):
+            avoidability(started(scene, traffic="idm"), reactive=True, **wrong)

@@ -22,7 +22,8 @@ class Steering:
     Parameters
     ----------
     worlds
-        Worlds whose first slot is steered, with continuous actions of the unicycle or bicycle.
+        Worlds whose first slot is steered, with continuous actions of the unicycle or bicycle, or
+        with assisted ones: there, accelerations are changes of IDM's.
 
     Raises
     ------
@@ -32,9 +33,10 @@ class Steering:
 
     def __init__(self, worlds: Worlds) -> None:
         action: ActionConfig = worlds.config.action
-        if action.discrete or isinstance(action.dynamics, (AssistedLimits, DeltaPoseLimits)):
+        if action.discrete or isinstance(action.dynamics, DeltaPoseLimits):
             raise ConfigError(
-                "actions: plans of the ego need continuous actions of the unicycle or bicycle"
+                "actions: plans of the ego need continuous actions of the unicycle or bicycle, or "
+                "assisted ones"
             )
         self._worlds = worlds
         self._action = action
@@ -52,6 +54,11 @@ class Steering:
         self, world_idx: int, states: Any, ego: int, acceleration_mps2: float, offset_m: float
     ) -> F32:
         """Return the action [W] that steers towards the shifted route ahead (pure pursuit)."""
+        if isinstance(self._action.dynamics, AssistedLimits):
+            limits = self._action.dynamics
+            parts = ((acceleration_mps2, limits.delta_mps2), (offset_m, limits.offset_m))
+            shares = [np.interp(v, (low, 0.0, top), (-1.0, 0.0, 1.0)) for v, (low, top) in parts]
+            return np.array(shares, np.float32)
         route = self._route(world_idx)
         at, heading = states["position"][ego], float(states["heading"][ego])
         speed = float(states["speed"][ego])

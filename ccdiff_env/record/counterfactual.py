@@ -20,7 +20,8 @@ from ccdiff_env.record.episode import begin, play
 from ccdiff_env.record.recorder import HasWorlds, Recorder, worlds_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
-from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds import Worlds, normalize_seed
+from ccdiff_env.worlds.snapshot import Snapshot
 
 __all__ = [
     "Attribution",
@@ -34,6 +35,7 @@ __all__ = [
 ]
 
 F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
 Cause: TypeAlias = Literal["none", "adversaries", "ego", "either", "both"]
 
 
@@ -56,6 +58,11 @@ class EgoPlan:
     offset_m: float
 
 
+#: How long a steady plan lasts, and the steady plans, least aggressive first.
+HOLD_S = 2.1
+STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2, 2, -4, -6))
+
+
 @dataclass(frozen=True)
 class Avoidability:
     """Whether some ego plan avoids every collision.
@@ -69,12 +76,17 @@ class Avoidability:
     num_tried, num_safe
         Plans tried, and plans among them that avoid all collisions. The search stops after the
         batch of plans in which one was found.
+    held, unchanged
+        Of a search with ``reactive=True``: share of futures that did not choose the plan in which
+        it avoids all collisions, 0 without a plan, and share in which the ego without a plan does.
     """
 
     avoidable: bool
     plan: EgoPlan | None
     num_tried: int
     num_safe: int
+    held: float | None = None
+    unchanged: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +121,7 @@ def branch(
     ego: Ego,
     adversaries: Sequence[str] | None = None,
     steps: int | None = None,
+    seed: int | None = None,
 ) -> Rollout:
     """Play a fork of an environment on, to the end or for some steps.
 
@@ -124,6 +137,8 @@ def branch(
         ``None`` to leave it as it is.
     steps
         Steps at most.
+    seed
+        Seed of what traffic draws from here on; by default it draws what it would have drawn.
 
     Returns
     -------
@@ -140,7 +155,7 @@ def branch(
     worlds = worlds_of(env)
     if not worlds.native.begun(0):
         raise ResetNeededError("branch: the environment was never reset")
-    fork = _fork(worlds)
+    fork = _fork(worlds, [seed])
     native = fork.native
     if adversaries is not None:
         if not native.planners:
@@ -157,13 +172,13 @@ def branch(
     return recorder.rollout()
 
 
-def _fork(worlds: Worlds, num_worlds: int = 1, **options: Any) -> Worlds:
-    """Return new worlds in the state of the first one of ``worlds``, with other options."""
+def _fork(worlds: Worlds, seeds: Sequence[int | None], **options: Any) -> Worlds:
+    """Return new worlds in the state of the first one of ``worlds``, one for each seed."""
     config = worlds.config.with_options(**options)
-    fork = Worlds(worlds.scenes, config, num_worlds=num_worlds, num_threads=1)
-    state = worlds.native.snapshot(0)
-    for i in range(num_worlds):
-        fork.native.restore(i, state)
+    fork = Worlds(worlds.scenes, config, num_worlds=len(seeds), num_threads=1)
+    state = Snapshot(worlds.native.snapshot(0))
+    for i, seed in enumerate(seeds):
+        state.put(fork, i, seed)
     return fork
 
 
@@ -217,11 +232,16 @@ def avoidability(
     stay_on_road: bool = True,
     seed: int = 0,
     batch: int = 32,
+    reactive: bool = False,
+    ego: Ego = "idm",
+    draws: int = 2,
 ) -> Avoidability:
     """Search for an ego plan that stays free of collisions from the present moment on.
 
     A found plan proves that a collision is avoidable; none found means that it is not avoidable by
-    the plans tried.
+    the plans tried. Plans know what traffic will draw: some avoid a collision by luck.
+    ``reactive=True`` asks for more: the least aggressive of 15 steady plans that avoids all
+    collisions in ``draws`` futures is tested in as many others.
 
     Parameters
     ----------
@@ -238,13 +258,19 @@ def avoidability(
         For the plans.
     batch
         Plans that are tried together.
+    reactive
+        Whether plans are steady, last 2.1 s and must hold in other futures.
+    ego
+        Who drives after such a plan, as :func:`~ccdiff_env.planners.ego_driver` takes it.
+    draws
+        Futures that choose among these plans: the present draw of traffic, and others.
 
     Raises
     ------
     ResetNeededError
         Before the first reset.
     ConfigError
-        If the ego takes no continuous actions from outside.
+        If the ego takes no continuous actions from outside, or traffic that shall react does not.
     """
     worlds = worlds_of(env)
     config, native = worlds.config, worlds.native
@@ -252,10 +278,11 @@ def avoidability(
         raise ConfigError(f"avoidability: driver is {config.driver!r}, expected 'external'")
     if not native.begun(0):
         raise ResetNeededError("avoidability: the environment was never reset")
-    plans = ego_plans(num_samples, seed)
     left = config.horizon_steps - native.status(0).elapsed_steps
     steps = left if horizon_s is None else min(round(horizon_s / config.dt_s), left)
-    tried = 0
+    if reactive:
+        return _search_futures(worlds, STEADY[:num_samples], steps, stay_on_road, seed, ego, draws)
+    plans, tried = ego_plans(num_samples, seed), 0
     for first in range(0, len(plans), batch):
         some = plans[first : first + batch]
         safe = _try(worlds, some, steps, stay_on_road)
@@ -265,22 +292,78 @@ def avoidability(
     return Avoidability(False, None, tried, 0)
 
 
+def _search_futures(
+    worlds: Worlds,
+    plans: Sequence[EgoPlan],
+    steps: int,
+    stay_on_road: bool,
+    seed: int,
+    ego: Ego,
+    draws: int,
+) -> Avoidability:
+    """Choose a steady plan in some futures and test it in others."""
+    if ego == "replay":
+        raise ConfigError("ego is 'replay', expected one that drives on from off the log")
+    if worlds.config.traffic in ("replay", "constant_velocity"):
+        raise ConfigError(
+            f"avoidability: traffic is {worlds.config.traffic!r}, expected one that reacts, as "
+            "'idm' or 'ccdiff'"
+        )
+    if type(draws) is not int or draws < 1:
+        raise ConfigError(f"draws is {draws!r}, expected an integer of at least 1")
+    drawn = np.random.SeedSequence(normalize_seed(seed)).generate_state(2 * draws - 1, np.uint64)
+    futures = [None, *drawn.tolist()]
+
+    def safe(some: Sequence[EgoPlan | None], seeds: Sequence[int | None]) -> Bool:
+        """Whether plans are safe in futures [P, F]."""
+        pairs = [(plan, one) for plan in some for one in seeds]
+        tried = _try(worlds, [p for p, _ in pairs], steps, stay_on_road, [s for _, s in pairs], ego)
+        return tried.reshape(len(some), len(seeds))
+
+    good = safe(plans, futures[:draws]).all(axis=1)
+    plan = plans[int(np.argmax(good))] if good.any() else None
+    shares = safe([None, plan], futures[draws:]).mean(axis=1).tolist()
+    held = shares[1] if plan else 0.0
+    return Avoidability(plan is not None, plan, len(plans), int(good.sum()), held, shares[0])
+
+
 def _try(
-    origin: Worlds, plans: list[EgoPlan], steps: int, stay_on_road: bool
-) -> npt.NDArray[np.bool_]:
-    """Whether each plan stays free of collisions; all run at once, from the same moment."""
-    worlds = _fork(origin, len(plans), decision_steps=1)
+    origin: Worlds,
+    plans: Sequence[EgoPlan | None],
+    steps: int,
+    stay_on_road: bool,
+    seeds: Sequence[int | None] | None = None,
+    then: Ego | None = None,
+) -> Bool:
+    """Whether each plan stays free of collisions; all run at once, from the same moment.
+
+    With ``then``, that one drives after ``HOLD_S``, and where there is no plan.
+    """
+    worlds = _fork(origin, seeds or [None] * len(plans), decision_steps=1)
     native, steering = worlds.native, Steering(worlds)
-    ego = int(native.slot_agents(0)[0] or 0)
+    driver, seat = ("external", None) if then is None else ego_driver(then)
+    if seat is not None:
+        seat.begin(worlds)
+    agent = int(native.slot_agents(0)[0] or 0)
     begun = native.status(0).elapsed_steps
     actions = np.zeros((len(plans), native.action_width), np.float32)
+    left = np.zeros(len(plans), np.bool_)  # to the one who drives after the plans
 
-    def act(_: F32, running: npt.NDArray[np.bool_]) -> F32:
-        for i in np.flatnonzero(running).tolist():
+    def act(obs: F32, running: Bool) -> F32:
+        for i in np.flatnonzero(running & ~left).tolist():
             plan, status = plans[i], native.status(i)
             seconds = (status.elapsed_steps - begun) * worlds.config.dt_s
+            if plan is None or (then is not None and seconds > HOLD_S - 1e-6):
+                left[i] = True
+                if driver != "external":
+                    native.assign(i, [agent], driver)
+                continue
             acceleration = plan.acceleration_mps2[int(seconds >= plan.switch_s)]
-            actions[i, :2] = steering.action(i, native.states(i), ego, acceleration, plan.offset_m)
+            actions[i, :2] = steering.action(
+                i, native.states(i), agent, acceleration, plan.offset_m
+            )
+        if seat is not None and (left & running).any():
+            actions[left] = seat(obs, left & running)[left]
         return actions
 
     causes = ("collision", "off_road") if stay_on_road else ("collision",)
