@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from planner_run import raw, write_run
 
@@ -90,6 +91,9 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         (["--traffic", "imd"], "--traffic is 'imd'"),
         (["--traffic", "bank"], "go together"),
         (["--resume"], "there is no checkpoint in"),
+        (["--forks", "2", "--traffic", "idm"], "share of episodes, 0 to 1"),
+        (["--forks", "0.5"], "--forks"),
+        (["--start", "nobody"], "nobody"),
     ):
         assert cli.main(["train-ego", "--out", str(out), *words]) == 2
         assert said in capsys.readouterr().err
@@ -97,3 +101,31 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     assert cli.main(["train-ego", "--smoke", "--out", str(out), "--threads", "1"]) == 0
     assert (out / "ego.safetensors").is_file()
     assert "ego.safetensors" in capsys.readouterr().out
+
+
+def test_training_begins_with_a_policy_and_stays_near_an_anchor():
+    torch = pytest.importorskip("torch")
+    import ccdiff_env
+    from ccdiff_env.envs.ppo import Agent, update
+
+    ego = ccdiff_env.policies.load("ego")
+    env = ccdiff_env.make_vec(64, traffic="idm", **ego.env_options)
+    obs, _ = env.reset(seed=0)
+    moved = {}
+    for kl in (0.0, 1e4):
+        torch.manual_seed(0)
+        agent = Agent(env.worlds.layout, (0.2, 0.1))
+        agent.take(ego)
+        agent.see(torch.from_numpy(obs))
+        x = agent.normalised(torch.from_numpy(obs))
+        with torch.no_grad():
+            mean = agent(x)[0]
+        assert np.allclose(mean.clamp(-1.0, 1.0).numpy(), ego.act(obs), atol=1e-4)
+        actions = mean + 0.1 * torch.randn_like(mean)
+        data = {"x": x, "actions": actions, "log_prob": agent.log_prob(mean, actions).detach()}
+        data |= {"advantage": torch.randn(64), "returns": torch.zeros(64), "anchor": mean}
+        optimiser = torch.optim.Adam(agent.policy.parameters(), lr=1e-3)
+        for _ in range(10):
+            update(agent, optimiser, dict(data), kl)
+        moved[kl] = float((agent(x)[0] - mean).abs().mean().detach())
+    assert moved[1e4] < 0.5 * moved[0.0]

@@ -15,14 +15,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from ccdiff_env.config import WorldConfig
+from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
+from ccdiff_env.envs.backtrack import Backtrack
+from ccdiff_env.envs.train_ego import LIVE
 from ccdiff_env.errors import DatasetNotFoundError
-from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.policies import load
+from ccdiff_env.policies.ego import OBSERVATION, EgoPolicy, save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
-from ccdiff_env.worlds.curriculum import SceneWeights
 from ccdiff_env.worlds.spaces import Layout
 
 Floats: TypeAlias = np.ndarray[Any, Any]
@@ -92,23 +94,23 @@ class Worlds:
         self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
         self.episodes: list[Floats] = []
-        begun = [
-            env.reset(seed=seed + part.start)
-            for env, part in zip(self.envs, self.parts, strict=True)
+        begun = zip(self.envs, self.parts, strict=True)
+        self.obs = np.concatenate([env.reset(seed=seed + part.start)[0] for env, part in begun])
+        self.aside = ASIDE if isinstance(config.action.dynamics, AssistedLimits) else 0.0
+        self.backtracks = [
+            Backtrack(env, args.forks, seed + part.start)
+            if args.forks and traffic in LIVE
+            else None
+            for env, part, traffic in zip(self.envs, self.parts, shares, strict=True)
         ]
-        self.obs = np.concatenate([obs for obs, _ in begun])
-        self.playing = [infos["scene_idx"] for _, infos in begun]
-        self.chase, self.aside = args.failures, ASIDE if args.dynamics == "assisted" else 0.0
-        self.failures = [SceneWeights(len(env.worlds.scenes)) for env in self.envs]
 
     def step(self, actions: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
-        for env, part, playing, failures in zip(
-            self.envs, self.parts, self.playing, self.failures, strict=True
-        ):
+        for env, part, backtrack in zip(self.envs, self.parts, self.backtracks, strict=True):
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
             end, seen = terminated | truncated, self.obs[part]
+            failed = end
             ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
             reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
             reward = reward + self.aside * actions[part, 1] ** 2
@@ -119,13 +121,12 @@ class Worlds:
                 metrics = info["final_info"]["metrics"]
                 reward[end] += AT_FAULT * metrics["at_fault"][end]
                 reward[end] += WRONG_WAY * metrics["wrong_way"][end]
-                failures.update(playing[end], metrics["is_success"][end] == 0.0)
-                if self.chase:
-                    env.set_scene_weights(failures.weights)
-                playing[info["_scene_idx"]] = info["scene_idx"][info["_scene_idx"]]
+                failed = end & ((metrics["collision"] > 0.0) | (metrics["off_road"] > 0.0))
                 self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
             rewards.append(reward)
             ends.append(end)
+            for i in [] if backtrack is None else backtrack.step(end, failed):
+                self.obs[part.start + i] = env.worlds.observation(i)[0]
         found = np.concatenate(cut) if cut else np.empty(0, np.int64)
         return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
 
@@ -168,6 +169,12 @@ class Agent(nn.Module):
             self.register_buffer(name, torch.full((layout.size,), value))
         self.register_buffer("count", torch.tensor(1e-4))
 
+    def take(self, policy: EgoPolicy) -> None:
+        """Begin with the networks of a policy, and with its means and variances for good."""
+        found = {name: torch.from_numpy(array) for name, array in policy.tensors.items()}
+        found["var"] = found.pop("std") ** 2 - 1e-4
+        self.load_state_dict(found | {"count": torch.tensor(1e9)}, strict=False)
+
     def see(self, obs: torch.Tensor) -> None:
         """Take observations [E, D] into mean and variance; rows of agents share theirs."""
         mean, var = obs.mean(0), obs.var(0, unbiased=False)
@@ -206,16 +213,21 @@ class Agent(nn.Module):
         return (-0.5 * ((actions - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(1)
 
 
-def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, torch.Tensor]:
-    """Let all worlds decide ROLLOUT times; tensors [T, E, ...]."""
+def rollout(
+    agent: Agent, worlds: Worlds, clock: dict[str, float], anchor: EgoPolicy | None = None
+) -> dict[str, torch.Tensor]:
+    """Let all worlds decide ROLLOUT times; tensors [T, E, ...], with what the anchor would do."""
     size, width = worlds.obs.shape[0], len(agent.log_std)
     x, values = torch.empty(ROLLOUT, *worlds.obs.shape), torch.empty(ROLLOUT + 1, size)
     actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
+    anchored = torch.empty(ROLLOUT, size, 0 if anchor is None else width)
     for t in range(ROLLOUT):
         begin = time.perf_counter()
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
         mean, values[t] = agent(x[t])
+        if anchor is not None:
+            anchored[t] = torch.from_numpy(anchor.act(worlds.obs))
         new = torch.randn(size, width)
         worlds.noise = CORRELATION * worlds.noise + (1.0 - CORRELATION**2) ** 0.5 * new
         actions[t] = mean + agent.log_std.exp() * worlds.noise
@@ -235,12 +247,17 @@ def rollout(agent: Agent, worlds: Worlds, clock: dict[str, float]) -> dict[str, 
         later = delta + GAMMA * LAMBDA * goes_on * later
         advantage[t] = later
     found = {"x": x, "actions": actions, "log_prob": log_prob, "advantage": advantage}
-    found["returns"] = advantage + values[:-1]
+    found |= {"returns": advantage + values[:-1], "anchor": anchored}
     return {name: value.flatten(0, 1) for name, value in found.items()}
 
 
-def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch.Tensor]) -> float:
-    """Some epochs of PPO; returns how far the policy moved, an estimate of the KL divergence."""
+def update(
+    agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch.Tensor], kl: float = 0.0
+) -> float:
+    """Some epochs of PPO; returns how far the policy moved, an estimate of the KL divergence.
+
+    ``kl`` is the price of the KL divergence from the anchor.
+    """
     advantage = data["advantage"]
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     moved = 0.0
@@ -255,6 +272,9 @@ def update(agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch
             policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()
             value = (values - data["returns"][index]).pow(2).mean()
             loss = policy + 0.5 * value
+            if data["anchor"].shape[1]:
+                away = (mean - data["anchor"][index]) / agent.log_std.detach().exp()
+                loss = loss + kl * 0.5 * away.pow(2).sum(1).mean()
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
@@ -268,16 +288,18 @@ def train(args: argparse.Namespace) -> None:
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
-    assisted = args.dynamics == "assisted"
+    anchor = None if args.anchor is None else load(args.anchor)
+    given = load(args.start) if args.start and not args.start.endswith(".pt") else None
+    policies = [policy for policy in (anchor, given) if policy is not None]
+    dynamics: Any = ASSISTED if args.dynamics == "assisted" else args.dynamics
     fitting: dict[str, Any] = {
         "observation": OBSERVATION,
-        "dynamics": ASSISTED if assisted else args.dynamics,
+        "dynamics": policies[0].config.action.dynamics if policies else dynamics,
         "decision_steps": args.decision_steps,
     }
-    training: dict[str, Any] = {
-        "reward": REWARD | (PRICES if assisted else {}),
-        "start_spread_steps": 50,
-    }
+    config = WorldConfig().with_options(**fitting, start_spread_steps=50)
+    prices = PRICES if isinstance(config.action.dynamics, AssistedLimits) else {}
+    config = config.with_options(reward=REWARD | prices)
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
@@ -285,13 +307,16 @@ def train(args: argparse.Namespace) -> None:
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
-    config = WorldConfig().with_options(**fitting, **training)
     worlds = Worlds(args, config, args.seed + done["decisions"])
+    for policy in policies:
+        policy.check(worlds.envs[0].worlds)
     agent = Agent(worlds.envs[0].worlds.layout, tuple(args.noise))
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
     if saved:
         agent.load_state_dict(saved["agent"])
         optimiser.load_state_dict(saved["optimiser"])
+    elif given is not None:
+        agent.take(given)
     elif args.start:
         agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
         agent.log_std.data = torch.tensor(args.noise).log()
@@ -309,9 +334,9 @@ def train(args: argparse.Namespace) -> None:
         optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
         with torch.no_grad():
             agent.see(torch.from_numpy(worlds.obs))
-            data = rollout(agent, worlds, clock)
+            data = rollout(agent, worlds, clock, anchor)
         middle = time.perf_counter()
-        moved = update(agent, optimiser, data)
+        moved = update(agent, optimiser, data, args.kl)
         agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
         clock["update"] += time.perf_counter() - middle
         done["decisions"] += len(data["x"])

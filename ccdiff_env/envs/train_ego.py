@@ -8,8 +8,9 @@ from pathlib import Path
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 
-#: Traffic of training; ``bank`` is what ``--bank`` recorded.
-TRAFFIC = ("replay", "idm", "ccdiff", "bank")
+#: Traffic of training: what reacts, and all; ``bank`` is what ``--bank`` recorded.
+LIVE = ("idm", "ccdiff", "tokens")
+TRAFFIC = ("replay", *LIVE, "bank")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
     parser.add_argument(
-        "--failures", action="store_true", help="draw scenes more often where the ego failed lately"
+        "--forks",
+        type=float,
+        default=0.0,
+        help="share of the episodes in live traffic that begin 3 to 6 s before a failure",
     )
+    parser.add_argument(
+        "--anchor", help="policy to stay near, as --start without .pt (default: none)"
+    )
+    parser.add_argument("--kl", type=float, default=0.05, help="price of leaving the anchor")
     parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )
@@ -45,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
     parser.add_argument("--seed", type=int, default=0, help="of networks and worlds")
     parser.add_argument(
-        "--start", type=Path, help="checkpoint whose networks to begin with (default: random ones)"
+        "--start", help="checkpoint (.pt) or policy to begin with (default: a random one)"
     )
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
@@ -59,6 +67,11 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
+    if not 0.0 <= args.forks <= 1.0 or (args.forks and not set(args.traffic) & set(LIVE)):
+        raise ConfigError(
+            f"--forks is {args.forks}, expected a share of episodes, 0 to 1, and --traffic with "
+            f"one of {', '.join(LIVE)}"
+        )
     try:
         from ccdiff_env.envs.ppo import train
     except ModuleNotFoundError as error:
