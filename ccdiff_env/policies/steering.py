@@ -55,8 +55,8 @@ class Steering:
     ) -> F32:
         """Return the action [W] that steers towards the shifted route ahead (pure pursuit)."""
         if isinstance(self._action.dynamics, AssistedLimits):
-            limits = self._action.dynamics
-            parts = ((acceleration_mps2, limits.delta_mps2), (offset_m, limits.offset_m))
+            ranges = self._action.dynamics
+            parts = ((acceleration_mps2, ranges.delta_mps2), (offset_m, ranges.offset_m))
             shares = [np.interp(v, (low, 0.0, top), (-1.0, 0.0, 1.0)) for v, (low, top) in parts]
             return np.array(shares, np.float32)
         route = self._route(world_idx)
