@@ -18,7 +18,6 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.backtrack import Backtrack
-from ccdiff_env.envs.train_ego import LIVE
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.policies import load
 from ccdiff_env.policies.ego import OBSERVATION, EgoPolicy, save_ego
@@ -99,7 +98,7 @@ class Worlds:
         self.aside = ASIDE if isinstance(config.action.dynamics, AssistedLimits) else 0.0
         self.backtracks = [
             Backtrack(env, args.forks, seed + part.start)
-            if args.forks and traffic in LIVE
+            if args.forks and traffic not in ("replay", "bank")
             else None
             for env, part, traffic in zip(self.envs, self.parts, shares, strict=True)
         ]

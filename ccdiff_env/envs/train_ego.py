@@ -7,9 +7,10 @@ from pathlib import Path
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
+from ccdiff_env.traffic import NETWORKS
 
 #: Traffic of training: what reacts, and all; ``bank`` is what ``--bank`` recorded.
-LIVE = ("idm", "ccdiff", "tokens")
+LIVE = ("idm", *NETWORKS)
 TRAFFIC = ("replay", *LIVE, "bank")
 
 
