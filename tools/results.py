@@ -239,7 +239,7 @@ def _grid(kept: dict[str, Any], column: Column) -> str:
     figures = {(row["method"], row["K"], row["replan_s"]): row[column.name] for row in rows}
     methods = dict.fromkeys(row["method"] for row in rows)
     table: TableRows = [
-        [label_of(method), *(figures[(method, *cell)][0] for cell in cells)] for method in methods
+        [label_of(method), *(figures[method, k, t][0] for k, t in cells)] for method in methods
     ]
     heads = (replace(column, head=head, interval=False) for head in cells.values())
     return document(Table(["method", *heads], table), f"{kept['scenes']}, {kept['date']}.").rstrip()
