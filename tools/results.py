@@ -159,10 +159,9 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         # of scenarios those that could have been avoided
         rows = [row for row in csv.DictReader(file) if row.get("scenarios") != "all"]
     made = about["made_with"]
-    first = re.search(r"--limit (\d+)", table.command)
     head = {
         "command": f"ccdiff-env {table.command}",
-        "scenes": about["coverage"] + (f", the first {first[1]}" if first else ""),
+        "scenes": about["coverage"],
         "weights": about["weights"],
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),

@@ -18,6 +18,7 @@ from ccdiff_env.bench.planners import TRAFFIC, score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
 
 __all__ = ["Entry", "Record", "Result", "submit"]
@@ -174,7 +175,8 @@ class Record:
             "weights": made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
         }
-        heading = level or f"{source_title(first.source)}, no protocol"
+        there = coverage(place_of(first.source), len(scenes))
+        heading = level or f"{source_title(first.source, there)}, no protocol"
         heading += f", seed {', '.join(map(str, seeds))}, weights {str(made.get('weights'))[:8]}"
         heading += f", version {made.get('version')}"
         key = json.dumps(facts, sort_keys=True)
