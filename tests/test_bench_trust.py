@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -19,11 +20,12 @@ from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.planner_report import comparison, over_seeds
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import package_digest, source_digest
+from ccdiff_env.bench.provenance import package_digest, sha256_of, source_digest
 from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.bench.verify import verify
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.models import weight_files
 from ccdiff_env.policies import SHIPPED
 from ccdiff_env.worlds.worlds_view import worlds_view
 
@@ -117,11 +119,17 @@ def test_a_run_says_what_it_was_made_with(tmp_path):
     assert made["version"] == ccdiff_env.__version__
     assert made["package"] == package_digest()
     assert made["processor"]
+    assert made["commit"] is None or re.match("[0-9a-f]{40}", made["commit"])
     assert made["libraries"]["numpy"] == np.__version__
     assert settings["protocol_sha256"] == PROTOCOL.sha256
     assert settings["planners"] == {"idm": None}
     scenes = ccdiff_env.embedded_scenes("val")[:2]
     assert settings["scenes"] == {scene.name: scene.hash for scene in scenes}
+    shipped = [file for file in weight_files() if file.stem.endswith("_fast")]
+    assert settings["weights"] == sha256_of(*shipped)
+    table = (tmp_path / "table.md").read_text()
+    for gate in PROTOCOL.fields["score"]["gates"]:
+        assert f"| {gate.replace('_', ' ')} |" in table
 
 
 def test_planners_can_be_added_to_a_run_and_typing_errors_leave_none(tmp_path, capsys):
