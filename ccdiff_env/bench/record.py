@@ -172,13 +172,14 @@ class Record:
             "scenes": scenes,
             "traffic": sorted(rows),
             "seeds": seeds,
-            "weights": made.get("weights"),
+            # a protocol fixes the weights that drive; others may be there or not
+            "weights": None if level else made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
         }
-        there = coverage(place_of(first.source), len(scenes))
-        heading = level or f"{source_title(first.source, there)}, no protocol"
-        heading += f", seed {', '.join(map(str, seeds))}, weights {str(made.get('weights'))[:8]}"
-        heading += f", version {made.get('version')}"
+        count = coverage(place_of(first.source), len(scenes))
+        weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
+        heading = level or f"{source_title(first.source, count)}, {weights}"
+        heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
         key = json.dumps(facts, sort_keys=True)
         privileged = bool(made.get("privileged"))
         return Result(key, heading, first.planner, first.planner_source, privileged, rows)
