@@ -33,7 +33,7 @@ HIDDEN, DROPOUT = ("acceleration", "yaw_rate", "last_action_0", "last_action_1")
 #: Seconds of a plan of PDM-Open, and the width of its layers.
 PLAN_S, WIDTH_OPEN = 4.0, 48
 #: Metres by which the poses of plans are divided in the loss, and radians.
-SCALE = np.float32([10.0, 10.0, 1.0])
+SCALE = np.array([10.0, 10.0, 1.0], np.float32)
 
 
 class Driver:

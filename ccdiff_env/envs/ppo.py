@@ -141,7 +141,7 @@ class Agent(nn.Module):
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
         rest, seen = layout.size, 0
-        self.shape: tuple[int, ...] | None = None
+        self.shape: tuple[int, ...] = ()
         self.rows = self.mask = slice(rest, rest)
         if "agents" in entries:
             rows, mask = entries["agents"], entries["agents_mask"]
@@ -181,7 +181,7 @@ class Agent(nn.Module):
     def see(self, obs: torch.Tensor) -> None:
         """Take observations [E, D] into mean and variance; rows of agents share theirs."""
         mean, var = obs.mean(0), obs.var(0, unbiased=False)
-        if self.shape is not None:
+        if self.shape:
             rows = obs[:, self.rows].reshape(-1, self.shape[1])
             present = rows[obs[:, self.mask].reshape(-1) > 0]
             if len(present) > 1:
@@ -200,7 +200,7 @@ class Agent(nn.Module):
 
     def features(self, x: torch.Tensor) -> torch.Tensor:
         """What both heads see of normalised observations [B, D]."""
-        if self.shape is None:
+        if not self.shape:
             return x
         mask = x[:, self.mask].unsqueeze(-1)
         rows, present = mask.new_zeros(*mask.shape[:2], WIDTH_ROWS), mask[..., 0] > 0

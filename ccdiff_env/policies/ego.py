@@ -125,7 +125,7 @@ class EgoPolicy:
         self.tensors = {name: tensors[name] for name in tensors}
         entries = {entry.name: entry for entry in worlds.layout.entries}
         #: Rows of other agents, if they are looked at: shape, and where they and their mask stand.
-        self.shape: tuple[int, ...] | None = None
+        self.shape: tuple[int, ...] = ()
         self.rows = self.mask = slice(self.size, self.size)
         if "agents" in entries:
             rows, mask = entries["agents"], entries["agents_mask"]
@@ -144,7 +144,7 @@ class EgoPolicy:
         last = self.tensors.get(f"{_LAYERS[-1]}.bias", np.empty(0)).size
         #: Poses T of a plan; 0: the network gives actions.
         self.num_poses = last // 3 if last % 3 == 0 and last > width else 0
-        before = 0 if self.shape is None else self.shape[1]
+        before = self.shape[1] if self.shape else 0
         for name in _LAYERS if self.shape else _LAYERS[2:]:
             if name == "policy.0":
                 before += self.size - (self.mask.stop - self.rows.start)
@@ -197,7 +197,7 @@ class EgoPolicy:
         t = self.tensors
         x = np.clip((given - t["mean"]) / t["std"], -5.0, 5.0)
         h = np.concatenate([x[:, : self.rows.start], x[:, self.mask.stop :]], axis=1)
-        if self.shape is not None:
+        if self.shape:
             rows = x[:, self.rows].reshape(-1, *self.shape)
             for name in _LAYERS[:2]:
                 rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
@@ -207,15 +207,17 @@ class EgoPolicy:
             if name != _LAYERS[-1]:
                 h = np.maximum(h, 0.0)
         if self.num_poses:
-            return h.reshape(len(h), self.num_poses, 3)
+            poses: F32 = h.reshape(len(h), self.num_poses, 3)
+            return poses
         actions: F32 = np.clip(h, -1.0, 1.0).astype(np.float32)
         return actions
 
     def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
         """Return a function from observations [E, D] of worlds to actions [E, A].
 
-        Poses are followed by a :class:`~ccdiff_env.policies.planning.Tracker`. Worlds that do not hold actions themselves are given every action for as many steps as the
-        policy was trained to hold it.
+        Poses are followed by a :class:`~ccdiff_env.policies.planning.Tracker`. Worlds that do not
+        hold actions themselves are given every action for as many steps as the policy was trained
+        to hold it.
 
         Raises
         ------
@@ -229,10 +231,12 @@ class EgoPolicy:
                 f"policy: trained with decision_steps={held}, the worlds have "
                 f"{worlds.config.decision_steps}; make them with its env_options"
             )
-        decide = self.act
-        if self.num_poses:
-            tracker = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True)
-            decide = lambda obs: tracker(self.act(obs))
+        poses = self.num_poses > 0
+        follow = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True) if poses else None
+
+        def decide(obs: npt.NDArray[Any]) -> F32:
+            return self.act(obs) if follow is None else follow(self.act(obs))
+
         if worlds.config.decision_steps == held:
             return decide
         holding = Held(worlds, held)

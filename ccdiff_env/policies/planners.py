@@ -37,6 +37,7 @@ from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import driver_names
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
+from ccdiff_env.worlds.spaces import Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
@@ -59,10 +60,11 @@ class Planner(Protocol):
     """What drives egos, one in each of E worlds.
 
     Attributes are optional: ``observation`` (``"flat"``, the default, ``"dict"`` or ``"bev"``) is
-    the form in which observations come, ``env_options`` are fields of :class:`~ccdiff_env.WorldConfig` that the
-    planner needs; benchmarks take actions, observations, dynamics and decision steps, nothing
-    else. ``files`` are paths that it reads: a benchmark plays anew where one of them has changed.
-    ``privileged = True`` says that it uses what a vehicle cannot know, as the log or forks.
+    the form in which observations come, ``env_options`` are fields of
+    :class:`~ccdiff_env.WorldConfig` that the planner needs; benchmarks take actions, observations,
+    dynamics and decision steps, nothing else. ``files`` are paths that it reads: a benchmark plays
+    anew where one of them has changed. ``privileged = True`` says that it uses what a vehicle
+    cannot know, as the log or forks.
     """
 
     def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
@@ -129,7 +131,7 @@ class Seat:
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
-        self._form = getattr(planner, "observation", "flat")
+        self._form: Form = getattr(planner, "observation", "flat")
         if self._form not in ("flat", "dict", "bev"):
             raise ConfigError(
                 f"{name}: observation is {self._form!r}, expected 'flat', 'dict' or 'bev'"

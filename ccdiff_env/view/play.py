@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.policies import SHIPPED
+from ccdiff_env.policies.planners import BUILT_IN
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.system.files import parsed_object
-from ccdiff_env.policies import SHIPPED
-from ccdiff_env.policies.planners import BUILT_IN
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
