@@ -10,6 +10,7 @@ from planner_run import raw, write_run
 
 from ccdiff_env.bench import leaderboard as module
 from ccdiff_env.bench.intervals import FEW
+from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env_cli import main
@@ -73,6 +74,22 @@ def test_runs_that_do_not_agree_stand_apart_and_none_is_lost(tmp_path, other):
     tables = leaderboard(a, b)
     assert len(tables) == 2
     assert all(order(table)[0] == [IDM] for table in tables.values())
+
+
+def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_path):
+    hashes = PROTOCOL.fields["levels"]["smoke"]["hashes"]
+    runs = []
+    for planner, weights in (("idm", "with rivals"), ("pdm", "without")):
+        results = [raw(planner, traffic, [0.5] * 12, weights=weights) for traffic in PROTOCOL.panel]
+        for result in results:
+            result["arguments"]["names"] = list(hashes)
+            result["made_from"]["scenes"] = hashes
+            for row, name in zip(result["result"], hashes, strict=True):
+                row["scene"] = name
+        runs.append(write_run(tmp_path / planner, *results))
+    ((heading, table),) = leaderboard(*runs).items()
+    assert heading == "planner-1.0 smoke, seed 0, version 1"
+    assert set(order(table)[0]) == {IDM, "PDM-Closed"}
 
 
 def test_runs_of_one_name_or_of_one_folder_name_are_all_there(tmp_path):

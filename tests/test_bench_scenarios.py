@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from ccdiff_env.bench.scenario_sets import (
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
+from ccdiff_env.system.version import __version__
 
 VAL = "embedded/val"
 #: IDM collides in the first two, unavoidably in the first, and not in the last.
@@ -322,6 +324,36 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
     capsys.readouterr()
     assert command("one", "--plans", "5") == 2
     assert "other settings: plans" in capsys.readouterr().err
+
+
+def one_command(folder, capsys, scenes):
+    """Make the set of two scenes against IDM on lanes; returns the digest that the command says."""
+    names = ["--generators", "lane_idm", "--planners", "lane_idm", "--plans", "16", "--limit", "2"]
+    out = ["--out", str(folder), "--quiet"]
+    assert cli.main(["bench", "scenarios", "--scenes", scenes, *names, *out]) == 0
+    (said,) = re.findall(r"set against lane_idm: (\w+)", capsys.readouterr().out)
+    assert json.loads((folder / "run.json").read_text())["digests"] == {"lane_idm": said}
+    found = load_scenario_set(folder / "sets" / "lane_idm")
+    assert found.digest == said
+    assert found.version == __version__
+    (folder / "sets" / "lane_idm" / found.scenarios[0].file).write_bytes(b"other")
+    with pytest.raises(DatasetError, match="the manifest says"):
+        load_scenario_set(folder / "sets" / "lane_idm")
+    return said
+
+
+def test_sets_of_the_city_are_made_by_one_command_with_one_digest(tmp_path, capsys):
+    digest = "28f20acea81e931c36964012020eb0afa24364fc45b9cf08a992c08fe121c6fb"
+    assert one_command(tmp_path, capsys, "embedded/city") == digest
+
+
+@pytest.mark.nuscenes
+@pytest.mark.filterwarnings("ignore:.*has 93 of the 150 scenes")
+def test_sets_of_nuscenes_are_made_by_one_command_and_checked_by_digest(
+    tmp_path, capsys, data_root
+):
+    digest = "4aa3509d781e72394607c329b5f85941dba600661ef859047c8b152a65bcaa21"
+    assert one_command(tmp_path, capsys, f"nuscenes:{data_root}/nuscenes/val") == digest
 
 
 def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):

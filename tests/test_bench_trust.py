@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -19,11 +20,12 @@ from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.planner_report import comparison, over_seeds
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import package_digest, source_digest
+from ccdiff_env.bench.provenance import package_digest, sha256_of, source_digest
 from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.bench.verify import verify
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.models import weight_files
 from ccdiff_env.policies import SHIPPED
 from ccdiff_env.worlds.worlds_view import worlds_view
 
@@ -117,11 +119,17 @@ def test_a_run_says_what_it_was_made_with(tmp_path):
     assert made["version"] == ccdiff_env.__version__
     assert made["package"] == package_digest()
     assert made["processor"]
+    assert made["commit"] is None or re.match("[0-9a-f]{40}", made["commit"])
     assert made["libraries"]["numpy"] == np.__version__
     assert settings["protocol_sha256"] == PROTOCOL.sha256
     assert settings["planners"] == {"idm": None}
     scenes = ccdiff_env.embedded_scenes("val")[:2]
     assert settings["scenes"] == {scene.name: scene.hash for scene in scenes}
+    shipped = [file for file in weight_files() if file.stem.endswith("_fast")]
+    assert settings["weights"] == sha256_of(*shipped)
+    table = (tmp_path / "table.md").read_text()
+    for gate in PROTOCOL.fields["score"]["gates"]:
+        assert f"| {gate.replace('_', ' ')} |" in table
 
 
 def test_planners_can_be_added_to_a_run_and_typing_errors_leave_none(tmp_path, capsys):
@@ -241,19 +249,34 @@ def test_every_episode_is_played_again_bit_for_bit(made, capsys):
         verify(Record.read(made), episodes=0)
 
 
-def test_processors_with_fewer_instructions_verify_one_another(made):
-    """As another machine would: no wide vectors in Rust, numpy, BLAS and the C library."""
-    words = "import sys; from ccdiff_env import _native, cli; _native.hold_to_base(); "
-    words += f"sys.exit(cli.main(['bench', 'verify', {str(made)!r}]))"
+def on_a_narrow_processor(*words):
+    """Do as another machine would: no wide vectors in Rust, numpy, BLAS and the C library."""
+    text = "import sys; from ccdiff_env import _native, cli; _native.hold_to_base(); "
+    text += f"sys.exit(cli.main({['bench', *map(str, words)]!r}))"
     narrow = {
         "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX",
         "OPENBLAS_CORETYPE": "Prescott",
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
     }
     done = subprocess.run(
-        [sys.executable, "-c", words], env={**os.environ, **narrow}, text=True, capture_output=True
+        [sys.executable, "-c", text], env={**os.environ, **narrow}, text=True, capture_output=True
     )
-    assert "24 of 24 episodes come out the same, bit for bit" in done.stdout, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_processors_with_fewer_instructions_verify_what_wider_ones_made(made):
+    said = on_a_narrow_processor("verify", made)
+    assert "24 of 24 episodes come out the same, bit for bit" in said
+
+
+def test_wider_processors_verify_what_those_with_fewer_instructions_made(tmp_path, capsys):
+    """Learned planners in networks' traffic, scenes of the city."""
+    words = ["--planners", "pdm_ccdiff,imitation,pdm_open", "--traffic", "ccdiff-2,tokens"]
+    few = ["--scenes", "embedded/city", "--limit", "2", "--seeds", "0", "--quiet"]
+    on_a_narrow_processor("planners", *words, *few, "--out", tmp_path)
+    assert cli.main(["bench", "verify", str(tmp_path)]) == 0
+    assert "12 of 12 episodes come out the same, bit for bit" in capsys.readouterr().out
 
 
 def changed(made, folder, change, name="ego-ccdiff-1-1-000.json"):

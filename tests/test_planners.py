@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from typing import ClassVar
 
@@ -14,10 +15,15 @@ from stable_baselines3.common.vec_env import VecNormalize
 import ccdiff_env
 from ccdiff_env import WorldConfig
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import BicycleLimits, ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.policies.planners import load_sb3
+from ccdiff_env.policies import SHIPPED
+from ccdiff_env.policies.planners import BUILT_IN, load_sb3
+from ccdiff_env.policies.planning import Tracker
+from ccdiff_env.view.play import Playground
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import main
 
@@ -82,12 +88,94 @@ def test_a_planner_names_the_options_it_needs_and_its_actions_are_held(scenes):
     assert config["action"]["dynamics"].keys() == {"bicycle"}
 
 
+class Sees:
+    """Keeps what it was given first."""
+
+    def __init__(self, form, options):
+        self.observation, self.env_options, self.first = form, options, None
+
+    def __call__(self, obs):
+        self.first = copy.deepcopy(obs) if self.first is None else self.first
+        return np.zeros((2, 2))
+
+
+@pytest.mark.parametrize(
+    ("form", "options"),
+    [("flat", {}), ("dict", {}), ("dict", {"bev": {"size_px": 32}}), ("bev", {})],
+)
+def test_a_planner_is_given_what_an_environment_gives_in_that_form(scenes, form, options):
+    planner = Sees(form, options)
+    drive(scenes, planner, REPLAY)
+    world = PROTOCOL.world(None, "", scenes[0].dt)
+    config = world.with_options(traffic="replay", driver="external", **options)
+    env = ccdiff_env.make_vec(2, scenes=scenes, config=config, observation=form)
+    expected, _ = env.reset(seed=[0, 0], options={"scene": [0, 1]})
+    if form != "dict":
+        planner.first, expected = {form: planner.first}, {form: expected}
+    assert planner.first.keys() == expected.keys()
+    for name, array in expected.items():
+        assert np.array_equal(planner.first[name], array), name
+
+
+class Ahead:
+    """Goes straight on at its speed: trajectories, or the actions that follow them."""
+
+    def __init__(self, worlds):
+        self.native, self.tracker = worlds.native, Tracker(worlds)
+
+    def __call__(self, obs):
+        found = []
+        for i in range(self.native.num_worlds):
+            states, ego = self.native.states(i), self.native.slot_agents(i)[0]
+            heading = states["heading"][ego]
+            way = 0.1 * np.arange(1, 9)[:, None] * states["speed"][ego]
+            places = states["position"][ego] + way * [np.cos(heading), np.sin(heading)]
+            found.append(np.column_stack([places, np.full(8, heading)]))
+        return np.stack(found)
+
+
+class Follows(Ahead):
+    def __call__(self, obs):
+        return self.tracker(super().__call__(obs))
+
+
+def test_trajectories_are_followed_and_their_actions_kept(scenes):
+    rows, rollouts = drive(scenes, Ahead, REPLAY, record=scenes.names)
+    assert rows == drive(scenes, Follows, REPLAY)[0]
+    assert rows == drive(scenes, Recorded(rows), REPLAY)[0]
+    for rollout in rollouts.values():
+        heading = rollout.heading[rollout.agent_ids.index("ego")][-rollout.num_steps :]
+        assert np.abs(np.diff(heading)).max() < 1e-3
+    Ahead.env_options = {"dynamics": "bicycle"}
+    try:
+        with pytest.raises(ConfigError, match="a tracker needs continuous actions of the unicycle"):
+            drive(scenes, Ahead, REPLAY)
+    finally:
+        del Ahead.env_options
+
+
+@pytest.mark.parametrize("name", [*BUILT_IN, *SHIPPED, "test_planners:Bicycle"])
+def test_pages_and_adversaries_take_every_planner(scenes, name):
+    rollout = play_scene(scenes[0], traffic="idm", driver=name)
+    assert rollout.meta["planner"] == name
+    page = Playground(scenes, scenes[0].name)
+    assert ":" in name or f'value="{name}"' in page.page({})
+    assert len(page.replay({"traffic": "idm", "driver": name})) > 50_000
+    if name != "arbiter":  # forks of worlds that others act on
+        env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=name, traffic="idm")
+        env.reset(seed=0)
+        assert env.step(env.action_space.sample())[4] is not None
+
+
 @pytest.mark.parametrize(
     ("planner", "error", "words"),
     [
         (lambda obs: np.zeros(2), ShapeError, r"lambda.*\[2\] for 2 worlds, expected.*\[2, 2\]"),
         (lambda obs: np.full((2, 2), np.nan), ShapeError, "lambda.*not finite"),
         (lambda obs: "left", ShapeError, "lambda"),
+        (lambda obs: np.zeros((2, 5, 4)), ShapeError, r"lambda.*or trajectories \[2, T, 3\]"),
+        (lambda obs: np.zeros((2, 0, 3)), ShapeError, "lambda.*returned trajectories"),
+        (lambda obs: np.full((2, 5, 3), np.nan), ShapeError, "lambda"),
         (3, ConfigError, "int cannot be called"),
         ("robot", ConfigError, "robot"),
         ("nowhere_at_all:X", ConfigError, "no module 'nowhere_at_all' in .*nor installed"),
@@ -115,6 +203,7 @@ def test_modules_of_the_working_folder_are_found(scenes, tmp_path, monkeypatch):
         {"decision_steps": 5},
         {"config": WorldConfig(observation=ObservationConfig(num_neighbors=4))},
         {"policy": "MultiInputPolicy", "observation": "dict"},
+        {"policy": "CnnPolicy", "observation": "bev", "bev": {"size_px": 36}},
         {"algorithm": RecurrentPPO, "policy": "MlpLstmPolicy"},
     ],
     ids=lambda options: "-".join(map(str, options)) or "default",

@@ -129,7 +129,7 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert place.version == MINI  # the only one that is there
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
         scenes = ccdiff_env.load(place)
-    said = coverage(place, scenes)
+    said = coverage(place, len(scenes))
     assert said == "1 of 150 scenes of val"
     assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"
     out = tmp_path / "run"
@@ -146,9 +146,26 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
         assert ccdiff_env.load(f"nuscenes:{nuscenes}", names=["scene-0003"]).names == (
             "scene-0003",
         )
-    assert coverage(parse("embedded/val"), ccdiff_env.load("embedded/val")) == (
-        "12 of 12 scenes of val"
-    )
+    assert coverage(parse("embedded/val"), 12) == "12 of 12 scenes of val"
+    assert coverage(parse("embedded/train+val"), 3) == "3 of 41 scenes of train+val"
+    assert coverage(parse("embedded"), 41) == "41 scenes"
+
+
+def test_a_limit_counts_the_scenes_that_are_played(tmp_path, capsys):
+    out = tmp_path / "run"
+    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
+    few = ["--scenes", "embedded/city", "--limit", "2", "--seeds", "0", "--out", str(out)]
+    assert main([*command, *few]) == 0
+    said = "2 of 200 scenes of city"
+    assert json.loads((out / "run.json").read_text())["coverage"] == said
+    assert f"embedded scenes, {said}, the first 2" in (out / "report.html").read_text()
+    capsys.readouterr()
+    page = tmp_path / "board.html"
+    assert main(["bench", "leaderboard", str(out), "--out", str(page)]) == 0
+    assert f"embedded scenes, {said}, the first 2, no protocol" in capsys.readouterr().out
+    assert said in page.read_text()
+    for text in (out / "table.md", out / "report.html", page):
+        assert "200 of 200" not in text.read_text()
 
 
 def arguments(words, use="test", **options):
@@ -392,4 +409,4 @@ def test_texts_open_what_load_nuscenes_opens(data_root):
     assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val", kinds=["vehicle"]) == vehicles
     with pytest.warns(UserWarning, match="93 of the 150"):
         scenes = ccdiff_env.load(f"nuscenes:{folder}@v1.0-trainval/val")
-    assert coverage(parse(f"nuscenes:{folder}/val"), scenes) == "93 of 150 scenes of val"
+    assert coverage(parse(f"nuscenes:{folder}/val"), len(scenes)) == "93 of 150 scenes of val"

@@ -3,6 +3,8 @@
 A network of the shipped ego's kind copies the logged driver. It drives half of the worlds itself,
 and is told what the driver did at the place where it is (DAgger). What it last did is hidden from
 it in three of four samples, so that it looks at the road (Cheng et al.: *PlanTF*, 2024).
+``--open`` trains PDM-Open (Dauner et al. 2023): a smaller network sees its own state on the centre
+line alone, and gives the driver's next four seconds in place of an action.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import torch
 from ccdiff_env import load
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.envs.ppo import Agent
-from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.policies.ego import OBSERVATION, OPEN_OBSERVATION, POSE_S, REACH_S, save_ego
 from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.scenes import SceneSet
@@ -28,53 +30,74 @@ from ccdiff_env.worlds import Worlds
 SCENES, PASSES, UPDATES, ROWS = 32, 2, 200, 1024
 #: Columns of the ego that are hidden, and how often.
 HIDDEN, DROPOUT = ("acceleration", "yaw_rate", "last_action_0", "last_action_1"), 0.75
-#: Steps ahead of its place on the log at which the driver's pose is aimed at.
-AHEAD = 10
+#: Seconds of a plan of PDM-Open, and the width of its layers.
+PLAN_S, WIDTH_OPEN = 4.0, 48
+#: Metres by which the poses of plans are divided in the loss, and radians.
+SCALE = np.array([10.0, 10.0, 1.0], np.float32)
 
 
 class Driver:
     """What the logged drivers did at the places where the egos are."""
 
     def __init__(self, worlds: Worlds) -> None:
-        self._worlds, self._tracker = worlds, Tracker(worlds, AHEAD * worlds.config.dt_s)
-        self._agents = [worlds.native.slot_agents(i)[0] or 0 for i in range(worlds.num_worlds)]
+        self._worlds, dt = worlds, worlds.config.dt_s
+        self.ahead, self.every = round(PLAN_S / dt), round(POSE_S / dt)
+        self.agents = [worlds.native.slot_agents(i)[0] or 0 for i in range(worlds.num_worlds)]
         logs = [
             (dict[str, Any](scene.tracks()), agent)
-            for scene, agent in zip(worlds.scenes, self._agents, strict=True)
+            for scene, agent in zip(worlds.scenes, self.agents, strict=True)
         ]
         self._poses = [
             np.column_stack([t["position"][a], t["heading"][a]])[t["valid"][a]] for t, a in logs
         ]
 
-    def __call__(self) -> npt.NDArray[np.float32]:
-        """Return actions [E, 2]."""
+    def __call__(self) -> npt.NDArray[np.float64]:
+        """Return their next poses [E, T, 3], a step apart, in the scenes' frames."""
         native, wanted = self._worlds.native, []
-        for i, (poses, agent) in enumerate(zip(self._poses, self._agents, strict=True)):
+        for i, (poses, agent) in enumerate(zip(self._poses, self.agents, strict=True)):
             away = np.hypot(*(poses[:, :2] - native.states(i)["position"][agent]).T)
             # where the driver stood, the step of the clock counts
             near = np.flatnonzero(away < away.min() + 0.3)
             at = near[np.abs(near - native.status(i).step_idx).argmin()]
-            ahead = np.minimum(at + 1 + np.arange(AHEAD), len(poses) - 1)
-            wanted.append(poses[ahead])
-        return self._tracker(np.stack(wanted))
+            wanted.append(poses[np.minimum(at + 1 + np.arange(self.ahead), len(poses) - 1)])
+        return np.stack(wanted)
+
+    def plans(self, poses: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+        """Return poses as plans of the network [E, 3 P] in the egos' frames."""
+        found = poses[:, self.every - 1 :: self.every].copy()
+        for i, agent in enumerate(self.agents):
+            states = self._worlds.native.states(i)
+            heading = float(states["heading"][agent])
+            x, y = (found[i, :, :2] - states["position"][agent]).T
+            found[i, :, 0] = x * np.cos(heading) + y * np.sin(heading)
+            found[i, :, 1] = y * np.cos(heading) - x * np.sin(heading)
+            turned = found[i, :, 2] - heading
+            found[i, :, 2] = np.arctan2(np.sin(turned), np.cos(turned))
+        return (found / SCALE).reshape(len(found), -1).astype(np.float32)
 
 
 def batch(
     scenes: SceneSet, agent: Agent, seed: int, config: Any, own: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return observations [B, D] and the driver's actions [B, 2]; the policy drives a share."""
+    """Return observations [B, D] and what the network shall give; it drives a share of them."""
     worlds = begin(scenes, config, seed)
     driver, rng = Driver(worlds), np.random.default_rng(seed)
+    tracker = Tracker(worlds, REACH_S)
+    follow = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True)
+    is_open = len(agent.log_std) > 2
     itself = rng.random(worlds.num_worlds) < own
     seen: list[npt.NDArray[np.float32]] = []
     told: list[npt.NDArray[np.float32]] = []
 
     def act(obs: npt.NDArray[np.float32], running: npt.NDArray[np.bool_]) -> Any:
-        actions = driver()
+        poses = driver()
+        actions = tracker(poses)
         seen.append(obs[running].copy())
-        told.append(actions[running].copy())
+        told.append((driver.plans(poses) if is_open else actions)[running])
         with torch.no_grad():
             mine = agent(agent.normalised(torch.from_numpy(obs)))[0].numpy()
+        if is_open:
+            mine = follow(mine.reshape(len(mine), -1, 3) * SCALE)
         shaken = np.where(itself[:, None], mine, actions) + rng.normal(0.0, 0.1, actions.shape)
         return np.clip(shaken, -1.0, 1.0)
 
@@ -88,17 +111,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", default="embedded/train", help="source of the scenes")
     parser.add_argument("--limit", type=int, help="only so many scenes")
+    parser.add_argument("--open", action="store_true", help="train PDM-Open")
     parser.add_argument("--out", type=Path, required=True, help="file to write")
     args = parser.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
     rng = np.random.default_rng(0)
     scenes = load(args.scenes)[: args.limit].read()
-    fitting: dict[str, Any] = {"observation": OBSERVATION}
+    fitting: dict[str, Any] = {"observation": OPEN_OBSERVATION if args.open else OBSERVATION}
     config = PROTOCOL.world(None, "imitation", scenes[0].dt)
     config = config.with_options(driver="external", **fitting)
     layout = begin(SceneSet([scenes[0]]), config, 0).layout
-    agent = Agent(layout, (0.1, 0.1))
+    poses = 3 * round(PLAN_S / POSE_S)
+    agent = Agent(layout, (0.1,) * poses, WIDTH_OPEN) if args.open else Agent(layout, (0.1, 0.1))
     ego = next(entry for entry in layout.entries if entry.name == "ego")
     hidden = [ego.offset + ego.columns.index(name) for name in HIDDEN]
     optimiser = torch.optim.Adam(agent.parameters(), lr=1e-3)
@@ -123,8 +148,14 @@ def main() -> None:
             optimiser.step()
             losses.append(float(loss.detach()))
         print(f"{number + 1} of {len(batches)}: {len(obs)} rows, {np.mean(losses):.4f}", flush=True)
-    about = {"method": "imitation", "scenes": len(scenes), "licence": "CC-BY-NC-SA-4.0"}
-    save_ego(args.out, agent.state_dict(), fitting, about)
+    method = "PDM-Open" if args.open else "imitation"
+    state = agent.state_dict()
+    if args.open:
+        for name in ("policy.4.weight", "policy.4.bias"):
+            rows = state[name].reshape(poses // 3, 3, -1) * torch.from_numpy(SCALE)[:, None]
+            state[name] = rows.reshape(state[name].shape)
+    about = {"method": method, "scenes": len(scenes), "licence": "CC-BY-NC-SA-4.0"}
+    save_ego(args.out, state, fitting, about)
 
 
 def _batches(count: int, rng: np.random.Generator) -> list[npt.NDArray[np.int64]]:

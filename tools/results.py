@@ -24,6 +24,8 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,7 +48,7 @@ class Made:
 _PLANNERS = Made(
     "bench planners --protocol planner-1.0 --level smoke --planners "
     "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,ccdiff,diffusion,ego_replay,"
-    "pdm_ccdiff,arbiter",
+    "pdm_ccdiff,arbiter,pdm_open",
     "headlines.csv",
     ("planner",),
     {
@@ -69,8 +71,10 @@ _TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
 _GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
 
 TABLES: dict[str, Made] = {
-    "planners_smoke": _PLANNERS,
-    "planners_city": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", "city")),
+    **{
+        f"planners_{level}": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", level))
+        for level in PROTOCOL.levels
+    },
     "realism": Made(
         "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
@@ -150,7 +154,10 @@ TABLES: dict[str, Made] = {
 def record(name: str, source: str, workers: int, folder: Path) -> None:
     """Run the command of a table, and keep what the docs show."""
     table = TABLES[name]
-    scenes = [] if "--protocol" in table.command else ["--scenes", source]
+    scenes = ["--scenes", source]
+    if "--protocol" in table.command:
+        own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
+        scenes = [] if own else ["--dataroot", parse(source).path or ""]
     command = [*shlex.split(table.command), *scenes, "--workers", str(workers)]
     run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--out", str(folder), "--quiet"]
     subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
@@ -159,10 +166,9 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         # of scenarios those that could have been avoided
         rows = [row for row in csv.DictReader(file) if row.get("scenarios") != "all"]
     made = about["made_with"]
-    first = re.search(r"--limit (\d+)", table.command)
     head = {
         "command": f"ccdiff-env {table.command}",
-        "scenes": about["coverage"] + (f", the first {first[1]}" if first else ""),
+        "scenes": about["coverage"],
         "weights": about["weights"],
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),

@@ -77,9 +77,9 @@ class Listed(argparse.Action):
 METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, lane_idm, replay, pdm, pdm_ccdiff, arbiter, diffusion, ccdiff, ego, "
-    "ego_replay, imitation, module:name of a class or function, module:name?option=value with "
-    "options, files of this package (.safetensors) or of stable-baselines3 (.zip, which runs the "
-    "code in it: trust whoever made it)"
+    "ego_replay, imitation, pdm_open, module:name of a class or function, module:name?option=value "
+    "with options, files of this package (.safetensors) or of stable-baselines3 (.zip, which runs "
+    "the code in it: trust whoever made it)"
 )
 
 
@@ -195,7 +195,7 @@ class Run:
         place = place_from(args)
         #: Text of the scenes, and how many of its split there are.
         self.source = str(place)
-        self.coverage = coverage(place, scenes_of(self.source))
+        self.coverage = coverage(place, len(scenes_of(self.source)))
         self.folder: Path = args.out
         #: SHA-256 of the shipped weights.
         files = weight_files()

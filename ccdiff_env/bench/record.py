@@ -18,6 +18,7 @@ from ccdiff_env.bench.planners import TRAFFIC, score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
 
 __all__ = ["Entry", "Record", "Result", "submit"]
@@ -171,12 +172,14 @@ class Record:
             "scenes": scenes,
             "traffic": sorted(rows),
             "seeds": seeds,
-            "weights": made.get("weights"),
+            # a protocol fixes the weights that drive; others may be there or not
+            "weights": None if level else made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
         }
-        heading = level or f"{source_title(first.source)}, no protocol"
-        heading += f", seed {', '.join(map(str, seeds))}, weights {str(made.get('weights'))[:8]}"
-        heading += f", version {made.get('version')}"
+        count = coverage(place_of(first.source), len(scenes))
+        weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
+        heading = level or f"{source_title(first.source, count)}, {weights}"
+        heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
         key = json.dumps(facts, sort_keys=True)
         privileged = bool(made.get("privileged"))
         return Result(key, heading, first.planner, first.planner_source, privileged, rows)

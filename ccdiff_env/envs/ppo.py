@@ -137,26 +137,30 @@ class Agent(nn.Module):
     var: torch.Tensor
     count: torch.Tensor
 
-    def __init__(self, layout: Layout, noise: tuple[float, ...]) -> None:
+    def __init__(self, layout: Layout, noise: tuple[float, ...], width: int = WIDTH) -> None:
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
-        rows, mask = entries["agents"], entries["agents_mask"]
-        self.rows, self.shape = slice(rows.offset, rows.offset + rows.size), rows.shape
-        self.mask = slice(mask.offset, mask.offset + mask.size)
-        rest = sum(e.size for e in layout.entries) - rows.size - mask.size
-        self.encoder = nn.Sequential(
-            nn.Linear(rows.shape[1], WIDTH_ROWS),
-            nn.ReLU(),
-            nn.Linear(WIDTH_ROWS, WIDTH_ROWS),
-            nn.ReLU(),
-        )
+        rest, seen = layout.size, 0
+        self.shape: tuple[int, ...] = ()
+        self.rows = self.mask = slice(rest, rest)
+        if "agents" in entries:
+            rows, mask = entries["agents"], entries["agents_mask"]
+            self.rows, self.shape = slice(rows.offset, rows.offset + rows.size), rows.shape
+            self.mask = slice(mask.offset, mask.offset + mask.size)
+            rest, seen = rest - rows.size - mask.size, WIDTH_ROWS
+            self.encoder = nn.Sequential(
+                nn.Linear(rows.shape[1], WIDTH_ROWS),
+                nn.ReLU(),
+                nn.Linear(WIDTH_ROWS, WIDTH_ROWS),
+                nn.ReLU(),
+            )
         self.policy, self.value = (
             nn.Sequential(
-                nn.Linear(rest + WIDTH_ROWS, WIDTH),
+                nn.Linear(rest + seen, width),
                 nn.ReLU(),
-                nn.Linear(WIDTH, WIDTH),
+                nn.Linear(width, width),
                 nn.ReLU(),
-                nn.Linear(WIDTH, out),
+                nn.Linear(width, out),
             )
             for out in (len(noise), 1)
         )
@@ -177,11 +181,12 @@ class Agent(nn.Module):
     def see(self, obs: torch.Tensor) -> None:
         """Take observations [E, D] into mean and variance; rows of agents share theirs."""
         mean, var = obs.mean(0), obs.var(0, unbiased=False)
-        rows = obs[:, self.rows].reshape(-1, self.shape[1])
-        present = rows[obs[:, self.mask].reshape(-1) > 0]
-        if len(present) > 1:
-            mean[self.rows] = present.mean(0).repeat(self.shape[0])
-            var[self.rows] = present.var(0, unbiased=False).repeat(self.shape[0])
+        if self.shape:
+            rows = obs[:, self.rows].reshape(-1, self.shape[1])
+            present = rows[obs[:, self.mask].reshape(-1) > 0]
+            if len(present) > 1:
+                mean[self.rows] = present.mean(0).repeat(self.shape[0])
+                var[self.rows] = present.var(0, unbiased=False).repeat(self.shape[0])
         mean[self.mask], var[self.mask] = 0.0, 1.0
         total = self.count + len(obs)
         share, delta = len(obs) / total, mean - self.mean
@@ -195,6 +200,8 @@ class Agent(nn.Module):
 
     def features(self, x: torch.Tensor) -> torch.Tensor:
         """What both heads see of normalised observations [B, D]."""
+        if not self.shape:
+            return x
         mask = x[:, self.mask].unsqueeze(-1)
         rows, present = mask.new_zeros(*mask.shape[:2], WIDTH_ROWS), mask[..., 0] > 0
         encoded = self.encoder(x[:, self.rows].reshape(-1, *self.shape)[present])

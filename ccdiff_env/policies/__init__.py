@@ -11,9 +11,10 @@ from ccdiff_env.policies.ego import EgoPolicy, load_ego
 __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 
 _DATA = Path(__file__).resolve().parents[1] / "data"
+_NAMES = ("ego", "ego_replay", "imitation", "pdm_open")
 #: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone; on what
-#: logged drivers did.
-SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay", "imitation")}
+#: logged drivers did; on their next four seconds, without other agents.
+SHIPPED = {name: _DATA / f"{name}.safetensors" for name in _NAMES}
 
 
 def load(name: str | os.PathLike[str]) -> EgoPolicy:

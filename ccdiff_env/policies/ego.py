@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
 from ccdiff_env.policies.holding import Held
+from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import parsed_object, reading
@@ -66,6 +67,16 @@ OBSERVATION: Mapping[str, Any] = {
         "route_speed",
     ),
 }
+#: The ego's state on its centre line alone: nobody else (PDM-Open).
+OPEN_OBSERVATION: Mapping[str, Any] = {
+    **OBSERVATION,
+    "num_neighbors": 0,
+    "num_route_points": 12,
+    "route_spacing_m": 5.0,
+    "ego_columns": OBSERVATION["ego_columns"][:-2],
+}
+#: Seconds between poses of a network that plans, and how far ahead its plan is aimed at.
+POSE_S, REACH_S = 0.5, 1.0
 _LAYERS = (
     "encoder.0",
     "encoder.2",
@@ -86,7 +97,8 @@ class EgoPolicy:
     Parameters
     ----------
     tensors
-        Weights by name, and ``mean`` and ``std`` [D] of observations.
+        Weights by name, and ``mean`` and ``std`` [D] of observations. The last layer gives an
+        action, or T poses of the ego in its own frame, :data:`POSE_S` apart, metres and radians.
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what its
         actions mean, for how many steps it holds them.
@@ -112,10 +124,14 @@ class EgoPolicy:
         self.size = worlds.layout.size
         self.tensors = {name: tensors[name] for name in tensors}
         entries = {entry.name: entry for entry in worlds.layout.entries}
-        rows, mask = entries["agents"], entries["agents_mask"]
-        self.rows = slice(rows.offset, rows.offset + rows.size)
-        self.mask = slice(mask.offset, mask.offset + mask.size)
-        self.shape = rows.shape
+        #: Rows of other agents, if they are looked at: shape, and where they and their mask stand.
+        self.shape: tuple[int, ...] = ()
+        self.rows = self.mask = slice(self.size, self.size)
+        if "agents" in entries:
+            rows, mask = entries["agents"], entries["agents_mask"]
+            self.rows = slice(rows.offset, rows.offset + rows.size)
+            self.mask = slice(mask.offset, mask.offset + mask.size)
+            self.shape = rows.shape
         self._check_shapes(worlds.native.action_width)
 
     @property
@@ -125,12 +141,17 @@ class EgoPolicy:
 
     def _check_shapes(self, width: int) -> None:
         expected: dict[str, tuple[int, ...]] = {"mean": (self.size,), "std": (self.size,)}
-        before = self.shape[1]
-        for name in _LAYERS:
+        last = self.tensors.get(f"{_LAYERS[-1]}.bias", np.empty(0)).size
+        #: Poses T of a plan; 0: the network gives actions.
+        self.num_poses = last // 3 if last % 3 == 0 and last > width else 0
+        before = self.shape[1] if self.shape else 0
+        for name in _LAYERS if self.shape else _LAYERS[2:]:
             if name == "policy.0":
-                before += self.size - self.shape[0] * (self.shape[1] + 1)
+                before += self.size - (self.mask.stop - self.rows.start)
             weight = self.tensors.get(f"{name}.weight", np.empty((0, 0)))
-            out = width if name == _LAYERS[-1] or not weight.ndim else int(weight.shape[0])
+            out = int(weight.shape[0]) if weight.ndim else 0
+            if name == _LAYERS[-1]:
+                out = 3 * self.num_poses or width
             expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
             before = out
         for name, shape in expected.items():
@@ -161,7 +182,9 @@ class EgoPolicy:
             )
 
     def act(self, obs: npt.NDArray[Any]) -> F32:
-        """Return actions [N, A] in [-1, 1] for flat observations [N, D]; nothing is drawn.
+        """Return actions [N, A] in [-1, 1], or poses [N, T, 3], for flat observations [N, D].
+
+        Nothing is drawn. Poses are x, y, heading in the ego's frame, :data:`POSE_S` apart.
 
         Raises
         ------
@@ -173,23 +196,28 @@ class EgoPolicy:
             raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self.size})")
         t = self.tensors
         x = np.clip((given - t["mean"]) / t["std"], -5.0, 5.0)
-        rows = x[:, self.rows].reshape(-1, *self.shape)
-        for name in _LAYERS[:2]:
-            rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
-        seen = (rows * given[:, self.mask, None]).max(axis=1)
-        h = np.concatenate([x[:, : self.rows.start], x[:, self.mask.stop :], seen], axis=1)
+        h = np.concatenate([x[:, : self.rows.start], x[:, self.mask.stop :]], axis=1)
+        if self.shape:
+            rows = x[:, self.rows].reshape(-1, *self.shape)
+            for name in _LAYERS[:2]:
+                rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
+            h = np.concatenate([h, (rows * given[:, self.mask, None]).max(axis=1)], axis=1)
         for name in _LAYERS[2:]:
             h = h @ t[f"{name}.weight"].T + t[f"{name}.bias"]
             if name != _LAYERS[-1]:
                 h = np.maximum(h, 0.0)
+        if self.num_poses:
+            poses: F32 = h.reshape(len(h), self.num_poses, 3)
+            return poses
         actions: F32 = np.clip(h, -1.0, 1.0).astype(np.float32)
         return actions
 
     def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
         """Return a function from observations [E, D] of worlds to actions [E, A].
 
-        Worlds that do not hold actions themselves are given every action for as many steps as the
-        policy was trained to hold it.
+        Poses are followed by a :class:`~ccdiff_env.policies.planning.Tracker`. Worlds that do not
+        hold actions themselves are given every action for as many steps as the policy was trained
+        to hold it.
 
         Raises
         ------
@@ -203,10 +231,16 @@ class EgoPolicy:
                 f"policy: trained with decision_steps={held}, the worlds have "
                 f"{worlds.config.decision_steps}; make them with its env_options"
             )
+        poses = self.num_poses > 0
+        follow = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True) if poses else None
+
+        def decide(obs: npt.NDArray[Any]) -> F32:
+            return self.act(obs) if follow is None else follow(self.act(obs))
+
         if worlds.config.decision_steps == held:
-            return self.act
+            return decide
         holding = Held(worlds, held)
-        return lambda obs: holding(lambda _: self.act(obs))
+        return lambda obs: holding(lambda _: decide(obs))
 
 
 def save_ego(
@@ -238,7 +272,7 @@ def save_ego(
             f"policy: options {sorted(others)}, expected some of {', '.join(FITTING)}"
         )
     names = [f"{layer}.{part}" for layer in _LAYERS for part in ("weight", "bias")]
-    kept = {name: np.asarray(tensors[name], np.float32) for name in names}
+    kept = {name: np.asarray(tensors[name], np.float32) for name in names if name in tensors}
     kept["mean"] = np.asarray(tensors["mean"], np.float32)
     kept["std"] = np.sqrt(np.asarray(tensors["var"], np.float32) + np.float32(1e-4))
     config = WorldConfig().with_options(**options)

@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import BevConfig, WorldConfig, unknown
 from ccdiff_env.errors import (
     CcdiffError,
     ConfigError,
@@ -30,12 +30,14 @@ from ccdiff_env.errors import (
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.policies.arbitration import Arbiter
 from ccdiff_env.policies.holding import Held
+from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import driver_names
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
+from ccdiff_env.worlds.spaces import Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
@@ -57,11 +59,12 @@ EGO_HELP = (
 class Planner(Protocol):
     """What drives egos, one in each of E worlds.
 
-    Attributes are optional: ``observation`` (``"flat"``, the default, or ``"dict"``) is the form in
-    which observations come, ``env_options`` are fields of :class:`~ccdiff_env.WorldConfig` that the
-    planner needs; benchmarks take actions, observations, dynamics and decision steps, nothing
-    else. ``files`` are paths that it reads: a benchmark plays anew where one of them has changed.
-    ``privileged = True`` says that it uses what a vehicle cannot know, as the log or forks.
+    Attributes are optional: ``observation`` (``"flat"``, the default, ``"dict"`` or ``"bev"``) is
+    the form in which observations come, ``env_options`` are fields of
+    :class:`~ccdiff_env.WorldConfig` that the planner needs; benchmarks take actions, observations,
+    dynamics and decision steps, nothing else. ``files`` are paths that it reads: a benchmark plays
+    anew where one of them has changed. ``privileged = True`` says that it uses what a vehicle
+    cannot know, as the log or forks.
     """
 
     def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
@@ -70,7 +73,9 @@ class Planner(Protocol):
     def __call__(self, obs: Any) -> npt.NDArray[Any]:
         """Return actions [E, W] in [-1, 1], or indices [E], for observations of all worlds.
 
-        ``obs`` is [E, D] float32, or a dictionary of arrays [E, ...].
+        Trajectories [E, T, 3] are followed: x, y and heading in the scenes' frames after every step
+        of the worlds. ``obs`` is [E, D] float32, a dictionary of arrays
+        [E, ...], or uint8 [E, channels, S, S].
         """
 
 
@@ -126,9 +131,13 @@ class Seat:
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
-        self._form = getattr(planner, "observation", "flat")
-        if self._form not in ("flat", "dict"):
-            raise ConfigError(f"{name}: observation is {self._form!r}, expected 'flat' or 'dict'")
+        self._form: Form = getattr(planner, "observation", "flat")
+        if self._form not in ("flat", "dict", "bev"):
+            raise ConfigError(
+                f"{name}: observation is {self._form!r}, expected 'flat', 'dict' or 'bev'"
+            )
+        if self._form == "bev" and self.config.observation.bev is None:
+            self.config = self.config.with_options(bev=BevConfig())
 
     def trained_in(self, dt_s: float) -> bool:
         """Return whether the planner's file says that it was trained in steps of so long."""
@@ -157,6 +166,7 @@ class Seat:
         if isinstance(fit, Fit):
             fit.check(worlds.config, worlds.native.layout_json, self.name)
         self._worlds, self._given_worlds = worlds, given_worlds
+        self._tracker: Tracker | None = None
         drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
         self._act = self._planner.drive(worlds) if drives else self._act
         self._held = Held(worlds, 1 if drives else self.config.decision_steps)
@@ -191,7 +201,7 @@ class Seat:
     def _decided(self, obs: F32, due: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
         """Return what the planner decides, checked."""
         assert self._worlds is not None
-        given = obs if self._form == "flat" else self._worlds.layout.split(obs)
+        given = self._worlds.layout.observation(self._form, obs, self._rasters())
         try:
             found, shape = np.asarray(self._act(given)), self._held.shape
         except CcdiffError:
@@ -202,15 +212,36 @@ class Seat:
             raise PolicyError(
                 f"{self.name}: {type(error).__name__}: {error} (in {where}{more})"
             ) from error
+        if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
+            found = self._followed(found)
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
         if found.shape != shape or found.dtype.kind not in "iuf":
             raise ShapeError(
                 f"{self.name} returned {found.dtype} {list(found.shape)} for {len(obs)} worlds, "
-                f"expected actions {list(shape)}"
+                f"expected actions {list(shape)} or trajectories [{len(obs)}, T, 3]"
             )
         if not np.isfinite(found).all():
             raise ShapeError(f"{self.name} returned numbers that are not finite")
+        return found
+
+    def _followed(self, trajectories: npt.NDArray[Any]) -> F32:
+        """Return the actions [E, 2] that follow trajectories [E, T, 3]."""
+        try:
+            self._tracker = self._tracker or Tracker(self._worlds)
+            return self._tracker(trajectories)
+        except CcdiffError as error:
+            raise type(error)(f"{self.name} returned trajectories: {error}") from None
+
+    def _rasters(self) -> npt.NDArray[np.uint8] | None:
+        """Rasters [E, channels, S, S] of the first slots, where the planner sees them."""
+        assert self._worlds is not None
+        if self._form == "flat" or self._worlds.layout.raster is None:
+            return None
+        found = np.zeros((self._worlds.num_worlds, *self._worlds.layout.raster), np.uint8)
+        for i in range(self._worlds.num_worlds):
+            _, rasters = self._worlds.observe(i)
+            found[i] = 0 if rasters is None else rasters[0]
         return found
 
     def _where(self, world_idx: int) -> str:
@@ -225,8 +256,6 @@ class _Sb3:
     def __init__(self, model: Any, name: str) -> None:
         self._model = model
         self.fit = Fit.read(getattr(model.observation_space, ATTRIBUTE, None), name)
-        if self.fit.form not in ("flat", "dict"):
-            raise ConfigError(f"{name} observes {self.fit.form!r}, expected 'flat' or 'dict'")
         self._statistics = getattr(model, STATISTICS, None)
         last = None if self._statistics else getattr(model, "_last_obs", None)
         if last is not None and not _inside(model.observation_space, last):

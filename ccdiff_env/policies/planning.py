@@ -123,6 +123,10 @@ class Tracker:
         Worlds of a planner, with continuous actions of the unicycle.
     reach_s
         How far ahead the trajectory is aimed at.
+    pose_s
+        Seconds between poses; a time step of the worlds by default.
+    own_frame
+        Whether poses are in the frame of who is driven, in place of the scene's.
 
     Raises
     ------
@@ -130,19 +134,26 @@ class Tracker:
         For other dynamics, and for indices of a grid.
     """
 
-    def __init__(self, worlds: Any, reach_s: float = 0.5) -> None:
+    def __init__(
+        self,
+        worlds: Any,
+        reach_s: float = 0.5,
+        *,
+        pose_s: float | None = None,
+        own_frame: bool = False,
+    ) -> None:
         action = worlds.config.action
         if action.discrete or not isinstance(action.dynamics, UnicycleLimits):
             raise ConfigError("action: a tracker needs continuous actions of the unicycle")
-        self._native, self._dt = worlds.native, worlds.config.dt_s
-        self._reach = max(round(reach_s / self._dt), 1)
-        self._limits = action
+        self._native, self._pose_s = worlds.native, pose_s or worlds.config.dt_s
+        self._reach = max(round(reach_s / self._pose_s), 1)
+        self._limits, self._own_frame = action, own_frame
 
     def __call__(self, trajectories: npt.ArrayLike) -> F32:
-        """Return actions [E, 2] that follow trajectories [E, T, 3] in the scenes' frames.
+        """Return actions [E, 2] that follow trajectories [E, T, 3].
 
-        Pose t is where the first slot shall be after t + 1 time steps of the world. Worlds whose
-        slot is empty get zeros.
+        Pose t is where the first slot shall be after t + 1 times ``pose_s``. Worlds whose slot is
+        empty get zeros.
 
         Raises
         ------
@@ -154,16 +165,18 @@ class Tracker:
         expect_shape("trajectories", wanted, (native.num_worlds, steps, 3))
         actions = np.zeros((native.num_worlds, 2), np.float32)
         aim = min(self._reach, wanted.shape[1])
-        limits, time_s = self._limits, aim * self._dt
+        limits, time_s = self._limits, aim * self._pose_s
         for i in range(native.num_worlds):
             agent = native.slot_agents(i)[0]
             if agent is None or not native.slot_alive(i)[0]:
                 continue
             states = native.states(i)
             heading, speed = float(states["heading"][agent]), float(states["speed"][agent])
-            x, y = wanted[i, aim - 1, :2] - states["position"][agent]
-            ahead = x * np.cos(heading) + y * np.sin(heading)
-            left = y * np.cos(heading) - x * np.sin(heading)
+            ahead, left = wanted[i, aim - 1, :2]
+            if not self._own_frame:
+                x, y = wanted[i, aim - 1, :2] - states["position"][agent]
+                ahead = x * np.cos(heading) + y * np.sin(heading)
+                left = y * np.cos(heading) - x * np.sin(heading)
             acceleration = 2.0 * (ahead - speed * time_s) / time_s**2
             yaw_rate = speed * 2.0 * left / max(ahead**2 + left**2, 1.0)
             rises = acceleration > 0

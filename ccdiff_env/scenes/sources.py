@@ -245,14 +245,14 @@ def load(
     return found if kinds is None else of_kinds(found, kinds)
 
 
-def coverage(place: Place, scenes: SceneSet) -> str:
+def coverage(place: Place, count: int) -> str:
     """Say how many of the scenes of a split there are, ``93 of 150 scenes of val``."""
-    report, count = scenes.report, len(scenes)
-    if place.split in (None, "all"):
+    splits = SOURCES[place.source].splits
+    if splits is None or place.split in (None, "all"):
         return f"{count} scene{'s' * (count != 1)}"
-    there = len(report.scenes) or count
-    whole = there + len(report.missing) + len(report.empty)
-    return f"{there} of {whole} scenes of {place.split}"
+    lists = splits()
+    whole = {name for part in place.split.split("+") for name in lists[part]}
+    return f"{count} of {len(whole)} scenes of {place.split}"
 
 
 def title(place: Place, counted: str | None = None) -> str:

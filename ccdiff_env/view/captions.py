@@ -24,6 +24,7 @@ PLANNER_TITLES = {
     "lane_idm": "IDM on lanes",
     "pdm": "PDM-Closed",
     "pdm_ccdiff": "PDM with CCDiff's forecast",
+    "pdm_open": "PDM-Open",
 }
 
 

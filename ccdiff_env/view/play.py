@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.policies import SHIPPED
+from ccdiff_env.policies.planners import BUILT_IN
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.system.files import parsed_object
-from ccdiff_env.view.captions import DRIVER_TITLES
+from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.page import local_html, page_html
 from ccdiff_env.view.server import LocalServer
 from ccdiff_env.view.sources import log_rollout, play_scene
@@ -23,6 +25,8 @@ from ccdiff_env.view.sources import log_rollout, play_scene
 __all__ = ["Playground", "moved_scene"]
 
 DRIVERS = ("ccdiff", "idm", "replay", "constant_velocity")
+#: Planners that drive the ego from outside.
+EGOS = (*BUILT_IN, *SHIPPED)
 MAX_MOVE_M = 100.0
 
 
@@ -70,7 +74,7 @@ class Playground:
         parts = {
             "scenes": _options({name: name for name in self.scenes.names}, self.first),
             "traffic": _options({name: DRIVER_TITLES[name] for name in DRIVERS}, "ccdiff"),
-            "drivers": _options({name: DRIVER_TITLES[name] for name in DRIVERS}, "idm"),
+            "drivers": _options({n: planner_title(n) for n in (*DRIVERS, *EGOS)}, "idm"),
         }
         return local_html("play", parts)
 
