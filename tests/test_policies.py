@@ -88,6 +88,22 @@ def test_a_network_of_poses_gives_those_of_torch_in_the_egos_frame(scenes, tmp_p
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-6)
 
 
+def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):
+    env = ccdiff_env.make_vec(16, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
+    x = agent.normalised(torch.from_numpy(env.reset(seed=2)[0]))
+    mask = x[:, agent.mask]
+    assert 0 < int((mask > 0).sum()) < mask.numel()
+    encoded = agent.encoder(x[:, agent.rows].reshape(-1, *agent.shape))
+    found = (encoded * (mask > 0).unsqueeze(-1)).amax(dim=1)
+    expected = torch.cat([x[:, : agent.rows.start], x[:, agent.mask.stop :], found], dim=1)
+    features, weights = agent.features(x), list(agent.encoder.parameters())
+    torch.testing.assert_close(features, expected)
+    weighing = torch.linspace(-1.0, 1.0, features.numel()).view_as(features)
+    wanted, got = (torch.autograd.grad((f * weighing).sum(), weights) for f in (expected, features))
+    for one, other in zip(wanted, got, strict=True):
+        torch.testing.assert_close(one, other)
+
+
 def test_a_row_does_not_depend_on_the_batch(path, scenes):
     policy = policies.load(path)
     env = ccdiff_env.make_vec(5, scenes=scenes, **policy.env_options)

@@ -130,6 +130,30 @@ class Worlds:
         return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
 
 
+class Greatest(torch.autograd.Function):
+    """The greatest of each feature, at least 0, over parts of rows [N, F]: the first of B each."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: torch.Tensor, parts: list[int], size: int) -> torch.Tensor:
+        """Return [B, F]."""
+        found = rows.new_zeros(size, rows.shape[1])
+        ctx.parts = [slice(end - n, end) for n, end in zip(parts, np.cumsum(parts), strict=True)]
+        for n, part in zip(parts, ctx.parts, strict=True):
+            torch.maximum(found[:n], rows[part], out=found[:n])
+        ctx.save_for_backward(rows, found)
+        return found
+
+    @staticmethod
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        """Hand the gradient to the rows that were greatest."""
+        rows, found = ctx.saved_tensors
+        grad = torch.zeros_like(rows)
+        for part in ctx.parts:
+            n = part.stop - part.start
+            torch.mul(grads[0][:n], rows[part] == found[:n], out=grad[part])
+        return grad, None, None
+
+
 class Agent(nn.Module):
     """Policy and value: all agents pass one network, the greatest of each feature stays."""
 
@@ -202,12 +226,18 @@ class Agent(nn.Module):
         """What both heads see of normalised observations [B, D]."""
         if not self.shape:
             return x
-        mask = x[:, self.mask].unsqueeze(-1)
-        rows, present = mask.new_zeros(*mask.shape[:2], WIDTH_ROWS), mask[..., 0] > 0
-        encoded = self.encoder(x[:, self.rows].reshape(-1, *self.shape)[present])
-        rows[present] = encoded.to(rows.dtype)  # seven rows of ten hold nobody
-        found = (rows * mask).amax(dim=1)
-        return torch.cat([x[:, : self.rows.start], x[:, self.mask.stop :], found], dim=1)
+        # who sees most agents comes first: those of each place are the first rows of all
+        count = (x[:, self.mask] > 0).sum(1)
+        order = count.argsort(descending=True)
+        seen = (count.unsqueeze(1) > torch.arange(self.shape[0])).sum(0).tolist()
+        rows = x[:, self.rows].reshape(-1, *self.shape)
+        packed = [rows[order[:n], k] for k, n in enumerate(seen)]
+        # whole thousands of rows: kernels of bfloat16 are made anew for each number of rows
+        packed.append(rows.new_zeros(-sum(seen) % 1024, self.shape[1]))
+        encoded = self.encoder(torch.cat(packed))
+        found = Greatest.apply(encoded, seen, len(x))  # type: ignore[no-untyped-call]
+        rest = x[:, : self.rows.start], x[:, self.mask.stop :]
+        return torch.cat([*rest, found[order.argsort()]], dim=1)
 
     def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Means [B, W] of the actions and values [B]."""
@@ -267,12 +297,13 @@ def update(
     advantage = data["advantage"]
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     moved = 0.0
+    x = data["x"].bfloat16() if HALF else data["x"]
     for _ in range(EPOCHS):
         order = torch.randperm(len(advantage))
         for first in range(0, len(order), MINIBATCH):
             index = order[first : first + MINIBATCH]
             with torch.autocast("cpu", torch.bfloat16, enabled=HALF):
-                mean, values = (out.float() for out in agent(data["x"][index]))
+                mean, values = (out.float() for out in agent(x[index]))
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
             ratio, gain = change.exp(), data["advantage"][index]
             policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()

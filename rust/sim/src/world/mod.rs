@@ -61,7 +61,7 @@ use crate::observe::{Layout, Observer};
 use crate::policy::{Driver, PlanRequest, TrafficPolicy};
 use crate::scene::Scene;
 use episode::{Episode, Phase};
-use executor::run;
+use executor::{Part, run};
 use policies::Policies;
 use scenes::{Scenes, check_scene};
 use std::ops::Range;
@@ -101,6 +101,8 @@ pub struct VecWorld {
     scenes: Scenes,
     policies: Policies,
     worlds: Vec<World>,
+    /// Indices of the worlds as they are gone through, see [`executor`].
+    order: Vec<u32>,
     pool: Option<rayon::ThreadPool>,
 }
 
@@ -166,7 +168,8 @@ impl VecWorld {
             None
         };
         let decoder = ActionDecoder::new(&config.action);
-        Ok(Self { config, layout, decoder, scenes, policies, worlds, pool })
+        let order = (0..num_worlds as u32).collect();
+        Ok(Self { config, layout, decoder, scenes, policies, worlds, order, pool })
     }
 
     /// Draws the scenes of episodes that begin later by weights [S], in proportion; all alike without. A world's
@@ -258,7 +261,8 @@ impl VecWorld {
             out.was_reset.fill(true);
             world.finish(&shared, 0, &mut out);
         };
-        run(self.pool.as_ref(), &mut self.worlds, &[], 0, out, shared.extent, &job);
+        let (worlds, order, extent) = (&mut self.worlds[..], &mut self.order[..], shared.extent);
+        run(self.pool.as_ref(), Part { worlds, order, actions: &[], width: 0, out, extent }, &job);
         Ok(())
     }
 
@@ -329,7 +333,8 @@ impl VecWorld {
             world.step(actions, held.clone(), &shared, next, &mut out, &mut |_| {});
         };
         let width = self.decoder.width() * shared.extent.slots;
-        run(self.pool.as_ref(), &mut self.worlds, actions, width, out, shared.extent, &job);
+        let (worlds, order, extent) = (&mut self.worlds[..], &mut self.order[..], shared.extent);
+        run(self.pool.as_ref(), Part { worlds, order, actions, width, out, extent }, &job);
     }
 
     /// [`VecWorld::step`] on the calling thread that calls `on_phase_end` after each phase of each world: for measuring what
