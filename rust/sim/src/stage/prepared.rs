@@ -6,15 +6,31 @@ use crate::scene::{AgentKind, LaneIndex, Map, Scene};
 use crate::stage::log::Log;
 use crate::stage::route::Route;
 use crate::state::Footprint;
+use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
 
 /// A scene made ready to be stepped.
 #[derive(Debug)]
 pub struct PreparedScene {
-    /// The scene itself.
-    pub scene: Arc<Scene>,
     /// Footprints of the agents.
     pub footprints: Vec<Footprint>,
+    stage: Arc<Stage>,
+}
+
+impl Deref for PreparedScene {
+    type Target = Stage;
+
+    #[inline]
+    fn deref(&self) -> &Stage {
+        &self.stage
+    }
+}
+
+/// What a scene is made ready with, whatever the sizes of its agents.
+#[derive(Debug)]
+pub struct Stage {
+    /// The scene itself.
+    pub scene: Arc<Scene>,
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
     /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
@@ -40,8 +56,8 @@ impl PreparedScene {
         let map = &scene.map;
         let lanes = LaneIndex::new(map);
         let routes = Route::of_all(&scene, lanes.as_ref());
-        Self {
-            footprints: scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect(),
+        let footprints = scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect();
+        let stage = Stage {
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
             segments: MapSegments::new(map),
@@ -51,7 +67,8 @@ impl PreparedScene {
             lanes,
             routes,
             scene,
-        }
+        };
+        Self { footprints, stage: Arc::new(stage) }
     }
 
     /// Where vehicles may drive, as polygons.

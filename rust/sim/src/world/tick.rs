@@ -109,8 +109,7 @@ impl World {
     /// Puts another scene under the world.
     pub(super) fn enter(&mut self, scene: Arc<PreparedScene>) {
         self.scene = scene;
-        let PreparedScene { footprints, kinds, segments, .. } = &*self.scene;
-        self.observer.enter(footprints, kinds, segments);
+        self.observer.enter(&self.scene.footprints, &self.scene.kinds, &self.scene.segments);
     }
 
     /// The ego of the present episode: the data's, unless it is drawn.
