@@ -411,11 +411,11 @@ class VecWorld:
         scenes: Sequence[int | None],
         mask: Sequence[bool] | None,
         out: tuple[object, ...],
-        wanted: Sequence[tuple[int | None, int | None]] = ...,
+        wanted: Sequence[tuple[int | None, int | None, dict[str, float]]] = ...,
     ) -> None:
         """Begin episodes; writes into the arrays of :meth:`step_arrays`, in their order.
 
-        ``wanted`` are egos (indices) and starts (steps); all are drawn where it is empty.
+        ``wanted`` are egos (indices), starts (steps) and styles; all are drawn where it is empty.
         """
 
     def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None:
@@ -505,6 +505,13 @@ class VecWorld:
 
     def slot_agents(self, world_idx: int) -> list[int | None]:
         """Return the agent of each slot."""
+
+    def drawn(self, world_idx: int) -> list[dict[str, Any]]:
+        """Return what was drawn for each slot.
+
+        Factors ``acceleration_gain``, ``yaw_gain`` and ``size``, steps ``delay_steps``, and factors
+        of weights by name as ``style``.
+        """
 
     def slot_alive(self, world_idx: int) -> list[bool]:
         """Return whether each slot's agent goes on."""

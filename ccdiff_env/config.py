@@ -40,6 +40,7 @@ from ccdiff_env.traffic.options import (
     Dynamics,
     IdmConfig,
     ObservationConfig,
+    Randomization,
     Ranking,
     RewardConfig,
     UnicycleLimits,
@@ -61,6 +62,7 @@ __all__ = [
     "DeltaPoseLimits",
     "IdmConfig",
     "ObservationConfig",
+    "Randomization",
     "RewardConfig",
     "UnicycleLimits",
     "WorldConfig",
@@ -271,9 +273,7 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
             raise ConfigError(
                 f"config: {path} is {value!r}, expected one of the drivers, or shares"
             )
-        return value if isinstance(value, str) else _by_name(path, value, float)
-    if hint == Mapping[str, str]:
-        return _by_name(path, value, str)
+        return value if isinstance(value, str) else by_name(path, value, float)
     if hint == Mapping[str, Policy]:
         return {name: _policy(f"{path}.{name}", v) for name, v in _pairs(path, value)}
     origin, args = typing.get_origin(hint), typing.get_args(hint)
@@ -302,7 +302,7 @@ def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
     if origin is tuple:
         return _tuple(path, value, args)
     if origin is Mapping:
-        return _settings(path, value) if args[1] is Any else _lists(path, value)
+        return _settings(path, value) if args[1] is Any else by_name(path, value, args[1])
     if dataclasses.is_dataclass(hint):
         return _nested(path, value, typing.cast("type[Any]", hint), old)
     return _scalar(path, value, hint)
@@ -314,8 +314,10 @@ def _pairs(path: str, value: Any) -> list[tuple[str, Any]]:
     return [(_scalar(path, name, str), entry) for name, entry in value.items()]
 
 
-def _by_name(path: str, value: Any, kind: type[Any]) -> dict[str, Any]:
-    return {name: _scalar(f"{path}[{name!r}]", v, kind) for name, v in _pairs(path, value)}
+def by_name(path: str, value: Any, kind: Any) -> dict[str, Any]:
+    """Return values of a kind by name, checked."""
+    pairs = _pairs(path, value)
+    return {name: _fitting(f"{path}[{name!r}]", v, kind, None) for name, v in pairs}
 
 
 def _policy(path: str, value: Any) -> Policy:
@@ -433,13 +435,6 @@ def _settings(path: str, value: Any) -> dict[str, Any]:
     except (TypeError, ValueError) as error:
         raise ConfigError(f"config: {path}: {error}, expected what JSON can hold") from None
     return settings
-
-
-def _lists(path: str, value: Any) -> dict[str, tuple[str, ...]]:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"config: {path} is {value!r}, expected a name, or ids by scene name")
-    ids = (str, Ellipsis)
-    return {_scalar(path, k, str): _tuple(f"{path}[{k!r}]", v, ids) for k, v in value.items()}
 
 
 def _scalar(path: str, value: Any, kind: Any) -> Any:

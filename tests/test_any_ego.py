@@ -280,3 +280,18 @@ def test_it_is_an_option_of_one_ego_per_world():
         )
     with pytest.raises(ConfigError, match="ego is not an option"):
         ccdiff_env.parallel_env(agents=2, ego="any")
+
+
+@pytest.mark.nuscenes
+def test_drawn_logs_stay_on_the_road(data_root):
+    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini", cache=False)
+    env = EgoEnv(scenes=scenes, ego="any", driver="replay")
+    departed = 0
+    for seed in range(60):
+        env.reset(seed=seed)
+        done = False
+        while not done:
+            *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+            done = terminated or truncated
+        departed += info["off_road"]
+    assert departed == 0

@@ -124,7 +124,7 @@ from ccdiff_env.traffic.python import PythonTraffic
 #: of these names, or set them themselves.
 KEYWORDS = {
     "SelectionKeywords": (),
-    "AgentKeywords": ("reward", "driver", "decision_steps"),
+    "AgentKeywords": ("reward", "style", "driver", "decision_steps"),
     "EgoKeywords": ("ego", "adversaries", "adversary_shaping"),
     "WorldKeywords": ("observation", "controlled", "num_slots", "autoreset"),
 }

@@ -90,8 +90,10 @@ def replay(
             f"certificate: made by version {certificate.package}, whose observations or info "
             "columns differ from this one's"
         )
-    start = {"ego": certificate.ego, "start": certificate.start_step}
-    chosen = None if certificate.ego is None else {"scene": scene.name, **start}
+    chosen: dict[str, Any] = {"style": certificate.style}
+    if certificate.ego is not None:
+        start = {"ego": certificate.ego, "start": certificate.start_step}
+        chosen |= {"scene": scene.name, **start}
     for i in range(certificate.episode_idx + 1):
         last = i == certificate.episode_idx
         env.reset(seed=None if i else certificate.seed, options=chosen if last else None)

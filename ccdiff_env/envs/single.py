@@ -155,8 +155,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             Any integer; ``None`` goes on with the world's generator.
         options
             ``scene``: name or index of the scene; with ``ego="any"`` besides ``ego``: id, and
-            ``start``: step of the log; ``drivers``: drivers of single vehicles by id, for this
-            episode.
+            ``start``: step of the log; ``style``: factors of weights of the reward; ``drivers``:
+            drivers of single vehicles by id, for this episode.
 
         Returns
         -------
@@ -170,7 +170,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
                 raise unknown("reset option", str(name), RESET_OPTIONS)
         drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         scene_idx = self.worlds.scene_index(options.get("scene"))
-        wanted = self.worlds.wanted(scene_idx, options.get("ego"), options.get("start"))
+        rest = [options.get(name) for name in ("ego", "start", "style")]
+        wanted = self.worlds.wanted(scene_idx, *rest)
         normalized = None if seed is None else normalize_seed(seed)
         super().reset(seed=normalized)
         if normalized is None and not self._seeded:

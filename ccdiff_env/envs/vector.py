@@ -40,7 +40,7 @@ Info = dict[str, Any]
 InfoLevel = Literal["full", "end", "none"]
 
 #: What resets of one ego per world take.
-RESET_OPTIONS = ("scene", "ego", "start", "drivers")
+RESET_OPTIONS = ("scene", "ego", "start", "style", "drivers")
 
 _AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",
@@ -219,8 +219,9 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             generators).
         options
             ``scene``: name or index, or one per world; with ``ego="any"`` besides ``ego``: id, and
-            ``start``: step of the log; ``reset_mask``: worlds [E] to reset; ``drivers``: drivers of
-            single vehicles by id, for these episodes, of those vehicles that a world's scene has.
+            ``start``: step of the log; ``style``: factors of weights of the reward;
+            ``reset_mask``: worlds [E] to reset; ``drivers``: drivers of single vehicles by id, for
+            these episodes, of those vehicles that a world's scene has.
 
         Returns
         -------
@@ -236,11 +237,10 @@ class EgoVectorEnv(FollowsTraining, AsVector):
                 raise unknown("reset option", str(name), (*RESET_OPTIONS, "reset_mask"))
         drivers = self.worlds.agent_drivers(options.get("drivers", {}))
         seeds = self._seeds(seed)
-        named, egos, starts = (
-            self._per_world(n, options.get(n)) for n in ("scene", "ego", "start")
-        )
+        asked = ("scene", "ego", "start", "style")
+        named, *rest = (self._per_world(name, options.get(name)) for name in asked)
         scenes = [self.worlds.scene_index(one) for one in named]
-        wanted = [self.worlds.wanted(*one) for one in zip(scenes, egos, starts, strict=True)]
+        wanted = [self.worlds.wanted(*one) for one in zip(scenes, *rest, strict=True)]
         mask = options.get("reset_mask")
         mask = None if mask is None else self._reset_mask(mask)
         arrays = self._kept or self.worlds.arrays()

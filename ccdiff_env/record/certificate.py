@@ -69,6 +69,8 @@ class Certificate:
         Digest of the final states and of the metrics of the episode.
     ego, start_step
         Id and first step of an ego that was drawn.
+    style
+        Factors of weights of the reward that were drawn or set.
     """
 
     package: str
@@ -82,6 +84,7 @@ class Certificate:
     digest: str
     ego: str | None = None
     start_step: int | None = None
+    style: dict[str, float] | None = None
 
     @classmethod
     def of(cls, worlds: Worlds, actions: bytes) -> Certificate:
@@ -98,6 +101,8 @@ class Certificate:
         if config.controlled == "any" and status.ego_idx is not None:
             drawn["ego"] = scene.agent_ids[status.ego_idx]
             drawn["start_step"] = status.step_idx - status.elapsed_steps
+        if config.style:
+            drawn["style"] = worlds.native.drawn(0)[0]["style"]
         return cls(
             package=__version__,
             schema=schema_digest(worlds),
@@ -114,8 +119,7 @@ class Certificate:
     def to_json(self) -> str:
         """Return the certificate as JSON."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        if self.ego is None:
-            del fields["ego"], fields["start_step"]
+        fields = {name: value for name, value in fields.items() if value is not None}
         fields["config"] = json.loads(self.config.to_json())
         fields["actions"] = {
             "shape": list(self.actions.shape),

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes import with_tracks
 from ccdiff_env.traffic import TrafficPlan
 
 if TYPE_CHECKING:
@@ -111,6 +112,12 @@ class Recorder:
         if self._worlds.config.controlled == "any" and status.ego_idx is not None:
             self._drawn["ego"] = self._scene.agent_ids[status.ego_idx]
             self._scene = self._scene.with_ego(self._drawn["ego"])
+        if self._worlds.config.randomization.size:
+            sizes = self._scene.sizes.copy()
+            for agent, drawn in zip(native.slot_agents(world), native.drawn(world), strict=True):
+                if agent is not None:
+                    sizes[agent, :2] *= np.float32(drawn["size"])
+            self._scene = with_tracks(self._scene, self._scene.tracks(), sizes=sizes)
         self._episode = (status.scene_idx, status.seed, status.episode)
         self._elapsed, self._start_step = status.elapsed_steps, status.step_idx
         self._states: list[dict[str, Any]] = []

@@ -42,6 +42,7 @@ def with_tracks(
     *,
     name: str | None = None,
     source: str | None = None,
+    sizes: npt.NDArray[np.float32] | None = None,
 ) -> Scene:
     """Return a scene with other tracks of its agents.
 
@@ -56,6 +57,8 @@ def with_tracks(
         Numbers [N] of the agents that stay, the ego (0) among them; all of them for ``None``.
     name, source
         What the scene is called and where it comes from; as before for ``None``.
+    sizes
+        Lengths, widths and heights [A, 3] of all agents, metres; as before for ``None``.
     """
     kept = np.arange(scene.num_agents) if agents is None else agents
     return Scene.from_arrays(
@@ -63,7 +66,7 @@ def with_tracks(
         agent_ids=[scene.agent_ids[i] for i in kept],
         agent_types=[scene.agent_types[i] for i in kept],
         agent_categories=[scene.agent_categories[i] for i in kept],
-        sizes=scene.sizes[kept],
+        sizes=(scene.sizes if sizes is None else sizes)[kept],
         **{field: tracks[field][kept] for field in ("position", "heading", "velocity", "valid")},
         dt=scene.dt,
         token=scene.token,

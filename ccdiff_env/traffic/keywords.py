@@ -20,6 +20,7 @@ from ccdiff_env.traffic.options import (
     IdmConfig,
     ObservationConfig,
     Pedestrians,
+    Randomization,
     RewardConfig,
     SceneOrder,
     TrafficCollision,
@@ -47,6 +48,7 @@ class SelectionKeywords(TypedDict, total=False):
     success_completion: float
     speed_limit_mps: float
     action: ActionConfig | Mapping[str, Any]
+    randomization: Randomization | Mapping[str, Any]
     idm: IdmConfig | Mapping[str, Any]
     policies: Mapping[str, Any]
     scene_order: SceneOrder
@@ -71,6 +73,7 @@ class AgentKeywords(SelectionKeywords, total=False):
     """Keywords of environments of several agents."""
 
     reward: RewardConfig | str | Mapping[str, Any]
+    style: Mapping[str, tuple[float, float]]
     driver: str | PythonTraffic
     decision_steps: int
 

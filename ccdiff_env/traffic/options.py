@@ -251,6 +251,23 @@ class RewardConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Randomization:
+    """Hidden differences, drawn for each agent with a slot and episode."""
+
+    #: Accelerations of actions are times 1 ± up to this (in [0, 0.9]).
+    acceleration_gain: float = 0.0
+    #: The same of yaw rates or wheel angles (in [0, 0.9]).
+    yaw_gain: float = 0.0
+    #: Actions take effect up to so many steps late, zeros before (in [0, 100]).
+    delay_steps: int = 0
+    #: Length and width are times 1 ± up to this (in [0, 0.9]).
+    size: float = 0.0
+    #: Standard deviation of noise on numbers with a unit in observations, by their scales (in [0,
+    #: 10]).
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class IdmConfig:
     """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
 
@@ -342,6 +359,11 @@ class WorldOptions:
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     #: Rewards.
     reward: RewardConfig = field(default_factory=RewardConfig)
+    #: Lowest and highest factors of weights of the reward by name, drawn for each episode or set by
+    #: a reset, and observed as ``style``.
+    style: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
+    #: Hidden differences.
+    randomization: Randomization = field(default_factory=Randomization)
     #: Options of the driver ``"idm"``.
     idm: IdmConfig = field(default_factory=IdmConfig)
     #: What happens to a world whose episode has ended.

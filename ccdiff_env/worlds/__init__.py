@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import BevConfig, WorldConfig
+from ccdiff_env.config import BevConfig, WorldConfig, by_name
 from ccdiff_env.errors import (
     ActionError,
     CheckpointError,
@@ -287,16 +287,19 @@ class Worlds:
             raise UnknownNameError(f"no scene {index}, expected an index below {len(self._index)}")
         return index
 
-    def wanted(self, scene_idx: int | None, ego: Any, start: Any) -> tuple[int | None, int | None]:
-        """Return the ego (index) and the step of the start that a reset asks for, checked.
+    def wanted(
+        self, scene_idx: int | None, ego: Any, start: Any, style: Any
+    ) -> tuple[int | None, int | None, dict[str, float]]:
+        """Return the ego (index), the step of the start and the style that a reset asks for.
 
         Raises
         ------
         ConfigError
-            If no scene is named with them, or they are no id and no step.
+            If no scene is named with ego or start, or a value is of another kind.
         UnknownNameError
             If the scene has no such agent.
         """
+        style = {} if style is None else by_name("options: style", style, float)
         if (ego is not None or start is not None) and scene_idx is None:
             raise ConfigError("options: ego and start are given without a scene")
         if start is not None:
@@ -306,11 +309,11 @@ class Worlds:
             if not 0 <= start < 2**63:
                 raise ConfigError(f"start is {start}, expected a step of the log")
         if ego is None or scene_idx is None:
-            return None, start
+            return None, start, style
         scene = self.scenes[scene_idx]
         if ego not in (ids := list(scene.agent_ids)):
             raise UnknownNameError(f"ego: {scene.name} has no agent {ego!r}")
-        return ids.index(ego), start
+        return ids.index(ego), start, style
 
     def check_world(self, world_idx: int) -> None:
         """Refuse the index of a world that does not exist."""

@@ -11,13 +11,15 @@ use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::policy::PlanOverride;
-use ccdiff_sim::world::{ArraySpec, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, Wanted, WorldConfig};
+use ccdiff_sim::world::{
+    ArraySpec, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, Wanted, WorldConfig,
+};
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyCapsule, PyDict, PyTuple};
+use pyo3::types::{IntoPyDict, PyBytes, PyCapsule, PyDict, PyTuple};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -201,7 +203,7 @@ impl PyVecWorld {
     }
 
     /// Begins new episodes in all worlds, or in those of `mask`, and writes into the arrays of `out`; `wanted` are egos
-    /// (indices) and starts (steps).
+    /// (indices), starts (steps) and styles (factors by name).
     #[pyo3(signature = (seeds, scenes, mask, out, wanted=Vec::new()))]
     fn reset<'py>(
         &mut self,
@@ -210,14 +212,15 @@ impl PyVecWorld {
         scenes: Vec<Option<usize>>,
         mask: Option<Vec<bool>>,
         out: &Bound<'py, PyTuple>,
-        wanted: Vec<(Option<usize>, Option<usize>)>,
+        wanted: Vec<(Option<usize>, Option<usize>, BTreeMap<String, f32>)>,
     ) -> PyResult<()> {
         self.home.check()?;
         let mut outputs = Outputs::check(out, &self.arrays)?;
         self.keep_rows(out)?;
         let buffers = outputs.buffers()?;
         let world = &mut self.world;
-        let wanted: Vec<_> = wanted.into_iter().map(|(ego, start)| Wanted { ego, start }).collect();
+        let wanted: Vec<_> =
+            wanted.into_iter().map(|(ego, start, style)| Wanted { ego, start, style }).collect();
         let request = ResetRequest { seeds: &seeds, scenes: &scenes, wanted: &wanted, mask: mask.as_deref() };
         enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut self.trails {
@@ -433,6 +436,24 @@ impl PyVecWorld {
     /// Agent of each slot.
     fn slot_agents(&self, world_idx: usize) -> PyResult<Vec<Option<usize>>> {
         self.world.slot_agents(world_idx).map_err(from_sim)
+    }
+
+    /// What was drawn for each slot: factors by name, steps of delay, and factors of weights as `style`.
+    fn drawn<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let style = &self.world.config().style;
+        let slots = self.world.drawn(world_idx).map_err(from_sim)?;
+        let dict = |drawn: &Drawn| {
+            let factors =
+                COMPONENTS.into_iter().zip(drawn.style).filter(|(name, _)| style.contains_key(*name));
+            let slot = PyDict::new(py);
+            slot.set_item("acceleration_gain", drawn.gains[0])?;
+            slot.set_item("yaw_gain", drawn.gains[1])?;
+            slot.set_item("delay_steps", drawn.pending.len())?;
+            slot.set_item("size", drawn.size)?;
+            slot.set_item("style", factors.into_py_dict(py)?)?;
+            Ok(slot)
+        };
+        slots.into_iter().map(dict).collect()
     }
 
     /// Whether each slot's agent goes on.

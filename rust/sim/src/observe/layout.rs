@@ -172,6 +172,21 @@ impl Layout {
         }
     }
 
+    /// The schema with the factors of a style after all else, each with its range.
+    pub(crate) fn with_style(mut self, ranges: impl Iterator<Item = (&'static str, [Real; 2])>) -> Self {
+        let column = |(name, [low, high]): (&'static str, [Real; 2])| ObservationColumn {
+            name,
+            unit: "",
+            scale: 1.0,
+            low,
+            high,
+            doc: "factor of this weight of the reward",
+            in_default: false,
+        };
+        self.push("style", None, ranges.map(column).collect());
+        self
+    }
+
     /// Bytes of a raster; 0 without one.
     pub fn raster_size(&self) -> usize {
         self.config.bev.map_or(0, |bev| bev.num_bytes())

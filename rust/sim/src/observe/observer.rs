@@ -1,6 +1,7 @@
 //! Writing observation rows.
 
 use super::agent_rows::AgentRows;
+use super::column::clip;
 use super::columns::ROUTE;
 use super::ego_row::EgoRow;
 use super::frame::Frame;
@@ -44,6 +45,20 @@ impl Observer {
     /// they have changed. `num_observers` is about how many rows follow: it decides how, not what.
     pub fn prepare(&mut self, states: &AgentStates, num_observers: usize) {
         self.agents.prepare(states, num_observers);
+    }
+
+    /// Adds noise to the numbers with a unit of a row, within their bounds; rows of zeros stay.
+    pub(crate) fn disturb(&self, row: &mut [Real], mut noise: impl FnMut() -> Real) {
+        for entry in self.layout.entries.iter().filter(|entry| !entry.columns.is_empty()) {
+            let end = entry.offset + entry.shape.iter().product::<usize>();
+            let rows = row.get_mut(entry.offset..end).unwrap_or_default();
+            let there = |numbers: &&mut [Real]| numbers.iter().any(|v| *v != 0.0);
+            for numbers in rows.chunks_exact_mut(entry.columns.len()).filter(there) {
+                for (v, c) in numbers.iter_mut().zip(&entry.columns).filter(|(_, c)| !c.unit.is_empty()) {
+                    *v = clip(*v + noise(), c.low, c.high);
+                }
+            }
+        }
     }
 
     /// Writes the row of one agent: `layout.size` floats.

@@ -6,5 +6,5 @@ mod prepared;
 mod route;
 
 pub use history::{History, PastState};
-pub use prepared::PreparedScene;
+pub use prepared::{PreparedScene, Stage};
 pub use route::Route;

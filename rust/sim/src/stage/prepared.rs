@@ -6,15 +6,31 @@ use crate::scene::{AgentKind, LaneIndex, Map, Scene};
 use crate::stage::log::Log;
 use crate::stage::route::Route;
 use crate::state::Footprint;
+use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
 
 /// A scene made ready to be stepped.
 #[derive(Debug)]
 pub struct PreparedScene {
-    /// The scene itself.
-    pub scene: Arc<Scene>,
     /// Footprints of the agents.
     pub footprints: Vec<Footprint>,
+    stage: Arc<Stage>,
+}
+
+impl Deref for PreparedScene {
+    type Target = Stage;
+
+    #[inline]
+    fn deref(&self) -> &Stage {
+        &self.stage
+    }
+}
+
+/// What a scene is made ready with, whatever the sizes of its agents.
+#[derive(Debug)]
+pub struct Stage {
+    /// The scene itself.
+    pub scene: Arc<Scene>,
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
     /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
@@ -32,6 +48,8 @@ pub struct PreparedScene {
     pub segments: MapSegments,
     /// What does not move in bird's-eye rasters; `None` without rasters.
     pub(crate) ground: Option<Bitmap>,
+    /// Steps at which the logs of vehicles leave the road, made when they are first asked for.
+    road_exits: OnceLock<Vec<Vec<usize>>>,
 }
 
 impl PreparedScene {
@@ -40,18 +58,50 @@ impl PreparedScene {
         let map = &scene.map;
         let lanes = LaneIndex::new(map);
         let routes = Route::of_all(&scene, lanes.as_ref());
-        Self {
-            footprints: scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect(),
+        let footprints = scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect();
+        let stage = Stage {
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
             segments: MapSegments::new(map),
             ground: bev.map(|bev| bev.ground(map)),
+            road_exits: OnceLock::new(),
             road: Region::new(&Self::road_polygons(map)),
             road_edge: OnceLock::new(),
             lanes,
             routes,
             scene,
+        };
+        Self { footprints, stage: Arc::new(stage) }
+    }
+
+    /// The same with some agents, by their indices, larger or smaller by a factor.
+    pub(crate) fn resized(&self, agents: &[(usize, Real)]) -> Self {
+        let mut footprints = self.footprints.clone();
+        for (a, factor) in agents {
+            let f = footprints[*a];
+            footprints[*a] = Footprint::new(2.0 * f.half_length_m * factor, 2.0 * f.half_width_m * factor);
         }
+        Self { footprints, stage: Arc::clone(&self.stage) }
+    }
+
+    /// Whether the log of a vehicle leaves the road after a step, at another one at the latest.
+    pub(crate) fn leaves_road(&self, agent_idx: usize, from: usize, to: usize) -> bool {
+        let Some(road) = &self.road else { return false };
+        let exits = |a: usize| {
+            let mut was_on = false;
+            let leaves = |t: &usize| {
+                let Some((pose, _)) = self.log.at(a, *t) else { return false };
+                let on = road.holds_square(pose.position, self.footprints[a].radius_m)
+                    || self.footprints[a].at(&pose).corners().iter().all(|c| road.contains(*c));
+                std::mem::replace(&mut was_on, on) && !on
+            };
+            (0..self.scene.num_steps).filter(leaves).collect()
+        };
+        let all = || {
+            let vehicles = (0..self.kinds.len()).map(|a| (a, self.kinds[a] == AgentKind::Vehicle));
+            vehicles.map(|(a, is)| if is { exits(a) } else { Vec::new() }).collect()
+        };
+        self.road_exits.get_or_init(all)[agent_idx].iter().any(|t| (from + 1..=to).contains(t))
     }
 
     /// Where vehicles may drive, as polygons.

@@ -26,7 +26,7 @@ impl World {
         }
         if reset_pending || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
-            self.begin(scene, scene_idx, shared, Wanted::default());
+            self.begin(scene, scene_idx, shared, &Wanted::default());
             out.was_reset[0] = true;
         }
     }

@@ -9,6 +9,7 @@ use crate::options;
 use crate::options::{Table, above, at_least, within};
 use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::world::differences::{self, Randomization};
 use crate::world::reward_columns::{RewardConfig, WEIGHT};
 use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, Traffic};
@@ -195,6 +196,11 @@ options! {
         observation: ObservationConfig = ObservationConfig::default();
         /// Rewards.
         reward: RewardConfig = RewardConfig::default();
+        /// Lowest and highest factors of weights of the reward by name, drawn for each episode or set by a reset, and
+        /// observed as `style`.
+        style: BTreeMap<String, [Real; 2]> = BTreeMap::new();
+        /// Hidden differences.
+        randomization: Randomization = Randomization::default();
         /// Options of the driver `"idm"`.
         idm: IdmConfig = IdmConfig::default();
         /// Further drivers by names of one's own, as `{kind: options}`; part of what snapshots are checked against. In Python
@@ -219,6 +225,7 @@ pub const TABLES: &[&Table] = &[
     &ObservationConfig::TABLE,
     &BevConfig::TABLE,
     &RewardConfig::TABLE,
+    &Randomization::TABLE,
     &IdmConfig::TABLE,
     &SelectionReward::TABLE,
 ];
@@ -280,6 +287,10 @@ impl WorldConfig {
             let got = format!("{name} = {range:?}");
             check(false, "action.dynamics.assisted", got, "a range about zero")?;
         }
+        let own = !matches!(self.action.dynamics, Dynamics::DeltaPose(_));
+        let expected = "no gains and delays of actions that are poses";
+        check(own || !self.randomization.of_actions(), "randomization", "given", expected)?;
+        differences::check_styles(&self.style, &self.reward)?;
         if let Some(grid) = &self.action.grid {
             let got = format!("{} x {}", grid.first.len(), grid.second.len());
             check((2..=10_000).contains(&grid.len()), "action.grid", got, "2 to 10000 actions")?;

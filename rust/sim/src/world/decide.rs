@@ -18,7 +18,7 @@ impl World {
                 physical = shared.decoder.decode(&actions[c * width..(c + 1) * width]);
                 slot.last_action = shared.decoder.normalise(&physical);
             }
-            self.scratch.actions.push(physical);
+            self.scratch.actions.push(slot.drawn.delayed(physical, self.episode.elapsed_steps));
         }
         self.episode.find_followers(&self.scene.kinds, &mut self.scratch.follow_log);
         let mut motions = std::mem::take(&mut self.scratch.motions);
@@ -31,6 +31,9 @@ impl World {
                     *action = assist::unicycle_action(limits, &view, a, *action);
                 }
             }
+        }
+        for (slot, action) in self.episode.slots.iter().zip(&mut own) {
+            *action = slot.drawn.times_gains(*action);
         }
         for a in (0..view.states.len()).filter(|a| !self.scratch.follow_log[*a]) {
             let Driver::Policy(policy_idx) = view.drivers[a] else { continue };

@@ -8,11 +8,13 @@ use crate::stage::History;
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::config::{Controlled, WorldConfig};
+use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
 use crate::world::rng::Rng;
 use crate::world::start::{Start, Wanted};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Distances to a goal below this are a log that stands still, metres.
 pub(crate) const STATIONARY_M: Real = 2.0;
@@ -60,6 +62,7 @@ pub(crate) struct Slot {
     pub(crate) lane_distance_m: Option<Real>,
     pub(crate) speed_limit_mps: Real,
     pub(crate) statistics: EpisodeStatistics,
+    pub(crate) drawn: Drawn,
 }
 
 /// State of one world.
@@ -128,7 +131,7 @@ impl Episode {
         scene_idx: usize,
         config: &WorldConfig,
         policies: &Policies,
-        wanted: Wanted,
+        wanted: &Wanted,
     ) {
         let log = &scene.scene;
         let num_agents = log.num_agents();
@@ -136,7 +139,7 @@ impl Episode {
         self.number += 1;
         self.scene_idx = scene_idx;
         let rng = Rng::new(self.seed).split(self.number).split(u64::MAX);
-        let start = Start::draw(log, config, wanted, rng);
+        let start = Start::draw(log, Some(scene), config, wanted, rng);
         let start = start.unwrap_or(Start { ego: None, step_idx: config.history_steps });
         self.step_idx = start.step_idx;
         self.elapsed_steps = 0;
@@ -157,7 +160,7 @@ impl Episode {
                 self.enter(scene, a);
             }
         }
-        self.fill_slots(scene, config, policies.of_slots(), start.ego);
+        self.fill_slots(scene, config, policies.of_slots(), start.ego, &wanted.style);
         for (id, driver) in policies.by_id() {
             let agent = log.agent_index(id).filter(|a| scene.kinds[*a] == AgentKind::Vehicle);
             // actions reach agents with a slot only
@@ -206,9 +209,11 @@ impl Episode {
         config: &WorldConfig,
         driver: Driver,
         drawn: Option<usize>,
+        style: &BTreeMap<String, Real>,
     ) {
         let log = &scene.scene;
         let mut first_unseen = 0;
+        let rng = Rng::new(self.seed).split(self.number).split(u64::MAX - 1);
         let (start_step, end_step) = (self.step_idx, self.step_idx + config.horizon_steps);
         self.slots.clear();
         for c in 0..config.num_slots {
@@ -261,6 +266,7 @@ impl Episode {
                 lane_distance_m: None,
                 speed_limit_mps: config.speed_limit_mps,
                 statistics: EpisodeStatistics::default(),
+                drawn: Drawn::new(&config.randomization, &config.style, style, rng.split(c as u64)),
             });
         }
     }
@@ -361,7 +367,7 @@ impl Slot {
         let found =
             [self.route_distance_m, self.route_heading_error_rad, self.lane_distance_m.unwrap_or(0.0)];
         let reals = ways.iter().chain(&found).chain(&self.last_action);
-        reals.into_iter().all(|x| is_sound(*x)) && self.statistics.is_finite()
+        reals.into_iter().all(|x| is_sound(*x)) && self.statistics.is_finite() && self.drawn.is_sound()
     }
 
     /// Whether the agent's episode ended in a step after `since` and before the present one.

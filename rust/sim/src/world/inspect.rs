@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Extent, Metrics, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Drawn, Extent, Metrics, TickPhase, VecWorld, WorldConfig};
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -244,6 +244,14 @@ impl VecWorld {
     /// As [`VecWorld::status`].
     pub fn slot_agents(&self, world_idx: usize) -> Result<Vec<Option<usize>>> {
         Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.agent_idx).collect())
+    }
+
+    /// What was drawn for each slot of a world.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn drawn(&self, world_idx: usize) -> Result<Vec<&Drawn>> {
+        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| &s.drawn).collect())
     }
 
     /// Whether each slot's agent goes on in the present episode.

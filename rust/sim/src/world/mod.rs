@@ -14,6 +14,7 @@ mod candidates;
 mod config;
 mod decide;
 mod detect;
+mod differences;
 mod episode;
 mod episode_statistics;
 mod executor;
@@ -44,10 +45,13 @@ pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
     WorldConfig,
 };
+pub use differences::{Drawn, Randomization};
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use inspect::WorldStatus;
 pub use map_queries::{LaneAhead, NearPiece};
-pub use reward_columns::{COLUMNS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S};
+pub use reward_columns::{
+    COLUMNS, COMPONENTS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S,
+};
 pub use rng::Rng;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use start::{LEAST_WAY_M, Wanted};
@@ -75,7 +79,7 @@ pub struct ResetRequest<'a> {
     pub seeds: &'a [Option<u64>],
     /// Indices of scenes [E].
     pub scenes: &'a [Option<usize>],
-    /// Egos and starts [E]; all are left to the draw where it is empty.
+    /// Egos, starts and styles [E]; all are left to the draw where it is empty.
     pub wanted: &'a [Wanted],
     /// Worlds to reset [E]; all without it. The buffers of the others are not touched.
     pub mask: Option<&'a [bool]>,
@@ -138,7 +142,8 @@ impl VecWorld {
             check_scene(scene, &config)?;
         }
         let policies = Policies::new(&config, &scenes, policies)?;
-        let layout = Layout::new(&config.observation)?;
+        let ranges = differences::styled(&config.style).map(|i| (COMPONENTS[i], config.style[COMPONENTS[i]]));
+        let layout = Layout::new(&config.observation)?.with_style(ranges);
         let row_bytes =
             size_of::<f32>() * layout.size + layout.bev.as_ref().map_or(0, |b| b.shape.iter().product());
         let bytes =
@@ -255,8 +260,8 @@ impl VecWorld {
                 Some(idx) => (scenes.prepared(idx), idx),
                 None => scenes.next(episode, shared.config.scene_order, num_worlds),
             };
-            let wanted = request.wanted.get(i).copied().unwrap_or_default();
-            world.begin(scene, scene_idx, &shared, wanted);
+            let drawn = Wanted::default();
+            world.begin(scene, scene_idx, &shared, request.wanted.get(i).unwrap_or(&drawn));
             out.clear_step();
             out.was_reset.fill(true);
             world.finish(&shared, 0, &mut out);

@@ -90,7 +90,7 @@ pub(crate) fn score(
         step.contact_counts = facts.contact.is_some_and(|c| c.at_fault);
         step.soft = 0.0;
     }
-    reward_columns::fill(&step, &config.reward, columns)
+    reward_columns::fill(&step, &config.reward, &slot.drawn.style, columns)
 }
 
 /// Whether an episode that ends now was a success.

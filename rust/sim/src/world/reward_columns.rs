@@ -136,16 +136,36 @@ macro_rules! columns {
             $(InfoColumn { name: $name, unit: $unit, doc: $doc },)*
         ];
 
+        /// Names of the reward components, as the configuration has them.
+        pub const COMPONENTS: [&str; NUM_COMPONENTS] = [$(stringify!($weight)),*];
+
+        impl RewardConfig {
+            /// Weight of a component.
+            pub(crate) fn weight(&self, component: &str) -> Option<Real> {
+                match component {
+                    $(stringify!($weight) => Some(self.$weight),)*
+                    _ => None,
+                }
+            }
+        }
+
         /// Number of reward components, whose columns come first.
         pub(crate) const NUM_COMPONENTS: usize = [$(Col::$component),*].len();
 
-        /// Fills a slot's row, but for what the end of an episode decides, and returns the reward.
+        /// Fills a slot's row, but for what the end of an episode decides, and returns the reward; `style` are factors of
+        /// the weights.
         #[allow(clippy::redundant_closure_call, reason = "entries of the table are closures")]
-        pub(crate) fn fill(step: &Step, weights: &RewardConfig, row: &mut [Real]) -> Real {
+        pub(crate) fn fill(
+            step: &Step,
+            weights: &RewardConfig,
+            style: &[Real; NUM_COMPONENTS],
+            row: &mut [Real],
+        ) -> Real {
             let mut total = 0.0;
             $(
                 let reward: fn(Real, &Step) -> Real = $reward;
-                row[Col::$component as usize] = reward(weights.$weight, step);
+                row[Col::$component as usize] =
+                    reward(weights.$weight * style[Col::$component as usize], step);
                 total += row[Col::$component as usize];
             )*
             $(

@@ -38,6 +38,18 @@ impl Rng {
         ((u128::from(self.next_u64()) * n as u128) >> 64) as usize
     }
 
+    /// A number in [0, 1).
+    pub(crate) fn uniform(&mut self) -> f32 {
+        (self.next_u64() >> 40) as f32 * (1.0 / (1u32 << 24) as f32)
+    }
+
+    /// A standard normal number (Box-Muller).
+    pub(crate) fn normal(&mut self) -> f32 {
+        let unit = |bits: u64| (bits >> 11) as f64 * (1.0 / (1u64 << 53) as f64);
+        let radius = (-2.0 * libm::log(1.0 - unit(self.next_u64()))).sqrt();
+        (radius * libm::cos(std::f64::consts::TAU * unit(self.next_u64()))) as f32
+    }
+
     /// An index drawn by weights, given as their running sums, of which the last is positive; one draw, as [`Rng::below`].
     pub fn pick(&mut self, sums: &[f64]) -> usize {
         let total = sums.last().copied().unwrap_or_default();

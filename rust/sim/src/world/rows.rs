@@ -4,6 +4,8 @@ use crate::geom::Real;
 use crate::observe::{EgoFacts, View};
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::WorldConfig;
+use crate::world::differences;
+use crate::world::rng::Rng;
 use crate::world::tick::World;
 
 /// Floats at the head of a row that tell whether somebody else has written into it.
@@ -73,7 +75,15 @@ impl World {
                 agent_idx: a,
                 facts,
             };
-            self.observer.write(&view, out);
+            let (row, style) = out.split_at_mut(extent.row - config.style.len());
+            self.observer.write(&view, row);
+            for (to, i) in style.iter_mut().zip(differences::styled(&config.style)) {
+                *to = slot.drawn.style[i];
+            }
+            if config.randomization.noise > 0.0 {
+                let mut rng = Rng::new(e.noise_seed()).split(c as u64);
+                self.observer.disturb(row, || config.randomization.noise * rng.normal());
+            }
             if let (Some(bev), Some(ground)) = (&config.observation.bev, &self.scene.ground) {
                 bev.draw(&view, ground, raster);
             }

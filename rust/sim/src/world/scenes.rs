@@ -103,7 +103,7 @@ pub(super) fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
         };
         return fail("num_steps", has.to_string(), expected.into());
     }
-    if Start::draw(scene, config, Wanted::default(), Rng::new(0)).is_some() {
+    if Start::draw(scene, None, config, &Wanted::default(), Rng::new(0)).is_some() {
         Ok(())
     } else {
         fail("agents", "nobody to control".into(), "a controlled agent present at the start".into())

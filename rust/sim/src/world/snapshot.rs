@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::sync::Arc;
 
 /// Layout of the bytes; other layouts are refused, not guessed.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
@@ -77,6 +77,7 @@ impl VecWorld {
         let world = &mut self.worlds[world_idx];
         world.enter(Arc::clone(&scene));
         world.episode = episode;
+        world.resize();
         world.cast(&self.config);
         world.forget();
         Ok(())

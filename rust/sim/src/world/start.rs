@@ -3,19 +3,24 @@
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::stage::PreparedScene;
 use crate::world::config::{Controlled, WorldConfig};
+use crate::world::differences::check_style;
 use crate::world::rng::Rng;
+use std::collections::BTreeMap;
 
 /// Least distance of a drawn ego's start from where its log stands at the end of the episode, metres.
 pub const LEAST_WAY_M: Real = 10.0;
 
 /// What a reset asks for beside the scene; `None` leaves the choice to the draw.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Wanted {
     /// Index of the vehicle that is the ego.
     pub ego: Option<usize>,
     /// Step of the log at which the episode starts.
     pub start: Option<usize>,
+    /// Factors of weights of the reward by name; others are drawn.
+    pub style: BTreeMap<String, Real>,
 }
 
 /// The start of an episode.
@@ -36,8 +41,15 @@ fn drives_on(scene: &Scene, agent_idx: usize, step_idx: usize, horizon_steps: us
 }
 
 impl Start {
-    /// Draws the start of an episode; `None` where nobody can be controlled in the scene.
-    pub(crate) fn draw(scene: &Scene, config: &WorldConfig, wanted: Wanted, mut rng: Rng) -> Option<Self> {
+    /// Draws the start of an episode; `None` where nobody can be controlled in the scene. Egos whose log leaves the road
+    /// of the `prepared` scene in the episode are drawn only where there are no others.
+    pub(crate) fn draw(
+        scene: &Scene,
+        prepared: Option<&PreparedScene>,
+        config: &WorldConfig,
+        wanted: &Wanted,
+        mut rng: Rng,
+    ) -> Option<Self> {
         let first = config.history_steps;
         let most = scene.num_steps.saturating_sub(first + 2);
         if config.controlled != Controlled::Any {
@@ -50,13 +62,18 @@ impl Start {
         let steps = wanted.start.map_or(first..=first + spread, |step| step..=step);
         let vehicles =
             || (0..scene.num_agents()).filter(|a| scene.agents[*a].kind == AgentKind::Vehicle).collect();
-        let mut left: Vec<usize> = wanted.ego.map_or_else(vehicles, |a| vec![a]);
-        while !left.is_empty() {
-            let ego = left.swap_remove(rng.below(left.len()));
-            let moving = steps.clone().filter(|t| drives_on(scene, ego, *t, config.horizon_steps));
-            let moving: Vec<usize> = moving.collect();
-            if !moving.is_empty() {
-                return Some(Self { ego: Some(ego), step_idx: moving[rng.below(moving.len())] });
+        for prepared in [prepared, None] {
+            let stays = |ego: usize, t: usize| {
+                prepared.is_none_or(|p| !p.leaves_road(ego, t, t.saturating_add(config.horizon_steps)))
+            };
+            let mut left: Vec<usize> = wanted.ego.map_or_else(vehicles, |a| vec![a]);
+            while !left.is_empty() {
+                let ego = left.swap_remove(rng.below(left.len()));
+                let moving = steps.clone().filter(|t| drives_on(scene, ego, *t, config.horizon_steps));
+                let moving: Vec<usize> = moving.filter(|t| stays(ego, *t)).collect();
+                if !moving.is_empty() {
+                    return Some(Self { ego: Some(ego), step_idx: moving[rng.below(moving.len())] });
+                }
             }
         }
         let ego = wanted.ego.or_else(|| scene.agent_index(EGO_ID))?;
@@ -67,8 +84,9 @@ impl Start {
 
 impl Wanted {
     /// Refuses what episodes of a configuration cannot start with in a scene, which a reset must name.
-    pub(crate) fn check(self, scene: Option<&Scene>, config: &WorldConfig) -> Result<()> {
-        if self == Self::default() {
+    pub(crate) fn check(&self, scene: Option<&Scene>, config: &WorldConfig) -> Result<()> {
+        check_style(&self.style, &config.style)?;
+        if self.ego.is_none() && self.start.is_none() {
             return Ok(());
         }
         let bad = |field: &'static str, got: String, expected: String| {
@@ -90,7 +108,7 @@ impl Wanted {
         if let Some(step) = self.start.filter(|step| !(first..=last).contains(step)) {
             return bad("start", step.to_string(), format!("{first} to {last} in {}", scene.name));
         }
-        if Start::draw(scene, config, self, Rng::new(0)).is_none() {
+        if Start::draw(scene, None, config, self, Rng::new(0)).is_none() {
             let got = self.ego.map_or_else(|| "nobody".into(), |a| scene.agents[a].id.clone());
             let at = self.start.map_or_else(|| "a start".into(), |step| format!("step {step}"));
             return bad("ego", got, format!("a vehicle that is logged at {at} of {}", scene.name));

@@ -109,8 +109,16 @@ impl World {
     /// Puts another scene under the world.
     pub(super) fn enter(&mut self, scene: Arc<PreparedScene>) {
         self.scene = scene;
-        let PreparedScene { footprints, kinds, segments, .. } = &*self.scene;
-        self.observer.enter(footprints, kinds, segments);
+        self.observer.enter(&self.scene.footprints, &self.scene.kinds, &self.scene.segments);
+    }
+
+    /// Gives the agents with slots the sizes that were drawn for them.
+    pub(super) fn resize(&mut self) {
+        let factors = self.episode.slots.iter().filter_map(|s| Some((s.agent_idx?, s.drawn.size)));
+        let others: Vec<_> = factors.filter(|(_, factor)| *factor != 1.0).collect();
+        if !others.is_empty() {
+            self.enter(Arc::new(self.scene.resized(&others)));
+        }
     }
 
     /// The ego of the present episode: the data's, unless it is drawn.
@@ -158,10 +166,11 @@ impl World {
         scene: Arc<PreparedScene>,
         scene_idx: usize,
         shared: &Shared<'_>,
-        wanted: Wanted,
+        wanted: &Wanted,
     ) {
         self.enter(scene);
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies, wanted);
+        self.resize();
         halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
         self.cast(shared.config);
         self.forget();

@@ -1,0 +1,302 @@
+"""Hidden differences of egos, and styles of their rewards."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+import shapely
+
+from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, WorldConfig, embedded_scenes, replay
+from ccdiff_env.errors import ConfigError, SnapshotError
+
+GOES_ON = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
+ALL = {"acceleration_gain": 0.3, "yaw_gain": 0.2, "delay_steps": 3, "size": 0.2, "noise": 0.02}
+STYLE = {"progress": (0.5, 2.0), "comfort": (0.0, 4.0)}
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return embedded_scenes("val")[:4]
+
+
+def drawn(env: EgoEnv, seed: int) -> dict:
+    env.reset(seed=seed)
+    return env.worlds.native.drawn(0)[0]
+
+
+def actions(steps: int) -> np.ndarray:
+    return np.random.default_rng(7).uniform(-0.4, 0.6, (steps, 2)).astype(np.float32)
+
+
+def played(env: EgoEnv, steps: int = 40) -> list[np.ndarray]:
+    """Everything that an environment returns from here on."""
+    told = []
+    for action in actions(steps):
+        obs, reward, *ends, info = env.step(action)
+        told += [obs, np.float64(reward), np.array(ends)]
+        told.append(np.array([v for v in info.values() if isinstance(v, float)]))
+        if any(ends):
+            break
+    return told
+
+
+def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_draws_are_even_and_each_on_its_own(scenes):
+    env = EgoEnv(scenes=scenes, randomization=ALL)
+    found = [drawn(env, seed) for seed in range(600)]
+    assert found[:20] == [drawn(env, seed) for seed in range(20)]
+    for name, spread in (("acceleration_gain", 0.3), ("yaw_gain", 0.2), ("size", 0.2)):
+        values = np.array([one[name] for one in found])
+        assert abs(values - 1).max() <= spread * (1 + 1e-6)
+        assert abs(values.mean() - 1) < 5 * spread / np.sqrt(3 * 600)
+        assert abs(values.std() - spread / np.sqrt(3)) < 0.1 * spread
+        alone = EgoEnv(scenes=scenes, randomization={name: spread})
+        assert [drawn(alone, seed)[name] for seed in range(9)] == [one[name] for one in found[:9]]
+    counts = np.bincount([one["delay_steps"] for one in found])
+    assert len(counts) == 4
+    assert abs(counts - 150).max() < 5 * np.sqrt(600 * 0.25 * 0.75)
+    # episodes of one seed differ, too
+    env.reset(seed=3)
+    first = env.worlds.native.drawn(0)
+    env.reset()
+    assert env.worlds.native.drawn(0) != first
+
+
+@pytest.mark.parametrize("decision_steps", [1, 3])
+def test_the_unicycle_drives_with_its_gains_and_delay(decision_steps, scenes):
+    env = EgoEnv(
+        scenes=scenes,
+        randomization={"acceleration_gain": 0.3, "yaw_gain": 0.2, "delay_steps": 4},
+        decision_steps=decision_steps,
+        **GOES_ON,
+    )
+    limits = env.worlds.config.action.dynamics
+    for seed in range(12):
+        given = drawn(env, seed)
+        ego = env.worlds.native.slot_agents(0)[0]
+        state = env.worlds.native.states(0)
+        (x, y), heading = state["position"][ego].astype(float), float(state["heading"][ego])
+        speed, chosen = float(state["speed"][ego]), actions(20)
+        held = np.repeat(chosen.astype(float), decision_steps, axis=0)
+        late = np.concatenate([np.zeros((given["delay_steps"], 2)), held])[: len(held)]
+        for first, rate in late:
+            acceleration = first * (4.0 if first >= 0 else 8.0) * given["acceleration_gain"]
+            after = np.clip(speed + 0.1 * acceleration, *limits.speed_mps)
+            bound = min(
+                limits.max_curvature_1pm * speed,
+                limits.max_lateral_acceleration_mps2 / max(speed, 0.1),
+            )
+            bound = max(bound, limits.min_yaw_rate_radps)
+            distance = 0.05 * (speed + after)
+            x, y = x + distance * np.cos(heading), y + distance * np.sin(heading)
+            heading += 0.1 * np.clip(rate * given["yaw_gain"], -bound, bound)
+            speed = after
+        for action in chosen:
+            env.step(action)
+        state = env.worlds.native.states(0)
+        assert np.allclose(state["position"][ego], (x, y), atol=2e-3)
+        assert np.allclose(
+            (state["heading"][ego], state["speed"][ego]), (heading, speed), atol=1e-4
+        )
+
+
+def boxes(states: dict, sizes: np.ndarray) -> np.ndarray:
+    corners = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])[None] * sizes[:, None, :2] / 2
+    cos, sin = np.cos(states["heading"]), np.sin(states["heading"])
+    turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], 1)
+    return shapely.polygons(corners @ turn + states["position"][:, None])
+
+
+def test_the_drawn_size_is_that_of_the_box(scenes):
+    env = EgoEnv(scenes=scenes, randomization={"size": 0.9}, traffic="idm", **GOES_ON)
+    hits = 0
+    for seed in range(25):
+        factor, native = drawn(env, seed)["size"], env.worlds.native
+        ego, sizes = native.slot_agents(0)[0], env.scene.sizes.astype(float)
+        sizes[ego, :2] *= factor
+        at = env.worlds.layout.entries[0].columns.index("length")
+        recorder, before, given, info = Recorder(env), None, None, {}
+        for action in actions(60):
+            states = native.states(0)
+            shapes, there = boxes(states, sizes), np.flatnonzero(states["active"])
+            others = there[there != ego]
+            gaps = shapely.distance(shapes[ego], shapes[others])
+            deep = shapely.area(shapely.intersection(shapes[ego], shapes[others]))
+            touched = set(others[gaps == 0])
+            given = touched if given is None else given & touched
+            if (
+                before is not None
+                and not (deep[gaps == 0] < 1e-2).any()
+                and gaps[gaps > 0].min() > 1e-2
+            ):
+                begins = bool(touched - given) and not before
+                assert info["collision"] == begins
+                hits += begins
+            before = touched - given
+            obs, _, _, _, info = env.step(action)
+            recorder.step()
+            assert np.isclose(10 * obs[at], min(sizes[ego, 0], 10), rtol=1e-5)
+        assert np.allclose(recorder.rollout().scene.sizes[ego, :2], sizes[ego, :2], rtol=1e-6)
+    assert hits > 5
+
+
+def test_noise_is_normal_on_numbers_with_a_unit_alone(scenes):
+    noisy = EgoEnv(scenes=scenes, randomization={"noise": 0.02}, traffic="idm")
+    plain = EgoEnv(scenes=scenes, traffic="idm")
+    entries = plain.worlds.layout.entries
+    schema = json.loads(plain.worlds.native.layout_json)["entries"]
+    units = {e["name"]: [bool(c["unit"]) for c in e["columns"]] for e in schema}
+    assert entries == noisy.worlds.layout.entries
+    added, again = [], []
+    for seed in range(10):
+        rows = [np.stack(played(env, 30)[::4]) for env in (noisy, plain) if env.reset(seed=seed)]
+        noisy.reset(seed=seed)
+        again.append(np.array_equal(np.stack(played(noisy, 30)[::4]), rows[0]))
+        for entry in entries:
+            here = slice(entry.offset, entry.offset + entry.size)
+            got, true = (r[:, here].reshape(-1, *entry.shape) for r in rows)
+            if not entry.columns:
+                assert np.array_equal(got, true)
+                continue
+            present = np.broadcast_to((true != 0).any(-1, keepdims=True), true.shape)
+            low, high = entry.bounds()
+            united = np.broadcast_to(units[entry.name], true.shape)
+            assert np.array_equal(got[~(present & united)], true[~(present & united)])
+            assert ((got >= low) & (got <= high)).all()
+            inside = present & united & (true > low + 0.1) & (true < high - 0.1)
+            added.append((got - true)[inside])
+    noise = np.concatenate(added)
+    assert all(again)
+    assert len(noise) > 50_000
+    assert abs(noise.mean()) < 5 * 0.02 / np.sqrt(len(noise))
+    assert abs(noise.std() / 0.02 - 1) < 0.01
+    assert abs((abs(noise) < 0.02).mean() - 0.6827) < 0.01
+
+
+def test_rewards_are_those_of_the_weights_times_the_factors(scenes):
+    styled, plain = (
+        EgoEnv(scenes=scenes, traffic="idm", style=style, **GOES_ON) for style in (STYLE, {})
+    )
+    entry = styled.worlds.layout.entries[-1]
+    assert (entry.name, entry.shape) == ("style", (2,))
+    assert (entry.columns, entry.low, entry.high) == (tuple(STYLE), (0.5, 0.0), (2.0, 4.0))
+    seen = []
+    for seed in range(30):
+        (obs, _), (known, _) = styled.reset(seed=seed), plain.reset(seed=seed)
+        factors = styled.worlds.native.drawn(0)[0]["style"]
+        seen.append([factors["progress"], factors["comfort"]])
+        for action in actions(20):
+            assert np.array_equal(obs, [*known, *np.float32(seen[-1])])
+            assert styled.observation_space.contains(obs)
+            (obs, reward, *_, info), (known, _, *_, true) = styled.step(action), plain.step(action)
+            terms = {n: v for n, v in true.items() if n.startswith("reward_")}
+            for name, term in terms.items():
+                terms[name] = term * factors.get(name.removeprefix("reward_"), 1.0)
+                assert np.isclose(info[name], terms[name], rtol=1e-5)
+            assert np.isclose(reward, sum(terms.values()), rtol=1e-5, atol=1e-6)
+    seen = np.array(seen)
+    assert (seen.min(0) < [0.8, 0.8]).all()
+    assert (seen.max(0) > [1.7, 3.2]).all()
+
+
+def test_a_reset_sets_the_style_for_its_episode(scenes, tmp_path):
+    env = EgoEnv(scenes=scenes, style=STYLE)
+    usual = drawn(env, 4)["style"]
+    obs, _ = env.reset(seed=4, options={"style": {"comfort": 3.5}})
+    factors = env.worlds.native.drawn(0)[0]["style"]
+    assert factors == {"progress": usual["progress"], "comfort": 3.5}
+    assert obs[-1] == 3.5
+    played(env)
+    certificate = env.certificate()
+    assert certificate.style == factors
+    certificate.save(tmp_path / "styled.json")
+    assert replay(tmp_path / "styled.json", scenes).env.certificate() is not None
+
+    batch = EgoVectorEnv(2, scenes=scenes, style=STYLE)
+    obs, _ = batch.reset(seed=4, options={"style": {"progress": 1.25}})
+    assert obs[:, -2].tolist() == [1.25, 1.25]
+    obs, _ = batch.reset(seed=4, options={"style": [{"progress": 0.75}, None]})
+    assert obs[0, -2] == 0.75
+    before = [batch.worlds.native.digest(i) for i in range(2)]
+    for style, words in (
+        ({"progress": 2.5}, "progress: 2.5, expected 0.5 to 2"),
+        ({"progress": float("nan")}, "finite"),
+        ({"progress": "fast"}, "float"),
+        ({"goal": 1.0}, "goal, expected some of the configuration's style: comfort, progress"),
+        (2.0, "values by name"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            batch.reset(options={"style": style})
+    assert [batch.worlds.native.digest(i) for i in range(2)] == before
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_batch_and_threads_change_nothing(mode, scenes):
+    options = {"randomization": ALL, "style": STYLE, "horizon_steps": 15, "ego": "any"}
+
+    def run(num_envs: int, first: int, threads: int) -> list[np.ndarray]:
+        env = EgoVectorEnv(
+            num_envs, scenes=scenes, autoreset_mode=mode, num_threads=threads, **options
+        )
+        told = [env.reset(seed=first)[0]]
+        for action in actions(40):
+            obs, reward, *_ = env.step(np.tile(action, (num_envs, 1)))
+            told += [obs.copy(), reward.copy()]
+        return told
+
+    whole = run(6, 0, 1)
+    assert same(whole, run(6, 0, 3))
+    assert same([part[4:] for part in whole], run(2, 4, 1))
+
+
+def test_snapshots_copies_and_certificates_go_on_with_what_was_drawn(scenes, tmp_path):
+    options = {"scenes": scenes, "randomization": ALL, "style": STYLE, "dynamics": "assisted"}
+    env = EgoEnv(**options)
+    env.reset(seed=8)
+    env.reset()
+    played(env, 5)
+    state, fork = env.snapshot(), copy.deepcopy(env)
+    expected = played(env)
+    assert same(played(fork), expected)
+    fresh = EgoEnv(**options)
+    fresh.restore(state)
+    assert fresh.worlds.native.drawn(0) == env.worlds.native.drawn(0)
+    assert same(played(fresh), expected)
+    certificate = fork.certificate()
+    certificate.save(tmp_path / "drawn.json")
+    again = replay(tmp_path / "drawn.json", scenes).env
+    assert again.certificate().to_json() == certificate.to_json()
+    with pytest.raises(SnapshotError, match="randomization"):
+        EgoEnv(scenes=scenes, style=STYLE, dynamics="assisted").restore(state)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"randomization": {"size": 1.0}}, "randomization.size"),
+        ({"randomization": {"noise": -0.1}}, "randomization.noise"),
+        ({"randomization": {"nois": 0.1}}, "did you mean"),
+        ({"randomization": {"delay_steps": 1}, "dynamics": "delta_pose"}, "actions that are poses"),
+        ({"style": {"speed": (0.0, 1.0)}}, "style is speed, expected weights that are not 0"),
+        ({"style": {"jerk": (0.0, 1.0)}}, "style is jerk"),
+        ({"style": {"comfort": (0.0, 1.0)}, "reward": "product"}, "style is comfort"),
+        ({"style": {"goal": (2.0, 1.0)}}, "style.goal"),
+        ({"style": {"goal": (-1.0, 1.0)}}, "style.goal is -1, expected factors >= 0"),
+        ({"style": {"goal": 1.0}}, "sequence"),
+    ],
+    ids=str,
+)
+def test_what_does_not_fit_is_refused(options, words, scenes):
+    with pytest.raises(ConfigError, match=words):
+        EgoEnv(scenes=scenes, **options)
+
+
+def test_configurations_survive_json():
+    config = WorldConfig(style=STYLE, randomization=ALL)
+    assert WorldConfig.from_json(config.to_json()) == config
