@@ -29,6 +29,7 @@ PLACES = {
     "ObservationConfig": ("observation",),
     "BevConfig": ("observation", "bev"),
     "RewardConfig": ("reward",),
+    "Randomization": ("randomization",),
     "IdmConfig": ("idm",),
 }
 
