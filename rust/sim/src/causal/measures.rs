@@ -154,29 +154,13 @@ impl AgentFrame<'_> {
     /// # Errors
     /// [`SimError::Length`] where `out` does not hold M * M entries.
     pub fn distance_m(&self, out: &mut [Real]) -> Result<()> {
-        self.fill_pairs(out, |i, j| math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]))
-    }
-
-    /// Writes the distances less half the mean of length and width of either agent, metres, into `out` [M, M];
-    /// infinite where an agent is absent. Negative where the agents overlap. (The `rel_d_lw` of reference.md#pairwise-features
-    /// before it is normalised.)
-    ///
-    /// # Errors
-    /// [`SimError::Length`] where `out` does not hold M * M entries.
-    pub fn clearance_m(&self, out: &mut [Real]) -> Result<()> {
-        let reach_m = |i: usize| 0.25 * (self.length_m[i] + self.width_m[i]);
-        self.fill_pairs(out, |i, j| {
-            math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]) - reach_m(i) - reach_m(j)
-        })
-    }
-
-    fn fill_pairs(&self, out: &mut [Real], measure: impl Fn(usize, usize) -> Real) -> Result<()> {
         let num_agents = self.num_agents();
         check("pair matrix", out.len(), num_agents * num_agents)?;
         for i in 0..num_agents {
             for j in 0..num_agents {
                 let both = self.valid[i] && self.valid[j];
-                out[i * num_agents + j] = if both { measure(i, j) } else { Real::INFINITY };
+                let apart_m = || math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]);
+                out[i * num_agents + j] = if both { apart_m() } else { Real::INFINITY };
             }
         }
         Ok(())
@@ -356,8 +340,6 @@ mod tests {
         let mut out = [0.0; 4];
         frame.distance_m(&mut out).unwrap();
         assert!((normalised_distance(out[1]) - 0.5).abs() < 1e-6);
-        frame.clearance_m(&mut out).unwrap();
-        assert!((out[1] - (10.0 - 1.5 - 2.0)).abs() < 1e-5);
         assert_eq!(normalised_distance(out[0]), 1.0);
         assert_eq!((normalised_ttc(20.0), normalised_ttc(0.0), normalised_ttc(3.0)), (0.0, 1.0, 0.85));
     }

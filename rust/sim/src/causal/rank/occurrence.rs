@@ -23,9 +23,6 @@ impl CliqueSettings {
     /// What made the released lists of key agents: any contact within 20 s joins, pairs count (reference.md#shipped-lists).
     pub const REFERENCE_IMPL: Self =
         Self { threshold: 0.0, min_size: 2, top_per_frame: 3, node_limit: Self::NODE_LIMIT };
-
-    /// What stands in the released script: contact within 10 s joins, triples and larger count (reference.md#released-script).
-    pub const RELEASED_SCRIPT: Self = Self { threshold: 0.5, min_size: 3, ..Self::REFERENCE_IMPL };
 }
 
 impl Default for CliqueSettings {
@@ -112,7 +109,8 @@ mod tests {
         let found = clique_occurrences(4, &measure, &CliqueSettings::REFERENCE_IMPL).unwrap();
         assert_eq!(found.counts, [(0, 2), (3, 2), (1, 1), (2, 1)]);
         assert_eq!(found.num_cliques, 3);
-        let strict = clique_occurrences(4, &measure, &CliqueSettings::RELEASED_SCRIPT).unwrap();
+        let triples = CliqueSettings { threshold: 0.5, min_size: 3, ..CliqueSettings::REFERENCE_IMPL };
+        let strict = clique_occurrences(4, &measure, &triples).unwrap();
         assert!(strict.counts.is_empty() && strict.exact);
     }
 
