@@ -33,24 +33,3 @@ pub fn displacement(motion: &Trajectories<'_>, log: &Trajectories<'_>) -> Result
     }
     Ok(result)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::super::motion::Recorded;
-    use super::*;
-
-    #[test]
-    fn final_error_is_that_of_the_last_common_step() {
-        let log: Vec<_> = (0..4).map(|t| Some((t as f32, 0.0, 0.0))).collect();
-        let mut gone = log.clone();
-        gone[3] = None;
-        let shifted = gone.iter().map(|s| s.map(|(x, y, h)| (x, y + x, h))).collect();
-        let (a, b) = (
-            Recorded::new(&[log.clone(), gone, vec![None; 4]]),
-            Recorded::new(&[log, shifted, vec![None; 4]]),
-        );
-        let result = displacement(&b.motion(0.1), &a.motion(0.1)).unwrap();
-        assert_eq!(result.ade_m, [Some(0.0), Some(1.0), None]);
-        assert_eq!(result.fde_m, [Some(0.0), Some(2.0), None]);
-    }
-}
