@@ -18,6 +18,8 @@ from ccdiff_env.scenes.scene_types import (
     TrackArrays,
 )
 
+_Places = tuple[Sequence["Scene"], npt.NDArray[np.int64], F32, F32]
+
 def causal_ttc(
     x: F32,
     y: F32,
@@ -306,25 +308,10 @@ def traffic_batch_from_log(
     num_future: int,
     seed: int,
 ) -> tuple[dict[str, Any], dict[str, Any]]: ...
-def map_near_pieces(
-    scenes: Sequence[Scene],
-    world: npt.NDArray[np.int64],
-    position: F32,
-    heading: F32,
-    count: int,
-    kinds: bytes,
-) -> tuple[F32, U8, F32, Bool]: ...
-def map_road_distance(
-    scenes: Sequence[Scene], world: npt.NDArray[np.int64], position: F32, heading: F32
-) -> F32: ...
+def map_near_pieces(places: _Places, count: int, kinds: bytes) -> tuple[F32, U8, F32, Bool]: ...
+def map_road_distance(places: _Places) -> F32: ...
 def map_lane_ahead(
-    scenes: Sequence[Scene],
-    world: npt.NDArray[np.int64],
-    position: F32,
-    heading: F32,
-    num_points: int,
-    spacing_m: float,
-    reach_m: float,
+    places: _Places, num_points: int, spacing_m: float, reach_m: float
 ) -> tuple[F32, Bool, npt.NDArray[np.int64], F32, F32]: ...
 def load_nuscenes(
     dataroot: str,

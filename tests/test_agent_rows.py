@@ -19,9 +19,9 @@ def scenes():
     return embedded_scenes("val")
 
 
-@pytest.mark.parametrize("adversaries", [None, 2])
-def test_rows_show_what_the_parallel_form_shows(scenes, adversaries):
-    options = {**RULES, "scenes": scenes, "adversaries": adversaries, "info": "full"}
+@pytest.mark.parametrize("more", [{}, {"adversaries": 2}, {"decision_steps": 3}], ids=str)
+def test_rows_show_what_the_parallel_form_shows(scenes, more):
+    options = {**RULES, "scenes": scenes, "info": "full", **more}
     rows = AgentVectorEnv(3, **options)
     games = [parallel_env(**options, names="slot") for _ in range(3)]
     names = games[0].possible_agents

@@ -8,7 +8,6 @@ import dataclasses
 import json
 import resource
 import runpy
-import struct
 import time
 import zipfile
 from pathlib import Path
@@ -25,7 +24,6 @@ from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.cli import main
 from ccdiff_env.config import BevConfig, ObservationConfig
 from ccdiff_env.envs.replay import replay
-from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.system.files import file_name, write_aside
@@ -302,15 +300,7 @@ def test_tracks_that_jump():
         scene_with(heading=np.full((1, 60), 1e30, np.float32))
 
 
-def test_any_byte_but_zero_is_true():
-    valid = np.full((1, 60), 2, np.uint8).view(bool)
-    valid[0, 7] = False
-    scene = scene_with(valid=valid)
-    assert scene.tracks()["valid"].sum() == 59
-    assert Scene.from_bytes(scene.to_bytes()).hash == scene.hash
-
-
-@pytest.mark.parametrize("count", [0, -1, 10**5, 10**9, 2**62, 2**70, 1.0, "4"])
+@pytest.mark.parametrize("count", [0, -1, 10**5, 10**9, 2**62, 2**70, 1.0, "4", True])
 def test_absurd_numbers_of_worlds_and_threads(count):
     with pytest.raises(errors.ConfigError, match="num_envs"):
         EgoVectorEnv(count)
@@ -322,31 +312,6 @@ def test_observations_that_do_not_fit():
     config = WorldConfig(observation=ObservationConfig(bev=BevConfig(size_px=1024)))
     with pytest.raises(errors.ConfigError, match="bytes"):
         EgoVectorEnv(65_536, config=config, observation="bev")
-
-
-@pytest.mark.parametrize(
-    "size",
-    [
-        {"diffusion_steps": 10**12},
-        {"temporal_layers": 10**6},
-        {"width": 2**40},
-        {"max_agents": 2**60},
-        {"horizon_steps": 10**9},
-    ],
-    ids=str,
-)
-def test_weight_headers_of_absurd_networks(tmp_path, size):
-    data = Path(shipped_weights()).read_bytes()
-    (length,) = struct.unpack("<Q", data[:8])
-    header = json.loads(data[8 : 8 + length])
-    settings = json.loads(header["__metadata__"]["ccdiff_env"])
-    settings["model"].update(size)
-    header["__metadata__"]["ccdiff_env"] = json.dumps(settings)
-    head = json.dumps(header).encode()
-    path = tmp_path / "huge.safetensors"
-    path.write_bytes(struct.pack("<Q", len(head)) + head + data[8 + length :])
-    with pytest.raises(errors.CcdiffError, match=next(iter(size))):
-        TrajectoryModel(path)
 
 
 def test_long_names_are_cut_in_images():

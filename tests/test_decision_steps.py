@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import AgentVectorEnv, Certificate, EgoEnv, EgoVectorEnv, Recorder, replay
+from ccdiff_env import Certificate, EgoEnv, Recorder, replay
 from ccdiff_env.errors import ConfigError
 
 #: Together, so that the figures of a decision have something to keep.
@@ -103,41 +103,6 @@ def test_each_agent_sees_its_own_end(scenes):
                 assert rewards[name] == total[name], name
                 assert (terminated[name], truncated[name]) == ends[name]
     assert early > 0
-
-
-def test_rows_of_games_are_those_of_single_games(scenes):
-    options = {"agents": 3, "traffic": "idm", "horizon_steps": 40, "decision_steps": 3}
-    rows = AgentVectorEnv(1, scenes=scenes, **options)
-    game = ccdiff_env.parallel_env(scenes=scenes, names="slot", **options)
-    obs, _ = rows.reset(seed=2)
-    expected, _ = game.reset(seed=2)
-    rng = np.random.default_rng(0)
-    while game.agents:
-        action = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
-        slots = {name: game.possible_agents.index(name) for name in game.agents}
-        obs, reward, terminated, _, infos = rows.step(action)
-        expected, rewards, terminations, _, _ = game.step({n: action[i] for n, i in slots.items()})
-        for name, i in slots.items():
-            assert reward[i] == rewards[name]
-            assert terminated[i] == terminations[name]
-            last = infos["final_obs"][i] if terminations[name] else obs[i]
-            if game.agents or terminations[name]:
-                assert np.array_equal(last, expected[name])
-
-
-@pytest.mark.parametrize("traffic", ["idm", "ccdiff"])
-def test_results_do_not_depend_on_threads_or_on_the_batch(traffic, scenes):
-    options = {"traffic": traffic, "decision_steps": 4, "autoreset_mode": "same_step"}
-    many = EgoVectorEnv(9, scenes=scenes, num_threads=3, **options)
-    few = EgoVectorEnv(9, scenes=scenes, num_threads=1, **options)
-    many.reset(seed=1)
-    few.reset(seed=1)
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        action = rng.uniform(-1, 1, (9, 2)).astype(np.float32) * np.float32([1, 0.1])
-        one, other = many.step(action), few.step(action)
-        for a, b in zip(one[:4], other[:4], strict=True):
-            assert np.array_equal(a, b)
 
 
 def test_certificates_hold_decisions(scenes, tmp_path):

@@ -251,12 +251,6 @@ def test_baselines_drive_in_rust_and_ignore_the_action(driver, scenes):
     assert_same_trace(left, right)
 
 
-def test_the_replayed_ego_stays_on_its_log(scenes):
-    env = EgoEnv(scenes=scenes, driver="replay")
-    for _, _, _, _, info in run(env, [np.zeros(2, np.float32)] * 100, seed=1)[1:]:
-        assert info["log_distance"] < 1e-3
-
-
 def test_expert_actions_keep_the_ego_near_its_log(scenes):
     for form in ({}, {"dynamics": "bicycle"}, {"dynamics": "delta_pose"}):
         env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore", **form)

@@ -419,6 +419,8 @@ def test_bad_input_is_refused_with_the_offending_part():
         one.off_road([])
     with pytest.raises(UnknownNameError, match="axes"):
         one.comfort(axes="world")
+    with pytest.raises(ConfigError, match="stride"):
+        one.comfort(stride=0)
     with pytest.raises(ConfigError, match="std_dev"):
         metrics.total_variation([0.0], [1.0], 0.0)
     with pytest.raises(ConfigError, match="vary"):

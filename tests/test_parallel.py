@@ -225,48 +225,6 @@ def test_the_ranking_by_contact_is_that_of_boxes_that_are_moved(scenes):
     assert contacts >= 20
 
 
-def test_egos_and_adversaries_have_opposite_rewards(scenes):
-    env = parallel_env(scenes=scenes, agents=2, adversaries=1, traffic="idm")
-    plain = parallel_env(scenes=scenes, agents=2, traffic="idm")
-    rng = np.random.default_rng(0)
-    for seed in range(4):
-        actions = [rng.uniform(-1, 1, (2, 2)).astype(np.float32) for _ in range(100)]
-        _, infos = env.reset(seed=seed)
-        plain.reset(seed=seed)
-        roles = {name: info["role"] for name, info in infos.items()}
-        assert list(roles.values()) == ["ego", "adversary"][: len(roles)]
-        for action in actions:
-            chosen = dict(zip(roles, action, strict=False))
-            if not env.agents:
-                break
-            before = list(env.agents)
-            _, rewards, terminations, truncations, _ = env.step(chosen)
-            _, own, *_ = plain.step(chosen)
-            for name in before:
-                if roles[name] == "ego":
-                    assert rewards[name] == own[name]
-                else:
-                    assert rewards[name] == -own["ego"]
-            if terminations["ego"] or truncations["ego"]:
-                assert not env.agents
-                assert all(terminations[n] or truncations[n] for n in before)
-
-
-def test_shaping_charges_an_adversary_for_its_own_driving(scenes):
-    options = {"scenes": scenes[:1], "agents": 2, "adversaries": 1, "on_off_road": "ignore"}
-    env = parallel_env(adversary_shaping=1.0, **options)
-    env.reset(seed=0)
-    other = env.agents[1]
-    for _ in range(20):
-        actions = {"ego": np.zeros(2, np.float32), other: np.array([1.0, 1.0], np.float32)}
-        _, rewards, *_, infos = env.step(actions)
-        own = infos[other]["reward_off_road"] + infos[other]["reward_comfort"]
-        assert rewards[other] == pytest.approx(own - rewards["ego"], abs=1e-5)
-        assert own < 0
-        if other not in env.agents or "ego" not in env.agents:
-            break
-
-
 def test_agents_end_at_different_times_and_never_come_back(scenes):
     env = parallel_env(scenes=scenes[:1], traffic="idm")
     rng = np.random.default_rng(1)

@@ -7,8 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
@@ -96,27 +94,6 @@ def test_each_thing_asked_for_changes_the_image_and_nothing_else_does():
 def test_what_cannot_be_drawn_is_refused_and_named(change, error, says):
     with pytest.raises(error, match=says):
         render.draw([[0.0, 0.0]], **{**CAR, **change})
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.tuples(*[st.floats(width=32)] * 3), max_size=5),
-    st.floats(width=32),
-    st.tuples(st.integers(-2, 60), st.integers(0, 60)),
-)
-def test_any_numbers_give_an_image_or_a_config_error(agents, span_m, size):
-    rows = np.array(agents, np.float32).reshape(-1, 3)
-    try:
-        image = render.draw(
-            rows[:, :2],
-            heading_rad=rows[:, 2],
-            size_m=np.full((len(rows), 2), 2.0),
-            span_m=span_m,
-            size=size,
-        )
-    except ConfigError:
-        return
-    assert image.shape == (size[1], size[0], 3)
 
 
 def test_a_png_holds_exactly_the_image(tmp_path):

@@ -228,27 +228,6 @@ def test_the_same_seed_gives_the_same_traffic_and_another_one_another(scenes):
     assert np.abs(runs[0] - runs[2]).max() > 1e-3
 
 
-def test_a_restored_world_goes_on_bit_for_bit(scenes):
-    play = Play(scenes[:2], ccdiff={"num_samples": 2})
-    play.step(7)
-    kept = [play.native.snapshot(i) for i in range(2)]
-    play.step(13)
-    first = [play.states(i) for i in range(2)]
-    for i, snapshot in enumerate(kept):
-        play.native.restore(i, snapshot)
-    play.step(13)
-    for i in range(2):
-        for name in FIELDS:
-            np.testing.assert_array_equal(play.states(i)[name], first[i][name])
-
-
-def test_the_batch_changes_no_plan(scenes):
-    alone, together = Play(scenes[:1]), Play(scenes[:3])
-    alone.step(5)
-    together.step(5)
-    np.testing.assert_array_equal(alone.states()["position"], together.states()["position"])
-
-
 def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
     def error(options):
         config = WorldConfig().with_options(
@@ -328,18 +307,6 @@ def test_a_scene_without_a_map_is_refused_by_name():
     )  # fmt: skip
     with pytest.raises(SceneError, match="blank"):
         Play(SceneSet([blank]))
-
-
-def test_an_agent_environment_takes_ccdiff_traffic_by_name(scenes):
-    env = ccdiff_env.make_vec(
-        3, scenes=scenes, traffic="ccdiff", ccdiff={"criticality": 0.5}, driver="idm"
-    )
-    env.reset(seed=0)
-    for _ in range(12):
-        obs, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
-    assert env.observation_space.contains(obs)
-    assert "ccdiff" in env.worlds.native.drivers(0)
-    env.close()
 
 
 @pytest.mark.nuscenes
@@ -430,11 +397,6 @@ def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name)
     assert np.isfinite(plan.realism_cost).all() == denoises
     assert (plan.conflict_share is not None) == denoises
     assert (plan.attention is not None) == attends
-
-
-def test_a_network_without_weights_says_which_file_is_missing(scenes, tmp_path):
-    with pytest.raises(OSError, match="absent"):
-        Play(scenes[:1], traffic="ctg", ccdiff={"weights": str(tmp_path / "absent.safetensors")})
 
 
 def test_options_of_networks_are_refused_where_none_drives(scenes):

@@ -114,6 +114,15 @@ def _worlds(scenes: Scene | Sequence[Scene], world: Any, count: int) -> tuple[li
     return listed, np.ascontiguousarray(numbers, np.int64)
 
 
+def _placed(
+    scenes: Scene | Sequence[Scene], position_m: Any, heading_rad: Any, world: Any
+) -> tuple[list[Scene], I64, F32, F32]:
+    """The scenes, the scene of each place, positions and headings."""
+    position = _floats("position_m", position_m, (None, 2))
+    heading = _floats("heading_rad", heading_rad, (len(position),))
+    return (*_worlds(scenes, world, len(position)), position, heading)
+
+
 def _at_least(name: str, value: Any, least: int) -> int:
     try:
         number = operator.index(value)
@@ -160,18 +169,14 @@ def nearest_lines(
     UnknownNameError
         If there is no kind or scene of that name or number.
     """
-    position = _floats("position_m", position_m, (None, 2))
-    heading = _floats("heading_rad", heading_rad, (len(position),))
-    listed, numbers = _worlds(scenes, world, len(position))
+    places = _placed(scenes, position_m, heading_rad, world)
     unknown = [kind for kind in kinds if kind not in LINE_KINDS]
     if unknown:
         known = ", ".join(LINE_KINDS)
         raise UnknownNameError(f"kinds: {unknown[0]!r} is no kind of line, there are {known}")
     wanted = bytes(LINE_KINDS.index(kind) for kind in kinds)
     count = _at_least("count", count, 1)
-    ends, kind, distance, valid = _native.map_near_pieces(
-        listed, numbers, position, heading, count, wanted
-    )
+    ends, kind, distance, valid = _native.map_near_pieces(places, count, wanted)
     start, end = ends[:, :, 0], ends[:, :, 1]
     return NearLines(start_m=start, end_m=end, kind=kind, distance_m=distance, valid=valid)
 
@@ -213,7 +218,7 @@ def road_distance(scenes: Scene | Sequence[Scene], position_m: Any, *, world: An
     if world is not None:
         numbers = numbers.repeat(len(places) // max(shape[0], 1))
     heading = np.zeros(len(places), np.float32)
-    return _native.map_road_distance(listed, numbers, places, heading).reshape(shape[:-1])
+    return _native.map_road_distance((listed, numbers, places, heading)).reshape(shape[:-1])
 
 
 def lane_ahead(
@@ -255,17 +260,15 @@ def lane_ahead(
     UnknownNameError
         If there is no scene of that number.
     """
-    position = _floats("position_m", position_m, (None, 2))
-    heading = _floats("heading_rad", heading_rad, (len(position),))
-    listed, numbers = _worlds(scenes, world, len(position))
+    places = _placed(scenes, position_m, heading_rad, world)
     for name, value, most in (("spacing_m", spacing_m, 1000.0), ("reach_m", reach_m, 10.0)):
         if not isinstance(value, (int, float)) or not 0.0 < value <= most:
             raise ConfigError(f"{name} is {value!r}, expected a number above 0, at most {most:g}")
-    places, valid, lane, lateral, error = _native.map_lane_ahead(
-        listed, numbers, position, heading, _at_least("points", points, 1), spacing_m, reach_m
+    way, valid, lane, lateral, error = _native.map_lane_ahead(
+        places, _at_least("points", points, 1), spacing_m, reach_m
     )
     return LaneAhead(
-        position_m=places, valid=valid, lane=lane, lateral_m=lateral, heading_error_rad=error
+        position_m=way, valid=valid, lane=lane, lateral_m=lateral, heading_error_rad=error
     )
 
 

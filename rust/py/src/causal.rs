@@ -41,6 +41,24 @@ fn square(what: &str, shape: &[usize]) -> PyResult<usize> {
 type States<'py> = PyReadonlyArray2<'py, f32>;
 type Sizes<'py> = PyReadonlyArray1<'py, f32>;
 
+/// The recorded states [T, M] of agents with their sizes [M].
+fn history<'a>(
+    [x, y, heading, speed]: [&'a States<'_>; 4],
+    [length, width]: [&'a Sizes<'_>; 2],
+    valid: &'a [bool],
+) -> PyResult<AgentHistory<'a>> {
+    AgentHistory::new(AgentFrame {
+        x_m: x.as_slice()?,
+        y_m: y.as_slice()?,
+        heading_rad: heading.as_slice()?,
+        speed_mps: speed.as_slice()?,
+        length_m: length.as_slice()?,
+        width_m: width.as_slice()?,
+        valid,
+    })
+    .map_err(from_sim)
+}
+
 /// Times to contact [T, M, M], seconds, from states [T, M] and sizes [M].
 #[pyfunction]
 fn causal_ttc<'py>(
@@ -60,16 +78,7 @@ fn causal_ttc<'py>(
         _ => return Err(unknown("TTC method", method, "\"oriented\" or \"released\"")),
     };
     let valid = flags(&valid)?;
-    let history = AgentHistory::new(AgentFrame {
-        x_m: x.as_slice()?,
-        y_m: y.as_slice()?,
-        heading_rad: heading.as_slice()?,
-        speed_mps: speed.as_slice()?,
-        length_m: length.as_slice()?,
-        width_m: width.as_slice()?,
-        valid: &valid,
-    })
-    .map_err(from_sim)?;
+    let history = history([&x, &y, &heading, &speed], [&length, &width], &valid)?;
     let out = py.detach(|| history.ttc_s(ttc));
     let shape = [x.shape()[0], history.num_agents(), history.num_agents()];
     PyArray1::from_vec(py, out).reshape(shape)
@@ -218,15 +227,6 @@ fn causal_key_agents(
         }
     };
     let (valid, candidates) = (flags(&valid)?, flags(&candidates)?);
-    let history = AgentHistory::new(AgentFrame {
-        x_m: x.as_slice()?,
-        y_m: y.as_slice()?,
-        heading_rad: heading.as_slice()?,
-        speed_mps: speed.as_slice()?,
-        length_m: length.as_slice()?,
-        width_m: width.as_slice()?,
-        valid: &valid,
-    })
-    .map_err(from_sim)?;
+    let history = history([&x, &y, &heading, &speed], [&length, &width], &valid)?;
     py.detach(|| ranking.rank(&history, &candidates, ego_idx)).map_err(from_sim)
 }

@@ -13,6 +13,7 @@ mod render;
 mod scene;
 mod scene_map;
 mod schemas;
+mod step_arrays;
 mod traffic_batch;
 mod world;
 mod world_plans;

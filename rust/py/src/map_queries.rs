@@ -32,17 +32,17 @@ struct Places {
     poses: Vec<Pose2>,
 }
 
-type F32<'py> = PyReadonlyArray2<'py, f32>;
+/// Scenes, the number of the scene of each place [M], positions [M, 2] and headings [M].
+type AskedPlaces<'py> = (
+    Vec<PyRef<'py, PyScene>>,
+    PyReadonlyArray1<'py, i64>,
+    PyReadonlyArray2<'py, f32>,
+    PyReadonlyArray1<'py, f32>,
+);
 
 impl Places {
-    /// Poses [M] of positions [M, 2] and headings [M], each in the scene of its number [M].
-    fn new(
-        py: Python<'_>,
-        scenes: &[PyRef<'_, PyScene>],
-        world: &PyReadonlyArray1<'_, i64>,
-        position: &F32<'_>,
-        heading: &PyReadonlyArray1<'_, f32>,
-    ) -> PyResult<Self> {
+    /// The poses [M], each in its scene.
+    fn new(py: Python<'_>, (scenes, world, position, heading): &AskedPlaces<'_>) -> PyResult<Self> {
         let n = position.shape()[0];
         if position.shape() != [n, 2] || world.len() != n || heading.len() != n {
             let got = (position.shape(), heading.shape(), world.shape());
@@ -88,14 +88,11 @@ type Pieces<'py> = (
 #[pyfunction]
 fn map_near_pieces<'py>(
     py: Python<'py>,
-    scenes: Vec<PyRef<'py, PyScene>>,
-    world: PyReadonlyArray1<'py, i64>,
-    position: F32<'py>,
-    heading: PyReadonlyArray1<'py, f32>,
+    places: AskedPlaces<'py>,
     count: usize,
     kinds: Vec<u8>,
 ) -> PyResult<Pieces<'py>> {
-    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+    let places = Places::new(py, &places)?;
     let (m, wanted) = (places.poses.len(), |kind: SegmentKind| kinds.contains(&(kind as u8)));
     let (mut ends, mut kind) = (vec![0.0; m * count * 4], vec![0; m * count]);
     let (mut distance_m, mut valid) = (vec![0.0; m * count], vec![false; m * count]);
@@ -119,14 +116,8 @@ fn map_near_pieces<'py>(
 
 /// Distances [M] to the edge of the road, negative off it.
 #[pyfunction]
-fn map_road_distance<'py>(
-    py: Python<'py>,
-    scenes: Vec<PyRef<'py, PyScene>>,
-    world: PyReadonlyArray1<'py, i64>,
-    position: F32<'py>,
-    heading: PyReadonlyArray1<'py, f32>,
-) -> PyResult<Bound<'py, PyArray1<f32>>> {
-    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+fn map_road_distance<'py>(py: Python<'py>, places: AskedPlaces<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let places = Places::new(py, &places)?;
     let distances = enter(py, || {
         let of = |(scene, pose): (&PreparedScene, &Pose2)| {
             let message = || {
@@ -154,15 +145,12 @@ type Ways<'py> = (
 #[pyfunction]
 fn map_lane_ahead<'py>(
     py: Python<'py>,
-    scenes: Vec<PyRef<'py, PyScene>>,
-    world: PyReadonlyArray1<'py, i64>,
-    position: F32<'py>,
-    heading: PyReadonlyArray1<'py, f32>,
+    places: AskedPlaces<'py>,
     num_points: usize,
     spacing_m: f32,
     reach_m: f32,
 ) -> PyResult<Ways<'py>> {
-    let places = Places::new(py, &scenes, &world, &position, &heading)?;
+    let places = Places::new(py, &places)?;
     let (m, length_m) = (places.poses.len(), spacing_m * num_points as f32);
     let (mut points, mut valid) = (vec![0.0; m * num_points * 2], vec![false; m * num_points]);
     let (mut lane, mut lateral_m, mut heading_error_rad) = (vec![-1; m], vec![0.0; m], vec![0.0; m]);

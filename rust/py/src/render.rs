@@ -4,8 +4,8 @@ use crate::enter::flags;
 use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, LogView, MapLayers, RenderError, Rgb,
-    Theme, palette, render, render_log,
+    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme,
+    palette, render,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{AgentKind, Map, Scene};
@@ -86,36 +86,6 @@ pub(crate) fn centre_of(scene: &Scene, centre: CentreArg) -> PyResult<Centre> {
             .map(Centre::Agent)
             .ok_or_else(|| UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))),
     }
-}
-
-/// One step of a scene's log as an array [H, W, 3]; the body of `Scene.render`.
-///
-/// # Errors
-/// `UnknownNameError` for an agent that the scene does not have, `ConfigError` for what the renderer refuses.
-pub(crate) fn scene_image<'py>(
-    py: Python<'py>,
-    scene: &Arc<Scene>,
-    step: isize,
-    size: (i64, i64),
-    span_m: f32,
-    centre: CentreArg,
-    heading_up: bool,
-    trails: bool,
-    route: bool,
-    labels: bool,
-    theme: &str,
-) -> PyResult<Bound<'py, PyArray3<u8>>> {
-    let theme = theme_of(theme)?;
-    let centre = centre_of(scene, centre)?;
-    let (width, height) = pixels(size)?;
-    let step_idx = usize::try_from(step).map_err(|_| {
-        ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
-    })?;
-    let log_view =
-        LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels, theme };
-    let layers = layers_of(&scene.map)?;
-    let image = py.detach(|| render_log(scene, &layers, &log_view)).map_err(from_render)?;
-    to_array(py, image)
 }
 
 /// Width and height as the camera counts them.

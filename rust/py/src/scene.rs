@@ -1,13 +1,14 @@
 //! `Scene`, and the functions that load scenes.
 
 use crate::enter::flags;
-use crate::render::{CentreArg, scene_image};
+use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
     BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, Loaded, NuscenesError, Selection, decode_scene,
     encode_scene, load, scene_hash,
 };
+use ccdiff_render::{LogView, render_log};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
 use ccdiff_sim::stage::PreparedScene;
@@ -309,7 +310,15 @@ impl PyScene {
         theme: &str,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let scene = &self.scene;
-        scene_image(py, scene, step, size, span_m, centre, heading_up, trails, route, labels, theme)
+        let (theme, centre, (width, height)) = (theme_of(theme)?, centre_of(scene, centre)?, pixels(size)?);
+        let step_idx = usize::try_from(step).map_err(|_| {
+            py::ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
+        })?;
+        let log_view =
+            LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels, theme };
+        let layers = layers_of(&scene.map)?;
+        let image = py.detach(|| render_log(scene, &layers, &log_view)).map_err(from_render)?;
+        to_array(py, image)
     }
 
     /// The scene itself: it never changes.

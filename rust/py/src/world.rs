@@ -6,18 +6,16 @@ use crate::planner::PyPlanner;
 use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
+use crate::step_arrays::{Outputs, elements, typed, writable};
 use crate::world_plans;
 use crate::world_state;
-use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_bridge::errors::from_sim;
 use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
-    ArraySpec, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, StepBuffers, VecWorld, Wanted, WorldConfig,
+    ArraySpec, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, VecWorld, Wanted, WorldConfig,
 };
-use numpy::{
-    Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn,
-    PyUntypedArrayMethods,
-};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyCapsule, PyDict, PyTuple};
 use std::collections::BTreeMap;
@@ -42,92 +40,6 @@ pub(crate) struct PyVecWorld {
     /// The array of observations of the last call.
     rows: Option<Py<PyAny>>,
 }
-
-/// An array of a dtype and shape in C order.
-fn typed<'a, 'py, T: Element>(
-    what: &str,
-    array: &'a Bound<'py, PyAny>,
-    shape: &[usize],
-) -> PyResult<&'a Bound<'py, PyArrayDyn<T>>> {
-    let fail = |got: String| {
-        let dtype = numpy::dtype::<T>(array.py());
-        Err(py::ShapeError::new_err(format!(
-            "{what} is {got}, expected a C-contiguous {dtype} array of shape {shape:?}"
-        )))
-    };
-    let Ok(typed) = array.cast::<PyArrayDyn<T>>() else {
-        return match array.cast::<numpy::PyUntypedArray>() {
-            Ok(other) => fail(format!("{} {:?}", other.dtype(), other.shape())),
-            Err(_) => fail(array.get_type().name().map_or_else(|_| "no array".into(), |n| n.to_string())),
-        };
-    };
-    if typed.shape() != shape || !typed.is_c_contiguous() {
-        let layout = if typed.is_c_contiguous() { "" } else { ", not C-contiguous" };
-        return fail(format!("{} {:?}{layout}", typed.dtype(), typed.shape()));
-    }
-    Ok(typed)
-}
-
-/// An array that Rust writes, checked for dtype, shape and layout.
-fn writable<'py, T: Element>(
-    what: &str,
-    array: &Bound<'py, PyAny>,
-    shape: &[usize],
-) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
-    typed(what, array, shape)?.try_readwrite().map_err(|_| {
-        py::ShapeError::new_err(format!(
-            "{what} is read-only, or given twice, expected a writable array of its own"
-        ))
-    })
-}
-
-/// An array of a step; `None` where the configuration does not ask for it.
-fn step_array<'py, T: Element>(
-    array: &Bound<'py, PyAny>,
-    spec: &ArraySpec,
-) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
-    match (array.is_none(), spec.shape.is_empty()) {
-        (true, true) => Ok(None),
-        (false, true) => Err(py::ShapeError::new_err(format!("{} is given, expected None", spec.name))),
-        _ => writable(spec.name, array, &spec.shape).map(Some),
-    }
-}
-
-/// The elements of an array that may be absent.
-fn elements<'a, T: Element>(array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>) -> PyResult<&'a mut [T]> {
-    Ok(match array {
-        Some(array) => array.as_slice_mut()?,
-        None => &mut [],
-    })
-}
-
-macro_rules! outputs {
-    ($($name:ident: $type:ty),+) => {
-        /// The arrays of one call.
-        struct Outputs<'py> {
-            $($name: Option<PyReadwriteArrayDyn<'py, $type>>),+
-        }
-
-        impl<'py> Outputs<'py> {
-            /// Takes the arrays that a caller hands over in the order of their specifications.
-            fn check(given: &Bound<'py, PyTuple>, specs: &[ArraySpec]) -> PyResult<Self> {
-                if given.len() != specs.len() {
-                    let (got, expected) = (given.len(), specs.len());
-                    return Err(py::ShapeError::new_err(format!("{got} arrays, expected {expected}")));
-                }
-                let mut arrays = given.iter().zip(specs);
-                let mut next = || arrays.next().ok_or_else(|| py::ShapeError::new_err("an array too few"));
-                Ok(Self { $($name: { let (array, spec) = next()?; step_array(&array, spec)? }),+ })
-            }
-
-            fn buffers(&mut self) -> PyResult<StepBuffers<'_>> {
-                Ok(StepBuffers { $($name: elements(&mut self.$name)?),+ })
-            }
-        }
-    };
-}
-
-ccdiff_sim::with_step_arrays!(outputs);
 
 /// Where a world is.
 #[pyclass(frozen, get_all, name = "WorldStatus", module = "ccdiff_env._native")]

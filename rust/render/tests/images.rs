@@ -78,23 +78,6 @@ fn no_seam_shows_between_areas_that_abut_at_any_angle() {
 }
 
 #[test]
-fn heading_up_turns_the_scene_so_that_what_lies_ahead_is_above() {
-    let boxes = [
-        car(0.0, 0.0, 0.0, DrawStyle::Ego),
-        car(15.0, 0.0, 0.0, DrawStyle::Idm),
-        car(0.0, 15.0, 0.0, DrawStyle::Ccdiff),
-    ];
-    let drawing = Drawing { boxes: &boxes, ..Drawing::default() };
-    // The ego heads east: the car ahead of it (east) is above, the one to its left (north) is left.
-    let image = render(&drawing, &north_up(80.0).heading_up(0.0)).unwrap();
-    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Idm.colour(Theme::Light)));
-    assert_eq!(image.pixel(200 - 75, 150), Some(DrawStyle::Ccdiff.colour(Theme::Light)));
-    let image = render(&drawing, &north_up(80.0)).unwrap();
-    assert_eq!(image.pixel(200 + 75, 150), Some(DrawStyle::Idm.colour(Theme::Light)));
-    assert_eq!(image.pixel(200, 150 - 75), Some(DrawStyle::Ccdiff.colour(Theme::Light)));
-}
-
-#[test]
 fn a_box_is_as_long_and_wide_as_the_agent_and_lies_along_its_heading() {
     let boxes = [AgentBox { length_m: 10.0, width_m: 4.0, ..car(0.0, 0.0, 0.6, DrawStyle::Ccdiff) }];
     let camera = north_up(40.0);
@@ -150,23 +133,6 @@ fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
     }
     assert!(DrawStyle::ALL.iter().enumerate().all(|(i, d)| DrawStyle::from_number(i as u8) == Some(*d)));
     assert_eq!(DrawStyle::from_number(DrawStyle::ALL.len() as u8), None);
-}
-
-#[test]
-fn a_camera_that_cannot_be_used_is_refused_and_says_why() {
-    let ask = |camera: Camera| render(&Drawing::default(), &camera).unwrap_err();
-    let good = north_up(50.0);
-    assert!(matches!(ask(Camera { width: 0, ..good }), RenderError::Size { width: 0, .. }));
-    assert!(matches!(ask(Camera { height: 9000, ..good }), RenderError::Size { height: 9000, .. }));
-    let named = |camera: Camera, name: &str| {
-        assert!(matches!(ask(camera), RenderError::Camera { field, .. } if field == name), "{name}");
-    };
-    named(Camera { centre: Point2::new(Real::NAN, 0.0), ..good }, "centre");
-    named(Camera { centre: Point2::new(0.0, Real::INFINITY), ..good }, "centre");
-    named(good.heading_up(Real::NAN), "up_rad");
-    for scale in [0.0, -1.0, Real::NAN, Real::INFINITY] {
-        named(Camera { metres_per_pixel: scale, ..good }, "metres_per_pixel");
-    }
 }
 
 #[test]

@@ -15,47 +15,6 @@ fn config(traffic: &str) -> WorldConfig {
     }
 }
 
-#[test]
-fn the_number_of_threads_changes_no_bit() {
-    let run = |threads: usize| {
-        let mut batch = Batch::new(vec![city(12), city(30)], config("idm"), 24, threads);
-        batch.reset_all(5);
-        let mut bits = batch.bits();
-        for t in 0..90 {
-            batch.step(&actions(t, 48)).unwrap();
-            bits.extend(batch.bits());
-        }
-        bits
-    };
-    let one = run(1);
-    assert!(one == run(2) && one == run(4));
-}
-
-#[test]
-fn a_world_alone_plays_as_in_a_batch() {
-    let scenes = || vec![city(12), city(30), city(8)];
-    let mut all = Batch::new(scenes(), config("idm"), 9, 1);
-    all.reset_all(100);
-    let row = all.world.layout().size;
-    let mut alone: Vec<Batch> = (0..9)
-        .map(|i| {
-            let mut b = Batch::new(scenes(), config("idm"), 1, 1);
-            b.reset(&[Some(100 + i)], &[None]).unwrap();
-            b
-        })
-        .collect();
-    for t in 0..90 {
-        let a = actions(t, 18);
-        all.step(&a).unwrap();
-        for (i, one) in alone.iter_mut().enumerate() {
-            one.step(&a[2 * i..2 * i + 2]).unwrap();
-            assert_eq!(one.obs, all.obs[i * row..(i + 1) * row], "world {i} step {t}");
-            assert_eq!(one.reward[0].to_bits(), all.reward[i].to_bits());
-            assert_eq!(one.world.status(0).unwrap().scene_idx, all.world.status(i).unwrap().scene_idx);
-        }
-    }
-}
-
 /// Which worlds go on in a step, as if drawn.
 fn some(step: usize, envs: usize) -> Vec<bool> {
     actions(step + 1000, envs).iter().map(|x| *x > 0.0).collect()
@@ -136,48 +95,6 @@ fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
     assert!(!batch.was_reset[0]);
     batch.step(&[0.0; 2]).unwrap();
     assert!(batch.was_reset[0]);
-}
-
-#[test]
-fn a_restored_world_goes_on_bit_for_bit() {
-    let mut batch = Batch::new(vec![city(20), city(9)], config("idm"), 2, 1);
-    batch.reset_all(3);
-    for t in 0..15 {
-        batch.step(&actions(t, 4)).unwrap();
-    }
-    let saved = [batch.world.snapshot(0).unwrap(), batch.world.snapshot(1).unwrap()];
-    let go = |batch: &mut Batch| {
-        let mut bits = Vec::new();
-        for t in 15..70 {
-            batch.step(&actions(t, 4)).unwrap();
-            bits.extend(batch.bits());
-        }
-        (bits, batch.world.digest(0).unwrap(), batch.world.digest(1).unwrap())
-    };
-    let first = go(&mut batch);
-    for (i, bytes) in saved.iter().enumerate() {
-        batch.world.restore(i, bytes).unwrap();
-    }
-    assert!(first == go(&mut batch));
-}
-
-#[test]
-fn a_fork_follows_its_original_and_damaged_bytes_change_nothing() {
-    let mut batch = Batch::new(vec![city(20)], config("replay"), 2, 1);
-    batch.reset_all(3);
-    for t in 0..7 {
-        batch.step(&actions(t, 4)).unwrap();
-    }
-    let bytes = batch.world.snapshot(0).unwrap();
-    batch.world.restore(1, &bytes).unwrap();
-    assert_eq!(batch.world.digest(0).unwrap(), batch.world.digest(1).unwrap());
-    let before = batch.world.digest(1).unwrap();
-    for cut in [0, 1, 10, bytes.len() / 2, bytes.len() - 1] {
-        assert!(batch.world.restore(1, &bytes[..cut]).is_err(), "{cut} bytes");
-        assert_eq!(batch.world.digest(1).unwrap(), before);
-    }
-    let mut other = Batch::new(vec![city(20)], config("idm"), 1, 1);
-    assert!(other.world.restore(0, &bytes).is_err(), "another configuration");
 }
 
 #[test]

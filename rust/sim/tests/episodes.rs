@@ -78,47 +78,6 @@ fn swerving_off_the_road_ends_ignores_stops_or_removes_as_configured() {
 }
 
 #[test]
-fn autoreset_modes_differ_as_gymnasium_says() {
-    let short = WorldConfig { horizon_steps: 3, ..base() };
-    let run = |autoreset| {
-        let mut batch = Batch::new(vec![city(4)], WorldConfig { autoreset, ..short.clone() }, 1, 1);
-        batch.reset_all(9);
-        let mut seen = Vec::new();
-        for t in 0..8 {
-            if batch.step(&actions(t, 2)).is_err() {
-                batch.reset_masked(&[true]).unwrap();
-            }
-            seen.push((batch.done[0], batch.was_reset[0], batch.reward[0] == 0.0));
-        }
-        seen
-    };
-    let done: Vec<bool> = run(Autoreset::NextStep).iter().map(|s| s.0).collect();
-    assert_eq!(done, [false, false, true, false, false, false, true, false]);
-    let next = run(Autoreset::NextStep);
-    assert!(next[3].1 && next[3].2, "the step after the end resets and pays nothing");
-    let same = run(Autoreset::SameStep);
-    assert!(same[2].0 && same[2].1 && !same[3].1);
-    let disabled = run(Autoreset::Disabled);
-    assert!(disabled[2].0 && !disabled[2].1 && disabled[3].1);
-}
-
-#[test]
-fn same_step_keeps_the_last_observation() {
-    let config = |autoreset| WorldConfig { horizon_steps: 3, autoreset, ..WorldConfig::default() };
-    let mut same = Batch::new(vec![city(4)], config(Autoreset::SameStep), 1, 1);
-    let mut disabled = Batch::new(vec![city(4)], config(Autoreset::Disabled), 1, 1);
-    same.reset_all(9);
-    disabled.reset_all(9);
-    let first = same.obs.clone();
-    for t in 0..3 {
-        same.step(&actions(t, 2)).unwrap();
-        disabled.step(&actions(t, 2)).unwrap();
-    }
-    assert_eq!(same.final_obs, disabled.obs);
-    assert_eq!(same.obs, first, "the only scene begins anew");
-}
-
-#[test]
 fn every_agent_of_a_game_ends_for_itself() {
     let config = WorldConfig { controlled: Controlled::Vehicles, num_slots: 6, horizon_steps: 60, ..base() };
     let mut batch = Batch::new(vec![city(4)], config, 1, 1);
@@ -250,51 +209,6 @@ fn late_agents_enter_when_their_place_is_free() {
         batch.step(&[1.0, 0.0]).unwrap();
     }
     assert!(batch.world.status(0).unwrap().states.active[1], "its place is free");
-}
-
-#[test]
-fn bad_calls_are_refused_before_anything_changes() {
-    let mut batch = Batch::new(vec![city(4)], base(), 2, 1);
-    assert!(matches!(batch.step(&[0.0; 4]), Err(SimError::ResetNeeded { world: 0, .. })));
-    batch.reset_all(0);
-    let before = batch.world.digest(0).unwrap();
-    assert!(matches!(batch.step(&[0.0; 3]), Err(SimError::Length { what: "actions", .. })));
-    assert!(matches!(
-        batch.step(&[0.0, 0.0, f32::NAN, 0.0]),
-        Err(SimError::Action { world: 1, slot: 0, .. })
-    ));
-    assert!(matches!(
-        batch.reset(&[None, None], &[Some(9), None]),
-        Err(SimError::Unknown { what: "scene", .. })
-    ));
-    assert_eq!(batch.world.digest(0).unwrap(), before);
-}
-
-#[test]
-fn expert_actions_keep_the_ego_on_its_log() {
-    let mut batch = Batch::new(vec![city(6)], WorldConfig { terminate_at_goal: false, ..base() }, 1, 1);
-    batch.reset_all(0);
-    for _ in 0..80 {
-        let expert = batch.world.expert_actions(0).unwrap()[0];
-        batch.step(&expert[..2]).unwrap();
-        assert!(batch.columns[Col::LogDistance as usize] < 0.05);
-    }
-}
-
-#[test]
-fn reward_is_the_sum_of_its_components() {
-    let mut batch =
-        Batch::new(vec![city(12)], WorldConfig { autoreset: Autoreset::SameStep, ..base() }, 4, 1);
-    batch.reset_all(1);
-    let parts = COLUMNS.iter().filter(|c| c.name.starts_with("reward_")).count();
-    for t in 0..200 {
-        batch.step(&actions(t, 8)).unwrap();
-        for i in 0..4 {
-            let row = &batch.columns[i * NUM_COLUMNS..(i + 1) * NUM_COLUMNS];
-            let sum: f32 = row[..parts].iter().sum();
-            assert!((sum - batch.reward[i]).abs() < 1e-5);
-        }
-    }
 }
 
 #[test]

@@ -33,30 +33,6 @@ fn entries_follow_one_another_without_gaps() {
 }
 
 #[test]
-fn every_number_lies_within_the_bounds_of_its_column() {
-    let mut batch = Batch::new(vec![city(40), city(3)], config(), 8, 1);
-    batch.reset_all(1);
-    let layout = batch.world.layout().clone();
-    for t in 0..150 {
-        batch.step(&actions(t, 16)).unwrap();
-        for row in batch.obs.chunks_exact(layout.size) {
-            for entry in &layout.entries {
-                let values = &row[entry.offset..entry.offset + entry.shape.iter().product::<usize>()];
-                for (i, v) in values.iter().enumerate() {
-                    match entry.kind {
-                        EntryKind::Mask => assert!(*v == 0.0 || *v == 1.0),
-                        EntryKind::Values => {
-                            let c = &entry.columns[i % entry.columns.len()];
-                            assert!(*v >= c.low && *v <= c.high, "{} {} = {v}", entry.name, c.name);
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
-
-#[test]
 fn nearest_agents_agree_with_a_slow_search() {
     let observation = ObservationConfig { num_neighbors: 5, ..ObservationConfig::default() };
     let mut batch = Batch::new(vec![city(30)], WorldConfig { observation, ..config() }, 1, 1);

@@ -105,24 +105,6 @@ fn rasters_do_not_depend_on_threads_and_change_nothing_else() {
 }
 
 #[test]
-fn the_last_raster_of_an_episode_is_kept_where_the_next_one_begins() {
-    let mut batch = Batch::new(vec![city(20)], WorldConfig { horizon_steps: 3, ..config() }, 1, 1);
-    batch.reset_all(1);
-    let first = batch.bev.clone();
-    for _ in 0..3 {
-        batch.step(&[0.5, 0.0]).unwrap();
-    }
-    assert!(batch.was_reset[0]);
-    assert_eq!(batch.bev, first, "the same scene begins anew");
-    assert_ne!(batch.final_bev, first);
-    assert!(batch.final_bev.iter().any(|b| *b > 0));
-    let (mut obs, mut bev) = (vec![0.0; batch.obs.len()], vec![1; batch.bev.len()]);
-    batch.world.observe(0, &mut obs, &mut bev).unwrap();
-    assert_eq!(bev, batch.bev);
-    assert!(batch.world.observe(0, &mut obs, &mut []).is_err());
-}
-
-#[test]
 fn sizes_out_of_range_are_refused() {
     for bev in [
         BevConfig { size_px: 4, ..BEV },

@@ -1,6 +1,7 @@
 //! The arithmetic of layers. A number is one chain of sums over its inputs in their order, never fused with products, so it has
 //! the same bits whatever the batch, the threads and the instructions are.
 
+mod attention;
 mod groups;
 mod product;
 mod rows;
@@ -8,11 +9,12 @@ mod shape;
 mod simd;
 mod tile;
 
+pub(crate) use attention::{Seen, mix};
 pub(crate) use groups::groups_mish;
 pub use product::Packed;
 pub(crate) use product::{Strided, convolve, filter, linear, matmul};
 pub(crate) use rows::{
-    Seen, add, add_cycle, add_norm, gate, mix, most, norm, pixels, pixels_under, softmax_columns, transpose,
+    add, add_cycle, add_norm, gate, most, norm, pixels, pixels_under, softmax_columns, transpose,
 };
 pub(crate) use shape::PANEL;
 pub use simd::{Checked, Level, with_level};

@@ -75,12 +75,6 @@ impl CausalGraph {
         Ok(Self { num_agents, is_edge })
     }
 
-    /// The graph that joins every agent with itself alone: the counterfactual of the unconditional branch.
-    pub fn identity(num_agents: usize) -> Self {
-        let is_edge = (0..num_agents * num_agents).map(|k| k / num_agents == k % num_agents).collect();
-        Self { num_agents, is_edge }
-    }
-
     /// Number of agents M.
     pub fn num_agents(&self) -> usize {
         self.num_agents
@@ -118,25 +112,6 @@ impl CausalGraph {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn both_thresholds_must_hold_and_self_loops_always_do() {
-        let ttc_s = [20.0, 3.0, 2.0, 3.1, 20.0, 1.0, 2.0, 1.0, 20.0];
-        let distance_m = [0.0, 50.0, 51.0, 10.0, 0.0, 50.0, 51.0, 50.0, 0.0];
-        let graph = CausalGraph::from_measures(3, &ttc_s, &distance_m, GraphThresholds::default()).unwrap();
-        assert_eq!(graph.as_slice(), [true, true, false, false, true, true, false, true, true]);
-        assert!((graph.sparsity() - 0.5).abs() < 1e-6);
-        let both = graph.symmetrised();
-        assert!(both.contains(1, 0) && !both.contains(0, 2) && !both.contains(0, 3));
-        assert!((both.sparsity() - 1.0 / 3.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn identity_joins_nobody_else() {
-        let graph = CausalGraph::identity(4);
-        assert_eq!(graph.sparsity(), 1.0);
-        assert!(graph.contains(2, 2) && !graph.contains(2, 1));
-    }
 
     #[test]
     fn wrong_shapes_and_thresholds_are_refused() {

@@ -154,29 +154,13 @@ impl AgentFrame<'_> {
     /// # Errors
     /// [`SimError::Length`] where `out` does not hold M * M entries.
     pub fn distance_m(&self, out: &mut [Real]) -> Result<()> {
-        self.fill_pairs(out, |i, j| math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]))
-    }
-
-    /// Writes the distances less half the mean of length and width of either agent, metres, into `out` [M, M];
-    /// infinite where an agent is absent. Negative where the agents overlap. (The `rel_d_lw` of reference.md#pairwise-features
-    /// before it is normalised.)
-    ///
-    /// # Errors
-    /// [`SimError::Length`] where `out` does not hold M * M entries.
-    pub fn clearance_m(&self, out: &mut [Real]) -> Result<()> {
-        let reach_m = |i: usize| 0.25 * (self.length_m[i] + self.width_m[i]);
-        self.fill_pairs(out, |i, j| {
-            math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]) - reach_m(i) - reach_m(j)
-        })
-    }
-
-    fn fill_pairs(&self, out: &mut [Real], measure: impl Fn(usize, usize) -> Real) -> Result<()> {
         let num_agents = self.num_agents();
         check("pair matrix", out.len(), num_agents * num_agents)?;
         for i in 0..num_agents {
             for j in 0..num_agents {
                 let both = self.valid[i] && self.valid[j];
-                out[i * num_agents + j] = if both { measure(i, j) } else { Real::INFINITY };
+                let apart_m = || math::hypot(self.x_m[i] - self.x_m[j], self.y_m[i] - self.y_m[j]);
+                out[i * num_agents + j] = if both { apart_m() } else { Real::INFINITY };
             }
         }
         Ok(())
@@ -284,70 +268,11 @@ impl<'a> AgentHistory<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
-    use std::f32::consts::{FRAC_PI_2, PI};
 
     /// A frame of (x, y, heading, speed), length and width, everybody there.
     fn frame<'a>(state: [&'a [f32]; 4], size: [&'a [f32]; 2]) -> AgentFrame<'a> {
         let ([x_m, y_m, heading_rad, speed_mps], [length_m, width_m]) = (state, size);
         AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &[true; 3][..x_m.len()] }
-    }
-
-    fn pair(ttc: Ttc, other: (f32, f32, f32), speeds: [f32; 2]) -> [f32; 2] {
-        let (x, y, heading) = ([0.0, other.0], [0.0, other.1], [0.0, other.2]);
-        let frame = frame([&x, &y, &heading, &speeds], [&[4.5; 2], &[2.0; 2]]).checked().unwrap();
-        let mut out = [0.0; 4];
-        frame.ttc_s(ttc, &heading, &mut out).unwrap();
-        assert_eq!((out[0], out[3]), (0.0, 0.0));
-        [out[1], out[2]]
-    }
-
-    #[test]
-    fn released_ttc_gives_the_test_vectors() {
-        let cases = [
-            ((30.0, 0.0, PI), [10.0, 5.0], 1.7),
-            ((20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
-            ((-20.0, 0.0, 0.0), [5.0, 10.0], 20.0),
-            ((-20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
-            ((20.0, 3.5, 0.0), [10.0, 5.0], 20.0),
-            ((20.0, 20.0, -FRAC_PI_2), [10.0, 10.0], 1.8),
-        ];
-        for (pose, speeds, expected) in cases {
-            let got = pair(Ttc::Released, pose, speeds)[0];
-            assert!((got - expected).abs() < 1e-5, "{pose:?} {speeds:?}: {got}, expected {expected}");
-        }
-    }
-
-    #[test]
-    fn oriented_ttc_is_right_where_the_released_one_is_not() {
-        let cases = [
-            ((30.0, 0.0, PI), [10.0, 5.0], 1.7),
-            ((20.0, 0.0, 0.0), [10.0, 5.0], 3.1),
-            ((-20.0, 0.0, 0.0), [5.0, 10.0], 3.1),
-            ((-20.0, 0.0, 0.0), [10.0, 5.0], 20.0),
-            ((20.0, 3.5, 0.0), [10.0, 5.0], 20.0),
-            // gap on either axis: 20 - 4.5 / 2 - 2 / 2 = 16.75 m
-            ((20.0, 20.0, -FRAC_PI_2), [10.0, 10.0], 1.675),
-        ];
-        for (pose, speeds, expected) in cases {
-            let [ij, ji] = pair(Ttc::Oriented, pose, speeds);
-            assert!((ij - expected).abs() < 1e-4, "{pose:?} {speeds:?}: {ij}, expected {expected}");
-            assert_eq!(ij, ji);
-        }
-    }
-
-    #[test]
-    fn absent_agents_have_no_contact_and_no_distance() {
-        let zeros = [0.0; 2];
-        let frame = frame([&[0.0, 1.0], &zeros, &zeros, &zeros], [&[4.5; 2], &[2.0; 2]]);
-        let frame = AgentFrame { valid: &[true, false], ..frame };
-        let mut out = [0.0; 4];
-        for ttc in [Ttc::Oriented, Ttc::Released] {
-            frame.ttc_s(ttc, &[0.0; 2], &mut out).unwrap();
-            assert_eq!(out, [0.0, 20.0, 20.0, 20.0]);
-        }
-        frame.distance_m(&mut out).unwrap();
-        assert_eq!(out.map(f32::is_infinite), [false, true, true, true]);
     }
 
     #[test]
@@ -356,33 +281,7 @@ mod tests {
         let mut out = [0.0; 4];
         frame.distance_m(&mut out).unwrap();
         assert!((normalised_distance(out[1]) - 0.5).abs() < 1e-6);
-        frame.clearance_m(&mut out).unwrap();
-        assert!((out[1] - (10.0 - 1.5 - 2.0)).abs() < 1e-5);
         assert_eq!(normalised_distance(out[0]), 1.0);
         assert_eq!((normalised_ttc(20.0), normalised_ttc(0.0), normalised_ttc(3.0)), (0.0, 1.0, 0.85));
-    }
-
-    #[test]
-    fn arrays_of_unequal_length_are_refused() {
-        let error = frame([&[0.0], &[], &[0.0], &[0.0]], [&[1.0], &[1.0]]).checked().unwrap_err();
-        assert!(matches!(error, SimError::Length { got: 0, expected: 1, .. }));
-        assert!(AgentHistory::new(frame([&[0.0; 3]; 4], [&[1.0; 2]; 2])).is_err());
-    }
-
-    proptest! {
-        #[test]
-        fn oriented_ttc_does_not_change_with_the_frame(
-            x in -40f32..40., y in -40f32..40., h in -3.2f32..3.2, turn in -3.2f32..3.2, v in 0f32..15., w in 0f32..15.,
-        ) {
-            let (s, c) = turn.sin_cos();
-            let one = pair(Ttc::Oriented, (x, y, h), [v, w])[0];
-            let (xs, ys) = ([5.0, 5.0 + c * x - s * y], [-7.0, -7.0 + s * x + c * y]);
-            let (hs, vs) = ([turn, h + turn], [v, w]);
-            let frame = frame([&xs, &ys, &hs, &vs], [&[4.5; 2], &[2.0; 2]]);
-            let mut out = [0.0; 4];
-            frame.ttc_s(Ttc::Oriented, &hs, &mut out).unwrap();
-            // a graze may be a contact in one frame and a miss in the other
-            prop_assert!((out[1] - one).abs() < 1e-2 || one == TTC_CAP_S || out[1] == TTC_CAP_S);
-        }
     }
 }

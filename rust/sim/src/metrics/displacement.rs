@@ -12,22 +12,6 @@ pub struct Displacement {
     pub fde_m: Vec<Option<f64>>,
 }
 
-impl Displacement {
-    /// Means of (ADE, FDE) over the agents of a mask [A] (all, where it is shorter); `None` where none has an error.
-    pub fn mean_m(&self, counted: &[bool]) -> Option<(f64, f64)> {
-        let mean = |errors: &[Option<f64>]| {
-            let kept: Vec<f64> = errors
-                .iter()
-                .enumerate()
-                .filter(|&(agent, _)| counted.get(agent).copied().unwrap_or(true))
-                .filter_map(|(_, error)| *error)
-                .collect();
-            if kept.is_empty() { None } else { Some(kept.iter().sum::<f64>() / kept.len() as f64) }
-        };
-        Some((mean(&self.ade_m)?, mean(&self.fde_m)?))
-    }
-}
-
 /// Compares a rollout with the log of the same agents and steps.
 ///
 /// # Errors
@@ -48,28 +32,4 @@ pub fn displacement(motion: &Trajectories<'_>, log: &Trajectories<'_>) -> Result
         result.fde_m.push(errors.last().copied());
     }
     Ok(result)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::motion::Recorded;
-    use super::*;
-
-    #[test]
-    fn final_error_is_that_of_the_last_common_step() {
-        let log: Vec<_> = (0..4).map(|t| Some((t as f32, 0.0, 0.0))).collect();
-        let mut gone = log.clone();
-        gone[3] = None;
-        let shifted = gone.iter().map(|s| s.map(|(x, y, h)| (x, y + x, h))).collect();
-        let (a, b) = (
-            Recorded::new(&[log.clone(), gone, vec![None; 4]]),
-            Recorded::new(&[log, shifted, vec![None; 4]]),
-        );
-        let result = displacement(&b.motion(0.1), &a.motion(0.1)).unwrap();
-        assert_eq!(result.ade_m, [Some(0.0), Some(1.0), None]);
-        assert_eq!(result.fde_m, [Some(0.0), Some(2.0), None]);
-        assert_eq!(result.mean_m(&[]), Some((0.5, 1.0)));
-        assert_eq!(result.mean_m(&[false, true, true]), Some((1.0, 2.0)));
-        assert_eq!(result.mean_m(&[false, false, true]), None);
-    }
 }

@@ -142,28 +142,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn total_variation_is_that_of_the_normal_distribution() {
-        assert_eq!(total_variation(&[1.0, 2.0], &[1.0, 2.0], &[0.5, 0.5]).unwrap(), 0.0);
-        // 2 Phi(1) - 1 for means two standard deviations apart
-        let two = total_variation(&[0.0, 0.0], &[0.6, 0.8], &[0.5, 0.5]).unwrap();
-        assert!((two - 0.682_689_492_137).abs() < 1e-6);
-        assert!(total_variation(&[0.0], &[0.0], &[0.0]).is_err());
-        assert!(total_variation(&[0.0], &[0.0, 1.0], &[1.0]).is_err());
-    }
-
-    #[test]
-    fn only_negative_inner_products_are_conflicts() {
-        let realism = [1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0];
-        let guidance = [1.0, 1.0, -1.0, 1.0, 3.0, 0.0, 0.0, 5.0];
-        let found = gradient_conflict(4, &realism, &guidance).unwrap();
-        assert_eq!(found.conflict_share, 0.25);
-        assert!((found.mean_negative_cosine - 0.5f64.sqrt()).abs() < 1e-12);
-        assert_eq!(found.cosine[2], 0.0);
-        assert!(gradient_conflict(3, &realism, &guidance).is_err());
-        assert_eq!(gradient_conflict(0, &[], &[]).unwrap().conflict_share, 0.0);
-    }
-
-    #[test]
     fn p_values_are_those_of_students_t() {
         // with one degree of freedom t is Cauchy's: p = 1 - 2 atan(t) / pi, t = r / sqrt(1 - r^2)
         let (r, p) = pearson(&[1.0, 2.0, 3.0], &[1.0, 3.0, 2.0]).unwrap();

@@ -321,48 +321,6 @@ impl Classes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
-
-    /// All cliques in networkx's order, sorted as Python's stable sort would.
-    fn brute_force(graph: &WeightedGraph, min_size: usize, count: usize) -> Vec<Vec<usize>> {
-        let n = graph.num_nodes();
-        let mut all: Vec<Clique> = (1u32..1 << n)
-            .map(|bits| (0..n as u32).filter(|k| bits >> k & 1 == 1).collect::<Vec<_>>())
-            .filter(|m| m.len() >= min_size)
-            .filter_map(|members| {
-                let mut weight = 0;
-                for (k, &a) in members.iter().enumerate() {
-                    for &b in &members[..k] {
-                        if graph.weight(a, b) == 0 {
-                            return None;
-                        }
-                        weight += graph.weight(a, b);
-                    }
-                }
-                Some(Clique { members, weight })
-            })
-            .collect();
-        all.sort_by(|a, b| a.members.len().cmp(&b.members.len()).then(a.members.cmp(&b.members)));
-        all.sort_by_key(|c| std::cmp::Reverse(c.weight));
-        all.truncate(count);
-        all.iter().map(|c| c.members.iter().map(|&p| graph.agents[p as usize]).collect()).collect()
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(400))]
-        #[test]
-        fn finds_what_listing_all_cliques_finds(
-            n in 1usize..10, levels in 1u32..9, min_size in 1usize..5, count in 1usize..6,
-            raw in proptest::collection::vec(0u32..12, 81), threshold in prop_oneof![Just(0.0), Just(0.4)],
-        ) {
-            // few levels: many ties
-            let measure = |i: usize, j: usize| f64::from(raw[i * 9 + j].saturating_sub(3).min(levels)) / 9.0;
-            let graph = WeightedGraph::from_measure(n, threshold, measure);
-            let found = graph.heaviest_cliques(min_size, count, 1_000_000);
-            prop_assert!(found.exact);
-            prop_assert_eq!(found.cliques, brute_force(&graph, min_size, count));
-        }
-    }
 
     #[test]
     fn complete_graph_gives_itself_and_its_heaviest_parts() {
@@ -382,13 +340,5 @@ mod tests {
         assert!(found.exact);
         let first = |last: usize| (0..19).map(|k| 3 * k).chain([last]).collect::<Vec<_>>();
         assert_eq!(found.cliques, [first(57), first(58), first(59)]);
-    }
-
-    #[test]
-    fn a_search_that_is_cut_short_says_so() {
-        let graph = WeightedGraph::from_measure(30, 0.0, |i, j| if (i + j) % 5 == 0 { 0.0 } else { 0.5 });
-        let found = graph.heaviest_cliques(2, 3, 3);
-        assert!(!found.exact);
-        assert_eq!(found.cliques.len(), 3);
     }
 }

@@ -77,34 +77,6 @@ pub fn greedy_order(num_agents: usize, weights: &[f64], order: GreedyOrder) -> R
 mod tests {
     use super::*;
 
-    fn matrix(num_agents: usize, edges: &[(usize, usize, f64)]) -> Vec<f64> {
-        let mut w = vec![0.0; num_agents * num_agents];
-        edges.iter().for_each(|&(i, j, v)| w[i * num_agents + j] = v);
-        w
-    }
-
-    #[test]
-    fn larger_cliques_come_first_then_heavier_ones() {
-        // triangle 1-2-3, heavy pair 0-4, agent 5 alone
-        let w = matrix(6, &[(1, 2, 0.1), (2, 3, 0.1), (3, 1, 0.1), (0, 4, 0.9)]);
-        assert_eq!(greedy_order(6, &w, GreedyOrder::SizeThenWeight).unwrap(), [1, 2, 3, 0, 4]);
-    }
-
-    #[test]
-    fn a_shared_member_occurs_most_often() {
-        let star = matrix(4, &[(2, 0, 0.3), (2, 1, 0.2), (2, 3, 0.1)]);
-        assert_eq!(greedy_order(4, &star, GreedyOrder::Occurrences).unwrap()[0], 2);
-    }
-
-    #[test]
-    fn direction_does_not_matter() {
-        let there = matrix(3, &[(0, 1, 0.5), (1, 2, 0.4)]);
-        let back = matrix(3, &[(1, 0, 0.5), (2, 1, 0.4)]);
-        for order in [GreedyOrder::SizeThenWeight, GreedyOrder::Occurrences] {
-            assert_eq!(greedy_order(3, &there, order).unwrap(), greedy_order(3, &back, order).unwrap());
-        }
-    }
-
     #[test]
     fn bad_weights_are_refused() {
         assert!(greedy_order(2, &[0.0; 3], GreedyOrder::Occurrences).is_err());
