@@ -9,8 +9,9 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import NETWORKS
 
-#: Traffic of training: what reacts, and all; ``bank`` is what ``--bank`` recorded.
-LIVE = ("idm", *NETWORKS)
+#: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``bank`` what
+#: ``--bank`` recorded.
+LIVE = ("idm", "styles", *NETWORKS)
 TRAFFIC = ("replay", *LIVE, "bank")
 
 
@@ -31,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"traffic of training, of: {', '.join(TRAFFIC)}",
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument(
+        "--ego",
+        default="ego",
+        choices=("ego", "any"),
+        help="the ego of the data, or vehicles and starts drawn anew (never in banks)",
+    )
     parser.add_argument(
         "--forks",
         type=float,
