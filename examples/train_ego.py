@@ -31,7 +31,7 @@ from ccdiff_env.system.table import Column, Table
 
 LIVE = ("styles", "styles", "ccdiff", "tokens")
 RECIPE = [
-    *("--ego", "any", "--traffic", *LIVE, "replay", "replay"),
+    *("--any-ego", "--traffic", *LIVE, "replay", "replay"),
     *("--forks", "0.3", "--anchor", "ego", "--kl", "0.05"),
 ]
 OTHERS = ["ego", "idm", "lane_idm"]

@@ -115,8 +115,8 @@ def test_vehicles_and_starts_are_drawn_except_in_banks(tmp_path):
     parser, found = argparse.ArgumentParser(), {}
     train_ego.add_arguments(parser)
     config = ccdiff_env.WorldConfig().with_options(start_spread_steps=50)
-    for drawn in ("ego", "any"):
-        worlds = Worlds(parser.parse_args([*words, "--ego", drawn]), config, seed=0)
+    for drawn in ("--any-ego", ""):
+        worlds = Worlds(parser.parse_args([*words, *drawn.split()]), config, seed=0)
         for name, env in zip(("replay", "styles", "bank"), worlds.envs, strict=True):
             native = env.worlds.native
             status = [native.status(i) for i in range(16)]
@@ -125,7 +125,7 @@ def test_vehicles_and_starts_are_drawn_except_in_banks(tmp_path):
             ]
             found[name] = {driver for i in range(16) for driver in native.drivers(i)}
     others = {key for key, ids in found.items() if isinstance(key, tuple) and set(ids) != {"ego"}}
-    assert others == {("any", "replay"), ("any", "styles")}
+    assert others == {("--any-ego", "replay"), ("--any-ego", "styles")}
     assert found["styles"] >= {"calm", "idm", "hasty"}
     assert "idm" not in found["replay"] | found["bank"]
 

@@ -70,7 +70,7 @@ class Worlds:
         scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
-        drawn = {"ego": "any", "start_spread_steps": 0} if args.ego == "any" else {}
+        drawn = {"ego": "any", "start_spread_steps": 0} if args.any_ego else {}
         # plans of one denoising step: two to three times as fast
         critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
         driven: dict[str, dict[str, Any]] = {

@@ -33,10 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
     parser.add_argument(
-        "--ego",
-        default="ego",
-        choices=("ego", "any"),
-        help="the ego of the data, or vehicles and starts drawn anew (never in banks)",
+        "--any-ego",
+        action="store_true",
+        help="draw vehicle and start of every episode, but in banks",
     )
     parser.add_argument(
         "--forks",
