@@ -104,7 +104,7 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     assert "ego.safetensors" in capsys.readouterr().out
 
 
-def test_vehicles_and_starts_are_drawn_except_in_banks(tmp_path):
+def test_vehicles_starts_and_differences_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
     pytest.importorskip("torch")
     import ccdiff_env
     from ccdiff_env.envs import train_ego
@@ -115,7 +115,7 @@ def test_vehicles_and_starts_are_drawn_except_in_banks(tmp_path):
     parser, found = argparse.ArgumentParser(), {}
     train_ego.add_arguments(parser)
     config = ccdiff_env.WorldConfig().with_options(start_spread_steps=50)
-    for drawn in ("--any-ego", ""):
+    for drawn in ("--any-ego", "--differences 0.1"):
         worlds = Worlds(parser.parse_args([*words, *drawn.split()]), config, seed=0)
         for name, env in zip(("replay", "styles", "bank"), worlds.envs, strict=True):
             native = env.worlds.native
@@ -124,6 +124,11 @@ def test_vehicles_and_starts_are_drawn_except_in_banks(tmp_path):
                 env.worlds.scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status
             ]
             found[name] = {driver for i in range(16) for driver in native.drivers(i)}
+            differ = [native.drawn(i)[0] for i in range(16)]
+            for gain in ("acceleration_gain", "yaw_gain", "size"):
+                off = [abs(one[gain] - 1.0) for one in differ]
+                assert (0.05 < max(off) <= 0.1) if drawn != "--any-ego" else not any(off)
+            assert {one["delay_steps"] for one in differ} <= {0, 1, 2}
     others = {key for key, ids in found.items() if isinstance(key, tuple) and set(ids) != {"ego"}}
     assert others == {("--any-ego", "replay"), ("--any-ego", "styles")}
     assert found["styles"] >= {"calm", "idm", "hasty"}

@@ -71,6 +71,9 @@ class Worlds:
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "start_spread_steps": 0} if args.any_ego else {}
+        if args.differences:
+            gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
+            config = config.with_options(randomization={**gains, "delay_steps": 2})
         # plans of one denoising step: two to three times as fast
         critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
         driven: dict[str, dict[str, Any]] = {

@@ -38,6 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw vehicle and start of every episode, but in banks",
     )
     parser.add_argument(
+        "--differences",
+        type=float,
+        default=0.0,
+        help="hidden gains and sizes of 1 ± up to this, and delays of up to two steps",
+    )
+    parser.add_argument(
         "--forks",
         type=float,
         default=0.0,
