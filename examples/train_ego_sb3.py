@@ -10,21 +10,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import numpy as np
 from stable_baselines3 import PPO
 
 import ccdiff_env
+from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 
-FIGURES = (
-    "is_success",
-    "collision",
-    "at_fault",
-    "off_road",
-    "route_completion",
-    "mean_log_distance",
-)
+FIGURES = ("score", "success", "collision", "no_at_fault_collision", "on_road", "progress")
 
 
 def arguments() -> argparse.Namespace:
@@ -41,36 +35,20 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def rules(args: argparse.Namespace) -> dict:
-    options = {"traffic": args.traffic}
-    if args.traffic == "ccdiff":
-        options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 1}
-    return options
-
-
-def evaluate(model: PPO, scenes, options: dict) -> dict[str, float]:
-    """Mean figures over one episode per scene."""
-    env = ccdiff_env.EgoEnv(scenes=scenes, info="end", **options)
-    rows = []
-    for scene in scenes:
-        obs, _ = env.reset(seed=0, options={"scene": scene.name})
-        done = False
-        while not done:
-            action, _ = model.predict(obs, deterministic=True)
-            obs, _, terminated, truncated, info = env.step(action)
-            done = terminated or truncated
-        rows.append([info["metrics"][name] for name in FIGURES])
-    return dict(zip(FIGURES, np.mean(rows, axis=0), strict=True))
-
-
 def main() -> None:
     args = arguments()
     train, held_out = scenes_from(args), scenes_from(args, other=True)
     if args.smoke:
         args.steps, args.worlds, held_out = 256, 4, held_out[:1]
-    options = rules(args)
+    critical = args.traffic == "ccdiff"
+    options = {"criticality": args.criticality, "denoising_steps": 1} if critical else {}
     native = ccdiff_env.make_vec(
-        args.worlds, scenes=train, autoreset_mode="same_step", info="end", **options
+        args.worlds,
+        scenes=train,
+        autoreset_mode="same_step",
+        info="end",
+        traffic=args.traffic,
+        ccdiff=options,
     )
     model = PPO(
         "MlpPolicy",
@@ -86,8 +64,9 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     model.save(args.out / "ego.zip")
     print(f"{len(held_out)} held-out scenes, {args.traffic} traffic:")
-    for name, value in evaluate(model, held_out, options).items():
-        print(f"  {name:18s} {value:.3f}")
+    rows = play(held_out, str(args.out / "ego.zip"), Traffic("", args.traffic, options))
+    for name in FIGURES:
+        print(f"  {name:22s} {mean_interval(rows, name)[0]:.3f}")
     print(f"policy in {args.out / 'ego.zip'}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 
 import numpy as np
@@ -101,6 +102,37 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     assert cli.main(["train-ego", "--smoke", "--out", str(out), "--threads", "1"]) == 0
     assert (out / "ego.safetensors").is_file()
     assert "ego.safetensors" in capsys.readouterr().out
+
+
+def test_vehicles_starts_and_differences_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
+    pytest.importorskip("torch")
+    import ccdiff_env
+    from ccdiff_env.envs import train_ego
+    from ccdiff_env.envs.ppo import Worlds
+
+    ccdiff_env.record_bank(ccdiff_env.embedded_scenes("val")[:2], tmp_path, ego="replay")
+    words = ["--worlds", "48", "--traffic", "replay", "styles", "bank", "--bank", str(tmp_path)]
+    parser, found = argparse.ArgumentParser(), {}
+    train_ego.add_arguments(parser)
+    config = ccdiff_env.WorldConfig().with_options(start_spread_steps=50)
+    for drawn in ("--any-ego", "--differences 0.1"):
+        worlds = Worlds(parser.parse_args([*words, *drawn.split()]), config, seed=0)
+        for name, env in zip(("replay", "styles", "bank"), worlds.envs, strict=True):
+            native = env.worlds.native
+            status = [native.status(i) for i in range(16)]
+            found[drawn, name] = [
+                env.worlds.scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status
+            ]
+            found[name] = {driver for i in range(16) for driver in native.drivers(i)}
+            differ = [native.drawn(i)[0] for i in range(16)]
+            for gain in ("acceleration_gain", "yaw_gain", "size"):
+                off = [abs(one[gain] - 1.0) for one in differ]
+                assert (0.05 < max(off) <= 0.1) if drawn != "--any-ego" else not any(off)
+            assert {one["delay_steps"] for one in differ} <= {0, 1, 2}
+    others = {key for key, ids in found.items() if isinstance(key, tuple) and set(ids) != {"ego"}}
+    assert others == {("--any-ego", "replay"), ("--any-ego", "styles")}
+    assert found["styles"] >= {"calm", "idm", "hasty"}
+    assert "idm" not in found["replay"] | found["bank"]
 
 
 def test_training_begins_with_a_policy_and_stays_near_an_anchor():

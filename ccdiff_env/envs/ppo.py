@@ -52,6 +52,14 @@ AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
 #: prices; a place beside the route costs its square.
 ASSISTED = {"assisted": {"delta_mps2": (-6.0, 6.0)}}
 PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
+#: Traffic in which every vehicle is calm, as usual, or hasty.
+STYLES: dict[str, Any] = {
+    "traffic": {"calm": 0.25, "idm": 0.5, "hasty": 0.25},
+    "policies": {
+        "calm": {"idm": {"headway_s": 2.0, "min_gap_m": 3.0, "acceleration_mps2": 1.0}},
+        "hasty": {"idm": {"headway_s": 0.6, "min_gap_m": 1.0, "acceleration_mps2": 2.5}},
+    },
+}
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -62,23 +70,30 @@ class Worlds:
         scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
+        drawn = {"ego": "any", "start_spread_steps": 0} if args.any_ego else {}
+        if args.differences:
+            gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
+            config = config.with_options(randomization={**gains, "delay_steps": 2})
         # plans of one denoising step: two to three times as fast
-        critical: dict[str, Any] = {
-            "criticality": (0.0, args.criticality),
-            "ccdiff": {"denoising_steps": 1},
+        critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
+        driven: dict[str, dict[str, Any]] = {
+            "bank": {"traffic": "replay"},
+            "styles": STYLES,
+            "ccdiff": {"traffic": "ccdiff", **critical},
         }
         self.envs = [
             make_vec(
                 each * count,
                 scenes=SceneSet(recorded) if traffic == "bank" else scenes,
-                # the others of a bank met an ego that started where the log does
-                config=config.with_options(start_spread_steps=10) if traffic == "bank" else config,
-                traffic="replay" if traffic == "bank" else traffic,
+                # the others of a bank met the ego of the data, which started where its log does
+                config=config.with_options(
+                    **{"start_spread_steps": 10} if traffic == "bank" else drawn
+                ),
                 autoreset_mode="same_step",
                 info="end",
                 copy=False,
                 num_threads=args.threads,
-                **(critical if traffic == "ccdiff" else {}),
+                **driven.get(traffic, {"traffic": traffic}),
             )
             for traffic, count in shares.items()
         ]

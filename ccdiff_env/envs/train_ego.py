@@ -9,8 +9,9 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import NETWORKS
 
-#: Traffic of training: what reacts, and all; ``bank`` is what ``--bank`` recorded.
-LIVE = ("idm", *NETWORKS)
+#: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``bank`` what
+#: ``--bank`` recorded.
+LIVE = ("idm", "styles", *NETWORKS)
 TRAFFIC = ("replay", *LIVE, "bank")
 
 
@@ -31,6 +32,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"traffic of training, of: {', '.join(TRAFFIC)}",
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument(
+        "--any-ego",
+        action="store_true",
+        help="draw vehicle and start of every episode, but in banks",
+    )
+    parser.add_argument(
+        "--differences",
+        type=float,
+        default=0.0,
+        help="hidden gains and sizes of 1 ± up to this, and delays of up to two steps",
+    )
     parser.add_argument(
         "--forks",
         type=float,
