@@ -95,8 +95,8 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     settings = {
         "colours": colours(),
         "drivers": DRIVER_TITLES,
-        # places of the drivers that every world has
-        "policies": ["replay", "constant_velocity", "idm", "ccdiff"],
+        # places of the drivers that every world has; the next is that of the network
+        "policies": ["replay", "constant_velocity", "idm"],
         "columns": [column["name"] for column in json.loads(_native.columns_json())],
         "collisions": COLLISIONS,
         "traffic": TRAFFIC,
@@ -115,7 +115,10 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "style": part("page.css") + (HERE / "drive.css").read_text(encoding="utf-8"),
         "settings": json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c"),
         "module": _packed(module),
-        "weights": _packed(shipped_weights(one_step=True).read_bytes()),
+        "weights": "\n".join(
+            f'<script class="weights" type="text/plain">{_packed(file.read_bytes())}</script>'
+            for file in (shipped_weights(one_step=True), shipped_weights("tokens"))
+        ),
         "ego": _packed(b"".join(np.ascontiguousarray(t).tobytes() for t in ego.tensors.values())),
         "engine": (HERE / "engine.js").read_text(encoding="utf-8"),
         "scenes": "\n".join(_scene(scene) for scene in scenes),
@@ -125,7 +128,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:
-    """Configurations by traffic, and those of the rivals, with no network but CCDiff."""
+    """Configurations by traffic, and those of the rivals, with no network but that of traffic."""
     found = {}
     for traffic in TRAFFIC:
         config = world_config(traffic, 1.0)
@@ -134,8 +137,8 @@ def _configs(ego: EgoPolicy) -> dict[str, Any]:
         rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
         for suffix, each in {"": config, **rivals}.items():
             options = json.loads(each.to_json())
-            planned = {"ccdiff": options["policies"]["ccdiff"]} if traffic == "ccdiff" else {}
-            found[traffic + suffix] = {**options, "policies": planned}
+            networks = {n: p for n, p in options["policies"].items() if n == traffic}
+            found[traffic + suffix] = {**options, "policies": networks}
     return found
 
 
