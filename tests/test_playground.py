@@ -12,7 +12,9 @@ from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, world_config
-from tools.playground import compiled, playground_html, target_is_installed
+from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.sources import play_scene
+from tools.playground import SCENES, compiled, playground_html, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
 NAMES = ("cut-in-04", "pedestrians-00")
@@ -69,6 +71,21 @@ def played(name, traffic):
         if terminated or truncated:
             break
     return np.array(states), np.array(there), np.array(figures)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_can_be_played_is_calm_at_0_and_hits_at_2(name):
+    calm, critical = (
+        play_scene(
+            embedded_scenes()[name],
+            traffic="ccdiff",
+            driver="idm",
+            config=world_config("ccdiff", criticality),
+        )
+        for criticality in (0.0, 2.0)
+    )
+    assert (outcome(calm).tone, outcome(calm).others) == ("good", 0)
+    assert bool(critical.collisions("ego")) == (name != SCENES[0])
 
 
 @pytest.mark.parametrize("traffic", TRAFFIC)

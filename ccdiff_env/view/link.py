@@ -19,7 +19,10 @@ __all__ = ["HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "wo
 
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
-TRAFFIC = {**{name: KINDS[name].title for name in ("ccdiff", "tokens", "idm")}, "replay": "as recorded"}
+TRAFFIC = {
+    **{name: KINDS[name].title for name in ("ccdiff", "tokens", "idm")},
+    "replay": "as recorded",
+}
 #: Most that the steering moves in a step: full lock in a quarter of a second.
 STEER_PER_STEP = 4 * 0.1
 MAX_CRITICALITY = 2.0
