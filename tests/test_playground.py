@@ -216,13 +216,22 @@ def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
 
 
 def test_an_end_card_names_the_rivals_and_the_closest_call(visit):
-    page = visit("#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=b150")
+    page = visit("#scene=cut-in-04&traffic=replay&drive=c150")
     page.until("drive.outcome && drive.results.idm && drive.results.trained", 60)
     text = page.inner_text("#card")
     assert "closest call" in text
     assert "IDM: " in text
     assert "trained ego: " in text
     assert "still driving" not in text
+
+
+@pytest.mark.parametrize("drive", ["b150", "c150", "e40a110"])
+@pytest.mark.parametrize("traffic", ["ccdiff&criticality=2", "replay"])
+def test_a_verdict_has_the_words_of_replays(visit, traffic, drive):
+    page = visit(f"#scene=cut-in-04&traffic={traffic}&drive={drive}")
+    page.until("drive.outcome", 60)
+    rollout = play_drive(page.evaluate("drive.link"))
+    assert page.inner_text("#verdict") == outcome(rollout).text
 
 
 @pytest.mark.parametrize(

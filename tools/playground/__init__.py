@@ -28,7 +28,7 @@ from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import page
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.link import TRAFFIC, world_config
-from ccdiff_env.view.outcome import COLLISIONS
+from ccdiff_env.view.outcome import AT_FAULT, COLLISIONS, STOPPED
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import colours, part
 from ccdiff_env.view.sources import log_rollout, play_scene
@@ -99,7 +99,10 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         # places of the drivers that every world has; the next is that of the network
         "policies": ["replay", "constant_velocity", "idm"],
         "columns": [column["name"] for column in json.loads(_native.columns_json())],
-        "collisions": COLLISIONS,
+        "collisions": {
+            "at fault": AT_FAULT,
+            "not at fault": {**COLLISIONS, "collision_front": STOPPED},
+        },
         "traffic": TRAFFIC,
         "configs": _configs(ego),
         "ego": {

@@ -256,8 +256,8 @@ class Drive {
     if (info.collision) {
       const other = run.agents[partner];
       const side = other && other.kind === "static" ? "static" : SIDES[info.collision_kind];
-      const words = (settings.collisions[side] || "{one} and {other} touch").replace("{one}", "ego");
       const fault = info.at_fault ? "at fault" : "not at fault";
+      const words = (settings.collisions[fault][side] || "{one} and {other} touch").replace("{one}", "ego");
       text = `${words.replace("{other}", other ? other.title.replace(" · ", " (") + ")" : "someone")} at ${seconds} s, ${fault}`;
       run.events.push({ kind: "collision", step: this.steps, agent: 0, partner, lane: "ego", text });
     } else if (info.off_road) {
@@ -277,7 +277,7 @@ class Drive {
   /** What became of it, the closest call, and the rivals. */
   showCard() {
     const { closest, results } = this, run = this.runs[0], lines = [];
-    if (closest) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
+    if (closest && !this.info.collision) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
     for (const [name, title] of Object.entries(RIVALS)) {
       const found = results[name];
       if (!found) lines.push(`${title}: still driving`);
