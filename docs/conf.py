@@ -27,6 +27,8 @@ html_theme = "furo"
 html_title = f"ccdiff-env {version}"
 html_copy_source = False
 html_static_path = ["_static"]
+# the picture of the front page and of previews
+html_extra_path = ["hero.gif"]
 html_css_files = ["site.css"]
 html_js_files = [("copy.js", {"defer": "defer"})]
 # blocks without a language are commands
@@ -53,7 +55,8 @@ def _preview(
 ) -> None:
     """Title and picture of a page where its address is passed on."""
     site = f"{html_baseurl}/" if html_baseurl else ""
-    tags = {"title": f"ccdiff-env: {context.get('title', '')}", "image": f"{site}_images/hero.gif"}
+    title = {"index": "ccdiff-env"}.get(name, f"ccdiff-env: {context.get('title', '')}")
+    tags = {"title": title, "image": f"{site}hero.gif"}
     meta = "".join(f'<meta property="og:{key}" content="{text}">' for key, text in tags.items())
     context["metatags"] = context.get("metatags", "") + meta
 

@@ -21,6 +21,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 import ccdiff_env
 from ccdiff_env import make_vec
+from ccdiff_env.cli import main
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
 from ccdiff_env.traffic import CcdiffConfig
@@ -112,9 +113,39 @@ def guards_for_cuda() -> None:
 
 
 @needs_no_gpu
-def test_a_device_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigError, match="cuda"):
-        TrajectoryModel(shipped_weights(), device="cuda")
+@pytest.mark.parametrize("device", ["cuda", "cuda:0", "cuda:3"])
+def test_a_device_that_is_not_there_is_named_with_the_reason(device: str) -> None:
+    with pytest.raises(ConfigError, match=rf'device is "{device}" \(torch: \S.*expected a device'):
+        TrajectoryModel(shipped_weights(), device=device)
+    with pytest.raises(ConfigError, match=device):
+        make_vec(1, traffic="ccdiff", ccdiff={"device": device})
+
+
+@pytest.mark.parametrize("device", ["", "cpu:0", "cuda:", "cuda:x", "cuda:-1", "cuda:999", "gpu"])
+def test_names_of_no_device_are_refused(device: str) -> None:
+    with pytest.raises(ConfigError, match='"cuda:N"'):
+        TrajectoryModel(shipped_weights(), device=device)
+
+
+@needs_no_gpu
+@pytest.mark.parametrize(
+    "words",
+    [
+        "realism --methods ccdiff_one_sample --samples 1",
+        "reactivity --traffic ccdiff",
+        "planners --planners idm --traffic ccdiff",
+        "traffic --methods ccdiff --k 2",
+        "scenarios --generators idm --planners idm",
+        "selection --steps 32 --seeds 1",
+        "learning --steps 64 --base-steps 64 --seeds 1 --stages ccdiff",
+    ],
+)
+def test_networks_of_every_benchmark_run_where_they_are_told(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = ["--limit", "1", "--quiet", "--device", "cuda:3", "--out", str(tmp_path / "run")]
+    assert main(["bench", *words.split(), *place]) == 2
+    assert 'device is "cuda:3" (torch: ' in capsys.readouterr().err
 
 
 @needs_no_gpu

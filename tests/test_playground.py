@@ -12,7 +12,9 @@ from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, world_config
-from tools.playground import compiled, playground_html, target_is_installed
+from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.sources import play_scene
+from tools.playground import SCENES, compiled, playground_html, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
 NAMES = ("cut-in-04", "pedestrians-00")
@@ -69,6 +71,21 @@ def played(name, traffic):
         if terminated or truncated:
             break
     return np.array(states), np.array(there), np.array(figures)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_can_be_played_is_calm_at_0_and_hits_at_2(name):
+    calm, critical = (
+        play_scene(
+            embedded_scenes()[name],
+            traffic="ccdiff",
+            driver="idm",
+            config=world_config("ccdiff", criticality),
+        )
+        for criticality in (0.0, 2.0)
+    )
+    assert (outcome(calm).tone, outcome(calm).others) == ("good", 0)
+    assert bool(critical.collisions("ego")) == (name != SCENES[0])
 
 
 @pytest.mark.parametrize("traffic", TRAFFIC)
@@ -169,6 +186,7 @@ def test_what_the_world_refuses_is_said(visit):
         ("scene=pedestrians-00&traffic=ccdiff&criticality=1&drive=b10a20", 5),
         ("scene=pedestrians-00&traffic=idm&drive=b10e3i3a20c12", 10),
         ("scene=cut-in-04&traffic=replay&drive=b6c4d2a9", 10),
+        ("scene=cut-in-04&traffic=tokens&criticality=1.5&drive=b2a8j3a30", 5),
     ],
 )
 def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
@@ -198,13 +216,22 @@ def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
 
 
 def test_an_end_card_names_the_rivals_and_the_closest_call(visit):
-    page = visit("#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=b150")
+    page = visit("#scene=cut-in-04&traffic=replay&drive=c150")
     page.until("drive.outcome && drive.results.idm && drive.results.trained", 60)
     text = page.inner_text("#card")
     assert "closest call" in text
     assert "IDM: " in text
     assert "trained ego: " in text
     assert "still driving" not in text
+
+
+@pytest.mark.parametrize("drive", ["b150", "c150", "e40a110"])
+@pytest.mark.parametrize("traffic", ["ccdiff&criticality=2", "replay"])
+def test_a_verdict_has_the_words_of_replays(visit, traffic, drive):
+    page = visit(f"#scene=cut-in-04&traffic={traffic}&drive={drive}")
+    page.until("drive.outcome", 60)
+    rollout = play_drive(page.evaluate("drive.link"))
+    assert page.inner_text("#verdict") == outcome(rollout).text
 
 
 @pytest.mark.parametrize(

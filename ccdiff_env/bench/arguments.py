@@ -100,6 +100,7 @@ def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = 
         default=1,
         help=f"processes of the local backend; this machine has {os.cpu_count()} processors",
     )
+    add_device(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     there = parser.add_mutually_exclusive_group()
     there.add_argument(
@@ -127,7 +128,9 @@ def add_traffic(
 def add_device(parser: argparse.ArgumentParser) -> None:
     """Add where networks run."""
     parser.add_argument(
-        "--device", default="cpu", help="where networks run: cpu or cuda (with torch)"
+        "--device",
+        default="cpu",
+        help="where networks of traffic run: cpu, cuda, or cuda:N (with torch)",
     )
 
 
@@ -207,6 +210,7 @@ class Run:
             "workers": args.workers,
             "progress": not args.quiet,
         }
+        self._device: str = args.device
         self._images: list[tuple[str, str, Path]] = []
         self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
@@ -273,7 +277,9 @@ class Run:
         if "sources" not in given:
             found = {given[name]: self._digest(given[name]) for name in _DRIVE if given.get(name)}
             made_from["files"] = {name: digest for name, digest in found.items() if digest}
-        return replace(job, made_from={**made_from, **job.made_from})
+        if self._device != "cpu":  # results of another device are results of their own
+            given = {**given, "device": self._device}
+        return replace(job, arguments=given, made_from={**made_from, **job.made_from})
 
     def _digest(self, name: str) -> str | None:
         if name not in self._digests:

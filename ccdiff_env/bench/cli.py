@@ -72,7 +72,6 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="lists of vehicles (JSON) for the method ccdiff_listed (default: without it)",
     )
     add_weights(parser)
-    add_device(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
 
@@ -104,7 +103,6 @@ def _traffic(args: argparse.Namespace) -> int:
         listed=listed,
         weights=run.own_weights,
         seed=args.seed,
-        device=args.device,
     )
     by_condition = conditions(run.results(jobs))
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)

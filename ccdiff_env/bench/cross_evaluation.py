@@ -234,7 +234,13 @@ def cross_jobs(
 
 
 def evaluate_in_set(
-    *, folder: str, files: Mapping[str, str], generator: str, planner: str, seed: int
+    *,
+    folder: str,
+    files: Mapping[str, str],
+    generator: str,
+    planner: str,
+    seed: int,
+    device: str = "cpu",
 ) -> Rows:
     """Drive scenarios of a set with a planner: one dictionary per scene.
 
@@ -248,6 +254,8 @@ def evaluate_in_set(
         The ego that the set was made against.
     planner, seed
         As in :func:`ccdiff_env.bench.planners.play`.
+    device
+        Of no use: no network drives.
 
     Raises
     ------
@@ -267,6 +275,7 @@ def evaluate_in_set_recorded(
     planner: str,
     seed: int,
     record: Collection[str],
+    device: str = "cpu",
 ) -> tuple[Rows, dict[str, Rollout]]:
     """Do the same as :func:`evaluate_in_set`, and record some scenes."""
     found = load_scenario_set(folder)

@@ -152,6 +152,7 @@ def train_ego(
     steps: int,
     path: str,
     start: str | None = None,
+    device: str = "cpu",
 ) -> dict[str, Any]:
     """Train PPO in one kind of traffic, from scratch or from a saved policy, and save it.
 
@@ -166,6 +167,9 @@ def train_ego(
     from ccdiff_env.envs.sb3 import SB3VecEnv
     from ccdiff_env.envs.sb3_rows import rows_policy
 
+    options = dict(TRAINING_STAGES[stage])
+    if stage != "replay":
+        options["ccdiff"] = {"device": device}
     env = SB3VecEnv(
         make_vec(
             NUM_ENVS,
@@ -173,7 +177,7 @@ def train_ego(
             config=WorldConfig().with_options(**TRAINING),
             autoreset_mode="same_step",
             num_threads=1,
-            **TRAINING_STAGES[stage],
+            **options,
         )
     )
     rate, n_steps = BASE if start is None else STAGE

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.methods import METHODS, on_device
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -399,12 +399,13 @@ def evaluate(
     num_samples: int,
     seed: int,
     weights: Mapping[str, str] | None = None,
+    device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Play scenes several times: one dictionary per scene, see :func:`scene_likelihoods`.
 
     ``processor_s``: processor seconds of an episode, mean of the chunk.
     """
-    chosen = METHODS[method].with_weights(weights or {})
+    chosen = on_device(METHODS[method].with_weights(weights or {}), device)
     # without a network there is no chance
     draws = chosen.driver in NETWORKS or ":" in chosen.driver
     count = num_samples if draws else 1

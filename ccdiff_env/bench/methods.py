@@ -18,6 +18,7 @@ __all__ = [
     "Method",
     "NamedDrivers",
     "label_of",
+    "on_device",
 ]
 
 _T = TypeVar("_T")
@@ -71,6 +72,15 @@ class Method:
             return dict(self.ccdiff)
         preset = guidance_preset(self.ccdiff["guidance"])
         return {**self.ccdiff, "guidance": {**preset, **self.guidance}}
+
+
+def on_device(drivers: _T, device: str) -> _T:
+    """Return a method, or traffic, whose network, if one drives, runs on a device."""
+    found: Any = drivers
+    if device == "cpu" or found.driver not in NETWORKS:
+        return drivers
+    moved: _T = dataclasses.replace(found, ccdiff={**found.ccdiff, "device": device})
+    return moved
 
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}

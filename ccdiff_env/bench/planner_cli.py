@@ -8,7 +8,6 @@ from pathlib import Path
 from ccdiff_env.bench.arguments import (
     PLANNERS,
     Run,
-    add_device,
     add_replays,
     add_run_arguments,
     add_traffic,
@@ -48,7 +47,6 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
     )
-    add_device(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -65,9 +63,7 @@ def _planners(args: argparse.Namespace) -> int:
     jobs = [
         job
         for seed in seeds
-        for job in planner_jobs(
-            str(place_from(args)), planners, traffic, seed=seed, device=args.device
-        )
+        for job in planner_jobs(str(place_from(args)), planners, traffic, seed=seed)
     ]
     scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
     if fixed:

@@ -61,7 +61,6 @@ _REASONS = {
 #: What built-in planners are, where the name alone does not say it.
 _TITLES = {
     "idm": "IDM, log's path and speed",
-    "replay": "Log replay",
 }
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
@@ -255,7 +254,7 @@ def _write_headlines(
 
 def short_name(planner: str) -> str:
     """Return the name of a planner in words: of a file, its name without the suffix."""
-    return planner_title(planner)
+    return "Log replay" if planner == "replay" else planner_title(planner)
 
 
 def title_of(planner: str) -> str:

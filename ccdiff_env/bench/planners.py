@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.methods import NamedDrivers
+from ccdiff_env.bench.methods import NamedDrivers, on_device
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -156,7 +156,6 @@ def planner_jobs(
     *,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
-    device: str = "cpu",
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
@@ -177,8 +176,6 @@ def planner_jobs(
         Seed of the episodes.
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`, such as what policies observe.
-    device
-        Where networks run; results of another one than the processor are results of their own.
     """
     for name in traffic:
         if name not in TRAFFIC:
@@ -200,7 +197,6 @@ def planner_jobs(
                 "seed": seed,
                 "sources": drives[planner, name],
                 **({"options": dict(options)} if options else {}),
-                **({"device": device} if device != "cpu" else {}),
             },
             {
                 "protocol": PROTOCOL.sha256,
@@ -246,7 +242,7 @@ def evaluate(
     """
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
-    rows = play(scenes, planner, _on(device, TRAFFIC[traffic]), seed=seed, options=options)
+    rows = play(scenes, planner, on_device(TRAFFIC[traffic], device), seed=seed, options=options)
     return with_log(rows, source, names)
 
 
@@ -280,16 +276,14 @@ def evaluate_recorded(
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
     rows, rollouts = drive(
-        scenes, planner, _on(device, TRAFFIC[traffic]), seed=seed, options=options, record=record
+        scenes,
+        planner,
+        on_device(TRAFFIC[traffic], device),
+        seed=seed,
+        options=options,
+        record=record,
     )
     return with_log(rows, source, names), rollouts
-
-
-def _on(device: str, traffic: Traffic) -> Traffic:
-    """Traffic whose networks, if any drive, run on a device."""
-    if device == "cpu" or traffic.driver not in NETWORKS:
-        return traffic
-    return replace(traffic, ccdiff={**traffic.ccdiff, "device": device})
 
 
 def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.episode import logged, off_road
 from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
@@ -173,7 +174,7 @@ def reactivity_jobs(source: str, traffic: Sequence[str], *, seed: int = 0) -> li
 
 
 def evaluate(
-    *, source: str, names: Sequence[str], traffic: str, way: str, seed: int
+    *, source: str, names: Sequence[str], traffic: str, way: str, seed: int, device: str = "cpu"
 ) -> list[dict[str, Any]]:
     """Play scenes with an ego that goes a way: one dictionary for each that has room for it.
 
@@ -189,9 +190,8 @@ def evaluate(
     scenes = SceneSet([new for _, new in kept])
     options = {"terminate_at_goal": False}
     recorded = [scene.name for scene in scenes]
-    _, rollouts = drive(
-        scenes, "replay", TRAFFIC[traffic], seed=seed, options=options, record=recorded
-    )
+    others = on_device(TRAFFIC[traffic], device)
+    _, rollouts = drive(scenes, "replay", others, seed=seed, options=options, record=recorded)
     return [_row(scene, rollouts[new.name]) for scene, new in kept]
 
 

@@ -20,6 +20,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ccdiff_env.bench.episode import logged
+from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.scenes import scenes_of, source_title
@@ -187,6 +188,7 @@ def generate(
     seed: int,
     folder: str,
     num_plans: int,
+    device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Make scenarios against an ego and save them: one dictionary per scene.
 
@@ -207,6 +209,8 @@ def generate(
         Where the episodes go, one file per scene.
     num_plans
         Ego plans that are tried to avoid a collision.
+    device
+        Where the network of the traffic runs.
 
     Returns
     -------
@@ -220,7 +224,7 @@ def generate(
         _, played = drive(
             scenes_of(source, left),
             generator,
-            TRAFFIC[traffic],
+            on_device(TRAFFIC[traffic], device),
             seed=seed + draw,
             options=OPTIONS,
             record=left,

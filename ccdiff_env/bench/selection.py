@@ -54,14 +54,14 @@ CHUNK = 12
 FORK_STEPS = 40
 
 
-def _options(ego: str, strength: float) -> dict[str, Any]:
+def _options(ego: str, strength: float, device: str) -> dict[str, Any]:
     return {
         "ego": ego,
         "action_mode": "discrete",
         "budget": 1,
         "max_agents": MAX_AGENTS,
         "num_threads": 1,
-        "ccdiff": {"criticality": strength, "replan_steps": REPLAN_STEPS},
+        "ccdiff": {"criticality": strength, "replan_steps": REPLAN_STEPS, "device": device},
     }
 
 
@@ -100,7 +100,7 @@ def adversary_policy_jobs(
 
 
 def train_adversary_policy(
-    *, source: str, ego: str, seed: int, steps: int, path: str
+    *, source: str, ego: str, seed: int, steps: int, path: str, device: str = "cpu"
 ) -> dict[str, Any]:
     """Train MaskablePPO and save it.
 
@@ -119,7 +119,7 @@ def train_adversary_policy(
 
     env = SelectionSB3VecEnv(
         AdversarySelectionVectorEnv(
-            NUM_ENVS, scenes=scenes_of(source), reward=REWARD, **_options(ego, 1.0)
+            NUM_ENVS, scenes=scenes_of(source), reward=REWARD, **_options(ego, 1.0, device)
         )
     )
     model = MaskablePPO(
@@ -189,6 +189,7 @@ def choose(
     ego: str,
     seed: int,
     budget: int = 1,
+    device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Let an adversary policy choose in every scene once.
 
@@ -206,6 +207,8 @@ def choose(
         Seed of every episode.
     budget
         Vehicles that it names at most; a policy names one.
+    device
+        Where the network of the traffic runs.
 
     Returns
     -------
@@ -217,7 +220,7 @@ def choose(
     from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 
     scenes = scenes_of(source, names)
-    options = _options(ego, strength)
+    options = _options(ego, strength, device)
     if adversary_policy in ADVERSARY_POLICIES:
         options |= {"action_mode": "multibinary", "budget": budget}
     env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **options)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.episode import Episode, logged, measure, off_road, relations
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method
+from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
@@ -52,7 +52,6 @@ def traffic_jobs(
     listed: Mapping[str, Sequence[str]] | None = None,
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
-    device: str = "cpu",
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
@@ -79,8 +78,6 @@ def traffic_jobs(
         Weight files by driver, in place of the shipped ones.
     seed
         Seed of the episodes.
-    device
-        Where networks run.
 
     Raises
     ------
@@ -121,7 +118,6 @@ def traffic_jobs(
                 "replan_steps": n,
                 "seed": seed,
                 **({"weights": dict(weights)} if weights else {}),
-                **({"device": device} if device != "cpu" else {}),
                 **(
                     {"lists": {scene: list(lists[scene]) for scene in part}}
                     if METHODS[method].ranking == "listed"
@@ -212,7 +208,6 @@ def episodes(
     record: Collection[str] = (),
     explain: bool = False,
     lists: Mapping[str, Sequence[str]] | None = None,
-    device: str = "cpu",
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
@@ -236,8 +231,6 @@ def episodes(
         Whether guided plans say how their gradients agree; it changes nothing else.
     lists
         Ids of vehicles by scene name, for the ranking ``listed``.
-    device
-        Where networks run.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -246,7 +239,6 @@ def episodes(
         "criticality": 0.0,
         "num_samples": 1,
         "replan_steps": replan_steps,
-        "device": device,
         **method.options(),
     }
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
@@ -359,14 +351,13 @@ def evaluate_recorded(
     """Do the same as :func:`evaluate`, and record some scenes."""
     played = episodes(
         scenes_of(source, names),
-        METHODS[method].with_weights(weights or {}),
+        on_device(METHODS[method].with_weights(weights or {}), device),
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
         record=record,
         explain=True,
         lists=lists,
-        device=device,
     )
     rows = [measure(episode, replan_steps) for episode in played]
     return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}

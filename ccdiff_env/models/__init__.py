@@ -232,7 +232,7 @@ class TrajectoryModel:
         A ``.safetensors`` file written by :func:`train`. Every tensor name and shape is checked;
         nothing is unpickled.
     device
-        ``"cpu"`` or ``"cuda"``.
+        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
 
     Raises
     ------
@@ -393,7 +393,7 @@ def train(
     steps, minutes
         When to stop; exactly one of them. Minutes count this call alone.
     device
-        ``"cpu"`` or ``"cuda"``.
+        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
     settings
         Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
     network

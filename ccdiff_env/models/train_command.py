@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
     length.add_argument("--minutes", type=float, help="minutes of this call")
-    parser.add_argument("--device", default="cpu", help="where torch computes: cpu or cuda")
+    parser.add_argument("--device", default="cpu", help="where torch computes: cpu, cuda, cuda:N")
     parser.add_argument("--batch-scenes", type=int, help="scenes per step (default: the preset's)")
     parser.add_argument("--learning-rate", type=float, help="of Adam (default: the preset's)")
     parser.add_argument("--seed", type=int, help="of weights and batches (default: 0)")

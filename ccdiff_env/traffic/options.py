@@ -424,9 +424,6 @@ class PythonOptions:
     route_points: int = 41
 
 
-#: Where a network runs.
-DeviceName: TypeAlias = Literal["cpu", "cuda"]
-
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
 
@@ -460,8 +457,9 @@ class CcdiffConfig:
 
     #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
     weights: str = "fast"
-    #: Where the network runs.
-    device: DeviceName = "cpu"
+    #: Where the network runs: ``"cpu"``, ``"cuda"``, or ``"cuda:N"``, one of several graphics
+    #: cards.
+    device: str = "cpu"
     #: Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along
     #: the routes, unseen by the network (m, >= 0). ``None``: all are planned for.
     plan_radius_m: float | None = None

@@ -13,13 +13,16 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.traffic import KINDS
+from ccdiff_env.traffic import KINDS, NETWORKS
 
 __all__ = ["HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "world_config"]
 
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
-TRAFFIC = {**{name: KINDS[name].title for name in ("ccdiff", "idm")}, "replay": "as recorded"}
+TRAFFIC = {
+    **{name: KINDS[name].title for name in ("ccdiff", "tokens", "idm")},
+    "replay": "as recorded",
+}
 #: Most that the steering moves in a step: full lock in a quarter of a second.
 STEER_PER_STEP = 4 * 0.1
 MAX_CRITICALITY = 2.0
@@ -27,9 +30,12 @@ MAX_CRITICALITY = 2.0
 
 def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
     """Return the configuration that the page plays with."""
-    samples = 4 if criticality > 0.0 else 1
-    network = {"denoising_steps": 1, "num_samples": samples, "criticality": criticality}
-    options: dict[str, Any] = {"ccdiff": network} if traffic == "ccdiff" else {}
+    network: dict[str, Any] = {
+        "num_samples": 4 if criticality > 0.0 else 1,
+        "criticality": criticality,
+        **({"denoising_steps": 1} if KINDS[traffic].denoises else {}),
+    }
+    options: dict[str, Any] = {traffic: network} if traffic in NETWORKS else {}
     return WorldConfig().with_options(
         traffic=traffic, horizon_steps=HORIZON_STEPS, autoreset="disabled", **options
     )
@@ -46,7 +52,7 @@ class Drive:
     traffic
         Who drives the others: one of :data:`TRAFFIC`.
     criticality
-        Strength of CCDiff's guidance, 0 to 2.
+        Strength of a network's guidance, 0 to 2.
     keys
         Keys held in each step, [T]: accelerate 1, brake 2, left 4, right 8, added up.
     """

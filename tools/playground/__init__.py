@@ -28,24 +28,25 @@ from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import page
 from ccdiff_env.view.captions import DRIVER_TITLES
 from ccdiff_env.view.link import TRAFFIC, world_config
-from ccdiff_env.view.outcome import COLLISIONS
+from ccdiff_env.view.outcome import AT_FAULT, COLLISIONS, STOPPED
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import colours, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
 TARGET = "wasm32-unknown-unknown"
-#: IDM reaches its goal in realistic traffic of each; nobody is in the way of the first.
+#: IDM reaches its goal in realistic traffic of each, and is hit at criticality 2 in all but the
+#: first: nobody is in its way there.
 SCENES = (
     "pedestrians-00",
     "left-turn-00",
-    "merge-in-00",
-    "cut-in-02",
-    "tee-crossing-02",
     "left-turn-01",
-    "hard-brake-02",
-    "queue-02",
-    "double-left-00",
-    "merge-in-03",
+    "tee-crossing-01",
+    "hard-brake-04",
+    "pedestrians-03",
+    "left-turn-05",
+    "tee-crossing-04",
+    "double-left-01",
+    "merge-in-01",
 )
 #: Scripts of the replay page that this one uses: all but its start.
 SCRIPTS = tuple(name for name in page.SCRIPTS if name != "main.js")
@@ -95,10 +96,13 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     settings = {
         "colours": colours(),
         "drivers": DRIVER_TITLES,
-        # places of the drivers that every world has
-        "policies": ["replay", "constant_velocity", "idm", "ccdiff"],
+        # places of the drivers that every world has; the next is that of the network
+        "policies": ["replay", "constant_velocity", "idm"],
         "columns": [column["name"] for column in json.loads(_native.columns_json())],
-        "collisions": COLLISIONS,
+        "collisions": {
+            "at fault": AT_FAULT,
+            "not at fault": {**COLLISIONS, "collision_front": STOPPED},
+        },
         "traffic": TRAFFIC,
         "configs": _configs(ego),
         "ego": {
@@ -115,7 +119,10 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "style": part("page.css") + (HERE / "drive.css").read_text(encoding="utf-8"),
         "settings": json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c"),
         "module": _packed(module),
-        "weights": _packed(shipped_weights(one_step=True).read_bytes()),
+        "weights": "\n".join(
+            f'<script class="weights" type="text/plain">{_packed(file.read_bytes())}</script>'
+            for file in (shipped_weights(one_step=True), shipped_weights("tokens"))
+        ),
         "ego": _packed(b"".join(np.ascontiguousarray(t).tobytes() for t in ego.tensors.values())),
         "engine": (HERE / "engine.js").read_text(encoding="utf-8"),
         "scenes": "\n".join(_scene(scene) for scene in scenes),
@@ -125,7 +132,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:
-    """Configurations by traffic, and those of the rivals, with no network but CCDiff."""
+    """Configurations by traffic, and those of the rivals, with no network but that of traffic."""
     found = {}
     for traffic in TRAFFIC:
         config = world_config(traffic, 1.0)
@@ -134,8 +141,8 @@ def _configs(ego: EgoPolicy) -> dict[str, Any]:
         rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
         for suffix, each in {"": config, **rivals}.items():
             options = json.loads(each.to_json())
-            planned = {"ccdiff": options["policies"]["ccdiff"]} if traffic == "ccdiff" else {}
-            found[traffic + suffix] = {**options, "policies": planned}
+            networks = {n: p for n, p in options["policies"].items() if n == traffic}
+            found[traffic + suffix] = {**options, "policies": networks}
     return found
 
 

@@ -130,12 +130,16 @@ class Drive {
     await this.begin();
   }
 
+  /** Name of the network that drives the others, if one does. */
+  get network() { return Object.keys(this.settings.configs[$("traffic").value].policies)[0]; }
+
   /** A configuration of the settings with the criticality of the slider. */
   config(name) {
-    const config = this.settings.configs[name], ccdiff = config.policies.ccdiff;
-    if (!ccdiff) return JSON.stringify(config);
-    const criticality = +$("criticality").value, options = { ...ccdiff.ccdiff, criticality, num_samples: criticality > 0 ? 4 : 1 };
-    return JSON.stringify({ ...config, policies: { ccdiff: { ccdiff: options } } });
+    const config = this.settings.configs[name], { network } = this;
+    if (!network) return JSON.stringify(config);
+    const criticality = +$("criticality").value, usual = config.policies[network][network];
+    const options = { ...usual, criticality, num_samples: criticality > 0 ? 4 : 1 };
+    return JSON.stringify({ ...config, policies: { [network]: { [network]: options } } });
   }
 
   /** Begin the scene again; with the keys of a link, drive it so. */
@@ -174,7 +178,7 @@ class Drive {
 
   /** Scene, traffic and criticality, as in the address. */
   get key() {
-    const criticality = $("traffic").value === "ccdiff" ? `&criticality=${$("criticality").value}` : "";
+    const criticality = this.network ? `&criticality=${$("criticality").value}` : "";
     return `scene=${$("scene").value}&traffic=${$("traffic").value}${criticality}`;
   }
 
@@ -203,13 +207,13 @@ class Drive {
 
   /** Write the present states into the run. */
   put({ states, info, done }) {
-    const run = this.runs[0], { policies, drivers } = this.settings;
+    const run = this.runs[0], { network } = this, { policies, drivers } = this.settings;
     run.agents.forEach((agent, i) => {
       const [x, y, heading, vx, vy, there, driver] = states.subarray(i * STATE, (i + 1) * STATE);
       const at = i * run.numSteps + this.steps;
       Object.entries({ x, y, heading, vx, vy }).forEach(([name, value]) => { run.a[name][at] = value; });
       run.a.valid[at] = there;
-      agent.driver = driver < 0 ? "ego" : policies[driver];
+      agent.driver = driver < 0 ? "ego" : policies[driver] || network;
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
     this.time = run.start + this.steps * run.dt;
@@ -252,8 +256,8 @@ class Drive {
     if (info.collision) {
       const other = run.agents[partner];
       const side = other && other.kind === "static" ? "static" : SIDES[info.collision_kind];
-      const words = (settings.collisions[side] || "{one} and {other} touch").replace("{one}", "ego");
       const fault = info.at_fault ? "at fault" : "not at fault";
+      const words = (settings.collisions[fault][side] || "{one} and {other} touch").replace("{one}", "ego");
       text = `${words.replace("{other}", other ? other.title.replace(" · ", " (") + ")" : "someone")} at ${seconds} s, ${fault}`;
       run.events.push({ kind: "collision", step: this.steps, agent: 0, partner, lane: "ego", text });
     } else if (info.off_road) {
@@ -273,7 +277,7 @@ class Drive {
   /** What became of it, the closest call, and the rivals. */
   showCard() {
     const { closest, results } = this, run = this.runs[0], lines = [];
-    if (closest) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
+    if (closest && !this.info.collision) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
     for (const [name, title] of Object.entries(RIVALS)) {
       const found = results[name];
       if (!found) lines.push(`${title}: still driving`);
@@ -410,7 +414,7 @@ function wire(drive) {
   };
   const levelled = () => {
     $("level").textContent = $("criticality").value;
-    $("level").closest("label").hidden = $("traffic").value !== "ccdiff";
+    $("level").closest("label").hidden = !drive.network;
   };
   levelled();
   $("criticality").addEventListener("input", levelled);
@@ -483,8 +487,9 @@ function wire(drive) {
 
 async function main() {
   const settings = JSON.parse($("settings").textContent);
-  const bytes = await Promise.all(["module", "weights", "ego"].map(async (id) => new Uint8Array(await inflate($(id)))));
-  const [module, weights, numbers] = bytes, source = $("engine").textContent;
+  const kept = [$("module"), $("ego"), ...document.querySelectorAll("script.weights")];
+  const bytes = await Promise.all(kept.map(async (node) => new Uint8Array(await inflate(node))));
+  const [module, numbers, ...weights] = bytes, source = $("engine").textContent;
   const policy = { ...settings.ego, tensors: {}, numbers: numbers.buffer };
   const engines = [new Engine(source), new Engine(source)];
   await Promise.all(engines.map((e) => e.ask("open", { module, weights, policy, columns: settings.columns.length })));

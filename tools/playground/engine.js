@@ -48,8 +48,10 @@ const tasks = {
   async open({ module, weights, policy, columns: count }) {
     columns = count;
     ({ exports: calls } = (await WebAssembly.instantiate(module, {})).instance);
-    give(weights);
-    check(calls.weights());
+    for (const bytes of weights) {
+      give(bytes);
+      check(calls.weights());
+    }
     ego = policy;
     for (const [name, [from, length]] of Object.entries(ego.places)) ego.tensors[name] = Array.from(new Float32Array(ego.numbers, 4 * from, length));
   },

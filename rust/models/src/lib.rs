@@ -38,20 +38,28 @@ pub use error::{ModelError, Result};
 
 use torch_sys as _;
 
-/// The device of a name.
+/// The device of a name: `cpu`, `cuda`, which is the first card, or `cuda:N`.
 ///
 /// # Errors
-/// [`ModelError::Config`] for another name than `cpu` and `cuda`, or where there is no such device.
+/// [`ModelError::Config`] for another name, and with torch's reason where there is no such device.
 pub fn device_named(name: &str) -> Result<tch::Device> {
-    let fail = |expected| Err(ModelError::Config { field: "device", got: format!("{name:?}"), expected });
-    match name {
-        "cpu" => Ok(tch::Device::Cpu),
-        "cuda" => {
-            let device = tch::Device::Cuda(0);
-            // what torch says it has is not always what it can use
-            let tried = tch::Tensor::f_zeros([1], (tch::Kind::Float, device));
-            tried.map(|_| device).or_else(|_| fail("a device that torch can use"))
+    let fail = |got, expected| Err(ModelError::Config { field: "device", got, expected });
+    let device = match name.strip_prefix("cuda") {
+        None if name == "cpu" => return Ok(tch::Device::Cpu),
+        Some("") => Some(0),
+        Some(place) => place.strip_prefix(':').and_then(|number| number.parse::<u8>().ok()),
+        None => None,
+    };
+    let Some(device) = device.map(|number| tch::Device::Cuda(number.into())) else {
+        return fail(format!("{name:?}"), "\"cpu\", \"cuda\" or \"cuda:N\"");
+    };
+    // what torch says it has is not always what it can use
+    match tch::Tensor::f_zeros([1], (tch::Kind::Float, device)) {
+        Ok(_) => Ok(device),
+        Err(error) => {
+            let reason = error.to_string();
+            let reason = reason.lines().next().unwrap_or_default().trim();
+            fail(format!("{name:?} (torch: {reason})"), "a device that torch can use")
         }
-        _ => fail("\"cpu\" or \"cuda\""),
     }
 }

@@ -123,7 +123,7 @@ fn on_torch(
 /// # Errors
 /// As [`load`]; [`crate::ModelError::Config`] for options that do not fit the network.
 pub fn planned_traffic(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<PlannedTraffic> {
-    let device = crate::device_named(config.device.name())?;
+    let device = crate::device_named(&config.device)?;
     if device != Device::Cpu {
         return PlannedTraffic::of(config, vec![load(weights, device)?], None);
     }

@@ -1,7 +1,7 @@
 //! One world in a web page: plain functions over linear memory, called from JavaScript.
 //!
 //! Texts and bytes come in by [`room`]: it makes room, JavaScript writes there, the next call reads it. Calls that may fail
-//! return 1, and [`message`] says why. Log replay, constant velocity, IDM and, with its weights, CCDiff drive; there is one thread.
+//! return 1, and [`message`] says why. Log replay, constant velocity, IDM and networks whose weights were given drive; there is one thread.
 #![allow(unsafe_code, reason = "names that JavaScript finds; there is no unsafe block")]
 
 mod playground;
@@ -39,7 +39,7 @@ pub extern "C" fn load() -> u32 {
     attempt(Playground::load)
 }
 
-/// Takes the weights of CCDiff: the bytes of their file.
+/// Takes the weights of one more network: the bytes of their file.
 #[unsafe(no_mangle)]
 pub extern "C" fn weights() -> u32 {
     attempt(Playground::weights)

@@ -51,8 +51,8 @@ pub(crate) struct Playground {
     pub(crate) states: Vec<f32>,
     /// Output of the last step.
     pub(crate) out: Arrays,
-    /// Bytes of the weights of CCDiff.
-    weights: Vec<u8>,
+    /// Bytes of the weights of networks, by the name of their kind.
+    weights: Vec<(String, Vec<u8>)>,
     scene: Option<Arc<Scene>>,
     world: Option<VecWorld>,
 }
@@ -72,22 +72,28 @@ impl Playground {
         Ok(())
     }
 
-    /// Keeps the weights of CCDiff, checked.
+    /// Keeps the weights of a network, checked.
     pub(crate) fn weights(&mut self) -> Result<(), String> {
-        self.weights = std::mem::take(&mut self.given);
-        TrajectoryModel::from_bytes("weights", &self.weights).map(|_| ()).map_err(|e| e.to_string())
+        let bytes = std::mem::take(&mut self.given);
+        let model = TrajectoryModel::from_bytes("weights", &bytes).map_err(|e| e.to_string())?;
+        self.weights.push((model.config().kind.as_str().into(), bytes));
+        Ok(())
     }
 
-    /// CCDiff as a configuration of worlds has it; nobody where it has none.
+    /// The networks that a configuration of worlds has; nobody where it has none.
     fn traffic(&self, options: &str, scene: &Arc<Scene>) -> Result<Drivers, String> {
         let options: serde_json::Value = serde_json::from_str(options).map_err(|e| e.to_string())?;
-        let Some(asked) = options["policies"]["ccdiff"].get("ccdiff") else { return Ok(Vec::new()) };
-        let config: CcdiffConfig = read("ccdiff", &asked.to_string()).map_err(|e| e.to_string())?;
-        let model = TrajectoryModel::from_bytes("weights", &self.weights).map_err(|e| e.to_string())?;
-        let policy = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
-        let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
-        policy.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
-        Ok(vec![("ccdiff".into(), Box::new(policy))])
+        let mut drivers = Drivers::new();
+        for (kind, bytes) in &self.weights {
+            let Some(asked) = options["policies"][kind].get(kind) else { continue };
+            let config: CcdiffConfig = read(kind, &asked.to_string()).map_err(|e| e.to_string())?;
+            let model = TrajectoryModel::from_bytes(kind, bytes).map_err(|e| e.to_string())?;
+            let policy = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
+            let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
+            policy.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
+            drivers.push((kind.clone(), Box::new(policy)));
+        }
+        Ok(drivers)
     }
 
     pub(crate) fn reset(&mut self, seed: u64) -> Result<(), String> {

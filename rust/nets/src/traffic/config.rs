@@ -103,16 +103,8 @@ choices! {
     }
 }
 
-choices! {
-    /// Where a network runs.
-    #[derive(Clone, Copy, Eq)]
-    pub enum DeviceName {
-        /// The processor.
-        Cpu = "cpu",
-        /// A graphics card.
-        Cuda = "cuda",
-    }
-}
+/// The device that needs no torch.
+pub(super) const CPU: &str = "cpu";
 
 /// Guidance by the name of a preset, or as settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -139,8 +131,8 @@ options! {
     pub struct CcdiffConfig {
         /// Weights: `"fast"` (the shipped ones of the network), or a safetensors file.
         weights: String = "fast".into();
-        /// Where the network runs.
-        device: DeviceName = DeviceName::Cpu;
+        /// Where the network runs: `"cpu"`, `"cuda"`, or `"cuda:N"`, one of several graphics cards.
+        device: String = CPU.into();
         /// Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along the routes, unseen by
         /// the network. `None`: all are planned for.
         plan_radius_m: Option<Real> = None, unit "m", range at_least(0.0);

@@ -14,8 +14,8 @@ mod planning;
 mod way_out;
 
 pub use config::{
-    BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, DeviceName, GraphMode, GuidanceChoice,
-    ParkedRule, Ranking, driver,
+    BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, GraphMode, GuidanceChoice, ParkedRule,
+    Ranking, driver,
 };
 
 pub use planned_agents::STATIONARY_REACH_M;
@@ -58,13 +58,9 @@ impl PlannedTraffic {
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
     pub fn new(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<Self> {
-        if config.device != DeviceName::Cpu {
-            let expected = "\"cpu\" without torch";
-            return Err(ModelError::Config {
-                field: "ccdiff.device",
-                got: config.device.name().into(),
-                expected,
-            });
+        if config.device != config::CPU {
+            let (got, expected) = (format!("{:?}", config.device), "\"cpu\" without torch");
+            return Err(ModelError::Config { field: "ccdiff.device", got, expected });
         }
         let pool = planning_pool(num_threads)?;
         let copies =
