@@ -27,6 +27,9 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyWorldStatus>()
 }
 
+/// Ego (index), start (step) and style (factors by name) of an episode, where they are asked for.
+type WantedEpisode = (Option<usize>, Option<usize>, BTreeMap<String, f32>);
+
 /// Worlds that play scenes. One thread at a time: a second one gets `RuntimeError`.
 #[pyclass(name = "VecWorld", module = "ccdiff_env._native")]
 pub(crate) struct PyVecWorld {
@@ -124,7 +127,7 @@ impl PyVecWorld {
         scenes: Vec<Option<usize>>,
         mask: Option<Vec<bool>>,
         out: &Bound<'py, PyTuple>,
-        wanted: Vec<(Option<usize>, Option<usize>, BTreeMap<String, f32>)>,
+        wanted: Vec<WantedEpisode>,
     ) -> PyResult<()> {
         self.home.check()?;
         let mut outputs = Outputs::check(out, &self.arrays)?;

@@ -4,9 +4,7 @@ mod common;
 
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
-use ccdiff_sim::world::{
-    Autoreset, COLUMNS, Col, Consequence, Controlled, NUM_COLUMNS, SceneOrder, WorldConfig,
-};
+use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, SceneOrder, WorldConfig};
 use common::{Batch, actions, city};
 use std::sync::Arc;
 
