@@ -93,7 +93,6 @@ TABLES: dict[str, Made] = {
             "min ADE m": Column("min_ade_m", interval=False),
             "SCR": Column("scr", digits=3, interval=False),
             "off road %": Column("orr", factor=100.0, interval=False),
-            "processor s": Column("processor_s", digits=2, interval=False),
         },
     ),
     "dial": Made(
