@@ -237,7 +237,7 @@ def _grid(kept: dict[str, Any], column: Column) -> str:
     """One figure of every method, in a column per K at the first T, then per T at K = 5."""
     from ccdiff_env.bench.methods import label_of
 
-    rows = kept["rows"]
+    rows = [row for row in kept["rows"] if row["K"] != "0"]  # which is the log
     cells = {(row["K"], row["replan_s"]): f"K = {row['K']}" for row in rows}
     first = next(iter(cells))[1]
     cells = {cell: head if cell[1] == first else f"T = {cell[1]} s" for cell, head in cells.items()}
