@@ -104,7 +104,7 @@ choices! {
 }
 
 /// The device that needs no torch.
-pub(super) const CPU: &str = "cpu";
+pub(crate) const CPU: &str = "cpu";
 
 /// Guidance by the name of a preset, or as settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
