@@ -74,6 +74,7 @@ print("a plan:", plan.states.shape)
 ccdiff_env.EgoEnv(traffic="strive").reset(seed=1)
 critical = ccdiff_env.make_vec(4, traffic="ccdiff", criticality=1.0)
 critical.reset(seed=1)
+critical.action_space.seed(0)  # else an episode may have just begun, and has no plan
 for _ in range(10):
     critical.step(critical.action_space.sample())
 print("CCDiff traffic:", critical.worlds.explain(0).agents.shape)
