@@ -7,6 +7,7 @@ import copy
 
 import numpy as np
 import pytest
+from episode_play import played, same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, Scene, WorldConfig, embedded_scenes, replay
@@ -69,21 +70,8 @@ def standing(scene: Scene, without: str = "") -> Scene:
     )
 
 
-def played(env: EgoEnv, steps: int = 40) -> list[np.ndarray]:
-    """Everything that an environment returns from here on, with actions of a fixed generator."""
-    rng, told = np.random.default_rng(5), []
-    for _ in range(steps):
-        obs, reward, *ends, info = env.step(rng.uniform(-0.3, 0.5, 2).astype(np.float32))
-        told += [obs, np.float64(reward), np.array(ends)]
-        told.append(np.array([v for v in info.values() if isinstance(v, float)]))
-        if any(ends):
-            break
-    return told
-
-
-def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
-    pairs = zip(one, other, strict=True)
-    return all(np.array_equal(a, b) for a, b in pairs)
+def actions(steps: int) -> np.ndarray:
+    return np.random.default_rng(5).uniform(-0.3, 0.5, (steps, 2)).astype(np.float32)
 
 
 def test_the_seed_draws_a_vehicle_that_drives_on_and_a_start(scenes):
@@ -137,7 +125,7 @@ def test_it_is_the_world_of_a_scene_in_which_that_vehicle_is_the_ego(options, sc
             env.worlds.native.route(0, 0), other.worlds.native.route(0, 0), strict=True
         ):
             assert np.array_equal(route, wanted)
-        assert same(played(env), played(other))
+        assert same(played(env, actions(40)), played(other, actions(40)))
 
 
 def test_it_starts_where_its_log_is_and_the_data_s_ego_is_traffic(scenes):
@@ -179,13 +167,13 @@ def test_snapshots_copies_and_certificates_go_on_with_the_ego(scenes, tmp_path):
     env = EgoEnv(scenes=scenes, ego="any", traffic="idm")
     env.reset(seed=8)
     _, info = env.reset()  # the second episode of its seed
-    played(env, 5)
+    played(env, actions(5))
     state, fork = env.snapshot(), copy.deepcopy(env)
-    expected = played(env)
-    assert same(played(fork), expected)
+    expected = played(env, actions(40))
+    assert same(played(fork, actions(40)), expected)
     fresh = EgoEnv(scenes=scenes, ego="any", traffic="idm")
     fresh.restore(state)
-    assert same(played(fresh), expected)
+    assert same(played(fresh, actions(40)), expected)
     certificate = fork.certificate()
     assert (certificate.ego, certificate.start_step) == (info["ego"], info["start_step"])
     certificate.save(tmp_path / "drawn.json")
@@ -193,7 +181,7 @@ def test_snapshots_copies_and_certificates_go_on_with_the_ego(scenes, tmp_path):
 
     start = {"scene": scenes[0].name, "ego": "ego", "start": 45}
     assert env.reset(options=start)[1]["start_step"] == 45
-    played(env)
+    played(env, actions(40))
     env.certificate().save(tmp_path / "named.json")
     again = replay(tmp_path / "named.json", scenes).env
     assert again.certificate().to_json() == env.certificate().to_json()

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 import shapely
+from episode_play import played, same
 
 from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, WorldConfig, embedded_scenes, replay
 from ccdiff_env.errors import ConfigError, SnapshotError
@@ -29,22 +30,6 @@ def drawn(env: EgoEnv, seed: int) -> dict:
 
 def actions(steps: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(-0.4, 0.6, (steps, 2)).astype(np.float32)
-
-
-def played(env: EgoEnv, steps: int = 40) -> list[np.ndarray]:
-    """Everything that an environment returns from here on."""
-    told = []
-    for action in actions(steps):
-        obs, reward, *ends, info = env.step(action)
-        told += [obs, np.float64(reward), np.array(ends)]
-        told.append(np.array([v for v in info.values() if isinstance(v, float)]))
-        if any(ends):
-            break
-    return told
-
-
-def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_draws_are_even_and_each_on_its_own(scenes):
@@ -155,9 +140,13 @@ def test_noise_is_normal_on_numbers_with_a_unit_alone(scenes):
     assert entries == noisy.worlds.layout.entries
     added, again = [], []
     for seed in range(10):
-        rows = [np.stack(played(env, 30)[::4]) for env in (noisy, plain) if env.reset(seed=seed)]
+        rows = [
+            np.stack(played(env, actions(30))[::4])
+            for env in (noisy, plain)
+            if env.reset(seed=seed)
+        ]
         noisy.reset(seed=seed)
-        again.append(np.array_equal(np.stack(played(noisy, 30)[::4]), rows[0]))
+        again.append(np.array_equal(np.stack(played(noisy, actions(30))[::4]), rows[0]))
         for entry in entries:
             here = slice(entry.offset, entry.offset + entry.size)
             got, true = (r[:, here].reshape(-1, *entry.shape) for r in rows)
@@ -212,7 +201,7 @@ def test_a_reset_sets_the_style_for_its_episode(scenes, tmp_path):
     factors = env.worlds.native.drawn(0)[0]["style"]
     assert factors == {"progress": usual["progress"], "comfort": 3.5}
     assert obs[-1] == 3.5
-    played(env)
+    played(env, actions(40))
     certificate = env.certificate()
     assert certificate.style == factors
     certificate.save(tmp_path / "styled.json")
@@ -260,14 +249,14 @@ def test_snapshots_copies_and_certificates_go_on_with_what_was_drawn(scenes, tmp
     env = EgoEnv(**options)
     env.reset(seed=8)
     env.reset()
-    played(env, 5)
+    played(env, actions(5))
     state, fork = env.snapshot(), copy.deepcopy(env)
-    expected = played(env)
-    assert same(played(fork), expected)
+    expected = played(env, actions(40))
+    assert same(played(fork, actions(40)), expected)
     fresh = EgoEnv(**options)
     fresh.restore(state)
     assert fresh.worlds.native.drawn(0) == env.worlds.native.drawn(0)
-    assert same(played(fresh), expected)
+    assert same(played(fresh, actions(40)), expected)
     certificate = fork.certificate()
     certificate.save(tmp_path / "drawn.json")
     again = replay(tmp_path / "drawn.json", scenes).env
