@@ -323,6 +323,36 @@ def test_long_names_are_cut_in_images():
     assert time.process_time() - start < 2.0
 
 
+HALF = "\ud800"
+LANE = {"id": "a", "kind": "lane", "centreline": np.zeros((2, 2), np.float32)}
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        {"name": HALF},
+        *({key: [HALF]} for key in ("agent_ids", "agent_types", "agent_categories")),
+        *({key: HALF} for key in ("token", "location", "source")),
+        {"map_layers": {HALF: []}},
+        *({"map_layers": {"lanes": [LANE | {key: HALF}]}} for key in ("id", "kind")),
+    ],
+    ids=str,
+)
+def test_texts_of_a_scene_are_unicode(texts):
+    arrays = {
+        "name": "drive",
+        "agent_ids": ["ego"],
+        "agent_types": ["vehicle"],
+        "sizes": np.ones((1, 3), np.float32),
+        "position": np.zeros((1, 11, 2), np.float32),
+        "heading": np.zeros((1, 11), np.float32),
+        "velocity": np.zeros((1, 11, 2), np.float32),
+        "valid": np.ones((1, 11), bool),
+    }
+    with pytest.raises(errors.SceneError, match="half a character"):
+        Scene.from_arrays(**(arrays | texts))
+
+
 @pytest.fixture
 def data_set(tmp_path):
     """The embedded scenes as files; loads the first one."""

@@ -15,6 +15,8 @@ use ccdiff_sim::stage::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
+use pyo3::Borrowed;
+use pyo3::exceptions::PyUnicodeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyCapsule, PyDict};
 use std::path::PathBuf;
@@ -68,6 +70,25 @@ impl From<Arc<Scene>> for PyScene {
     }
 }
 
+/// A text of a scene. `SceneError` where a `str` of Python holds half a character, which no file can hold.
+#[derive(Default)]
+pub(crate) struct Text(pub(crate) String);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Text {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        value.extract().map(Self).map_err(|error: PyErr| {
+            if error.is_instance_of::<PyUnicodeError>(value.py()) {
+                let shown = value.repr().map_or_else(|_| String::new(), |r| r.to_string_lossy().into_owned());
+                py::SceneError::new_err(format!("text {shown} holds half a character, expected Unicode"))
+            } else {
+                error
+            }
+        })
+    }
+}
+
 /// The kind of a name.
 fn kind(name: &str) -> PyResult<AgentKind> {
     AgentKind::ALL.into_iter().find(|k| k.name() == name).ok_or_else(|| {
@@ -88,26 +109,31 @@ impl PyScene {
     /// Builds a scene from arrays in the scene frame.
     #[staticmethod]
     #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
-        agent_categories=None, token="", location="", source="", origin=(0.0, 0.0), map_layers=None))]
+        agent_categories=None, token=Text::default(), location=Text::default(), source=Text::default(),
+        origin=(0.0, 0.0), map_layers=None),
+        text_signature = "(name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1, \
+            agent_categories=None, token=\"\", location=\"\", source=\"\", origin=(0.0, 0.0), map_layers=None)")]
     fn from_arrays(
-        name: String,
-        agent_ids: Vec<String>,
-        agent_types: Vec<String>,
+        name: Text,
+        agent_ids: Vec<Text>,
+        agent_types: Vec<Text>,
         sizes: PyReadonlyArray2<'_, f32>,
         position: PyReadonlyArray3<'_, f32>,
         heading: PyReadonlyArray2<'_, f32>,
         velocity: PyReadonlyArray3<'_, f32>,
         valid: PyReadonlyArray2<'_, bool>,
         dt: f32,
-        agent_categories: Option<Vec<String>>,
-        token: &str,
-        location: &str,
-        source: &str,
+        agent_categories: Option<Vec<Text>>,
+        token: Text,
+        location: Text,
+        source: Text,
         origin: (f64, f64),
         map_layers: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let (num_agents, num_steps) = (valid.shape()[0], valid.shape()[1]);
-        let categories = agent_categories.unwrap_or_else(|| agent_types.clone());
+        let texts = |list: Vec<Text>| list.into_iter().map(|text| text.0).collect::<Vec<_>>();
+        let (agent_ids, agent_types) = (texts(agent_ids), texts(agent_types));
+        let categories = agent_categories.map_or_else(|| agent_types.clone(), texts);
         for (what, list) in
             [("agent_ids", &agent_ids), ("agent_types", &agent_types), ("agent_categories", &categories)]
         {
@@ -148,10 +174,10 @@ impl PyScene {
         };
         let map = map_layers.map(scene_map::from_dict).transpose()?.unwrap_or_default();
         let scene = Scene {
-            name,
-            token: token.to_owned(),
-            location: location.to_owned(),
-            source: source.to_owned(),
+            name: name.0,
+            token: token.0,
+            location: location.0,
+            source: source.0,
             origin: [origin.0, origin.1],
             dt_s: dt,
             num_steps,

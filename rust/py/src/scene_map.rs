@@ -1,5 +1,6 @@
 //! Map layers between Rust and Python: one shape of dictionary both ways.
 
+use crate::scene::Text;
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{Lane, LaneKind, Map, RoadParts, link_lanes, road_area};
@@ -88,9 +89,9 @@ fn read_polygon(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Polygon> {
 
 fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
     let dict = value.cast::<PyDict>()?;
-    let id: String = item(dict, "id", "lane")?.extract()?;
+    let Text(id) = item(dict, "id", "lane")?.extract()?;
     let what = format!("lane {id:?}");
-    let kind_name: String = item(dict, "kind", &what)?.extract()?;
+    let Text(kind_name) = item(dict, "kind", &what)?.extract()?;
     let kind = [LaneKind::Lane, LaneKind::Connector].into_iter().find(|k| lane_kind_name(*k) == kind_name);
     let kind = kind.ok_or_else(|| {
         let message = format!("{what}: kind is {kind_name:?}, expected \"lane\" or \"connector\"");
@@ -112,7 +113,7 @@ fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
 pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
     let mut map = Map::default();
     for (name, value) in layers {
-        let name: String = name.extract()?;
+        let Text(name) = name.extract()?;
         let polygons = match name.as_str() {
             "drivable_area" => &mut map.drivable_area,
             "ped_crossings" => &mut map.ped_crossings,
