@@ -515,6 +515,12 @@ class VecWorld:
     def off_road(self, world_idx: int) -> tuple[Bool, Bool]:
         """Return agents [A] with a corner, and with the centre, off the road."""
 
+    def off_road_m(self, world_idx: int) -> list[float]:
+        """Return metres by which the farthest corner of each slot's agent is off the road.
+
+        0 on it, for empty slots, and where the map has no road.
+        """
+
     def step_metrics(self, world_idx: int, agents: Sequence[int]) -> dict[str, float]:
         """Return metrics of the last step for some agents: ``num_agents`` that were there before
         and after it, the share ``off_road`` of them, their mean ``discomfort``.

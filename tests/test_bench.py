@@ -7,6 +7,8 @@ import json
 import numpy as np
 import pytest
 import scipy.stats
+import shapely
+from shapely import affinity
 
 import ccdiff_env
 from ccdiff_env import _native, cli
@@ -16,11 +18,15 @@ from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import Traffic, planner_score, play
 from ccdiff_env.bench.plots import _lines
+from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import scores
+from ccdiff_env.record.episode import begin
+from ccdiff_env.record.episode import play as playing
+from ccdiff_env.scenes import SceneSet
 
 VAL = "embedded/val"
 
@@ -184,6 +190,64 @@ def test_the_score_of_a_planner_is_the_product_and_the_weighted_mean_by_hand():
     assert found["speed_limit"] == pytest.approx(0.5)
     assert found["score"] == pytest.approx((5 * 0 + 5 * 0.5 + 4 * 0.5 + 2 * 0.75) / 16)
     assert planner_score({**metrics, "at_fault": 1.0}, figures, 15.0)["score"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("first_m", "last_m", "on_road"),
+    [(2.0, 2.9, 1.0), (2.0, 3.29, 1.0), (2.0, 3.31, 0.0), (2.0, 5.0, 0.0), (3.2, 3.4, 1.0)],
+)
+def test_a_corner_may_leave_the_road_by_less_than_0_3_m(first_m, last_m, on_road):
+    """A box 2 m wide drifts, heading along a road that ends 4 m to its left. Who begins off the
+    road has not left it."""
+    ring = np.array([[-50, -4], [200, -4], [200, 4], [-50, 4]], np.float32)
+    x, y = np.linspace(0.0, 100.0, 150), np.interp(np.arange(150), [30, 125], [first_m, last_m])
+    position = np.stack([x, y], axis=-1)[None].astype(np.float32)
+    scene = ccdiff_env.Scene.from_arrays(
+        "road",
+        agent_ids=["ego"],
+        agent_types=["vehicle"],
+        sizes=np.array([[4.0, 2.0, 1.5]], np.float32),
+        position=position,
+        heading=np.zeros((1, 150), np.float32),
+        velocity=np.gradient(position, 0.1, axis=1),
+        valid=np.ones((1, 150), bool),
+        map_layers={"drivable_area": [{"exterior": ring, "holes": []}]},
+    )
+    (row,) = play(SceneSet([scene]), "replay", Traffic("", "replay"))
+    assert row["on_road"] == on_road
+
+
+def steers(obs):
+    return np.tile([0.2, 0.25], (len(obs), 1))
+
+
+def test_the_way_off_the_road_is_that_of_shapely():
+    """Egos that steer off the roads of the city: union of its polygons, distance of corners."""
+    scenes = ccdiff_env.embedded_scenes("val")[:6]
+    worlds = begin(scenes, PROTOCOL.world(None, "", 0.1).with_options(driver="external"), 0)
+    seen, gates = [], np.zeros(6)
+    for step in playing(worlds, lambda obs, _: steers(obs)):
+        for i in np.flatnonzero(step.running):
+            scene, states = scenes[int(i)], worlds.native.states(i)
+            ego = worlds.native.slot_agents(i)[0]
+            if not states["active"][ego]:  # at its goal, on the road
+                continue
+            areas = scene.map_layers()["drivable_area"]
+            # whose rings have spikes without an area
+            polygons = [shapely.Polygon(a["exterior"], a["holes"]).buffer(0) for a in areas]
+            road = shapely.unary_union(polygons)
+            half = scene.sizes[ego, :2].astype(float) / 2
+            box = shapely.MultiPoint([half * s for s in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
+            box = affinity.rotate(box, float(states["heading"][ego]), (0, 0), use_radians=True)
+            box = affinity.translate(box, *states["position"][ego].astype(float))
+            expected = max(road.distance(corner) for corner in box.geoms)
+            (found,) = worlds.native.off_road_m(i)
+            assert found == pytest.approx(expected, abs=2e-3)
+            gates[i] = max(gates[i], expected)
+            seen.append(expected)
+    assert 0.2 < np.mean(np.array(seen) > 0.0) < 0.95
+    rows = play(scenes, steers, Traffic("", "replay"))
+    assert [row["on_road"] for row in rows] == [float(off < 0.3) for off in gates]
 
 
 class Standing:

@@ -334,7 +334,7 @@ def test_the_score_without_a_road_is_that_of_the_other_parts():
     }  # fmt: skip
     names = ("speed", "ttc", "acceleration", "lateral_acceleration", "jerk")
     figures = {name: np.ones(4) for name in names}
-    found = planner_score({**metrics, "off_road": 1.0}, figures, 15.0, road=False)
+    found = planner_score(metrics, figures, 15.0, None)
     assert found["on_road"] is None
     assert found["score"] == planner_score(metrics, figures, 15.0)["score"] > 0.0
 

@@ -46,7 +46,7 @@ class Made:
 
 
 _PLANNERS = Made(
-    "bench planners --protocol planner-1.0 --level smoke --planners "
+    "bench planners --protocol planner-1.1 --level smoke --planners "
     "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,ccdiff,diffusion,ego_replay,"
     "pdm_ccdiff,arbiter,pdm_open",
     "headlines.csv",
@@ -228,8 +228,10 @@ def render(name: str, chosen: str | None = None) -> str:
             cells.append((value, low, high))
         rows.append(cells)
     columns = (replace(column, head=head) for head, column in table.columns.items())
-    command = f"`{kept['command']}`, " if chosen is None else ""
-    text = f"{command}{kept['scenes']}, {kept['date']}."
+    protocol = re.search(r"--protocol (\S+)", kept["command"])
+    of = f"{protocol[1]}, " if protocol else ""
+    made = f"`{kept['command']}`, " if chosen is None else of
+    text = f"{made}{kept['scenes']}, {kept['date']}."
     return document(Table([*table.keys, *columns], rows), text).rstrip()
 
 

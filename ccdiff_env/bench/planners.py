@@ -11,7 +11,8 @@ Weights, bounds, the world and the panel of traffic stand in the file of the pro
 
 Differs from nuPlan: progress is measured along the logged route up to its goal, comfort is the
 share of steps within the limits, a collision with a static obstacle counts as any other, and half
-points are not given.
+points are not given. ``on_road`` has the tolerance of its ``drivable_area_compliance``
+(``max_violation_threshold``, 0.3 m), of the drivable area alone.
 """
 
 from __future__ import annotations
@@ -367,12 +368,16 @@ def drive(
     tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
     columns: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
+    off_m = [0.0 if scene.has_road else None for scene in scenes]
+    off_road = names.index("off_road")
     for running, actions, out in played(worlds, act, recorders=recorders):
         if adversary_policy is not None:
             adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
             columns[i].append(out.columns[i, 0].copy())
             tapes[i].step(actions[i, 0], columns[i][-1])
+            if columns[i][-1][off_road]:
+                off_m[i] = max(off_m[i] or 0.0, worlds.native.off_road_m(i)[0])
             if out.done[i]:
                 metrics[i] = worlds.native.ended_metrics([i])[0, 0]
     found = [
@@ -383,11 +388,11 @@ def drive(
                 dict(zip(worlds.metric_names, m.tolist(), strict=True)),
                 {name: np.array([row[i] for row in f]) for i, name in enumerate(names)},
                 config.speed_limit_mps,
-                road=scene.has_road,
+                off,
             ),
             **tape.entries(),
         }
-        for scene, m, f, tape in zip(scenes, metrics, columns, tapes, strict=True)
+        for scene, m, f, off, tape in zip(scenes, metrics, columns, off_m, tapes, strict=True)
         if m is not None
     ]
     return found, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
@@ -397,8 +402,7 @@ def planner_score(
     metrics: Mapping[str, float],
     columns: Mapping[str, npt.NDArray[np.float32]],
     limit_mps: float,
-    *,
-    road: bool = True,
+    off_road_m: float | None = 0.0,
 ) -> dict[str, Any]:
     """Return the parts of the score of one episode, each in [0, 1], and the score.
 
@@ -412,8 +416,8 @@ def planner_score(
         Info columns of each step by name, [T].
     limit_mps
         Speed limit.
-    road
-        Whether the scene has a road, ``Scene.has_road``.
+    off_road_m
+        How far a corner ever was off the road; ``None`` where the scene has none.
     """
     calm = np.ones(len(columns["speed"]), bool)
     for name, (low, high) in COMFORT.items():
@@ -421,7 +425,7 @@ def planner_score(
     over = np.maximum(columns["speed"] - limit_mps, 0.0)
     parts: dict[str, float | None] = {
         "no_at_fault_collision": 1.0 - metrics["at_fault"],
-        "on_road": 1.0 - metrics["off_road"] if road else None,
+        "on_road": None if off_road_m is None else float(off_road_m < _SCORE["off_road_m"]),
         "makes_progress": float(metrics["route_completion"] >= _SCORE["least_progress"]),
         "right_way": 1.0 - metrics["wrong_way"],
         "ttc": float(np.min(columns["ttc"]) >= TTC_BOUND_S),

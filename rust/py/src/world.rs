@@ -408,6 +408,11 @@ impl PyVecWorld {
         Ok(world_state::off_road(py, &self.world.off_road(world_idx).map_err(from_sim)?))
     }
 
+    /// Metres by which the farthest corner of each slot's agent is off the road.
+    fn off_road_m(&self, world_idx: usize) -> PyResult<Vec<f32>> {
+        self.world.off_road_m(world_idx).map_err(from_sim)
+    }
+
     /// Metrics of the last step for some agents: how many were there before and after it, the share of them off the road,
     /// their mean discomfort.
     fn step_metrics<'py>(

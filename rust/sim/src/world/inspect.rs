@@ -301,6 +301,20 @@ impl VecWorld {
         Ok((0..states.len()).map(fact).collect())
     }
 
+    /// How far the farthest corner of each slot's agent is off the road, metres; 0 on it and where the map has no road.
+    ///
+    /// # Errors
+    /// As [`VecWorld::status`].
+    pub fn off_road_m(&self, world_idx: usize) -> Result<Vec<Real>> {
+        let world = self.begun(world_idx)?;
+        let (states, scene) = (&world.episode.states, &world.scene);
+        let off_m = |a: usize| {
+            let corners = states.oriented_box(a, &scene.footprints[a]).corners();
+            corners.iter().filter_map(|c| scene.road_distance_m(*c)).map(|d| -d).fold(0.0, Real::max)
+        };
+        Ok(world.episode.slots.iter().map(|s| s.agent_idx.map_or(0.0, off_m)).collect())
+    }
+
     /// Actions that bring each slot's agent from where it is towards its next logged state, in the form that
     /// [`VecWorld::step`] takes; zeros where there is no log.
     ///
