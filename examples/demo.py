@@ -54,6 +54,8 @@ TRAFFIC: dict[str, dict[str, Any]] = {
 }
 #: Learning rate of each part: what was learned in the first is not to be lost in the second.
 LEARNING_RATES = (7e-4, 4e-4)
+#: Traffic of each part.
+PHASES = ("IDM", "recorded CCDiff")
 NUM_ENVS = 128
 #: Decisions of each environment between two updates.
 NUM_STEPS = 32
@@ -129,6 +131,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
             super().__init__()
             self.rows: list[tuple[int, float, float]] = []
             self.bar: Any = None
+            self.phase = ""
 
         def _on_step(self) -> bool:
             for info in self.locals["infos"]:
@@ -139,6 +142,7 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
             return True
 
         def _on_rollout_end(self) -> None:
+            self.logger.record("phase", self.phase)
             if self.rows:
                 _, reward, success = np.mean(self.rows[-100:], axis=0)
                 self.bar.set_postfix_str(f"return {reward:.2f}, success {success:.0%}")
@@ -179,7 +183,8 @@ def train(scenes: Any, steps: tuple[int, int], seed: int, out: Path) -> Any:
     )
     model.set_logger(configure(str(out / "log"), ["csv"]))
     curve = Curve()
-    for count, env, rate in zip(steps, envs, LEARNING_RATES, strict=True):
+    for phase, count, env, rate in zip(PHASES, steps, envs, LEARNING_RATES, strict=True):
+        curve.phase = phase
         if count > 0:
             env.seed(seed)
             model.set_env(env)
@@ -215,8 +220,8 @@ def draw_curve(rows: list[tuple[int, float, float]], path: Path, *, change: int)
         if data[-1:, 0].sum() > change:
             axis.axvline(change, color="#888888", linestyle=":", linewidth=1)
             place = {"xy": (change, 0.02), "xycoords": ("data", "axes fraction")}
-            axis.annotate("IDM  ", **place, ha="right", color="#555555")
-            axis.annotate("  recorded CCDiff", **place, ha="left", color="#555555")
+            for text, side in zip(PHASES, ("right", "left"), strict=True):
+                axis.annotate(f"  {text}  ", **place, ha=side, color="#555555")
         axis.set_xlabel("decisions")
         axis.set_ylabel(f"{label}, mean of {window} episodes")
         axis.grid(alpha=0.3)

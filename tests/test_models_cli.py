@@ -36,6 +36,14 @@ def test_training_on_the_mini_scenes_writes_weights_and_resumes(
     assert told["training"]["drop_route"] == 0.5
 
 
+def test_scenes_that_are_kept_out_of_training_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["train", "--scenes", "embedded/val", "--out", str(tmp_path), "--steps", "1"]
+    assert main(command) == 2
+    assert "12 scenes of val and city kept out of training, 0 remain" in capsys.readouterr().err
+
+
 def test_a_missing_data_set_is_an_error_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

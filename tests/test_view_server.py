@@ -142,8 +142,9 @@ def test_curves_are_read_while_they_are_written(tmp_path):
     text = "step,loss,seconds\n1,4.0,1\n2,2.0,2\n3,nan,3\n4,1.5,4\n5,1."
     (tmp_path / "loss.csv").write_text(text, encoding="utf-8")
     (tmp_path / "log").mkdir()
-    rows = "\n".join(f"{i},{i % 2},{2 * i}" for i in range(1000))
-    head = "time/total_timesteps,rollout/success_rate,time/fps\n"
+    phases = ["", *["IDM"] * 400, *["CCDiff"] * 599]
+    rows = "\n".join(f"{i},{i % 2},{2 * i},{phase}" for i, phase in enumerate(phases))
+    head = "time/total_timesteps,rollout/success_rate,time/fps,phase\n"
     (tmp_path / "log" / "progress.csv").write_text(head + rows, encoding="utf-8")
     (tmp_path / "other.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
@@ -152,6 +153,7 @@ def test_curves_are_read_while_they_are_written(tmp_path):
     assert success["name"] == "progress: rollout/success_rate"
     assert len(success["x"]) == 334
     assert np.mean(success["y"]) == pytest.approx(0.5, abs=0.01)
+    assert (success["marks"], loss["marks"]) == ([(401.0, "CCDiff")], [])
 
 
 def test_the_newest_replay_is_that_of_the_newest_file(tmp_path, serve, browser):

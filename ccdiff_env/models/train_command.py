@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import SOURCES, coverage, load, title
+from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import NETWORKS
 
 #: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
@@ -73,6 +75,12 @@ def run(args: argparse.Namespace) -> int:
     torch.set_num_threads(args.threads)
     loaded = load(place, kinds=["vehicle"])
     scenes = [scene for scene in loaded if scene.name not in kept_out]
+    if left := len(loaded) - len(scenes):
+        splits = " and ".join(source.kept_out)
+        said = f"{counted(left, 'scene')} of {splits} kept out of training, {len(scenes)} remain"
+        if not scenes:
+            raise ConfigError(said)
+        print(said, file=sys.stderr)
     held_out = scenes[args.hold_out_every // 2 :: args.hold_out_every]
     names = {scene.name for scene in held_out}
     settings = {

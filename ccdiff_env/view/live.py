@@ -35,6 +35,8 @@ ALONG = ("step", "steps", "time/total_timesteps", "timesteps", "epoch")
 PLAYED = ("npz", "safetensors", "zip")
 #: What is looked at first, by a part of the name.
 FIRST = ("success", "return", "rew", "collision", "loss", "ade", "entropy")
+#: Column of words: where they change, curves of its file have a mark.
+PHASE = "phase"
 #: Columns that say nothing.
 DULL = ("second", "time/", "fps", "iteration", "n_updates", "learning_rate", "clip_range")
 
@@ -135,14 +137,16 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
     -------
     list of dict
         ``name``, ``along`` (name of the axis), ``x``, ``y``: at most 400 points, means of
-        neighbours.
+        neighbours; ``marks``: places on the axis where the column ``phase`` changes, and to what.
     """
     curves = []
     for path in sorted(folder.rglob("*.csv")):
-        columns = _columns(path)
+        texts = _columns(path)
+        columns = {name: [_value(text) for text in column] for name, column in texts.items()}
         along = next((name for name in ALONG if name in columns), None)
         if along is None or _falls(columns[along]):  # a table of episodes is no curve
             continue
+        marks = _changes(columns[along], texts.get(PHASE, []))
         for name, values in columns.items():
             if name == along or any(part in name for part in DULL):
                 continue
@@ -155,7 +159,7 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
                 x, y = _thinned(pairs)
                 title = f"{path.stem}: {name}"
                 unit = along.rpartition("/")[2].replace("_", " ")
-                curves.append({"name": title, "along": unit, "x": x, "y": y})
+                curves.append({"name": title, "along": unit, "x": x, "y": y, "marks": marks})
     curves.sort(key=lambda curve: _rank(str(curve["name"])))
     return curves[:MAX_CURVES]
 
@@ -170,8 +174,14 @@ def _rank(name: str) -> tuple[int, str]:
     return min(places, default=len(FIRST)), name
 
 
-def _columns(path: Path) -> dict[str, list[float]]:
-    """Columns of a CSV file as numbers; NaN for what is none. A last line may be incomplete."""
+def _changes(places: list[float], words: list[str]) -> list[tuple[float, str]]:
+    """Where words change, and to what."""
+    said = [(x, word) for x, word in zip(places, words, strict=False) if word]
+    return [later for sooner, later in itertools.pairwise(said) if later[1] != sooner[1]]
+
+
+def _columns(path: Path) -> dict[str, list[str]]:
+    """Columns of a CSV file. A last line may be incomplete."""
     try:
         rows = list(csv.reader(io.StringIO(read_text(path, MAX_BYTES))))
     except (OSError, UnicodeDecodeError, csv.Error):
@@ -179,7 +189,7 @@ def _columns(path: Path) -> dict[str, list[float]]:
     if not rows:
         return {}
     head, body = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
-    return {name: [_value(row[i]) for row in body] for i, name in enumerate(head)}
+    return {name: [row[i] for row in body] for i, name in enumerate(head)}
 
 
 def _value(text: str) -> float:

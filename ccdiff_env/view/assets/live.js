@@ -34,7 +34,7 @@ function draw(found) {
   });
 }
 
-function line(canvas, { x, y }) {
+function line(canvas, { x, y, marks }) {
   const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = width * ratio;
   canvas.height = height * ratio;
@@ -59,8 +59,20 @@ function line(canvas, { x, y }) {
     context.stroke();
   }
   context.globalAlpha = 1;
-  context.fillStyle = style.getPropertyValue("--quiet");
+  context.fillStyle = context.strokeStyle = style.getPropertyValue("--quiet");
   context.font = "10px system-ui, sans-serif";
+  context.lineWidth = 1;
+  context.setLineDash([3, 3]);
+  for (const [at, phase] of marks) {
+    context.beginPath();
+    context.moveTo(px(at), 0);
+    context.lineTo(px(at), height);
+    context.stroke();
+    context.textAlign = px(at) > width / 2 ? "right" : "left";
+    context.fillText(` ${phase} `, px(at), height - 4);
+  }
+  context.setLineDash([]);
+  context.textAlign = "left";
   context.fillText(brief(high), 4, 11);
   context.fillText(brief(low), 4, height - 4);
 }
