@@ -5,6 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
+from ccdiff_env.cli import main
 from ccdiff_env.system.terminal import align, counted
 
 
@@ -77,3 +80,36 @@ def test_counts_agree_with_their_nouns():
 
 def test_links_of_a_table_are_its_words():
     assert align("| a |\n|---|\n| [0.9](#there) [0.8, 1.0] |\n").splitlines()[2] == "0.9 [0.8, 1.0]"
+
+
+SHORT = "--limit 1 --quiet --out"
+#: What verbs that print tables are called with; a run folder of the one before where it says RUN.
+VERBS = {
+    "scenes": "scenes",
+    "doctor": "doctor",
+    "planners": "bench planners --planners idm,constant_velocity --traffic replay,idm,ccdiff,"
+    f"ccdiff-1 --seeds 0 {SHORT}",
+    "verify": "bench verify RUN/planners --episodes 1",
+    "compare": "compare RUN/planners RUN/planners",
+    "leaderboard": "bench leaderboard RUN/planners --out",
+    "traffic": f"bench traffic --methods constant_velocity,idm --k 1,2,3,4,5,10,Full {SHORT}",
+    "scenarios": f"bench scenarios --generators idm --planners idm,replay --plans 8 {SHORT}",
+    "realism": f"bench realism --methods replay,constant_velocity,idm --samples 2 {SHORT}",
+    "reactivity": f"bench reactivity --traffic replay,idm {SHORT}",
+    "speed": "bench speed --rounds 1 --limit 1 --out",
+}
+
+
+@pytest.mark.timeout(300)
+def test_no_verb_prints_lines_wider_than_a_window_of_eighty(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    for name, words in VERBS.items():
+        folder = [str(tmp_path / name)] if words.endswith("--out") else []
+        command = words.replace("RUN", str(tmp_path)).split() + folder
+        assert main(command) == 0, name
+        out, err = capsys.readouterr()
+        lines = out.replace(str(tmp_path), "").splitlines()
+        assert len(lines) > 1, name
+        assert [line for line in lines if len(line) > 80] == []
+        assert "\r" not in err
+        assert " 1 scenes" not in out

@@ -16,6 +16,7 @@ from ccdiff_env.bench.methods import label_of
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, scores
 from ccdiff_env.system.files import write_aside
 from ccdiff_env.system.table import Block, Column, Table, TableRows, document
+from ccdiff_env.system.terminal import counted
 
 __all__ = [
     "FIGURES",
@@ -312,9 +313,10 @@ def _floor(table: Mapping[Condition, Figures]) -> str:
     for c, f in table.items():
         if c.num_controlled == 0:
             v = f.value
+            scenes = counted(f.num_scenes, "scene")
             parts.append(
-                f"Floor (K = 0, log replay), {f.num_scenes} scenes: SCR {v['scr']:.3f}, of new "
-                f"contacts {v['scr_new']:.3f}, ORR {_number(v['orr'])} %, FDE {v['fde']:.2f} m, "
+                f"Floor (K = 0, log replay), {scenes}: SCR {v['scr']:.3f}, of new contacts "
+                f"{v['scr_new']:.3f}, ORR {_number(v['orr'])} %, FDE {v['fde']:.2f} m, "
                 f"CFD {v['cfd']:.2f}, SOR {v['sor']:.2f}."
             )
     return "\n".join(parts)

@@ -10,6 +10,7 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
+from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import NETWORKS, driver_titles
 
 #: Titles of drivers, in the order of the legend; names are those of images.
@@ -110,7 +111,7 @@ def subtitle(rollout: Rollout) -> str:
     """Return one line on what is shown: where, who drives, how many."""
     kinds = rollout.scene.agent_types
     if is_log(rollout):
-        return " · ".join(filter(None, [rollout.scene.location, f"{len(kinds)} agents"]))
+        return " · ".join(filter(None, [rollout.scene.location, counted(len(kinds), "agent")]))
     background = Counter(
         DRIVER_TITLES.get(driver, driver)
         for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
@@ -123,7 +124,7 @@ def subtitle(rollout: Rollout) -> str:
         parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
     guided = len(guided_agents(rollout))
     parts.append(f"{guided} guided" if guided else "")
-    parts.append(f"{len(kinds)} agents")
+    parts.append(counted(len(kinds), "agent"))
     return " · ".join(part for part in parts if part)
 
 

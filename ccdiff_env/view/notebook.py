@@ -11,6 +11,7 @@ from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.load_report import LoadReport
+from ccdiff_env.system.terminal import counted
 
 __all__ = ["install"]
 
@@ -62,7 +63,7 @@ def scene_html(scene: Scene) -> str:
 def scene_line(scene: Scene) -> str:
     """Return name, place, seconds and agents of a scene in a line."""
     seconds = (scene.num_steps - 1) * scene.dt
-    parts = [scene.name, scene.location, f"{seconds:.1f} s", f"{scene.num_agents} agents"]
+    parts = [scene.name, scene.location, f"{seconds:.1f} s", counted(scene.num_agents, "agent")]
     return " · ".join(part for part in parts if part)
 
 
@@ -71,7 +72,7 @@ def scene_set_html(scenes: SceneSet) -> str:
     head = ("name", "location", "seconds", "agents", "vehicles")
     table = _table(head, (scene_row(scene) for scene in scenes[:ROWS]))
     more = f"<p>and {len(scenes) - ROWS} more</p>" if len(scenes) > ROWS else ""
-    return f"<p>{len(scenes)} scenes</p>{table}{more}"
+    return f"<p>{counted(len(scenes), 'scene')}</p>{table}{more}"
 
 
 def scene_row(scene: Scene) -> tuple[str, ...]:
