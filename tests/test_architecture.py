@@ -42,6 +42,7 @@ SIM_ROOMS = [
     "observe",
     "stage",
     "policy",
+    "pdm",
     "world",
     "planner",
 ]

@@ -28,7 +28,7 @@ def test_limits_of_reward_and_of_pdm_are_those_of_the_score():
     assert numbers(file, "LEAST_TTC_S") == [TTC_BOUND_S]
     # PDM-Closed: braking, acceleration, sideways, jerk
     expected = [*limits[0], limits[1][1], limits[2][1]]
-    assert numbers("sim/src/planner/score.rs", "COMFORT") == expected
+    assert numbers("sim/src/pdm/score.rs", "COMFORT") == expected
 
 
 def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():

@@ -170,6 +170,36 @@ def test_planners_take_the_bicycle_and_refuse_assisted_dynamics(val):
         driven(val[:1], "pdm", action=ActionConfig(dynamics=AssistedLimits()))
 
 
+def test_zero_is_pdm_where_it_is_the_base_of_assisted_actions(val):
+    action = ActionConfig(dynamics=AssistedLimits(base="pdm"))
+    worlds, out = begun(val, action=action)
+    speeds = []
+    for _ in range(40):
+        worlds.native.step(np.zeros((len(val), 1, 2), np.float32), out)
+        egos = [worlds.native.slot_agents(i)[0] for i in range(len(val))]
+        speeds.append([worlds.native.states(i)["speed"][a] for i, a in enumerate(egos)])
+    # actions of the planner are rounded once more on their way
+    assert np.abs(np.array(speeds) - driven(val, "pdm")).max() < 1e-3
+
+
+def test_changes_of_pdm_go_on_from_a_snapshot_bit_for_bit(val):
+    action = ActionConfig(dynamics=AssistedLimits(base="pdm"))
+    worlds, out = begun(val[:2], action=action, decision_steps=3)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (12, 2, 1, 2)).astype(np.float32)
+    for step in actions[:6]:
+        worlds.native.step(step, out)
+    kept = [worlds.native.snapshot(i) for i in range(2)]
+    ends = []
+    for _ in range(2):
+        for step in actions[6:]:
+            worlds.native.step(step, out)
+        ends.append([worlds.native.digest(i) for i in range(2)])
+        for i in range(2):
+            worlds.native.restore(i, kept[i])
+    assert ends[0] == ends[1]
+
+
 def test_what_a_planner_raises_names_it_its_scene_and_step(val):
     def broken(obs):
         raise KeyError("speed")

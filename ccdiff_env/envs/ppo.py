@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -50,7 +51,7 @@ REWARD = {
 AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
 #: IDM stops for what crosses its way, and there it is hit: an assisted ego may drive on, at other
 #: prices; a place beside the route costs its square.
-ASSISTED = {"assisted": {"delta_mps2": (-6.0, 6.0)}}
+DELTA_MPS2 = (-6.0, 6.0)
 PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
 #: Traffic in which every vehicle is calm, as usual, or hasty.
 STYLES: dict[str, Any] = {
@@ -265,7 +266,10 @@ class Agent(nn.Module):
 
 
 def rollout(
-    agent: Agent, worlds: Worlds, clock: dict[str, float], anchor: EgoPolicy | None = None
+    agent: Agent,
+    worlds: Worlds,
+    clock: dict[str, float],
+    anchor: Callable[[Floats], Floats] | None = None,
 ) -> dict[str, torch.Tensor]:
     """Let all worlds decide ROLLOUT times; tensors [T, E, ...], with what the anchor would do."""
     size, width = worlds.obs.shape[0], len(agent.log_std)
@@ -278,7 +282,7 @@ def rollout(
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
         mean, values[t] = agent(x[t])
         if anchor is not None:
-            anchored[t] = torch.from_numpy(anchor.act(worlds.obs))
+            anchored[t] = torch.from_numpy(anchor(worlds.obs))
         new = torch.randn(size, width)
         worlds.noise = CORRELATION * worlds.noise + (1.0 - CORRELATION**2) ** 0.5 * new
         actions[t] = mean + agent.log_std.exp() * worlds.noise
@@ -340,10 +344,12 @@ def train(args: argparse.Namespace) -> None:
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
-    anchor = None if args.anchor is None else load(args.anchor)
+    near = None if args.anchor in (None, "zero") else load(args.anchor)
     given = load(args.start) if args.start and not args.start.endswith(".pt") else None
-    policies = [policy for policy in (anchor, given) if policy is not None]
-    dynamics: Any = ASSISTED if args.dynamics == "assisted" else args.dynamics
+    policies = [policy for policy in (near, given) if policy is not None]
+    dynamics: Any = args.dynamics
+    if dynamics == "assisted":
+        dynamics = {"assisted": {"base": args.base, "delta_mps2": DELTA_MPS2}}
     fitting: dict[str, Any] = {
         "observation": OBSERVATION,
         "dynamics": policies[0].config.action.dynamics if policies else dynamics,
@@ -372,6 +378,11 @@ def train(args: argparse.Namespace) -> None:
     elif args.start:
         agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
         agent.log_std.data = torch.tensor(args.noise).log()
+
+    def still(obs: Floats) -> Floats:
+        return np.zeros((len(obs), len(agent.log_std)), np.float32)
+
+    anchor = still if args.anchor == "zero" else None if near is None else near.act
 
     def keep() -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}

@@ -50,12 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="share of the episodes in live traffic that begin 3 to 6 s before a failure",
     )
     parser.add_argument(
-        "--anchor", help="policy to stay near, as --start without .pt (default: none)"
+        "--anchor", help="policy to stay near: as --start without .pt, or zero (default: none)"
     )
     parser.add_argument("--kl", type=float, default=0.05, help="price of leaving the anchor")
     parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )
+    parser.add_argument("--base", default="idm", help="what assisted actions change, of: idm, pdm")
     parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
     parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
     parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")

@@ -1,7 +1,7 @@
 """Planners that come with the package and follow rules: PDM-Closed, and IDM on lanes.
 
 Both know what a vehicle can know and drive through the action. Their rules stand in
-``rust/sim/src/planner``; docs/planners.md says what differs from the published ones.
+``rust/sim/src/pdm`` and ``planner``; docs/planners.md says what differs from the published ones.
 """
 
 from __future__ import annotations

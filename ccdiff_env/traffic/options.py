@@ -96,17 +96,23 @@ class DeltaPoseLimits:
     dheading_rad: tuple[float, float] = (-0.5, 0.5)
 
 
+#: Whose driving actions change.
+AssistedBase: TypeAlias = Literal["idm", "pdm"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class AssistedLimits:
-    """Limits of assisted driving: actions change what IDM would do on the route.
+    """Limits of assisted driving: actions change what IDM or PDM-Closed would do.
 
-    The vehicle is a unicycle with IDM's acceleration plus a change, steered to a distance from its
-    route; the action zero is IDM on the route.
+    The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance
+    from its base's way; the action zero is the base.
     """
 
-    #: Change of IDM's acceleration at -1 and +1, about zero (m/s²).
+    #: What is changed.
+    base: AssistedBase = "idm"
+    #: Change of the acceleration at -1 and +1, about zero (m/s²).
     delta_mps2: tuple[float, float] = (-6.0, 2.0)
-    #: Distance from the route at -1 and +1, left positive, about zero (m).
+    #: Distance from the way at -1 and +1, left positive, about zero (m).
     offset_m: tuple[float, float] = (-1.5, 1.5)
     #: Lowest and highest acceleration, about zero (m/s²).
     acceleration_mps2: tuple[float, float] = (-8.0, 2.4)

@@ -8,6 +8,7 @@ pub mod geom;
 pub mod metrics;
 pub mod observe;
 pub mod options;
+mod pdm;
 pub mod planner;
 pub mod policy;
 pub mod scene;

@@ -1,9 +1,9 @@
-//! Assisted driving: a change of IDM's acceleration and a distance from the route.
+//! Assisted driving: a change of a driver's acceleration and a distance from its way.
 
 use super::{Action, UnicycleLimits};
 use crate::geom::Real;
-use crate::options;
 use crate::options::above;
+use crate::{choices, options};
 
 /// Natural frequency of the return to the wanted distance from the route, rad/s; critically damped.
 const FREQUENCY_RADPS: Real = 1.5;
@@ -12,17 +12,30 @@ const MAX_CORRECTION_MPS2: Real = 2.5;
 /// Speeds below this count as this where the yaw rate follows from a lateral acceleration, m/s.
 const LEAST_SPEED_MPS: Real = 2.0;
 
+choices! {
+    /// Whose driving actions change.
+    #[derive(Clone, Copy, Eq)]
+    pub enum AssistedBase {
+        /// IDM on the route.
+        Idm = "idm",
+        /// PDM-Closed on its centre line, asked once for each decision.
+        Pdm = "pdm",
+    }
+}
+
 options! {
-    /// Limits of assisted driving: actions change what IDM would do on the route.
+    /// Limits of assisted driving: actions change what IDM or PDM-Closed would do.
     ///
-    /// The vehicle is a unicycle with IDM's acceleration plus a change, steered to a distance from its route; the action zero
-    /// is IDM on the route.
+    /// The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance from its base's way;
+    /// the action zero is the base.
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct AssistedLimits {
-        /// Change of IDM's acceleration at -1 and +1, about zero.
+        /// What is changed.
+        base: AssistedBase = AssistedBase::Idm;
+        /// Change of the acceleration at -1 and +1, about zero.
         delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²";
-        /// Distance from the route at -1 and +1, left positive, about zero.
+        /// Distance from the way at -1 and +1, left positive, about zero.
         offset_m: [Real; 2] = [-1.5, 1.5], unit "m";
         /// Lowest and highest acceleration, about zero.
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²";
@@ -68,19 +81,22 @@ impl AssistedLimits {
         ranges.into_iter().find(|(_, [low, high])| *low > 0.0 || *high < 0.0)
     }
 
-    /// Acceleration of a step: IDM's and the wanted change, as far as the jerk allows. IDM's own braking is not held back.
+    /// Acceleration of a step: the base's and the wanted change, as far as the jerk allows. The base's own braking is not
+    /// held back, nor is PDM's release of the brake.
     pub(crate) fn acceleration(
         &self,
-        idm_mps2: Real,
+        base_mps2: Real,
         delta_mps2: Real,
         before_mps2: Real,
         dt_s: Real,
     ) -> Real {
         let step = self.max_jerk_mps3 * dt_s;
-        let low = (before_mps2 - step).min(idm_mps2);
-        (idm_mps2 + delta_mps2)
-            .clamp(low, before_mps2 + step)
-            .clamp(self.acceleration_mps2[0], self.acceleration_mps2[1])
+        let low = (before_mps2 - step).min(base_mps2);
+        let high = match self.base {
+            AssistedBase::Idm => before_mps2 + step,
+            AssistedBase::Pdm => (before_mps2 + step).max(base_mps2),
+        };
+        (base_mps2 + delta_mps2).clamp(low, high).clamp(self.acceleration_mps2[0], self.acceleration_mps2[1])
     }
 
     /// Yaw rate that leads to a distance from the route: that of the route, and a critically damped return.

@@ -10,8 +10,8 @@
 //!   v' = clip(v + a dt), v̄ = ½ (v + v'), ω = v̄ tan δ / L, |ω| ≤ a_lat / |v̄|, ψ' = ψ + ω dt,
 //!   p' = p + dt R(ψ + ½ ω dt) (v̄, ω l_r). The second component is the slip at the centre: tan β = tan δ l_r / L.
 //! - **Delta pose**, action (dx, dy, dψ) in the agent's own frame: p' = p + R(ψ) (dx, dy), ψ' = ψ + dψ.
-//! - **Assisted**, action (Δa, d): the unicycle with IDM's acceleration plus Δa within a bounded jerk, steered to the
-//!   distance d from the route. Worlds make (a, ω) of it, since IDM sees the others; what is here takes (a, ω).
+//! - **Assisted**, action (Δa, d): the unicycle with the acceleration of IDM or PDM-Closed plus Δa within a bounded jerk,
+//!   steered to the distance d from its way. Worlds make (a, ω) of it, since both see the others; what is here takes (a, ω).
 //!
 //! Nothing here knows agents' kinds, maps or other agents.
 
@@ -22,8 +22,8 @@ mod delta_pose;
 mod unicycle;
 
 pub use action_grid::ActionGrid;
-pub use assisted::AssistedLimits;
 pub(crate) use assisted::BesideRoute;
+pub use assisted::{AssistedBase, AssistedLimits};
 pub use bicycle::BicycleLimits;
 pub use delta_pose::DeltaPoseLimits;
 pub use unicycle::UnicycleLimits;
@@ -59,7 +59,7 @@ choices! {
         Bicycle(BicycleLimits) = "bicycle",
         /// Action (dx m, dy m, dψ rad) in the agent's own frame.
         DeltaPose(DeltaPoseLimits) = "delta_pose",
-        /// Action (change of IDM's acceleration m/s², distance from the route m).
+        /// Action (change of the base's acceleration m/s², distance from its way m).
         Assisted(AssistedLimits) = "assisted",
     }
 }

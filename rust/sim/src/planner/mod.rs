@@ -1,28 +1,15 @@
 //! Planners that drive an agent through its action: PDM-Closed, and the intelligent driver model on the centre line.
-//!
-//! PDM-Closed (Dauner, Hallgarten, Geiger, Chitta: "Parting with Misconceptions about Learning-based Vehicle Motion
-//! Planning", CoRL 2023): proposals along the centre line are rolled out, scored and the best one's first action is driven.
 
-mod centre_line;
-mod forecast;
 mod network;
-mod proposals;
-mod score;
-
-pub use centre_line::CentreLine;
 
 use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
 use crate::geom::{Pose2, Real, math};
+use crate::pdm::{Scene, plan, steering};
 use crate::policy::{IdmConfig, TrafficPolicy, idm_towards};
-use crate::stage::PreparedScene;
-use crate::state::{AgentStates, Footprint};
-use crate::world::{VecWorld, WorldStatus};
-use forecast::Forecast;
+use crate::world::VecWorld;
 use network::Network;
-use proposals::{Proposal, Rollout, steering};
-use std::sync::Arc;
 
 /// Acceleration of an ego that its network does not plan for, m/s².
 const WITHOUT_PLAN_MPS2: Real = -4.0;
@@ -38,34 +25,17 @@ pub enum PlannerKind {
     Plan,
 }
 
-/// Drives the first slot of worlds. Holds nothing but centre lines, and what its network has seen.
+/// Drives the first slot of worlds. Holds nothing but what its network has seen.
 #[derive(Debug)]
 pub struct Planner {
     kind: PlannerKind,
-    /// Scene, agent and its centre line, of each world [E].
-    lines: Vec<Option<(usize, usize, Arc<CentreLine>)>>,
     network: Option<Network>,
-}
-
-/// What a planner knows of one world.
-pub(crate) struct Scene<'a> {
-    pub prepared: &'a PreparedScene,
-    pub states: &'a AgentStates,
-    pub ego: usize,
-    pub dt_s: Real,
-    pub line: &'a CentreLine,
-}
-
-impl Scene<'_> {
-    pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {
-        &self.prepared.footprints[agent_idx]
-    }
 }
 
 impl Planner {
     /// A planner for any number of worlds, and its network.
     pub fn new(kind: PlannerKind, network: Option<Box<dyn TrafficPolicy>>) -> Self {
-        Self { kind, lines: Vec::new(), network: network.map(Network::new) }
+        Self { kind, network: network.map(Network::new) }
     }
 
     /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
@@ -79,7 +49,7 @@ impl Planner {
         worlds.iter().map(|i| self.act_in(world, *i)).collect()
     }
 
-    fn act_in(&mut self, world: &VecWorld, world_idx: usize) -> Result<Action> {
+    fn act_in(&self, world: &VecWorld, world_idx: usize) -> Result<Action> {
         if let Dynamics::Assisted(_) = world.decoder().dynamics() {
             let expected = "a model of motion by itself".into();
             return Err(SimError::Config {
@@ -92,38 +62,14 @@ impl Planner {
         let seat = world.slot_agents(world_idx)?.first().copied().flatten();
         let Some(ego) = seat.filter(|ego| status.states.active[*ego]) else { return Ok(Action::default()) };
         let prepared = world.prepared(status.scene_idx)?;
-        let line = self.line(world, world_idx, &status, &prepared, ego);
-        let dt_s = world.config().dt_s;
-        let scene = Scene { prepared: &prepared, states: status.states, ego, dt_s, line: &line };
+        let config = world.config();
+        let scene = Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps);
         let action = match self.kind {
             PlannerKind::Pdm => pdm(&scene, self.network.as_ref(), world_idx),
-            PlannerKind::Idm => idm(&scene, &world.config().idm),
+            PlannerKind::Idm => idm(&scene, &config.idm),
             PlannerKind::Plan => follow(&scene, self.network.as_ref().and_then(|n| n.next(world_idx, ego))),
         };
         Ok(encoded(world, &scene, action))
-    }
-
-    fn line(
-        &mut self,
-        world: &VecWorld,
-        world_idx: usize,
-        status: &WorldStatus<'_>,
-        prepared: &PreparedScene,
-        ego: usize,
-    ) -> Arc<CentreLine> {
-        if self.lines.len() < world.num_worlds() {
-            self.lines.resize(world.num_worlds(), None);
-        }
-        if let Some((scene_idx, agent, line)) = &self.lines[world_idx]
-            && (*scene_idx, *agent) == (status.scene_idx, ego)
-        {
-            return Arc::clone(line);
-        }
-        let limit_mps = world.config().speed_limit_mps;
-        let route = &prepared.routes[ego].path;
-        let line = Arc::new(CentreLine::new(&prepared.scene.map, route, limit_mps));
-        self.lines[world_idx] = Some((status.scene_idx, ego, Arc::clone(&line)));
-        line
     }
 }
 
@@ -144,16 +90,10 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
 }
 
 fn pdm(scene: &Scene<'_>, network: Option<&Network>, world_idx: usize) -> [Real; 2] {
-    let proposals = Proposal::all();
-    let futures: Vec<(Forecast, Vec<Rollout>)> = (0..network.map_or(1, |n| n.num_samples(world_idx)))
-        .map(|sample| {
-            let path = |agent| network?.path(scene.states, world_idx, sample, agent);
-            let forecast = Forecast::new(scene, path);
-            let rollouts = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
-            (forecast, rollouts)
-        })
-        .collect();
-    score::best_action(scene, &proposals, &futures)
+    let num_futures = network.map_or(1, |n| n.num_samples(world_idx));
+    let path = |sample, agent| network?.path(scene.states, world_idx, sample, agent);
+    let plan = plan(scene, num_futures, path);
+    [plan.accelerations[0], scene.yaw_rate(plan.offset_m)]
 }
 
 /// Acceleration and yaw rate towards a pose and speed after the step; braking where there is none.
@@ -167,11 +107,11 @@ fn follow(scene: &Scene<'_>, next: Option<(Pose2, Real)>) -> [Real; 2] {
 
 /// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.
 fn idm(scene: &Scene<'_>, idm: &IdmConfig) -> [Real; 2] {
-    let (states, ego, line) = (scene.states, scene.ego, scene.line);
+    let (states, ego, line, place) = (scene.states, scene.ego, scene.line, scene.place);
     let speed = states.speed_mps[ego].max(0.0);
-    let place = line.project(states.position(ego), None);
     let now = line.at(place.s_m);
-    let wanted = now.limit_mps.min(line.at(place.s_m + 0.5 * speed).curve_speed_mps);
+    let wanted =
+        now.limit_mps.min(scene.speed_limit_mps).min(line.at(place.s_m + 0.5 * speed).curve_speed_mps);
     let footprints = &scene.prepared.footprints;
     let ahead = leader(states, footprints, line.polyline(), place.s_m, ego, idm.anticipation_s);
     let acceleration = idm_towards(idm, speed, wanted, ahead.map(|l| (l.gap_m, l.speed_mps)));
@@ -180,11 +120,4 @@ fn idm(scene: &Scene<'_>, idm: &IdmConfig) -> [Real; 2] {
         acceleration,
         steering(&UnicycleLimits::default(), speed, now.curvature_1pm, heading_error, place.lateral_m),
     ]
-}
-
-/// The state of the unicycle at an agent's present.
-pub(crate) fn present(scene: &Scene<'_>) -> KinState {
-    let mut state = scene.states.kin_state(scene.ego);
-    state.speed_mps = state.speed_mps.max(0.0);
-    state
 }

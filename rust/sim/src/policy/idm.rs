@@ -86,11 +86,9 @@ impl Idm {
     }
 }
 
-/// Acceleration with which the model, as the world has it, would drive an agent along its route, m/s²; `None` for parked
-/// vehicles.
-pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Option<Real> {
-    let idm = Idm { config: *world.idm };
-    (!world.scene.routes[agent_idx].is_parked()).then(|| idm.wanted_acceleration(world, agent_idx))
+/// Acceleration with which the model, as the world has it, would drive an agent along its route, m/s².
+pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Real {
+    Idm { config: *world.idm }.wanted_acceleration(world, agent_idx)
 }
 
 impl TrafficPolicy for Idm {

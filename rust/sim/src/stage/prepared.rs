@@ -3,6 +3,7 @@
 use crate::geom::{Bitmap, Boundary, Polygon, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
 use crate::scene::{AgentKind, LaneIndex, Map, Scene};
+use crate::stage::centre_line::CentreLine;
 use crate::stage::log::Log;
 use crate::stage::route::Route;
 use crate::state::Footprint;
@@ -42,6 +43,8 @@ pub struct Stage {
     pub lanes: Option<LaneIndex>,
     /// Route of each agent.
     pub routes: Vec<Route>,
+    /// Centre line along the route of each agent, made when it is first asked for.
+    centre_lines: Vec<OnceLock<CentreLine>>,
     /// The log step by step.
     pub(crate) log: Log,
     /// Map segments for observations.
@@ -68,6 +71,7 @@ impl PreparedScene {
             road: Region::new(&Self::road_polygons(map)),
             road_edge: OnceLock::new(),
             lanes,
+            centre_lines: routes.iter().map(|_| OnceLock::new()).collect(),
             routes,
             scene,
         };
@@ -102,6 +106,12 @@ impl PreparedScene {
             vehicles.map(|(a, is)| if is { exits(a) } else { Vec::new() }).collect()
         };
         self.road_exits.get_or_init(all)[agent_idx].iter().any(|t| (from + 1..=to).contains(t))
+    }
+
+    /// Centre line of the lanes along an agent's route.
+    pub fn centre_line(&self, agent_idx: usize) -> &CentreLine {
+        let make = || CentreLine::new(&self.scene.map, &self.routes[agent_idx].path);
+        self.centre_lines[agent_idx].get_or_init(make)
     }
 
     /// Where vehicles may drive, as polygons.

@@ -1,24 +1,48 @@
-//! From the action of assisted driving to that of the unicycle: IDM and the route come in here.
+//! From the action of assisted driving to that of the unicycle: IDM or PDM-Closed, and their ways come in here.
 
-use crate::dynamics::{Action, AssistedLimits, BesideRoute};
+use crate::dynamics::{Action, AssistedBase, AssistedLimits, BesideRoute};
 use crate::geom::{Real, math};
+use crate::pdm::{Plan, Scene, plan};
 use crate::policy::{WorldView, idm_acceleration};
 
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;
 
-/// Acceleration and yaw rate of an agent for a change of IDM's acceleration and a distance from the route. Vehicles
+/// PDM's plan of a decision, and the elapsed steps that it was made at.
+pub(crate) type Planned = Option<(usize, Plan)>;
+
+/// Acceleration and yaw rate of an agent for a change of the base's acceleration and a distance from its way. Vehicles
 /// that never move in the log stay parked.
 pub(crate) fn unicycle_action(
     limits: &AssistedLimits,
     view: &WorldView<'_>,
     agent_idx: usize,
     command: Action,
+    planned: &mut Planned,
 ) -> Action {
     let states = view.states;
-    let (pose, speed, dt_s) = (states.pose(agent_idx), states.speed_mps[agent_idx], view.dt_s);
-    let Some(idm) = idm_acceleration(view, agent_idx) else { return [-speed / dt_s, 0.0, 0.0] };
-    let acceleration = limits.acceleration(idm, command[0], states.acceleration_mps2[agent_idx], dt_s);
+    if view.scene.routes[agent_idx].is_parked() {
+        return [-states.speed_mps[agent_idx] / view.dt_s, 0.0, 0.0];
+    }
+    let (base, yaw_rate) = match limits.base {
+        AssistedBase::Idm => {
+            (idm_acceleration(view, agent_idx), beside_route(limits, view, agent_idx, command[1]))
+        }
+        AssistedBase::Pdm => {
+            let scene = Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps);
+            let (made_at, plan) =
+                planned.get_or_insert_with(|| (view.elapsed_steps, plan(&scene, 1, |_, _| None)));
+            let step = (view.elapsed_steps - *made_at).min(plan.accelerations.len() - 1);
+            (plan.accelerations[step], scene.yaw_rate(plan.offset_m + command[1]))
+        }
+    };
+    let before = states.acceleration_mps2[agent_idx];
+    [limits.acceleration(base, command[0], before, view.dt_s), yaw_rate, 0.0]
+}
+
+/// Yaw rate that leads to a distance from the route.
+fn beside_route(limits: &AssistedLimits, view: &WorldView<'_>, agent_idx: usize, offset_m: Real) -> Real {
+    let (pose, speed) = (view.states.pose(agent_idx), view.states.speed_mps[agent_idx]);
     let (path, s_m) = (&view.scene.routes[agent_idx].path, view.route_s_m[agent_idx]);
     let at = path.at(s_m);
     let d = pose.position - at.position;
@@ -32,5 +56,5 @@ pub(crate) fn unicycle_action(
         sin: pose.sin * at.cos - pose.cos * at.sin,
         curvature_1pm: turn / (2.0 * CURVATURE_REACH_M),
     };
-    [acceleration, limits.yaw_rate(&beside, command[1], speed), 0.0]
+    limits.yaw_rate(&beside, offset_m, speed)
 }

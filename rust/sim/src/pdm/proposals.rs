@@ -1,10 +1,11 @@
 //! Proposals: a share of the speed limit and a distance from the centre line, rolled out with IDM and the unicycle.
 
+use super::Scene;
 use super::forecast::Forecast;
-use super::{Scene, present};
 use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
 use crate::policy::{IdmConfig, idm_towards};
+use crate::stage::{CentreLine, Place};
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
@@ -46,7 +47,7 @@ pub(super) struct Rollout {
 }
 
 /// Yaw rate that follows a curve, critically damped in the distance from it.
-pub(super) fn steering(
+pub(crate) fn steering(
     limits: &UnicycleLimits,
     speed_mps: Real,
     curvature_1pm: Real,
@@ -61,6 +62,33 @@ pub(super) fn steering(
     (speed_mps * wanted.clamp(-most, most)).clamp(-bound, bound)
 }
 
+/// Where a state is beside the line near an arc length.
+pub(super) struct BesideLine {
+    at: Place,
+    /// Along the line from there, and left of it, metres.
+    ahead_m: Real,
+    lateral_m: Real,
+    heading_error_rad: Real,
+}
+
+impl BesideLine {
+    pub(super) fn new(line: &CentreLine, s_m: Real, state: &KinState) -> Self {
+        let at = line.at(s_m);
+        let (sin, cos) = math::sin_cos(at.heading_rad);
+        let (dx, dy) = (state.x - at.position.x, state.y - at.position.y);
+        let (ahead_m, lateral_m) = (dx * cos + dy * sin, dy * cos - dx * sin);
+        let heading_error_rad =
+            math::wrap_angle(state.heading_rad - at.heading_rad - at.curvature_1pm * ahead_m);
+        Self { at, ahead_m, lateral_m, heading_error_rad }
+    }
+
+    /// Yaw rate that leads to a distance from the line.
+    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real) -> Real {
+        let (curvature_1pm, lateral_m) = (self.at.curvature_1pm, self.lateral_m - offset_m);
+        steering(&UnicycleLimits::default(), speed_mps, curvature_1pm, self.heading_error_rad, lateral_m)
+    }
+}
+
 impl Proposal {
     /// All of them.
     pub(super) fn all() -> Vec<Self> {
@@ -73,9 +101,9 @@ impl Proposal {
     /// Drives it against the forecast.
     pub(super) fn roll(&self, scene: &Scene<'_>, forecast: &Forecast) -> Rollout {
         let (line, dt_s, own) = (scene.line, scene.dt_s, scene.footprint(scene.ego));
-        let (dynamics, limits) = (Dynamics::default(), UnicycleLimits::default());
-        let mut state = present(scene);
-        let start_m = line.project(scene.states.position(scene.ego), None).s_m;
+        let dynamics = Dynamics::default();
+        let mut state = scene.present();
+        let start_m = scene.place.s_m;
         let mut s_m = start_m;
         let mut last = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
         let direction = |state: &KinState| {
@@ -89,25 +117,21 @@ impl Proposal {
             progress_m: 0.0,
         };
         for t in 0..forecast.num_steps {
-            let at = line.at(s_m);
-            let (sin, cos) = math::sin_cos(at.heading_rad);
-            let (dx, dy) = (state.x - at.position.x, state.y - at.position.y);
-            let (ahead_m, lateral_m) = (dx * cos + dy * sin, dy * cos - dx * sin);
-            s_m += ahead_m;
-            let heading_error =
-                math::wrap_angle(state.heading_rad - at.heading_rad - at.curvature_1pm * ahead_m);
+            let beside = BesideLine::new(line, s_m, &state);
+            s_m += beside.ahead_m;
             let speed = state.speed_mps;
-            let wanted = (at.limit_mps * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
+            let limit = beside.at.limit_mps.min(scene.speed_limit_mps);
+            let wanted = (limit * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
             let leader = self.leader(forecast, t, s_m, own.half_length_m, own.half_width_m);
             let hard = idm_towards(&IDM, speed, wanted, leader);
             let change = JERK_MPS3 * dt_s;
             let soft = hard.clamp(last - change, last + change);
             let acceleration = if hard < -IDM.deceleration_mps2 { hard } else { soft };
-            let yaw_rate =
-                steering(&limits, speed, at.curvature_1pm, heading_error, lateral_m - self.offset_m);
+            let yaw_rate = beside.yaw_rate(speed, self.offset_m);
             let before = state;
             dynamics.step(&mut state, [acceleration, yaw_rate, 0.0], dt_s, own);
-            s_m += 0.5 * (before.speed_mps + state.speed_mps) * dt_s * math::sin_cos(heading_error).1;
+            s_m +=
+                0.5 * (before.speed_mps + state.speed_mps) * dt_s * math::sin_cos(beside.heading_error_rad).1;
             last = acceleration;
             out.states.push(state);
             out.directions.push(direction(&state));

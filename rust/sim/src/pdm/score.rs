@@ -1,10 +1,11 @@
 //! The score of proposals: what must not happen times a weighted mean of the rest, as nuPlan's closed loop.
 
-use super::Scene;
 use super::forecast::{AHEAD_S, Forecast};
 use super::proposals::{Proposal, Rollout};
+use super::{Plan, Scene};
 use crate::events::WRONG_WAY_CLEARANCE_M;
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
+use std::cell::OnceCell;
 
 /// Who is slower than this stands, m/s.
 const STANDS_MPS: Real = 0.05;
@@ -26,63 +27,108 @@ const SLOW_MPS: Real = 5.0;
 /// Comfort: lowest and highest acceleration, highest lateral one (m/s²), jerk (m/s³).
 const COMFORT: (Real, Real, Real, Real) = (-4.05, 2.4, 4.89, 8.37);
 
-/// The first action of the proposal that is best in the mean over futures, or an emergency brake where most of them have a contact.
-pub(super) fn best_action(
-    scene: &Scene<'_>,
-    proposals: &[Proposal],
-    futures: &[(Forecast, Vec<Rollout>)],
-) -> [Real; 2] {
-    let scored: Vec<Vec<(Real, Option<usize>)>> =
-        futures.iter().map(|(forecast, rollouts)| scores(scene, forecast, proposals, rollouts)).collect();
-    let score = |i: usize| scored.iter().map(|of| of[i].0).sum::<Real>() / scored.len() as Real;
-    let mut best = (0, score(0));
-    for i in 1..proposals.len() {
-        let value = score(i);
-        if value > best.1 {
+/// What the proposal does that is best in the mean over futures, or an emergency brake where most of them have a contact.
+/// Of equals the first. Proposals whose progress cannot make up for the best so far are not looked at.
+pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Forecast, Vec<Rollout>)]) -> Plan {
+    let futures: Vec<Future<'_>> = futures
+        .iter()
+        .map(|(forecast, rollouts)| Future::new(scene, forecast, proposals, rollouts))
+        .collect();
+    let mean =
+        |of: &dyn Fn(&Future<'_>) -> Real| futures.iter().map(of).sum::<Real>() / futures.len() as Real;
+    let mut order: Vec<(usize, Real)> = (0..proposals.len()).map(|i| (i, mean(&|f| f.bound(i)))).collect();
+    order.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut best = (0, Real::NEG_INFINITY);
+    for (i, bound) in order {
+        if bound < best.1 {
+            break;
+        }
+        let value = mean(&|f| f.score(i));
+        if value > best.1 || value == best.1 && i < best.0 {
             best = (i, value);
         }
     }
-    let first = &futures[0].1[best.0];
-    let [acceleration, yaw_rate] = first.actions[0];
+    let first = &futures[0].rollouts[best.0];
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
-    let hit = scored.iter().filter(|of| of[best.0].1.is_some_and(|t| t <= brake_steps)).count();
-    if 2 * hit > scored.len() {
-        let slow = first.states[0].speed_mps < SLOW_MPS;
-        return [if slow { SLOW_BRAKE_MPS2 } else { BRAKE_MPS2 }, yaw_rate];
-    }
-    [acceleration, yaw_rate]
+    let hit = futures.iter().filter(|f| f.parts(best.0).contact.is_some_and(|t| t <= brake_steps)).count();
+    let accelerations = match 2 * hit > futures.len() {
+        true if first.states[0].speed_mps < SLOW_MPS => vec![SLOW_BRAKE_MPS2],
+        true => vec![BRAKE_MPS2],
+        false => first.actions.iter().map(|action| action[0]).collect(),
+    };
+    Plan { offset_m: proposals[best.0].offset_m, accelerations }
 }
 
-/// Score of each proposal in one future, and step of its first contact.
-fn scores(
-    scene: &Scene<'_>,
-    forecast: &Forecast,
-    proposals: &[Proposal],
-    rollouts: &[Rollout],
-) -> Vec<(Real, Option<usize>)> {
-    let parts: Vec<Parts> =
-        proposals.iter().zip(rollouts).map(|(p, rollout)| Parts::new(scene, forecast, p, rollout)).collect();
-    let most_m = parts.iter().zip(rollouts).map(|(p, r)| p.product * r.progress_m).fold(0.0, Real::max);
-    let farthest_m = rollouts.iter().map(|r| r.progress_m).fold(1.0, Real::max);
-    let score = |i: usize| {
-        let (p, rollout) = (&parts[i], &rollouts[i]);
-        let share = if most_m > 0.1 { rollout.progress_m / most_m } else { rollout.progress_m / farthest_m };
-        let progress = share.clamp(0.0, 1.0);
+/// Proposals in one future; what is scored of them is found when it is asked for.
+struct Future<'a> {
+    scene: &'a Scene<'a>,
+    forecast: &'a Forecast,
+    proposals: &'a [Proposal],
+    rollouts: &'a [Rollout],
+    parts: Vec<OnceCell<Parts>>,
+    /// Most progress of a rollout, and of one times its product, metres.
+    farthest_m: Real,
+    most_m: Real,
+}
+
+impl<'a> Future<'a> {
+    fn new(
+        scene: &'a Scene<'a>,
+        forecast: &'a Forecast,
+        proposals: &'a [Proposal],
+        rollouts: &'a [Rollout],
+    ) -> Self {
+        let parts = vec![OnceCell::new(); proposals.len()];
+        let farthest_m = rollouts.iter().map(|r| r.progress_m).fold(1.0, Real::max);
+        let mut found = Self { scene, forecast, proposals, rollouts, parts, farthest_m, most_m: 0.0 };
+        let mut order: Vec<usize> = (0..proposals.len()).collect();
+        order.sort_by(|a, b| rollouts[*b].progress_m.total_cmp(&rollouts[*a].progress_m));
+        for i in order {
+            if rollouts[i].progress_m <= found.most_m {
+                break;
+            }
+            found.most_m = found.most_m.max(found.parts(i).product * rollouts[i].progress_m);
+        }
+        found
+    }
+
+    fn parts(&self, i: usize) -> &Parts {
+        let make = || Parts::new(self.scene, self.forecast, &self.proposals[i], &self.rollouts[i]);
+        self.parts[i].get_or_init(make)
+    }
+
+    /// Progress as a share of the most.
+    fn progress(&self, i: usize) -> Real {
+        let of_m = if self.most_m > 0.1 { self.most_m } else { self.farthest_m };
+        (self.rollouts[i].progress_m / of_m).clamp(0.0, 1.0)
+    }
+
+    fn mean(&self, i: usize, product: Real, is_close: bool, is_calm: bool) -> Real {
         let flag = |holds: bool| if holds { 1.0 } else { 0.0 };
-        let steps = forecast.num_steps as Real;
+        product * (5.0 * self.progress(i) + 5.0 * flag(!is_close) + 2.0 * flag(is_calm)) / 12.0
+    }
+
+    /// What the score is at most.
+    fn bound(&self, i: usize) -> Real {
+        self.mean(i, 1.0, false, true) - OFFSET_PER_M * self.proposals[i].offset_m.abs()
+    }
+
+    fn score(&self, i: usize) -> Real {
+        let (p, steps) = (self.parts(i), self.forecast.num_steps as Real);
         let value = if p.product > 0.0 {
-            p.product * (5.0 * progress + 5.0 * flag(!p.close) + 2.0 * flag(p.calm)) / 12.0
+            self.mean(i, p.product, p.close, p.calm)
         } else {
             // all proposals fail: the latest contact first
             let contact = p.contact.map_or(steps, |t| t as Real) / steps;
-            1e-2 * contact - 5e-3 * p.off_road + 2e-3 * progress + 1e-3 * flag(!p.close) - 0.1
+            let clear = if p.close { 0.0 } else { 1.0 };
+            1e-2 * contact - 5e-3 * p.off_road + 2e-3 * self.progress(i) + 1e-3 * clear - 0.1
         };
-        value - OFFSET_PER_M * proposals[i].offset_m.abs()
-    };
-    (0..parts.len()).map(|i| (score(i), parts[i].contact)).collect()
+        value - OFFSET_PER_M * self.proposals[i].offset_m.abs()
+    }
 }
 
 /// What is scored of a proposal.
+#[derive(Clone)]
 struct Parts {
     /// Step of the first contact at fault.
     contact: Option<usize>,

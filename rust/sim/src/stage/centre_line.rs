@@ -32,7 +32,7 @@ pub struct Place {
     pub curvature_1pm: Real,
     /// Greatest speed that the curves here and ahead allow, m/s.
     pub curve_speed_mps: Real,
-    /// Speed limit, m/s.
+    /// Speed limit of the lane, m/s; infinite without one.
     pub limit_mps: Real,
 }
 
@@ -53,14 +53,14 @@ struct Candidate {
 }
 
 impl CentreLine {
-    /// The line along a route; `limit_mps` is the limit of lanes that have none.
-    pub fn new(map: &Map, route: &Polyline, limit_mps: Real) -> Self {
+    /// The line along a route.
+    pub fn new(map: &Map, route: &Polyline) -> Self {
         let chosen = lanes_along(map, route);
         let (laterals, limits): (Vec<Real>, Vec<Real>) = chosen
             .iter()
             .map(|c| {
                 let limit = c.lane.and_then(|lane| map.lanes[lane].speed_limit_mps);
-                (c.lateral_m, limit.unwrap_or(limit_mps).min(limit_mps))
+                (c.lateral_m, limit.unwrap_or(Real::INFINITY))
             })
             .unzip();
         let points = (0..=(route.length_m().ceil() as usize)).map(|i| {

@@ -1,0 +1,87 @@
+//! PDM-Closed: proposals along the centre line are rolled out and scored, and the best one's first action is driven.
+//!
+//! Dauner, Hallgarten, Geiger, Chitta: "Parting with Misconceptions about Learning-based Vehicle Motion Planning", CoRL 2023.
+
+mod forecast;
+mod proposals;
+mod score;
+
+use crate::dynamics::KinState;
+use crate::geom::{Pose2, Projection, Real};
+use crate::stage::{CentreLine, PreparedScene};
+use crate::state::{AgentStates, Footprint};
+use forecast::Forecast;
+use proposals::{BesideLine, Proposal, Rollout};
+
+pub(crate) use proposals::steering;
+
+/// What is known of one world.
+pub(crate) struct Scene<'a> {
+    pub prepared: &'a PreparedScene,
+    pub states: &'a AgentStates,
+    pub ego: usize,
+    pub dt_s: Real,
+    /// Limit of the world, m/s.
+    pub speed_limit_mps: Real,
+    pub line: &'a CentreLine,
+    /// Where the ego is beside the line.
+    pub place: Projection,
+}
+
+impl<'a> Scene<'a> {
+    pub(crate) fn new(
+        prepared: &'a PreparedScene,
+        states: &'a AgentStates,
+        ego: usize,
+        dt_s: Real,
+        speed_limit_mps: Real,
+    ) -> Self {
+        let line = prepared.centre_line(ego);
+        let place = line.project(states.position(ego), None);
+        Self { prepared, states, ego, dt_s, speed_limit_mps, line, place }
+    }
+
+    /// Yaw rate of the ego now on its way to a distance from the centre line.
+    pub(crate) fn yaw_rate(&self, offset_m: Real) -> Real {
+        let state = self.present();
+        BesideLine::new(self.line, self.place.s_m, &state).yaw_rate(state.speed_mps, offset_m)
+    }
+
+    pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {
+        &self.prepared.footprints[agent_idx]
+    }
+
+    /// State of the unicycle at the ego's present.
+    pub(crate) fn present(&self) -> KinState {
+        let mut state = self.states.kin_state(self.ego);
+        state.speed_mps = state.speed_mps.max(0.0);
+        state
+    }
+}
+
+/// What the best proposal does.
+#[derive(Debug)]
+pub(crate) struct Plan {
+    /// Distance from the centre line, left positive, metres.
+    pub offset_m: Real,
+    /// Accelerations of the coming steps, m/s².
+    pub accelerations: Vec<Real>,
+}
+
+/// The plan that is best in the mean over futures. `path` gives the poses of an agent from now on in a future, where a
+/// network expects any; else others drive on at constant velocity.
+pub(crate) fn plan(
+    scene: &Scene<'_>,
+    num_futures: usize,
+    path: impl Fn(usize, usize) -> Option<Vec<Pose2>>,
+) -> Plan {
+    let proposals = Proposal::all();
+    let futures: Vec<(Forecast, Vec<Rollout>)> = (0..num_futures)
+        .map(|future| {
+            let forecast = Forecast::new(scene, |agent| path(future, agent));
+            let rollouts = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
+            (forecast, rollouts)
+        })
+        .collect();
+    score::best(scene, &proposals, &futures)
+}
