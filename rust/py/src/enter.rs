@@ -1,8 +1,9 @@
-//! Entering Rust: flags of numpy; with an object that owns threads: fork check, GIL release, panics as exceptions.
+//! Entering Rust: texts, flags of numpy; with an object that owns threads: fork check, GIL release, panics as exceptions.
 
 use ccdiff_bridge::errors::py;
 use numpy::{PyReadonlyArray, PyReadonlyArrayDyn};
-use pyo3::exceptions::PyRuntimeError;
+use pyo3::Borrowed;
+use pyo3::exceptions::{PyRuntimeError, PyUnicodeError};
 use pyo3::prelude::*;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -62,4 +63,23 @@ where
         let text = text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default();
         Err(PyRuntimeError::new_err(format!("internal fault, please report it: {text}")))
     })
+}
+
+/// A text of a scene. `SceneError` where a `str` of Python holds half a character, which no file can hold.
+#[derive(Default)]
+pub(crate) struct Text(pub(crate) String);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Text {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        value.extract().map(Self).map_err(|error: PyErr| {
+            if error.is_instance_of::<PyUnicodeError>(value.py()) {
+                let shown = value.repr().map_or_else(|_| String::new(), |r| r.to_string_lossy().into_owned());
+                py::SceneError::new_err(format!("text {shown} holds half a character, expected Unicode"))
+            } else {
+                error
+            }
+        })
+    }
 }

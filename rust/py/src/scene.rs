@@ -1,6 +1,6 @@
 //! `Scene`, and the functions that load scenes.
 
-use crate::enter::flags;
+use crate::enter::{Text, flags};
 use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
@@ -15,8 +15,6 @@ use ccdiff_sim::stage::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
-use pyo3::Borrowed;
-use pyo3::exceptions::PyUnicodeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyCapsule, PyDict};
 use std::path::PathBuf;
@@ -67,25 +65,6 @@ impl PyScene {
 impl From<Arc<Scene>> for PyScene {
     fn from(scene: Arc<Scene>) -> Self {
         Self { scene, hash: OnceLock::new(), prepared: OnceLock::new() }
-    }
-}
-
-/// A text of a scene. `SceneError` where a `str` of Python holds half a character, which no file can hold.
-#[derive(Default)]
-pub(crate) struct Text(pub(crate) String);
-
-impl<'a, 'py> FromPyObject<'a, 'py> for Text {
-    type Error = PyErr;
-
-    fn extract(value: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
-        value.extract().map(Self).map_err(|error: PyErr| {
-            if error.is_instance_of::<PyUnicodeError>(value.py()) {
-                let shown = value.repr().map_or_else(|_| String::new(), |r| r.to_string_lossy().into_owned());
-                py::SceneError::new_err(format!("text {shown} holds half a character, expected Unicode"))
-            } else {
-                error
-            }
-        })
     }
 }
 

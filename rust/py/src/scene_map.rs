@@ -1,6 +1,6 @@
 //! Map layers between Rust and Python: one shape of dictionary both ways.
 
-use crate::scene::Text;
+use crate::enter::Text;
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{Lane, LaneKind, Map, RoadParts, link_lanes, road_area};
