@@ -25,6 +25,8 @@ pub struct WorldGuidance<'a> {
     pub target_speeds_mps: Option<&'a [Option<f32>]>,
     /// Speed limit of the scene, metres per second, for objectives without one of their own.
     pub speed_limit_mps: Option<f32>,
+    /// Whether collision losses count who stands now as well: a draw may start.
+    pub starts: bool,
 }
 
 impl<'a> WorldGuidance<'a> {
@@ -38,6 +40,7 @@ impl<'a> WorldGuidance<'a> {
             goals: None,
             target_speeds_mps: None,
             speed_limit_mps: None,
+            starts: false,
         }
     }
 }
@@ -57,7 +60,7 @@ pub struct GuidanceContext<'a> {
     pub length_m: Vec<f32>,
     /// Widths, metres, [M].
     pub width_m: Vec<f32>,
-    /// Whether the agent is faster than [`MOVING_MPS`] now, [M].
+    /// Whether the agent is faster than [`MOVING_MPS`] now, or may start, [M].
     pub moving: Vec<bool>,
     /// Whether the agent's plan is moved, [M].
     pub guided: Vec<bool>,
@@ -111,7 +114,7 @@ impl<'a> GuidanceContext<'a> {
             speed_mps: features.speed_mps.clone(),
             length_m: rows.iter().map(|a| window.length_m[*a]).collect(),
             width_m: rows.iter().map(|a| window.width_m[*a]).collect(),
-            moving: features.speed_mps.iter().map(|v| v.abs() > MOVING_MPS).collect(),
+            moving: features.speed_mps.iter().map(|v| guide.starts || v.abs() > MOVING_MPS).collect(),
             guided: rows.iter().map(|a| guide.guided[*a]).collect(),
             guidance_scale: guide.guidance_scale,
             partner: rows.iter().map(|a| guide.collision_targets.is_none_or(|p| p[*a])).collect(),

@@ -233,7 +233,7 @@ impl PlannedTraffic {
             // about equally large
             let size = due.len().div_ceil(due.len().div_ceil(most).max(1)).max(1);
             for (due, moved) in due.chunks(size).zip(moved.chunks(size)) {
-                let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options));
+                let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options, tokens));
                 shards.push((views.collect(), options));
             }
         }
@@ -323,6 +323,7 @@ fn view_of<'a>(
     due: &'a PreparedRequest<'_>,
     (moved, guidance_scale): &'a (Vec<bool>, Real),
     options: &PlanOptions,
+    tokens: bool,
 ) -> PlanInput<'a> {
     let world = &due.request.world;
     PlanInput {
@@ -334,6 +335,7 @@ fn view_of<'a>(
             road: world.scene.road.as_ref(),
             collision_targets: due.is_guided().then_some(&due.collision_targets),
             speed_limit_mps: Some(world.speed_limit_mps),
+            starts: tokens && !due.is_guided(),
             ..WorldGuidance::new(moved)
         }),
     }
