@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,6 +15,7 @@ from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Recorded
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.progress import shown
 
@@ -98,7 +100,10 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """Say in what two rows of an episode differ."""
+    """Say in what two rows of an episode differ; options that came later count as by default."""
+    if "action" in then:
+        options = WorldConfig.from_json(json.dumps({"action": then["action"]}))
+        then = {**then, "action": json.loads(options.to_json())["action"]}
     names = [name for name in {**now, **then} if then.get(name) != now.get(name)]
     figures = [name for name in names if name not in ("digest", "actions", "action")]
     if figures:
