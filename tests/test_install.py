@@ -113,6 +113,11 @@ def test_networks_that_cannot_be_are_one_clear_line(before, message):
     assert re.search(message, python(REFUSED.format(before=before)))
 
 
+def test_environments_of_a_learner_that_is_not_there_are_one_clear_line():
+    code = "import sys\nsys.modules['stable_baselines3'] = None\ntry: import ccdiff_env.envs.sb3\n"
+    assert "ccdiff-env[rl]" in python(f"{code}except ImportError as error: print(error)")
+
+
 def test_parts_of_the_package_are_there_when_they_are_named():
     assert python("import ccdiff_env\nprint(ccdiff_env.view.write_page.__name__)") == "write_page"
 

@@ -9,14 +9,20 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecEnv
 
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.worlds.fit import STATISTICS
+
+try:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    raise MissingFeatureError(
+        "this needs stable-baselines3: pip install 'ccdiff-env[rl]'"
+    ) from error
 
 #: Settings of PPO for some hundred worlds: large minibatches and few epochs, since small ones cost
 #: more than the worlds (docs/tasks.md).
