@@ -21,7 +21,7 @@ TITLES = ("recorded", "CCDiff, realistic", "CCDiff, criticality 1")
 CENTRE_M, SPAN_M = (1.0, -40.0), 46.0
 PANEL = (384, 360)
 TITLE_PX = 64
-FIRST_STEP = 8
+FIRST_STEP = 4
 HOLD_S = 1.6
 """The image rests at the collision, whose vehicles have a red outline."""
 

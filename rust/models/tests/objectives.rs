@@ -235,6 +235,21 @@ fn a_goal_without_a_step_pulls_at_the_step_that_comes_nearest() {
 }
 
 /// A road along x, 8 m to each side.
+#[test]
+fn who_stands_has_a_collision_loss_where_it_may_start() {
+    let toy = toy(&[[0.0; 5], [8.0, 0.0, 0.0, 0.0, 0.0]], ModelConfig::fast());
+    let mut actions = vec![0.0; 4 * T];
+    actions.iter_mut().take(2 * T).step_by(2).for_each(|a| *a = 2.0);
+    let losses = |starts| {
+        let guide = WorldGuidance { starts, ..WorldGuidance::new(&[true; 2]) };
+        let s = toy.context(&guide, &GuidanceConfig::released());
+        let objective = Objective::AgentCollision(AgentCollision::default());
+        evaluate(&objective, &s, &toy.roll(&s, &actions)).0
+    };
+    assert_eq!(losses(false), [0.0; 2]);
+    assert!(losses(true).iter().all(|loss| *loss > 0.0));
+}
+
 fn road() -> Region {
     let corner = |x, y| Point2::new(x, y);
     let exterior = vec![corner(-100.0, -8.0), corner(300.0, -8.0), corner(300.0, 8.0), corner(-100.0, 8.0)];
