@@ -167,6 +167,59 @@ def test_pages_and_adversaries_take_every_planner(scenes, name):
         assert env.step(env.action_space.sample())[4] is not None
 
 
+@pytest.mark.parametrize("name", [*BUILT_IN, *SHIPPED, "test_planners:Bicycle"])
+def test_environments_take_every_planner_as_driver(scenes, name):
+    """Egos go where they do in a page, alone and in vectors; given actions do nothing."""
+    rollout = play_scene(scenes[0], traffic="idm", driver=name, seed=3)
+    env = ccdiff_env.EgoEnv(scenes=scenes[:1], traffic="idm", driver=name)
+    vector = ccdiff_env.make_vec(
+        2, scenes=scenes[:1], traffic="idm", driver=name, autoreset_mode="same_step"
+    )
+    width = env.action_space.shape
+    env.reset(seed=3)
+    vector.reset(seed=[3, 4])
+    copy_of, path = None, rollout.position[rollout.agent_ids.index("ego")]
+    done = ended = False
+    for step in range(rollout.num_steps - 1):
+        if step == 30 and name in ("pdm", "lane_idm"):  # who keep nothing from before
+            copy_of = env.fork()
+        if not done:
+            where = env.worlds.native.states(0)["position"][0]
+            assert np.array_equal(where, path[-rollout.num_steps + step], equal_nan=True)
+            done = env.step(env.action_space.sample())[2]
+        if copy_of is not None and not done:
+            copy_of.step(np.ones(width))
+            assert copy_of.worlds.native.digest(0) == env.worlds.native.digest(0)
+        if not ended:
+            ended = vector.step(np.ones((2, *width)))[2][0]
+            if not (ended or done) and (step < 10 or name not in SHIPPED):
+                # networks round by the size of the batch
+                one, other = (e.worlds.native.states(0)["position"] for e in (env, vector))
+                assert np.allclose(one, other, rtol=0.0, atol=1e-2 if name in SHIPPED else 0.0)
+    for _ in range(5):  # worlds that began anew are driven, too
+        assert np.isfinite(vector.step(np.zeros((2, *width)))[1]).all()
+
+
+def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
+    for make in (
+        lambda: ccdiff_env.EgoEnv(scenes=scenes, driver="pdmm"),
+        lambda: ccdiff_env.make_vec(2, scenes=scenes, driver="pdmm"),
+        lambda: ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego="pdmm"),
+        lambda: play_scene(scenes[0], driver="pdmm"),
+        lambda: drive(scenes, "pdmm", REPLAY),
+        lambda: Playground(scenes, scenes[0].name).replay({"driver": "pdmm"}),
+    ):
+        with pytest.raises(ConfigError, match=r"'pdmm'; did you mean 'pdm'\?"):
+            make()
+    for words in (
+        ["view", scenes[0].name, "--traffic", "idm", "--driver", "pdmm"],
+        ["rollout", "--split", "val", "--driver", "pdmm", "--out", str(tmp_path / "r")],
+        ["bench", "planners", "--planners", "pdmm", "--out", str(tmp_path / "b")],
+    ):
+        assert main(words) == 2
+        assert "did you mean 'pdm'?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("planner", "error", "words"),
     [

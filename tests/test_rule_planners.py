@@ -200,15 +200,21 @@ def test_changes_of_pdm_go_on_from_a_snapshot_bit_for_bit(val):
     assert ends[0] == ends[1]
 
 
-def test_what_a_planner_raises_names_it_its_scene_and_step(val):
-    def broken(obs):
+@pytest.mark.parametrize("where", ["__init__", "reset", "__call__"])
+def test_what_a_planner_raises_names_it_its_scene_and_step(val, where):
+    def broken(self, *given):
         raise KeyError("speed")
 
+    parts = {"__call__": lambda self, obs: obs, where: broken}
     worlds, out = begun(val[:1])
-    seat = Seat(broken, "mine:broken")
-    seat.begin(worlds)
-    with pytest.raises(PolicyError, match=f"mine:broken: KeyError.*{val[0].name} at step 0"):
+    seat = Seat(type("Broken", (), parts), "mine:broken")
+
+    def driven():
+        seat.begin(worlds)
         seat(out.obs[:, 0])
+
+    with pytest.raises(PolicyError, match=f"mine:broken: KeyError.*{val[0].name} at step 0"):
+        driven()
 
 
 def test_overlap_agrees_with_shapely():

@@ -14,6 +14,7 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.vector import RESET_OPTIONS, InfoLevel, check_choices, check_ego
 from ccdiff_env.errors import SnapshotError
+from ccdiff_env.policies.planners import seated
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
@@ -92,10 +93,13 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``bev={"size_px": 64}``.
+        ``driver`` names a planner, too: ``"pdm"``, ``"ego"``, ``"module:name"``, a policy's file
+        (docs/planners.md). Whoever drives, the actions that ``step`` is given do nothing.
 
     Notes
     -----
-    Environments can be pickled and deep-copied in the middle of an episode.
+    Environments can be pickled and deep-copied in the middle of an episode. A planner decides anew
+    in a copy, in a fork and after :meth:`restore`.
     """
 
     _title = "ccdiff_env/Ego"
@@ -118,7 +122,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         check_render_mode(render_mode, ("human", "rgb_array"))
         self._render_options = checked_render_options(render_options)
         chosen = scene_set(scenes)
-        resolved = world_config(chosen, config, options, observation).with_options(
+        self._driver = options.get("driver")
+        self._seat, config, given = seated(options, config, chosen[0].dt)
+        resolved = world_config(chosen, config, given, observation).with_options(
             autoreset="disabled"
         )
         self.worlds = Worlds(
@@ -180,6 +186,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         out = self.worlds.arrays()
         self.worlds.native.reset([normalized], [scene_idx], None, out, [wanted])
         self.worlds.assign(0, drivers)
+        if self._seat is not None:
+            self._seat.reset([0])
         self._actions = []
         if self.render_mode == "human":
             self.render()
@@ -205,6 +213,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         ResetNeededError
             Before the first reset and after the end of an episode.
         """
+        if self._seat is not None and self._begun:
+            action = self._seat.decide(self.worlds)[0]
         checked = self.worlds.actions(action, self.action_space.shape or ())
         out = self.worlds.arrays()
         self.worlds.native.step(checked, out)
@@ -280,6 +290,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         saved.put(self.worlds, 0, seed)
         self._actions = actions if seed is None else None
         self._seeded = self._begun = self.worlds.native.begun(0)
+        if self._seat is not None:
+            self._seat.reset([0])
         return self.observation() if self._begun else None
 
     def explain(self) -> TrafficPlan | None:
@@ -322,6 +334,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         return {
             "scenes": self.worlds.scenes,
             "config": self.config,
+            "driver": None if self._seat is None else self._driver,
             "observation": self._form,
             "info": self._info,
             "render_mode": self.render_mode,
@@ -347,7 +360,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             "render_options",
             "criticality",
         )
-        EgoEnv.__init__(self, **{key: state[key] for key in keys})
+        options: EgoKeywords = {} if state["driver"] is None else {"driver": state["driver"]}
+        EgoEnv.__init__(self, **{key: state[key] for key in keys}, **options)
         if state["progress"] is not None:
             self.set_progress(state["progress"])
         self.restore(state["snapshot"])

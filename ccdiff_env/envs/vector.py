@@ -15,6 +15,7 @@ from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.as_vector import AsVector, with_masks
 from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.policies.planners import seated
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import (
@@ -114,7 +115,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
-        ``bev={"size_px": 64}``.
+        ``bev={"size_px": 64}``. ``driver`` names a planner, too, as in
+        :class:`~ccdiff_env.EgoEnv`.
 
     Notes
     -----
@@ -151,7 +153,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         check_render_mode(render_mode, ("rgb_array",))
         self._render_options = checked_render_options(render_options)
         chosen = scene_set(scenes)
-        resolved = world_config(chosen, config, options, observation).with_options(
+        self._seat, config, given = seated(options, config, chosen[0].dt)
+        resolved = world_config(chosen, config, given, observation).with_options(
             autoreset=_AUTORESET[mode]
         )
         self.worlds = Worlds(
@@ -255,6 +258,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
                 self.worlds.assign(i, {k: v for k, v in drivers.items() if k in ids})
         rows = slice(None) if mask is None else mask
         self._begun[rows] = True
+        if self._seat is not None:
+            self._seat.reset(np.arange(self.num_envs)[rows])
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
         return self._observation(arrays), self._reset_infos({}, done)
 
@@ -286,6 +291,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         ResetNeededError
             Before the first reset, and in DISABLED mode for ended worlds that are active.
         """
+        if self._seat is not None and self._begun.all():
+            actions = self._seat.decide(self.worlds)
         checked = self.worlds.actions(actions, self._action_shape)
         mask = None if active is None else self._mask("active", active)
         out = self._kept or self.worlds.arrays()
@@ -293,6 +300,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         if mask is not None and self._kept is None:
             for i in np.flatnonzero(~mask):
                 self._keep(out, int(i))
+        if self._seat is not None and out.was_reset.any():
+            self._seat.reset(np.flatnonzero(out.was_reset))
         columns, reward = out.columns[:, 0], out.reward[:, 0]
         terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
         infos = self._step_infos(out, columns, mask)
@@ -416,5 +425,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         """
         self.worlds.check_world(world_idx)
         Snapshot.from_bytes(snapshot).put(self.worlds, world_idx, seed)
+        if self._seat is not None:
+            self._seat.reset([world_idx])
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)

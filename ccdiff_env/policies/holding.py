@@ -32,6 +32,11 @@ class Held:
         self.shape = (worlds.num_worlds, worlds.native.action_width)[: 1 if discrete else 2]
         dtype = np.int64 if discrete else np.float32
         self._present: npt.NDArray[Any] = np.zeros(self.shape, dtype)
+        self._new = np.ones(worlds.num_worlds, np.bool_)
+
+    def reset(self, indices: npt.NDArray[np.int64]) -> None:
+        """Let a decision be due in worlds, whatever their clocks say."""
+        self._new[indices] = True
 
     def __call__(
         self,
@@ -48,9 +53,10 @@ class Held:
         due = np.ones(num_worlds, np.bool_) if active is None else active
         if self._steps > 1:
             elapsed = np.array([native.status(i).elapsed_steps for i in range(num_worlds)])
-            due = due & (elapsed % self._steps == 0)
+            due = due & ((elapsed % self._steps == 0) | self._new)
             if not due.any():
                 return self._present
+        self._new &= ~due
         found = decide(due)
         self._present = self._present.copy()
         self._present[due] = found[due]

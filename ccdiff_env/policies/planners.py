@@ -40,7 +40,7 @@ from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.worlds.spaces import Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
-__all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3"]
+__all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3", "seated"]
 
 F32 = npt.NDArray[np.float32]
 #: Planners of the package by name, without weights of their own.
@@ -159,7 +159,8 @@ class Seat:
         if isinstance(self._planner, type):
             given = inspect.signature(self._planner).parameters.values()
             takes = any(p.default is p.empty and p.kind < p.VAR_POSITIONAL for p in given)
-            self._act = self._planner(given_worlds) if takes else self._planner()
+            made = (given_worlds,) if takes else ()
+            self._act = self._answer(lambda: self._planner(*made), worlds, range(worlds.num_worlds))
         if not (callable(self._act) or hasattr(self._act, "drive")):
             raise ConfigError(f"{self.name}: a {type(self._act).__name__} cannot be called")
         fit = getattr(self._act, "fit", None)
@@ -174,8 +175,18 @@ class Seat:
 
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
         """Tell the planner that episodes begin in some worlds."""
-        if self._worlds is not None and hasattr(self._act, "reset"):
-            self._act.reset(self._given_worlds, np.asarray(indices, np.int64))
+        if self._worlds is not None:
+            self._held.reset(np.asarray(indices, np.int64))
+            if hasattr(self._act, "reset"):
+                given = self._given_worlds, np.asarray(indices, np.int64)
+                self._answer(lambda: self._act.reset(*given), self._worlds, indices)
+
+    def decide(self, worlds: Worlds) -> npt.NDArray[Any]:
+        """Return actions for the present of worlds, whose seats are taken at the first call."""
+        if self._worlds is None:
+            self.begin(worlds)
+        rows = [worlds.observe(i)[0][0] for i in range(worlds.num_worlds)]
+        return self(np.stack(rows))
 
     def __call__(self, obs: F32, active: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[Any]:
         """Return actions for rows [E, D].
@@ -202,16 +213,8 @@ class Seat:
         """Return what the planner decides, checked."""
         assert self._worlds is not None
         given = self._worlds.layout.observation(self._form, obs, self._rasters())
-        try:
-            found, shape = np.asarray(self._act(given)), self._held.shape
-        except CcdiffError:
-            raise
-        except Exception as error:
-            where = ", ".join(map(self._where, np.flatnonzero(due)[:3].tolist()))
-            more = f" and {due.sum() - 3} more" if due.sum() > 3 else ""
-            raise PolicyError(
-                f"{self.name}: {type(error).__name__}: {error} (in {where}{more})"
-            ) from error
+        answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
+        found, shape = np.asarray(answered), self._held.shape
         if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
             found = self._followed(found)
         if found.shape == (*shape, 1) and len(shape) == 1:
@@ -244,10 +247,21 @@ class Seat:
             found[i] = 0 if rasters is None else rasters[0]
         return found
 
-    def _where(self, world_idx: int) -> str:
-        assert self._worlds is not None
-        status = self._worlds.native.status(world_idx)
-        return f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps}"
+    def _answer(
+        self, ask: Callable[[], Any], worlds: Worlds, indices: Sequence[int] | npt.NDArray[np.int64]
+    ) -> Any:
+        """Ask the planner; what it raises names it, scenes and steps."""
+        try:
+            return ask()
+        except CcdiffError:
+            raise
+        except Exception as error:
+            found = [worlds.native.status(int(i)) for i in indices[:3]]
+            where = [f"{worlds.scenes[s.scene_idx].name} at step {s.elapsed_steps}" for s in found]
+            more = f" and {len(indices) - 3} more" if len(indices) > 3 else ""
+            raise PolicyError(
+                f"{self.name}: {type(error).__name__}: {error} (in {', '.join(where)}{more})"
+            ) from error
 
 
 class _Sb3:
@@ -331,6 +345,39 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
             f"policies of {package} need it: pip install {package.replace('_', '-')}"
         ) from error
     return Seat(_Sb3(getattr(learners, algorithm).load(path, device="cpu"), name), name)
+
+
+def seated(
+    options: Mapping[str, Any], config: WorldConfig | None, dt_s: float
+) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
+    """Take a planner out of an environment's option ``driver``.
+
+    Parameters
+    ----------
+    options, config
+        Options of the environment, and the configuration that they change.
+    dt_s
+        Seconds of a step of the scenes.
+
+    Returns
+    -------
+    seat, config, options
+        Who makes the ego's actions; ``None`` and the same as before for a driver of the world. A
+        planner's own configuration stands in for none.
+
+    Raises
+    ------
+    ConfigError
+        For a name of neither.
+    """
+    name, own = options.get("driver"), options.get("policies", config and config.policies) or ()
+    if not isinstance(name, str) or name in (*_WORLD_DRIVERS, *own, "external"):
+        return None, config, dict(options)
+    driver, seat = ego_driver(name)
+    options = {**options, "driver": driver}
+    if config is None and seat is not None:
+        return seat, seat.config.with_options(decision_steps=1), {"dt_s": dt_s, **options}
+    return seat, config, options
 
 
 def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
