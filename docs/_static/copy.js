@@ -11,3 +11,6 @@ for (const block of document.querySelectorAll("div.highlight")) {
   block.style.position = "relative";
   block.append(button);
 }
+// What the theme leaves out: levels of the captions beside, and wide blocks for the keyboard.
+for (const caption of document.querySelectorAll(".caption[role=heading]")) caption.ariaLevel = "2";
+for (const wide of document.querySelectorAll("pre, .table-wrapper")) wide.tabIndex = 0;
