@@ -145,6 +145,16 @@ def test_an_end_has_a_chip_and_says_why(visit):
     assert "left the road" in text or "hit" in text or "drove into" in text
 
 
+def test_an_ego_at_its_goal_stays_to_be_seen(visit):
+    page = visit("#scene=pedestrians-00&traffic=replay&drive=b60")
+    page.until("drive.outcome", 60)
+    assert page.inner_text("#verdict").startswith("ego reached its goal")
+    assert page.evaluate("drive.runs[0].pose(0, drive.steps) !== null")
+    page.keyboard.press("r")
+    page.until("drive.steps === 0")
+    assert page.evaluate("drive.runs[0].arrived(0, 149)") is False
+
+
 def test_touch_drives(visit):
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
     page = visit("#scene=cut-in-04", **phone)

@@ -162,6 +162,7 @@ class Drive {
     run.a.valid.fill(0);
     run.a.pairStart.fill(0);
     run.events = [];
+    run.goal = null;
     run.isLog = false;
     this.steps = 0;
     this.reward = 0;
@@ -264,6 +265,7 @@ class Drive {
       text = `ego left the road at ${seconds} s`;
     } else if (info.goal_reached) {
       [tone, text] = ["good", `ego reached its goal at ${seconds} s`];
+      run.goal = { agent: 0, step: this.steps }; // it stays to be seen
     } else {
       [tone, text] = ["plain", `ego not at its goal in ${seconds} s`];
     }
