@@ -200,6 +200,18 @@ def test_changes_of_pdm_go_on_from_a_snapshot_bit_for_bit(val):
     assert ends[0] == ends[1]
 
 
+def test_changes_of_pdm_are_the_same_in_decisions_as_in_single_steps(val):
+    action = ActionConfig(dynamics=AssistedLimits(base="pdm"))
+    actions = np.random.default_rng(1).uniform(-1, 1, (8, 3, 1, 2)).astype(np.float32)
+    ends = []
+    for steps in (1, 3):
+        worlds, out = begun(val[:3], action=action, decision_steps=steps)
+        for held in np.repeat(actions, 3 // steps, axis=0):
+            worlds.native.step(held, out)
+        ends.append([worlds.native.states(i)["position"].tolist() for i in range(3)])
+    assert ends[0] == ends[1]
+
+
 @pytest.mark.parametrize("where", ["__init__", "reset", "__call__"])
 def test_what_a_planner_raises_names_it_its_scene_and_step(val, where):
     def broken(self, *given):

@@ -87,6 +87,8 @@ def test_two_runs_are_compared_scene_by_scene(tmp_path, capsys):
 
 def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, capsys):
     pytest.importorskip("torch")
+    import ccdiff_env
+
     out = tmp_path / "ego"
     for words, said in (
         (["--traffic", "imd"], "--traffic is 'imd'"),
@@ -95,12 +97,15 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         (["--forks", "2", "--traffic", "idm"], "share of episodes, 0 to 1"),
         (["--forks", "0.5"], "--forks"),
         (["--start", "nobody"], "nobody"),
+        (["--base", "nobody"], "one of idm, pdm"),
     ):
         assert cli.main(["train-ego", "--out", str(out), *words]) == 2
         assert said in capsys.readouterr().err
         assert not out.exists()
-    assert cli.main(["train-ego", "--smoke", "--out", str(out), "--threads", "1"]) == 0
-    assert (out / "ego.safetensors").is_file()
+    words = ["--base", "pdm", "--anchor", "zero", "--out", str(out), "--threads", "1"]
+    assert cli.main(["train-ego", "--smoke", *words]) == 0
+    policy = ccdiff_env.policies.load(out / "ego.safetensors")
+    assert policy.config.action.dynamics.base == "pdm"
     assert "ego.safetensors" in capsys.readouterr().out
 
 

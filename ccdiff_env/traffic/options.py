@@ -116,7 +116,7 @@ class AssistedLimits:
     offset_m: tuple[float, float] = (-1.5, 1.5)
     #: Lowest and highest acceleration, about zero (m/s²).
     acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
-    #: The acceleration changes no faster than this, except where IDM brakes (m/s³, > 0).
+    #: The acceleration changes no faster than this, except where the base brakes (m/s³, > 0).
     max_jerk_mps3: float = 8.0
     #: Lowest and highest speed (m/s).
     speed_mps: tuple[float, float] = (0.0, 30.0)

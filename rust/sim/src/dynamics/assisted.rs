@@ -18,7 +18,7 @@ choices! {
     pub enum AssistedBase {
         /// IDM on the route.
         Idm = "idm",
-        /// PDM-Closed on its centre line, asked once for each decision.
+        /// PDM-Closed on its centre line, asked at every step.
         Pdm = "pdm",
     }
 }
@@ -39,7 +39,7 @@ options! {
         offset_m: [Real; 2] = [-1.5, 1.5], unit "m";
         /// Lowest and highest acceleration, about zero.
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²";
-        /// The acceleration changes no faster than this, except where IDM brakes.
+        /// The acceleration changes no faster than this, except where the base brakes.
         max_jerk_mps3: Real = 8.0, unit "m/s³", range above(0.0);
         /// Lowest and highest speed.
         speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";

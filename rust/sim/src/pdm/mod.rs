@@ -64,8 +64,8 @@ impl<'a> Scene<'a> {
 pub(crate) struct Plan {
     /// Distance from the centre line, left positive, metres.
     pub offset_m: Real,
-    /// Accelerations of the coming steps, m/s².
-    pub accelerations: Vec<Real>,
+    /// Acceleration now, m/s².
+    pub acceleration_mps2: Real,
 }
 
 /// The plan that is best in the mean over futures. `path` gives the poses of an agent from now on in a future, where a

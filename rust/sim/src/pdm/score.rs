@@ -51,12 +51,12 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
     let first = &futures[0].rollouts[best.0];
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
     let hit = futures.iter().filter(|f| f.parts(best.0).contact.is_some_and(|t| t <= brake_steps)).count();
-    let accelerations = match 2 * hit > futures.len() {
-        true if first.states[0].speed_mps < SLOW_MPS => vec![SLOW_BRAKE_MPS2],
-        true => vec![BRAKE_MPS2],
-        false => first.actions.iter().map(|action| action[0]).collect(),
+    let acceleration_mps2 = match 2 * hit > futures.len() {
+        true if first.states[0].speed_mps < SLOW_MPS => SLOW_BRAKE_MPS2,
+        true => BRAKE_MPS2,
+        false => first.actions[0][0],
     };
-    Plan { offset_m: proposals[best.0].offset_m, accelerations }
+    Plan { offset_m: proposals[best.0].offset_m, acceleration_mps2 }
 }
 
 /// Proposals in one future; what is scored of them is found when it is asked for.

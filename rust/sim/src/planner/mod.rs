@@ -93,7 +93,7 @@ fn pdm(scene: &Scene<'_>, network: Option<&Network>, world_idx: usize) -> [Real;
     let num_futures = network.map_or(1, |n| n.num_samples(world_idx));
     let path = |sample, agent| network?.path(scene.states, world_idx, sample, agent);
     let plan = plan(scene, num_futures, path);
-    [plan.accelerations[0], scene.yaw_rate(plan.offset_m)]
+    [plan.acceleration_mps2, scene.yaw_rate(plan.offset_m)]
 }
 
 /// Acceleration and yaw rate towards a pose and speed after the step; braking where there is none.

@@ -2,14 +2,11 @@
 
 use crate::dynamics::{Action, AssistedBase, AssistedLimits, BesideRoute};
 use crate::geom::{Real, math};
-use crate::pdm::{Plan, Scene, plan};
+use crate::pdm::{Scene, plan};
 use crate::policy::{WorldView, idm_acceleration};
 
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;
-
-/// PDM's plan of a decision, and the elapsed steps that it was made at.
-pub(crate) type Planned = Option<(usize, Plan)>;
 
 /// Acceleration and yaw rate of an agent for a change of the base's acceleration and a distance from its way. Vehicles
 /// that never move in the log stay parked.
@@ -18,7 +15,6 @@ pub(crate) fn unicycle_action(
     view: &WorldView<'_>,
     agent_idx: usize,
     command: Action,
-    planned: &mut Planned,
 ) -> Action {
     let states = view.states;
     if view.scene.routes[agent_idx].is_parked() {
@@ -30,10 +26,8 @@ pub(crate) fn unicycle_action(
         }
         AssistedBase::Pdm => {
             let scene = Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps);
-            let (made_at, plan) =
-                planned.get_or_insert_with(|| (view.elapsed_steps, plan(&scene, 1, |_, _| None)));
-            let step = (view.elapsed_steps - *made_at).min(plan.accelerations.len() - 1);
-            (plan.accelerations[step], scene.yaw_rate(plan.offset_m + command[1]))
+            let plan = plan(&scene, 1, |_, _| None);
+            (plan.acceleration_mps2, scene.yaw_rate(plan.offset_m + command[1]))
         }
     };
     let before = states.acceleration_mps2[agent_idx];

@@ -8,7 +8,7 @@ use crate::world::assist;
 use crate::world::tick::{Shared, World};
 
 impl World {
-    pub(super) fn decide(&mut self, actions: &[Real], is_first: bool, shared: &Shared<'_>) {
+    pub(super) fn decide(&mut self, actions: &[Real], shared: &Shared<'_>) {
         let width = shared.decoder.width();
         self.scratch.actions.clear();
         for (c, slot) in self.episode.slots.iter_mut().enumerate() {
@@ -24,16 +24,11 @@ impl World {
         let mut motions = std::mem::take(&mut self.scratch.motions);
         motions.clear();
         let mut own = std::mem::take(&mut self.scratch.actions);
-        let mut planned = std::mem::take(&mut self.scratch.planned);
-        if is_first {
-            planned.clear();
-        }
-        planned.resize_with(self.episode.slots.len(), || None);
         let view = self.view(shared.config);
         if let Dynamics::Assisted(limits) = shared.decoder.dynamics() {
-            for ((slot, action), planned) in self.episode.slots.iter().zip(&mut own).zip(&mut planned) {
+            for (slot, action) in self.episode.slots.iter().zip(&mut own) {
                 if let Some(a) = slot.agent_idx.filter(|a| view.drivers[*a] == Driver::External) {
-                    *action = assist::unicycle_action(limits, &view, a, *action, planned);
+                    *action = assist::unicycle_action(limits, &view, a, *action);
                 }
             }
         }
@@ -48,6 +43,6 @@ impl World {
                 motions.push((a as u32, shared.policies.get(policy_idx).act(&view, plan, a)));
             }
         }
-        (self.scratch.motions, self.scratch.actions, self.scratch.planned) = (motions, own, planned);
+        (self.scratch.motions, self.scratch.actions) = (motions, own);
     }
 }

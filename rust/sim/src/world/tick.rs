@@ -9,7 +9,6 @@ use crate::policy::{AgentMotion, Driver, PlanRequest, WorldView};
 use crate::scene::EGO_ID;
 use crate::stage::PreparedScene;
 use crate::world::actions::ActionDecoder;
-use crate::world::assist::Planned;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::{Controlled, WorldConfig};
 use crate::world::episode::{Episode, Phase};
@@ -59,7 +58,7 @@ pub(crate) struct World {
     pub(super) scratch: Scratch,
 }
 
-/// Memory that a decision works in: dropped between decisions, nothing would change.
+/// Memory that a step works in: dropped between steps, nothing would change.
 #[derive(Default)]
 pub(super) struct Scratch {
     pub(super) motions: Vec<(u32, AgentMotion)>,
@@ -70,8 +69,6 @@ pub(super) struct Scratch {
     pub(super) before: Vec<Pose2>,
     /// Physical actions of the slots.
     pub(super) actions: Vec<Action>,
-    /// What the base of assisted slots plans, anew in the first step of a decision.
-    pub(super) planned: Vec<Planned>,
     /// Agents with slots that are there.
     pub(super) present: Vec<u32>,
     /// Contact of each slot in the step.
@@ -207,7 +204,7 @@ impl World {
         on_phase_end: &mut impl FnMut(TickPhase),
     ) -> bool {
         self.remember();
-        self.decide(actions, is_first, shared);
+        self.decide(actions, shared);
         on_phase_end(TickPhase::Decide);
         self.move_agents(shared);
         on_phase_end(TickPhase::Move);
