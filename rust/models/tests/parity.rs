@@ -98,7 +98,8 @@ fn every_form_has_the_same_plans_on_both() {
             let [of_a, of_b] = [&a, &b].map(|plan| plan.attention_matrix().unwrap_or_default());
             assert_eq!(of_a.is_empty(), !network.attends);
             let attention = far(&of_a, &of_b);
-            assert!(states < 1e-4 && attention < 1e-5, "{name}: {states} {attention}");
+            // metres, of moves up to 30: torch rounds differently on each kind of processor
+            assert!(states < 2e-4 && attention < 1e-5, "{name}: {states} {attention}");
             assert!(a.features.is_edge.iter().filter(|e| **e).count() > 7, "{name}: nobody sees anybody");
         }
     }
