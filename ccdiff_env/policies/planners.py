@@ -371,7 +371,8 @@ def seated(
         For a name of neither.
     """
     name, own = options.get("driver"), options.get("policies", config and config.policies) or ()
-    if not isinstance(name, str) or name in (*_WORLD_DRIVERS, *own, "external"):
+    # "python" is the traffic that the caller brings
+    if not isinstance(name, str) or name in (*_WORLD_DRIVERS, *own, "external", "python"):
         return None, config, dict(options)
     driver, seat = ego_driver(name)
     options = {**options, "driver": driver}
