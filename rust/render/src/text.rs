@@ -1,151 +1,87 @@
-//! A small stroke font and what is written with it: the caption, names, the legend and the scale bar.
+//! What is written on an image: the caption, names, the legend and the scale bar.
 //!
-//! Glyphs are polylines on a grid 4 wide and 6 high (x to the right, y down; small letters begin at 2 and may reach
-//! down to 8), two digits per point, lines apart by `|`. They are stroked with round ends, so they stay smooth at any size.
+//! In DejaVu Sans (its licence is in the file): the Latin letters, without kerning and hinting.
 
 use crate::agents::AgentBox;
 use crate::canvas::{Canvas, Outline};
 use crate::palette::Rgb;
 use ccdiff_sim::scene::AgentKind;
+use std::sync::LazyLock;
+use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-/// Height of a capital, grid units.
-const CAP: f32 = 6.0;
-/// Space after a glyph, grid units.
-const GAP: f32 = 2.0;
-/// Width of a grid unit as part of its height.
-const NARROW: f32 = 0.82;
+static FONT: LazyLock<Face<'static>> = LazyLock::new(|| {
+    #[allow(clippy::expect_used)] // the file is compiled in, and a test reads it
+    Face::parse(include_bytes!("DejaVuSans.ttf"), 0).expect("a font")
+});
 
-/// The lines of a glyph. Empty: a blank.
-fn glyph(c: char) -> &'static str {
-    match c {
-        '0' => "10 30 41 45 36 16 05 01 10",
-        '1' => "12 20 26|16 36",
-        '2' => "01 10 30 41 42 06 46",
-        '3' => "01 10 30 41 42 33 44 45 36 16 05|23 33",
-        '4' => "36 30 04 44",
-        '5' => "40 00 03 12 32 43 45 36 16 05",
-        '6' => "41 30 10 01 05 16 36 45 44 33 13 04",
-        '7' => "00 40 41 16",
-        '8' => "13 02 01 10 30 41 42 33 13 04 05 16 36 45 44 33",
-        '9' => "05 16 36 45 41 30 10 01 02 13 33 42",
-        'A' => "06 02 20 42 46|04 44",
-        'B' => "03 33 42 41 30 00 06 36 45 44 33",
-        'C' => "41 30 10 01 05 16 36 45",
-        'D' => "00 30 41 45 36 06 00",
-        'E' => "40 00 06 46|03 33",
-        'F' => "40 00 06|03 33",
-        'G' => "41 30 10 01 05 16 36 45 43 23",
-        'H' => "00 06|40 46|03 43",
-        'I' => "10 30|20 26|16 36",
-        'J' => "40 45 36 16 05",
-        'K' => "00 06|40 03 46",
-        'L' => "00 06 46",
-        'M' => "06 00 23 40 46",
-        'N' => "06 00 46 40",
-        'O' => "10 30 41 45 36 16 05 01 10",
-        'P' => "06 00 30 41 42 33 03",
-        'Q' => "10 30 41 45 36 16 05 01 10|24 46",
-        'R' => "06 00 30 41 42 33 03|23 46",
-        'S' => "41 30 10 01 02 13 33 44 45 36 16 05",
-        'T' => "00 40|20 26",
-        'U' => "00 05 16 36 45 40",
-        'V' => "00 26 40",
-        'W' => "00 16 22 36 40",
-        'X' => "00 46|40 06",
-        'Y' => "00 23 40|23 26",
-        'Z' => "00 40 06 46",
-        'a' => "43 32 12 03 05 16 36 45|42 46",
-        'b' => "00 06|03 12 32 43 45 36 16 05",
-        'c' => "43 32 12 03 05 16 36 45",
-        'd' => "43 32 12 03 05 16 36 45|40 46",
-        'e' => "04 44 43 32 12 03 05 16 36 45",
-        'f' => "30 20 11 16|02 32",
-        'g' => "43 32 12 03 05 16 36 45|42 47 38 18 07",
-        'h' => "00 06|03 12 32 43 46",
-        'i' => "22 26|20 20",
-        'j' => "32 37 28 18|30 30",
-        'k' => "00 06|32 04 36",
-        'l' => "20 25 36",
-        'm' => "06 02|03 12 23 26|23 32 43 46",
-        'n' => "02 06|03 12 32 43 46",
-        'o' => "12 32 43 45 36 16 05 03 12",
-        'p' => "02 08|03 12 32 43 45 36 16 05",
-        'q' => "43 32 12 03 05 16 36 45|42 48",
-        'r' => "02 06|03 12 32",
-        's' => "43 32 12 03 14 34 45 36 16 05",
-        't' => "10 15 26 36|02 32",
-        'u' => "02 05 16 36 45|42 46",
-        'v' => "02 26 42",
-        'w' => "02 16 23 36 42",
-        'x' => "02 46|06 42",
-        'y' => "02 26|42 18 08",
-        'z' => "02 42 06 46",
-        ',' => "26 17",
-        '(' => "20 11 15 26",
-        ')' => "10 21 25 16",
-        '.' => "16 16",
-        ':' => "12 12|15 15",
-        '-' => "13 33",
-        '+' => "03 43|21 25",
-        '=' => "02 42|04 44",
-        '/' => "06 40",
-        '_' => "06 46",
-        _ => "",
-    }
+/// Pixels per unit of the font for capitals of a height.
+fn scale(cap_px: f32) -> f32 {
+    cap_px / f32::from(FONT.capital_height().unwrap_or(1493))
 }
 
-/// Points of a glyph's lines, grid units.
-fn strokes(c: char) -> impl Iterator<Item = impl Iterator<Item = (f32, f32)>> {
-    let number = |b: u8| f32::from(b.saturating_sub(b'0'));
-    let lines = glyph(c).split('|').filter(|l| !l.is_empty());
-    lines.map(move |line| {
-        let pairs = line.split(' ').filter_map(|p| p.as_bytes().first_chunk::<2>());
-        pairs.map(move |[x, y]| (number(*x), number(*y)))
+/// The glyphs of a text, and how far each moves the pen, units of the font.
+fn glyphs(text: &str) -> impl Iterator<Item = (GlyphId, f32)> {
+    text.chars().map(|c| {
+        let glyph = FONT.glyph_index(c).unwrap_or_default();
+        (glyph, f32::from(FONT.glyph_hor_advance(glyph).unwrap_or(0)))
     })
-}
-
-/// Left edge and width of a glyph, grid units. Figures all have one width: a clock does not jump.
-fn extent(c: char) -> (f32, f32) {
-    let xs = || strokes(c).flatten().map(|(x, _)| x);
-    if c.is_ascii_digit() || glyph(c).is_empty() {
-        return (0.0, if c == ' ' { 1.5 } else { 4.0 });
-    }
-    let left = xs().fold(4.0, f32::min);
-    (left, xs().fold(0.0, f32::max) - left)
 }
 
 /// Width of a text whose capitals are `cap_px` high, pixels.
 fn width_px(text: &str, cap_px: f32) -> f32 {
-    let units: f32 = text.chars().map(|c| extent(c).1 + GAP).sum();
-    (units - GAP).max(0.0) * NARROW * cap_px / CAP
+    glyphs(text).map(|(_, advance)| advance).sum::<f32>() * scale(cap_px)
 }
 
-/// Writes a text with its upper left corner at a pixel; a halo keeps it apart from what is below.
+/// A glyph on its way into an outline: where its base line begins, pixels, and pixels per unit.
+struct Pen<'a> {
+    outline: &'a mut Outline,
+    at: (f32, f32),
+    scale: f32,
+}
+
+impl Pen<'_> {
+    fn px(&self, x: f32, y: f32) -> (f32, f32) {
+        (self.at.0 + x * self.scale, self.at.1 - y * self.scale)
+    }
+}
+
+impl OutlineBuilder for Pen<'_> {
+    fn move_to(&mut self, x: f32, y: f32) {
+        self.outline.move_to(self.px(x, y));
+    }
+
+    fn line_to(&mut self, x: f32, y: f32) {
+        self.outline.line_to(self.px(x, y));
+    }
+
+    fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
+        self.outline.curve_to(self.px(x1, y1), self.px(x, y));
+    }
+
+    fn curve_to(&mut self, _x1: f32, _y1: f32, _x2: f32, _y2: f32, _x: f32, _y: f32) {
+        unreachable!("TrueType outlines are quadratic")
+    }
+
+    fn close(&mut self) {
+        self.outline.close();
+    }
+}
+
+/// Writes a text with the upper left corner of its capitals at a pixel; a halo keeps it apart from what is below.
 fn write(canvas: &mut Canvas, text: &str, (x, y): (f32, f32), cap_px: f32, halo: bool) {
-    let unit = cap_px / CAP;
+    let scale = scale(cap_px);
     let mut outline = Outline::new();
-    let mut pen = x;
-    for c in text.chars() {
-        let (left, width) = extent(c);
-        for line in strokes(c) {
-            for (i, (gx, gy)) in line.enumerate() {
-                let at = (pen + (gx - left) * NARROW * unit, y + gy * unit);
-                if i == 0 {
-                    outline.move_to(at);
-                } else {
-                    // A point is a line of next to no length: its round ends draw it.
-                    outline.line_to((at.0 + 0.01, at.1));
-                }
-            }
-        }
-        pen += (width + GAP) * NARROW * unit;
+    let mut left = x;
+    for (glyph, advance) in glyphs(text) {
+        let mut pen = Pen { outline: &mut outline, at: (left, y + cap_px), scale };
+        FONT.outline_glyph(glyph, &mut pen);
+        left += advance * scale;
     }
     let Some(path) = outline.path() else { return };
-    let width = (0.16 * cap_px).max(1.1);
     if halo {
-        canvas.stroke_path(&path, canvas.palette().paper, 0.85, width + 3.0, true);
+        canvas.stroke_path(&path, canvas.palette().paper, 0.85, 3.0, true);
     }
-    canvas.stroke_path(&path, canvas.palette().ink, 1.0, width, true);
+    canvas.fill_path(&path, canvas.palette().ink, 1.0);
 }
 
 /// Most letters of a caption.
@@ -257,18 +193,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_glyph_stays_on_its_grid_and_no_two_but_o_and_zero_look_alike() {
-        let chars: Vec<char> = ('0'..='9').chain('A'..='Z').chain('a'..='z').collect();
-        for c in &chars {
-            assert!(strokes(*c).count() > 0, "{c}");
-            let lowest = if "gjpqy".contains(*c) { 8.0 } else { CAP };
-            assert!(strokes(*c).flatten().all(|(x, y)| x <= 4.0 && y <= lowest), "{c}");
-        }
-        let mut shapes: Vec<&str> = chars.iter().filter(|c| **c != 'O').map(|c| glyph(*c)).collect();
+    fn latin_letters_are_drawn_apart_and_others_as_a_box() {
+        let shape = |c: char| {
+            let mut outline = Outline::new();
+            let (glyph, _) = glyphs(&c.to_string()).next().unwrap();
+            FONT.outline_glyph(glyph, &mut Pen { outline: &mut outline, at: (0.0, 0.0), scale: 1.0 });
+            outline.path().map(|path| format!("{path:?}"))
+        };
+        let chars = ('!'..='~').chain('¡'..='ÿ').filter(|c| *c != '\u{ad}');
+        let mut shapes: Vec<String> = chars.map(|c| shape(c).unwrap_or_else(|| panic!("{c} is blank"))).collect();
         let count = shapes.len();
         shapes.sort_unstable();
         shapes.dedup();
         assert_eq!(shapes.len(), count);
+        assert_eq!(shape('道'), shape('\u{10ffff}'));
+        assert_eq!(shape(' '), None);
     }
 
     #[test]
