@@ -3,7 +3,8 @@
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
 pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
-the columns A and B alone. ``grid`` has a row per method, and a figure in a column per K and T.
+the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows X and Y. ``grid`` has
+a row per method, and a figure in a column per K and T.
 """
 
 from __future__ import annotations
@@ -140,13 +141,6 @@ TABLES: dict[str, Made] = {
         ("method",),
         _GUIDED,
     ),
-    "routes": Made(
-        "bench traffic --k Full --methods replay,constant_velocity,idm,ccdiff_one_sample,"
-        "ccdiff_careful,ccdiff_routes_one_sample,ccdiff_routes_careful,ccdiff_routes",
-        "figures.csv",
-        ("method",),
-        _TRAFFIC,
-    ),
 }
 
 
@@ -204,8 +198,8 @@ def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
     return kept
 
 
-def render(name: str, chosen: str | None = None) -> str:
-    """Return the table of a name, in Markdown, from what its run kept; all columns by default."""
+def render(name: str, chosen: str | None = None, only: str | None = None) -> str:
+    """Return the table of a name, in Markdown, from what its run kept; all of it by default."""
     from ccdiff_env.bench.methods import label_of
     from ccdiff_env.bench.planners import TRAFFIC
 
@@ -221,7 +215,10 @@ def render(name: str, chosen: str | None = None) -> str:
         "planner": _planner,
         "traffic": lambda name: TRAFFIC[name].label,
     }
+    named = only and [name.strip() for name in only.split(",")]
     for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
+        if named and row[table.keys[0]] not in named:
+            continue
         cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
         for column in table.columns.values():
             value, low, high = (np.nan if v is None else v for v in row[column.name])
@@ -264,10 +261,13 @@ def rendered(page: str) -> str:
     """Return a page with its tables written anew."""
 
     def table(found: re.Match[str]) -> str:
-        return f"{found[1]}\n{render(found[2], found[3])}\n<!-- end -->"
+        return f"{found[1]}\n{render(*found.group(2, 3, 4))}\n<!-- end -->"
 
     return re.sub(
-        r"(<!-- results: (\w+)(?:; ([^>]+))? -->)\n.*?<!-- end -->", table, page, flags=re.DOTALL
+        r"(<!-- results: (\w+)(?:; ([^>;]+))?(?:; ([^>]+))? -->)\n.*?<!-- end -->",
+        table,
+        page,
+        flags=re.DOTALL,
     )
 
 
