@@ -201,7 +201,8 @@ mod tests {
             outline.path().map(|path| format!("{path:?}"))
         };
         let chars = ('!'..='~').chain('¡'..='ÿ').filter(|c| *c != '\u{ad}');
-        let mut shapes: Vec<String> = chars.map(|c| shape(c).unwrap_or_else(|| panic!("{c} is blank"))).collect();
+        let mut shapes: Vec<String> =
+            chars.map(|c| shape(c).unwrap_or_else(|| panic!("{c} is blank"))).collect();
         let count = shapes.len();
         shapes.sort_unstable();
         shapes.dedup();
