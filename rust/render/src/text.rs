@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
 static FONT: LazyLock<Face<'static>> = LazyLock::new(|| {
-    #[allow(clippy::expect_used)] // the file is compiled in, and a test reads it
+    #[allow(clippy::expect_used, reason = "the file is compiled in, and a test reads it")]
     Face::parse(include_bytes!("DejaVuSans.ttf"), 0).expect("a font")
 });
 
