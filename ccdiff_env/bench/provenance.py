@@ -143,16 +143,17 @@ def source_digest(name: str) -> str | None:
     ConfigError
         If the source has changed since this process first saw it: what is imported stays as it was.
     """
-    kind, _, rest = name.partition(":")
+    path = name.partition("?")[0]
+    kind, _, rest = path.partition(":")
     if kind in ("adversary", "chooser") and rest:
-        name = rest
+        path = rest
     elif rest:
         return _of_module(name)
-    if not name.endswith((".zip", ".safetensors")) and name == kind:
+    if not path.endswith((".zip", ".safetensors")) and path == kind:
         return None
-    if not Path(name).is_file():
-        raise DatasetNotFoundError(f"no policy at {name}")
-    return sha256_of(Path(name))
+    if not Path(path).is_file():
+        raise DatasetNotFoundError(f"no policy at {path}")
+    return sha256_of(Path(path))
 
 
 def _of_module(name: str) -> str:

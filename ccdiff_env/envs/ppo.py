@@ -357,7 +357,7 @@ def train(args: argparse.Namespace) -> None:
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
     prices = PRICES if isinstance(config.action.dynamics, AssistedLimits) else {}
-    config = config.with_options(reward=REWARD | prices)
+    config = config.with_options(reward=REWARD | prices, style=args.style)
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
@@ -368,7 +368,9 @@ def train(args: argparse.Namespace) -> None:
     worlds = Worlds(args, config, args.seed + done["decisions"])
     for policy in policies:
         policy.check(worlds.envs[0].worlds)
-    agent = Agent(worlds.envs[0].worlds.layout, tuple(args.noise))
+    layout = worlds.envs[0].worlds.layout
+    styles = {c: args.style[c] for e in layout.entries if e.name == "style" for c in e.columns}
+    agent = Agent(layout, tuple(args.noise))
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
     if saved:
         agent.load_state_dict(saved["agent"])
@@ -388,7 +390,8 @@ def train(args: argparse.Namespace) -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
-        save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, {"done": done})
+        file, about = args.out / "ego.safetensors", {"done": done}
+        save_ego(file, agent.state_dict(), fitting, about, styles)
 
     begin = shown = kept = time.perf_counter() - done["seconds"]
     clock, first = dict.fromkeys(("worlds", "decisions", "update"), 0.0), done["decisions"]

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from ccdiff_env.config import unknown
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.ego import EgoPolicy, load_ego
+from ccdiff_env.system.named_objects import option_values
 
 __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 
@@ -17,8 +21,12 @@ _NAMES = ("ego", "ego_replay", "imitation", "pdm_open")
 SHIPPED = {name: _DATA / f"{name}.safetensors" for name in _NAMES}
 
 
-def load(name: str | os.PathLike[str]) -> EgoPolicy:
+def load(
+    name: str | os.PathLike[str], style: Mapping[str, float] = MappingProxyType({})
+) -> EgoPolicy:
     """Return a policy of :data:`SHIPPED` by name, or that of a safetensors file.
+
+    ``style`` sets its dial, see :func:`~ccdiff_env.policies.ego.load_ego`.
 
     Examples
     --------
@@ -30,12 +38,22 @@ def load(name: str | os.PathLike[str]) -> EgoPolicy:
     (2, 2)
     """
     if isinstance(name, str) and name in SHIPPED:
-        return load_ego(SHIPPED[name])
+        return load_ego(SHIPPED[name], style)
     if not os.fspath(name).endswith(".safetensors"):
         raise unknown("policy", os.fspath(name), SHIPPED)
-    return load_ego(name)
+    return load_ego(name, style)
 
 
 def find_policy(planner: str) -> EgoPolicy | None:
-    """Return the policy that the name of a planner stands for; ``None`` if it names none."""
-    return load(planner) if planner in SHIPPED or planner.endswith(".safetensors") else None
+    """Return the policy that the name of a planner stands for; ``None`` if it names none.
+
+    ``ego.safetensors?comfort=4`` sets the dial of one that was trained for it.
+    """
+    path, _, options = planner.partition("?")
+    if path not in SHIPPED and not path.endswith(".safetensors"):
+        return None
+    style = option_values(options, "policy", planner) if options else {}
+    for name, factor in style.items():
+        if not isinstance(factor, (int, float)):
+            raise ConfigError(f"policy {planner!r}: {name} is {factor!r}, expected a number")
+    return load(path, style)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,8 @@ class EgoPolicy:
         Digest of the meaning of its observations.
     about
         How it was trained.
+    styles
+        Ranges of the factors of reward weights that it was trained for, by name: its dial.
     """
 
     def __init__(
@@ -114,10 +117,11 @@ class EgoPolicy:
         options: Mapping[str, Any],
         schema: str,
         about: Mapping[str, Any],
+        styles: Mapping[str, tuple[float, float]] = MappingProxyType({}),
     ) -> None:
         #: Configuration of worlds that fit.
         self.config = WorldConfig().with_options(**options)
-        self.about = dict(about)
+        self.about, self.styles = dict(about), dict(styles)
         self._schema = schema
         worlds = _worlds(self.config)
         self.check(worlds)
@@ -248,6 +252,7 @@ def save_ego(
     tensors: Mapping[str, Any],
     options: Mapping[str, Any],
     about: Mapping[str, Any],
+    styles: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> None:
     """Write a policy with all that it needs to a safetensors file.
 
@@ -261,6 +266,8 @@ def save_ego(
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
     about
         How it was trained: what JSON can hold.
+    styles
+        Ranges of the ``style`` of its worlds, in the order of the observation.
 
     Raises
     ------
@@ -281,19 +288,30 @@ def save_ego(
         "options": json.dumps(fitting_fields(config)),
         "schema": schema_digest(_worlds(config).native.layout_json),
         "about": json.dumps(about),
+        "styles": json.dumps(dict(styles)),
     }
     write_tensors(path, kept, metadata)
 
 
-def load_ego(path: str | os.PathLike[str]) -> EgoPolicy:
+def load_ego(
+    path: str | os.PathLike[str], style: Mapping[str, float] = MappingProxyType({})
+) -> EgoPolicy:
     """Load a policy that :func:`save_ego` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+    style
+        Factors of weights of the reward, where it was trained for a range of them; 1 by default.
 
     Raises
     ------
     DatasetNotFoundError, DatasetError
         If there is no such file, or it is damaged.
     ConfigError
-        If the observations that this version makes are not those that it was trained on.
+        If the observations that this version makes are not those that it was trained on, or it was
+        not trained for the style.
     """
     tensors, metadata = read_tensors(path)
     with reading("policy", path):
@@ -304,4 +322,25 @@ def load_ego(path: str | os.PathLike[str]) -> EgoPolicy:
         # others do not belong to a policy, and some name files, or modules to import
         if others := set(options) - set(FITTING):
             raise ValueError(f"options {sorted(others)}, expected some of {', '.join(FITTING)}")
-        return EgoPolicy(tensors, options, metadata["schema"], about)
+        ranges = parsed_object(metadata.get("styles", "{}")).items()
+        styles = {str(name): (float(low), float(high)) for name, (low, high) in ranges}
+        for name, factor in style.items():
+            low, high = styles.get(name, (np.nan, np.nan))
+            if not low <= factor <= high:
+                known = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in styles.items())
+                raise ConfigError(f"style: {name} is {factor}, expected {known or 'none'}")
+        factors = np.array([style.get(name, 1.0) for name in styles], np.float32)
+        tensors = _with_style(tensors, factors)
+        return EgoPolicy(tensors, options, metadata["schema"], about, styles)
+
+
+def _with_style(tensors: Mapping[str, F32], factors: F32) -> dict[str, F32]:
+    """Tensors of a policy that observes the factors last, as one for which they are constants."""
+    found, size = dict(tensors), len(factors)
+    if size:
+        mean, std, weight = (found[name] for name in ("mean", "std", "policy.0.weight"))
+        x = np.clip((factors - mean[-size:]) / std[-size:], -5.0, 5.0)
+        found["policy.0.bias"] = found["policy.0.bias"] + weight[:, -size:] @ x
+        found["mean"], found["std"] = mean[:-size], std[:-size]
+        found["policy.0.weight"] = weight[:, :-size]
+    return found

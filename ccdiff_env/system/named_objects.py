@@ -13,7 +13,7 @@ from typing import Any
 
 from ccdiff_env.errors import ConfigError
 
-__all__ = ["named_instance", "named_object"]
+__all__ = ["named_instance", "named_object", "option_values"]
 
 
 def named_object(text: str, what: str) -> Any:
@@ -53,7 +53,7 @@ def named_object(text: str, what: str) -> Any:
         ) from None
     except (AttributeError, ValueError):
         raise ConfigError(f"{what} {text!r}: no {name!r} in module {module!r}") from None
-    return _with_options(found, _values(options, what, text), what, text) if options else found
+    return _with_options(found, option_values(options, what, text), what, text) if options else found
 
 
 def named_instance(text: str, what: str) -> Any:
@@ -81,7 +81,14 @@ def _options_of(found: Any) -> list[str]:
     return [p.name for p in given if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
 
 
-def _values(options: str, what: str, text: str) -> dict[str, Any]:
+def option_values(options: str, what: str, text: str) -> dict[str, Any]:
+    """Return the values of ``name=value&name=value`` by name, as in :func:`named_object`.
+
+    Raises
+    ------
+    ConfigError
+        If it is of another form; names ``what`` and the whole ``text``.
+    """
     found: dict[str, Any] = {}
     for part in options.split("&"):
         name, equals, value = part.partition("=")

@@ -31,9 +31,12 @@ PLANNER_TITLES = {
 
 def planner_title(name: str) -> str:
     """Return in words who drives the ego: of a file, its name without folder and suffix."""
-    file = name.rpartition("/")[2]
-    stem = file.rpartition(".")[0] if file.endswith((".zip", ".safetensors")) else name
-    return PLANNER_TITLES.get(name) or DRIVER_TITLES.get(name, stem)
+    path, asked, options = name.partition("?")
+    if ":" in path:  # of one's own
+        return name
+    file = path.rpartition("/")[2]
+    stem = file.rpartition(".")[0] if file.endswith((".zip", ".safetensors")) else path
+    return (PLANNER_TITLES.get(path) or DRIVER_TITLES.get(path, stem)) + asked + options
 
 
 def driver_of(rollout: Rollout, agent: int) -> str:
