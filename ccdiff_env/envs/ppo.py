@@ -19,6 +19,7 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.backtrack import Backtrack
+from ccdiff_env.envs.clone import imitate
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.policies import load
 from ccdiff_env.policies.ego import OBSERVATION, EgoPolicy, save_ego
@@ -30,6 +31,7 @@ from ccdiff_env.worlds.spaces import Layout
 Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
+TAUGHT = 400_000  # decisions of imitation
 GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
 #: Noise of one decision stays in the next, so that the ego tries to brake, not to tremble; and the
 #: standard deviations fall no faster than the learning rate does.
@@ -260,6 +262,12 @@ class Agent(nn.Module):
         features = self.features(x)
         return self.policy(features), self.value(features).squeeze(1)
 
+    @torch.no_grad()
+    def act(self, obs: Floats) -> Floats:
+        """Means [B, W] of the actions for observations [B, D]."""
+        mean: Floats = self(self.normalised(torch.from_numpy(obs)))[0].clamp(-1.0, 1.0).numpy()
+        return mean
+
     def log_prob(self, mean: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Log density [B] of actions, less a constant."""
         return (-0.5 * ((actions - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(1)
@@ -385,9 +393,21 @@ def train(args: argparse.Namespace) -> None:
         return np.zeros((len(obs), len(agent.log_std)), np.float32)
 
     anchor = still if args.anchor == "zero" else None if near is None else near.act
+    copied = None
+    if args.teacher:
+        copied = Agent(layout, tuple(args.noise))
+        if saved:
+            copied.load_state_dict(saved["copied"])
+        else:
+            many = 1 if args.smoke else TAUGHT
+            error = imitate(agent, worlds, args.teacher, decisions=many, seed=args.seed)
+            print(f"imitates {args.teacher}: {error:.3f} from its actions", flush=True)
+            copied.load_state_dict(agent.state_dict())
+        anchor = copied.act
 
     def keep() -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
+        state |= {"copied": copied.state_dict()} if copied else {}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
         file, about = args.out / "ego.safetensors", {"done": done}

@@ -53,7 +53,9 @@ def named_object(text: str, what: str) -> Any:
         ) from None
     except (AttributeError, ValueError):
         raise ConfigError(f"{what} {text!r}: no {name!r} in module {module!r}") from None
-    return _with_options(found, option_values(options, what, text), what, text) if options else found
+    return (
+        _with_options(found, option_values(options, what, text), what, text) if options else found
+    )
 
 
 def named_instance(text: str, what: str) -> Any:
