@@ -27,7 +27,7 @@ from ccdiff_env.cli import main
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.policies.planners import load_sb3
-from ccdiff_env.policies.tensors import read_tensors, write_tensors
+from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, unpack

@@ -20,7 +20,7 @@ from ccdiff_env.errors import (
     ShapeError,
 )
 from ccdiff_env.policies.ego import OBSERVATION, OPEN_OBSERVATION, load_ego, save_ego
-from ccdiff_env.policies.tensors import read_tensors, write_tensors
+from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
 

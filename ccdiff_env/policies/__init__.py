@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
-from types import MappingProxyType
 
 from ccdiff_env.config import unknown
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.ego import EgoPolicy, load_ego
 from ccdiff_env.system.named_objects import option_values
+from ccdiff_env.worlds.policy_file import NO_STYLE, SHIPPED
 
 __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 
-_DATA = Path(__file__).resolve().parents[1] / "data"
-_NAMES = ("ego", "ego_replay", "imitation", "pdm_open")
-#: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone; on what
-#: logged drivers did; on their next four seconds, without other agents.
-SHIPPED = {name: _DATA / f"{name}.safetensors" for name in _NAMES}
 
-
-def load(
-    name: str | os.PathLike[str], style: Mapping[str, float] = MappingProxyType({})
-) -> EgoPolicy:
+def load(name: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
     """Return a policy of :data:`SHIPPED` by name, or that of a safetensors file.
 
     ``style`` sets its dial, see :func:`~ccdiff_env.policies.ego.load_ego`.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,19 +14,17 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
 from ccdiff_env.policies.holding import Held
 from ccdiff_env.policies.planning import Tracker
-from ccdiff_env.policies.tensors import read_tensors, write_tensors
 from ccdiff_env.scenes.embedded import embedded_scenes
-from ccdiff_env.system.files import parsed_object, reading
+from ccdiff_env.system.files import reading
+from ccdiff_env.system.tensors import write_tensors
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import fitting_fields, schema_digest
+from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, Ranges, read_policy
 
 __all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
 
 F32 = npt.NDArray[np.float32]
 
-FORMAT = "ccdiff-env ego 1"
-#: Options that a file of a policy may hold: what it observes, what its actions mean, how long.
-FITTING = ("action", "bev", "decision_steps", "discrete", "dt_s", "dynamics", "grid", "observation")
 #: A lean observation: the ego on its route, 10 points of the route, the 12 nearest agents. What
 #: tells one scene from another is left out, so that egos do not learn scenes by heart.
 OBSERVATION: Mapping[str, Any] = {
@@ -117,7 +114,7 @@ class EgoPolicy:
         options: Mapping[str, Any],
         schema: str,
         about: Mapping[str, Any],
-        styles: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+        styles: Ranges = NO_STYLE,
     ) -> None:
         #: Configuration of worlds that fit.
         self.config = WorldConfig().with_options(**options)
@@ -252,7 +249,7 @@ def save_ego(
     tensors: Mapping[str, Any],
     options: Mapping[str, Any],
     about: Mapping[str, Any],
-    styles: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    styles: Ranges = NO_STYLE,
 ) -> None:
     """Write a policy with all that it needs to a safetensors file.
 
@@ -293,9 +290,7 @@ def save_ego(
     write_tensors(path, kept, metadata)
 
 
-def load_ego(
-    path: str | os.PathLike[str], style: Mapping[str, float] = MappingProxyType({})
-) -> EgoPolicy:
+def load_ego(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
     """Load a policy that :func:`save_ego` wrote.
 
     Parameters
@@ -313,34 +308,6 @@ def load_ego(
         If the observations that this version makes are not those that it was trained on, or it was
         not trained for the style.
     """
-    tensors, metadata = read_tensors(path)
+    found = read_policy(path, style)
     with reading("policy", path):
-        if metadata.get("format") != FORMAT:
-            found = metadata.get("format")
-            raise DatasetError(f"format {found!r}, expected {FORMAT!r}")
-        options, about = (parsed_object(metadata[name]) for name in ("options", "about"))
-        # others do not belong to a policy, and some name files, or modules to import
-        if others := set(options) - set(FITTING):
-            raise ValueError(f"options {sorted(others)}, expected some of {', '.join(FITTING)}")
-        ranges = parsed_object(metadata.get("styles", "{}")).items()
-        styles = {str(name): (float(low), float(high)) for name, (low, high) in ranges}
-        for name, factor in style.items():
-            low, high = styles.get(name, (np.nan, np.nan))
-            if not low <= factor <= high:
-                known = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in styles.items())
-                raise ConfigError(f"style: {name} is {factor}, expected {known or 'none'}")
-        factors = np.array([style.get(name, 1.0) for name in styles], np.float32)
-        tensors = _with_style(tensors, factors)
-        return EgoPolicy(tensors, options, metadata["schema"], about, styles)
-
-
-def _with_style(tensors: Mapping[str, F32], factors: F32) -> dict[str, F32]:
-    """Tensors of a policy that observes the factors last, as one for which they are constants."""
-    found, size = dict(tensors), len(factors)
-    if size:
-        mean, std, weight = (found[name] for name in ("mean", "std", "policy.0.weight"))
-        x = np.clip((factors - mean[-size:]) / std[-size:], -5.0, 5.0)
-        found["policy.0.bias"] = found["policy.0.bias"] + weight[:, -size:] @ x
-        found["mean"], found["std"] = mean[:-size], std[:-size]
-        found["policy.0.weight"] = weight[:, :-size]
-    return found
+        return EgoPolicy(found.tensors, found.options, found.schema, found.about, found.styles)

@@ -34,7 +34,7 @@ from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
-from ccdiff_env.traffic import driver_names
+from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.worlds.spaces import Form
@@ -371,8 +371,7 @@ def seated(
         For a name of neither.
     """
     name, own = options.get("driver"), options.get("policies", config and config.policies) or ()
-    # "python" is the traffic that the caller brings
-    if not isinstance(name, str) or name in (*_WORLD_DRIVERS, *own, "external", "python"):
+    if not isinstance(name, str) or name in ("external", *KINDS, *own):
         return None, config, dict(options)
     driver, seat = ego_driver(name)
     options = {**options, "driver": driver}

@@ -7,15 +7,25 @@ from ccdiff_env.traffic.ccdiff import (
     TrafficPlan,
     read_ranking,
 )
-from ccdiff_env.traffic.kinds import KINDS, NETWORKS, Kind, Policy, driver_names, driver_titles
-from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
+from ccdiff_env.traffic.kinds import (
+    EGOS,
+    KINDS,
+    NETWORKS,
+    Kind,
+    Policy,
+    driver_names,
+    driver_titles,
+)
+from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 
 __all__ = [
+    "EGOS",
     "KINDS",
     "NETWORKS",
     "PAPER_PROTOCOL",
     "CcdiffConfig",
+    "EgosConfig",
     "IdmConfig",
     "Kind",
     "LoggedFuture",

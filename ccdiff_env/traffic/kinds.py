@@ -8,13 +8,22 @@ from typing import Any, TypeAlias
 
 from ccdiff_env import _native
 from ccdiff_env.traffic import options as tables
-from ccdiff_env.traffic.options import CcdiffConfig, IdmConfig
+from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import PythonTraffic
 
-__all__ = ["KINDS", "NETWORKS", "Kind", "Options", "Policy", "driver_names", "driver_titles"]
+__all__ = [
+    "EGOS",
+    "KINDS",
+    "NETWORKS",
+    "Kind",
+    "Options",
+    "Policy",
+    "driver_names",
+    "driver_titles",
+]
 
 #: Options of a driver.
-Options: TypeAlias = IdmConfig | CcdiffConfig | PythonTraffic
+Options: TypeAlias = IdmConfig | CcdiffConfig | EgosConfig | PythonTraffic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +56,8 @@ def _read(fields: dict[str, Any]) -> Kind:
 
 #: All kinds of drivers by name.
 KINDS: dict[str, Kind] = {kind.name: kind for kind in map(_read, _native.driver_kinds())}
+#: The kind whose traffic a policy of the ego drives.
+EGOS = next(name for name, kind in KINDS.items() if kind.options is EgosConfig)
 #: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
 NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.weights)
 

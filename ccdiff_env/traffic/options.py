@@ -530,3 +530,11 @@ class CcdiffConfig:
     explain: bool = False
     #: Vehicles that stand still for the whole episode.
     parked_rule: ParkedRule = "parked"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EgosConfig:
+    """Options of traffic that the policy of an ego drives."""
+
+    policy: str = "ego"
+    style: Mapping[str, float] = field(default_factory=dict, hash=False)

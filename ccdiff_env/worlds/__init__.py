@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import BevConfig, WorldConfig, by_name
+from ccdiff_env.config import BevConfig, EgosConfig, WorldConfig, by_name
 from ccdiff_env.errors import (
     ActionError,
     CheckpointError,
@@ -26,11 +26,12 @@ from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import SOURCES, load
-from ccdiff_env.traffic import PythonTraffic, TrafficPlan
+from ccdiff_env.traffic import EGOS, NETWORKS, PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
+from ccdiff_env.worlds.policy_file import egos_policy
 from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
 
 F32 = npt.NDArray[np.float32]
@@ -196,7 +197,8 @@ class Worlds:
             network_policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
-        if criticality is not None and not _native.networks_wanted(config.to_json()):
+        wanted = {kind for _, kind, _ in _native.networks_wanted(config.to_json())}
+        if criticality is not None and not wanted & set(NETWORKS):
             raise ConfigError(
                 f"criticality: traffic is {config.traffic!r}, expected one that plans, as 'ccdiff'"
             )
@@ -506,6 +508,8 @@ def network_policies(
 
     def made(name: str, kind: str, options: str) -> object:
         settings = json.loads(options)
+        if kind == EGOS:
+            return egos_policy(EgosConfig(**settings), config.dt_s)
         weights = weights_path(
             settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
         )

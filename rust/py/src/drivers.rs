@@ -8,6 +8,7 @@ use ccdiff_nets::ccdiff::CCDIFF;
 use ccdiff_nets::kinds::NETWORKS;
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::options;
+use ccdiff_sim::planner::EGOS;
 use ccdiff_sim::policy::{self, Kind};
 use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
@@ -27,7 +28,7 @@ struct Recipe<'a> {
 
 /// All kinds: the simulator's, Python's, the networks.
 fn kinds() -> impl Iterator<Item = &'static Kind> {
-    let own = policy::KINDS.iter().chain([&python_policy::KIND]);
+    let own = policy::KINDS.iter().chain([&python_policy::KIND, &EGOS]);
     own.chain(NETWORKS.iter().map(|network| &network.kind))
 }
 
@@ -36,6 +37,11 @@ const SHARED: &str = CCDIFF.kind.name;
 
 fn is_network(kind: &Kind) -> bool {
     NETWORKS.iter().any(|network| network.kind.name == kind.name)
+}
+
+/// Whether a driver is made of a file.
+fn has_file(kind: &Kind) -> bool {
+    is_network(kind) || kind.name == EGOS.name
 }
 
 fn of(name: &str) -> Option<&'static Kind> {
@@ -143,7 +149,7 @@ fn recipes<'a>(
     for kind in kinds().filter(|k| !k.always && config.names(k.name) && !config.policies.contains_key(k.name))
     {
         let shared = shared.filter(|_| is_network(kind));
-        if shared.is_none() && kind.make.is_none() {
+        if shared.is_none() && kind.make.is_none() && kind.name != EGOS.name {
             continue;
         }
         let options = shared.cloned().unwrap_or_else(|| Value::Object(Default::default()));
@@ -152,13 +158,13 @@ fn recipes<'a>(
     Ok(found)
 }
 
-/// Policies of a configuration (JSON) that need a network: name, kind, options as JSON.
+/// Policies of a configuration (JSON) that are made of files: name, kind, options as JSON.
 #[pyfunction]
 fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
     let none = BTreeMap::new();
     let wanted = recipes(&config, &none)?;
-    let wanted = wanted.into_iter().filter(|(kind, _)| is_network(kind));
+    let wanted = wanted.into_iter().filter(|(kind, _)| has_file(kind));
     Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
 }
 

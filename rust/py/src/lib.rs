@@ -2,6 +2,7 @@
 
 mod causal;
 mod drivers;
+mod egos;
 mod enter;
 mod logged_batch;
 mod map_queries;
@@ -41,6 +42,7 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     metrics::register(m)?;
     networks::register(m)?;
     drivers::register(m)?;
+    egos::register(m)?;
     planner::register(m)?;
     render::register(m)?;
     scene::register(m)?;

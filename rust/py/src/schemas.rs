@@ -3,6 +3,7 @@
 use crate::python_policy::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::options::{Table, check_table};
+use ccdiff_sim::planner::EgosConfig;
 use ccdiff_sim::policy::{self, PLAN_FIELDS};
 use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
 use pyo3::prelude::*;
@@ -32,7 +33,7 @@ fn config_tables() -> PyResult<String> {
 fn tables() -> impl Iterator<Item = &'static Table> {
     let of_kinds = policy::KINDS.iter().filter_map(|kind| kind.options);
     let more = of_kinds.filter(|table| TABLES.iter().all(|known| known.name != table.name));
-    TABLES.iter().copied().chain(more).chain([&PythonOptions::TABLE])
+    TABLES.iter().copied().chain(more).chain([&PythonOptions::TABLE, &EgosConfig::TABLE])
 }
 
 /// Checks options that are used in Python alone, as JSON, against the table of this name; `path` is where they stand.

@@ -1,6 +1,10 @@
 //! Planners that drive an agent through its action: PDM-Closed, and the intelligent driver model on the centre line.
 
+mod egos;
 mod network;
+mod network_of_ego;
+
+pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
 
 use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
 use crate::error::{Result, SimError};

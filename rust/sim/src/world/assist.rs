@@ -10,7 +10,7 @@ const CURVATURE_REACH_M: Real = 2.0;
 
 /// Acceleration and yaw rate of an agent for a change of the base's acceleration and a distance from its way. Vehicles
 /// that never move in the log stay parked.
-pub(crate) fn unicycle_action(
+pub(crate) fn assisted_action(
     limits: &AssistedLimits,
     view: &WorldView<'_>,
     agent_idx: usize,

@@ -28,7 +28,7 @@ impl World {
         if let Dynamics::Assisted(limits) = shared.decoder.dynamics() {
             for (slot, action) in self.episode.slots.iter().zip(&mut own) {
                 if let Some(a) = slot.agent_idx.filter(|a| view.drivers[*a] == Driver::External) {
-                    *action = assist::unicycle_action(limits, &view, a, *action);
+                    *action = assist::assisted_action(limits, &view, a, *action);
                 }
             }
         }

@@ -39,6 +39,7 @@ mod tick;
 mod traffic;
 
 pub use actions::ActionDecoder;
+pub(crate) use assist::assisted_action;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
 pub use config::{
@@ -56,6 +57,7 @@ pub use rng::Rng;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use start::{LEAST_WAY_M, Wanted};
 pub use step_metrics::StepMetrics;
+pub(crate) use surroundings::place_on_route;
 pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, Traffic};
 

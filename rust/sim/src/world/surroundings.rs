@@ -29,6 +29,36 @@ fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
     (a - b).norm_squared() <= distance_m * distance_m
 }
 
+/// Where an agent is beside its route and lanes.
+pub(crate) struct OnRoute {
+    /// Signed distance from the route, left positive, metres.
+    pub(crate) distance_m: Real,
+    /// Heading against the route, radians.
+    pub(crate) heading_error_rad: Real,
+    /// Distance to the nearest lane centre, metres, where a lane is near.
+    pub(crate) lane_distance_m: Option<Real>,
+    /// Limit of that lane, m/s, where the map has one.
+    pub(crate) speed_limit_mps: Option<Real>,
+    pub(crate) wrong_way: bool,
+}
+
+/// Finds an agent beside its route, at a place along it, and beside the lanes.
+pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usize, s_m: Real) -> OnRoute {
+    let pose = states.pose(a);
+    let on_route = scene.routes[a].path.at(s_m);
+    let d = pose.position - on_route.position;
+    let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
+    let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
+    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
+    OnRoute {
+        distance_m: d.y * on_route.cos - d.x * on_route.sin,
+        heading_error_rad: math::atan2(sin, cos),
+        lane_distance_m: lane.lane.map(|l| l.distance_m),
+        speed_limit_mps: lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps),
+        wrong_way: lane.wrong_way,
+    }
+}
+
 /// Tells a slot where its agent is beside route, lane and road.
 pub(crate) fn road_and_lane(
     states: &AgentStates,
@@ -38,18 +68,12 @@ pub(crate) fn road_and_lane(
     slot: &mut Slot,
     config: &WorldConfig,
 ) {
-    let pose = states.pose(a);
-    let on_route = scene.routes[a].path.at(route_s_m);
-    let d = pose.position - on_route.position;
-    slot.route_distance_m = d.y * on_route.cos - d.x * on_route.sin;
-    let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
-    let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
-    slot.route_heading_error_rad = math::atan2(sin, cos);
-    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
-    slot.lane_distance_m = lane.lane.map(|l| l.distance_m);
-    slot.wrong_way = lane.wrong_way;
-    let limit = lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps);
-    slot.speed_limit_mps = limit.unwrap_or(config.speed_limit_mps);
+    let place = place_on_route(states, scene, a, route_s_m);
+    slot.route_distance_m = place.distance_m;
+    slot.route_heading_error_rad = place.heading_error_rad;
+    slot.lane_distance_m = place.lane_distance_m;
+    slot.wrong_way = place.wrong_way;
+    slot.speed_limit_mps = place.speed_limit_mps.unwrap_or(config.speed_limit_mps);
     if let Some(road) = &scene.road {
         let off = off_road(states, a, &scene.footprints[a], road);
         slot.has_been_on_road |= !off.corner;

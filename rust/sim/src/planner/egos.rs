@@ -1,0 +1,219 @@
+//! The policy of an ego as traffic: vehicles decide on what they would observe as the ego, and drive as it would.
+
+use super::network_of_ego::NetworkOfEgo;
+use crate::dynamics::Dynamics;
+use crate::error::{Result, SimError};
+use crate::events::off_road;
+use crate::geom::Real;
+use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
+use crate::options;
+use crate::policy::{AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
+use crate::scene::AgentKind;
+use crate::state::AgentStates;
+use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
+use std::collections::BTreeMap;
+
+/// Traffic of egos.
+pub const EGOS: Kind = Kind {
+    name: "egos",
+    title: "trained egos",
+    style: "other",
+    options: Some(&EgosConfig::TABLE),
+    always: false,
+    make: None,
+};
+
+options! {
+    /// Options of traffic that the policy of an ego drives.
+    #[derive(Clone)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct EgosConfig {
+        /// The policy: one of those that ship, or the path of a `.safetensors` file.
+        policy: String = "ego".into();
+        /// Factors of weights of its reward, where it was trained for them.
+        style: BTreeMap<String, Real> = BTreeMap::new();
+    }
+}
+
+/// What a policy of an ego is made of.
+#[derive(Debug)]
+pub struct EgoParts {
+    /// What it observes.
+    pub observation: ObservationConfig,
+    /// What its actions mean.
+    pub action: ActionConfig,
+    /// Steps for which it holds an action.
+    pub decision_steps: usize,
+    /// Weights by name: shape and numbers.
+    pub tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
+}
+
+/// Numbers that a vehicle remembers from one decision to the next: its action, and whether it has been on the road.
+const REMEMBERED: usize = 3;
+
+/// Traffic in which each vehicle decides as the policy does, and holds what it decided.
+///
+/// Vehicles that never move in the log stay parked; who is at the end of its route leaves; all but vehicles do as logged.
+#[derive(Debug)]
+pub struct Egos {
+    observer: Observer,
+    decoder: ActionDecoder,
+    network: NetworkOfEgo,
+    row: Vec<Real>,
+    decision_steps: usize,
+}
+
+impl Egos {
+    /// Traffic of a policy.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] where observation, actions and weights do not fit together.
+    pub fn new(parts: EgoParts) -> Result<Self> {
+        let layout = Layout::new(&parts.observation)?;
+        let decoder = ActionDecoder::new(&parts.action);
+        let fails = |field: &str, got: String, expected: &str| {
+            Err(SimError::Config { field: field.to_owned().into(), got, expected: expected.into() })
+        };
+        if decoder.num_actions().is_some() || matches!(decoder.dynamics(), Dynamics::DeltaPose(_)) {
+            return fails("egos.policy", "other actions".into(), "accelerations and turns");
+        }
+        if parts.decision_steps == 0 {
+            return fails("egos.policy.decision_steps", "0".into(), "at least 1");
+        }
+        let network = NetworkOfEgo::new(&layout, decoder.width(), parts.tensors)?;
+        let row = vec![0.0; layout.size];
+        let (observer, decision_steps) = (Observer::new(layout), parts.decision_steps);
+        Ok(Self { observer, decoder, network, row, decision_steps })
+    }
+
+    /// What a vehicle does in the steps of a decision: adds its poses and speeds to the plan, and what it remembers.
+    fn decide(&mut self, world: &WorldView<'_>, a: usize, before: [Real; REMEMBERED], plan: &mut PlanState) {
+        let (states, scene) = (world.states, world.scene);
+        let (place, s_m) = (place_on_route(states, scene, a, world.route_s_m[a]), world.route_s_m[a]);
+        let off = scene.road.as_ref().map(|road| off_road(states, a, &scene.footprints[a], road).corner);
+        let has_been_on_road = before[2] > 0.0 || off == Some(false);
+        let route = &scene.routes[a].path;
+        let view = View {
+            states,
+            footprints: &scene.footprints,
+            kinds: &scene.kinds,
+            segments: &scene.segments,
+            route,
+            route_s_m: s_m,
+            agent_idx: a,
+            facts: EgoFacts {
+                last_action: [before[0], before[1]],
+                speed_limit_mps: place.speed_limit_mps.unwrap_or(world.speed_limit_mps),
+                lane_distance_m: place.lane_distance_m,
+                lateral_m: place.distance_m,
+                heading_error_rad: place.heading_error_rad,
+                off_road: off == Some(true) && has_been_on_road,
+                collided: false,
+                route_remaining_m: route.length_m() - s_m,
+                time_remaining: 1.0,
+            },
+        };
+        self.observer.write(&view, &mut self.row);
+        let action = self.network.act(&self.row);
+        let command = self.decoder.decode(&action);
+        let physical = match self.decoder.dynamics() {
+            Dynamics::Assisted(limits) => assisted_action(limits, world, a, command),
+            _ => command,
+        };
+        let mut state = states.kin_state(a);
+        for _ in 0..self.decision_steps {
+            self.decoder.dynamics().step(&mut state, physical, world.dt_s, &scene.footprints[a]);
+            plan.record.samples.extend([state.x, state.y, state.heading_rad]);
+            plan.speed_mps.push(state.speed_mps);
+        }
+        let normalised = self.decoder.normalise(&command);
+        remember(&mut plan.memory, a, [normalised[0], normalised[1], Real::from(has_been_on_road)]);
+    }
+
+    fn planned(&mut self, request: &PlanRequest<'_>) -> PlanState {
+        let world = &request.world;
+        let (states, scene) = (world.states, world.scene);
+        self.observer.enter(&scene.footprints, &scene.kinds, &scene.segments);
+        let decides = |a: &usize| {
+            request.drives(*a)
+                && states.active[*a]
+                && scene.kinds[*a] == AgentKind::Vehicle
+                && !scene.routes[*a].is_parked()
+        };
+        let agents: Vec<usize> = (0..states.len()).filter(decides).collect();
+        self.observer.prepare(states, agents.len());
+        let mut plan = PlanState { memory: vec![0; 4 * REMEMBERED * states.len()], ..PlanState::default() };
+        for a in &agents {
+            let before = request.plan.map_or([0.0; REMEMBERED], |p| remembered(&p.memory, *a));
+            self.decide(world, *a, before, &mut plan);
+        }
+        let m = agents.len();
+        plan.record = PlanRecord {
+            made_at: world.elapsed_steps,
+            follows_plan: vec![true; m],
+            guided: vec![false; m],
+            selected_sample: vec![0; m],
+            graph: vec![false; m * m],
+            ttc_s: vec![Real::INFINITY; m * m],
+            realism_cost: vec![0.0; m],
+            shift_sigmas: vec![0.0; m],
+            num_samples: 1,
+            num_steps: self.decision_steps,
+            agents,
+            ..plan.record
+        };
+        plan
+    }
+}
+
+fn remember(memory: &mut [u8], a: usize, numbers: [Real; REMEMBERED]) {
+    for (to, number) in memory.chunks_exact_mut(4).skip(a * REMEMBERED).zip(numbers) {
+        to.copy_from_slice(&number.to_le_bytes());
+    }
+}
+
+fn remembered(memory: &[u8], a: usize) -> [Real; REMEMBERED] {
+    let mut numbers = [0.0; REMEMBERED];
+    for (number, bytes) in numbers.iter_mut().zip(memory.chunks_exact(4).skip(a * REMEMBERED)) {
+        *number = bytes.try_into().map_or(0.0, Real::from_le_bytes);
+    }
+    // what a snapshot says may be anything
+    if numbers.iter().all(|n| n.is_finite()) { numbers } else { [0.0; REMEMBERED] }
+}
+
+fn stands(states: &AgentStates, a: usize) -> AgentMotion {
+    AgentMotion::Place(states.pose(a), Default::default())
+}
+
+impl TrafficPolicy for Egos {
+    fn name(&self) -> &str {
+        EGOS.name
+    }
+
+    fn history_states(&self) -> usize {
+        1
+    }
+
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
+        let held = self.decision_steps;
+        Ok(requests.iter().map(|r| r.is_due(held).then(|| self.planned(r))).collect())
+    }
+
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
+        let route = &world.scene.routes[agent_idx];
+        if world.scene.kinds[agent_idx] != AgentKind::Vehicle {
+            return Replay.act(world, None, agent_idx);
+        }
+        if route.is_parked() {
+            return stands(world.states, agent_idx);
+        }
+        if world.route_s_m[agent_idx] >= route.path.length_m() - 0.5 {
+            return AgentMotion::Leave;
+        }
+        match plan.and_then(|p| p.follow(world, agent_idx)) {
+            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
+            // it came after the decision
+            None => stands(world.states, agent_idx),
+        }
+    }
+}

@@ -1,0 +1,207 @@
+"""A policy's dial, and vehicles of the traffic that drive as the ego would."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import WorldConfig, policies
+from ccdiff_env.config import EgosConfig, UnicycleLimits
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.policies.ego import OBSERVATION, load_ego, save_ego
+from ccdiff_env.system.tensors import read_tensors, write_tensors
+from ccdiff_env.worlds import Worlds
+
+STYLES = {"progress": (0.5, 2.0), "comfort": (0.0, 4.0)}
+UNICYCLE = {"observation": dict(OBSERVATION), "dynamics": UnicycleLimits()}
+CONFIG = WorldConfig().with_options(**UNICYCLE)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return ccdiff_env.embedded_scenes("val")
+
+
+def agent_of(layout):
+    torch = pytest.importorskip("torch")
+    from ccdiff_env.envs.ppo import Agent
+
+    torch.manual_seed(0)
+    made = Agent(layout, (0.5, 0.5))
+    torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
+    return made
+
+
+def test_a_dial_sets_what_the_network_observes_last(scenes, tmp_path):
+    worlds = ccdiff_env.make_vec(8, scenes=scenes, style=STYLES, config=CONFIG)
+    (entry,) = (e for e in worlds.worlds.layout.entries if e.name == "style")
+    names = [getattr(column, "name", column) for column in entry.columns]
+    agent = agent_of(worlds.worlds.layout)
+    obs, _ = worlds.reset(seed=0)
+    import torch
+
+    agent.see(torch.from_numpy(obs))
+    path = tmp_path / "dial.safetensors"
+    save_ego(path, agent.state_dict(), UNICYCLE, {}, {name: STYLES[name] for name in names})
+    seen = {}
+    for style in ({}, {"comfort": 4.0}, {"comfort": 0.0, "progress": 2.0}):
+        obs[:, entry.offset :] = [style.get(name, 1.0) for name in names]
+        expected = agent.act(obs)
+        policy = load_ego(path, style)
+        assert policy.styles == {name: STYLES[name] for name in names}
+        seen[str(style)] = policy.act(obs[:, : entry.offset])
+        np.testing.assert_allclose(seen[str(style)], expected, atol=1e-5)
+    assert len({found.tobytes() for found in seen.values()}) == 3
+    named = policies.find_policy(f"{path}?comfort=4")
+    np.testing.assert_array_equal(named.act(obs[:, : entry.offset]), seen["{'comfort': 4.0}"])
+    # worlds of the benchmark, which have no dial, take it
+    policy.check(Worlds(scenes[:1], policy.config, num_worlds=1))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("ego?comfort=1", "style: comfort is 1, expected none"),
+        ("ego?comfort", "expected option=value"),
+        ("ego?comfort=much", "expected a number"),
+    ],
+)
+def test_a_dial_that_is_not_there_is_refused(name, message):
+    with pytest.raises(ConfigError, match=message):
+        policies.find_policy(name)
+
+
+@pytest.fixture
+def unicycle(scenes, tmp_path):
+    """A policy that decides at every step, and does not know how far its goal is."""
+    tensors, _ = read_tensors(policies.SHIPPED["imitation"])
+    policy = policies.load("imitation")
+    column = OBSERVATION["ego_columns"].index("route_remaining")
+    for name in ("mean", "std"):
+        tensors[name] = tensors[name].copy()
+    weight = tensors["policy.0.weight"].copy()
+    weight[:, column] = 0.0
+    tensors |= {"policy.0.weight": weight, "var": tensors["std"] ** 2 - np.float32(1e-4)}
+    path = tmp_path / "unicycle.safetensors"
+    save_ego(path, tensors, {"observation": dict(OBSERVATION)}, {})
+    assert load_ego(path).config.action == policy.config.action
+    return path
+
+
+def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(unicycle, scenes):
+    steps, compared = 30, 0
+    for scene in scenes:
+        log = dict(scene.tracks())
+        logged = [
+            a
+            for a, kind in enumerate(scene.agent_types)
+            if kind == "vehicle" and log["valid"][a, :50].all() and scene.agent_ids[a] != "ego"
+        ]
+        moves = [a for a in logged if np.ptp(log["position"][a], axis=0).max() > 15.0]
+        if not moves:
+            continue
+        agent = moves[0]
+        own = {"policies": {"egos": EgosConfig(policy=str(unicycle))}}
+        policy = load_ego(unicycle)
+        config = policy.config.with_options(
+            traffic="replay", horizon_steps=60, on_traffic_collision="ignore"
+        )
+        seat = Worlds(
+            scenes[list(scenes).index(scene) : list(scenes).index(scene) + 1],
+            config.with_options(controlled=[scene.agent_ids[agent]], on_collision="ignore"),
+            num_worlds=1,
+        )
+        traffic = Worlds(
+            seat.scenes,
+            config.with_options(driver="replay", drivers={scene.agent_ids[agent]: "egos"}, **own),
+            num_worlds=1,
+        )
+        for worlds in (seat, traffic):
+            worlds.native.reset([0], [0], None, worlds.arrays())
+        act = policy.drive(seat)
+        for _ in range(steps):
+            assert seat.last is not None
+            actions = act(seat.last.obs[:, 0]).reshape(1, 1, 2)
+            seat.native.step(actions, seat.last)
+            traffic.native.step(np.zeros((1, 1, 2), np.float32), traffic.last)
+            if seat.last.done[0] or traffic.last.done[0]:
+                break
+            places = [w.native.states(0)["position"][agent] for w in (seat, traffic)]
+            np.testing.assert_allclose(*places, atol=2e-3)
+            compared += 1
+    assert compared > 100
+
+
+def test_traffic_of_egos_is_the_same_for_any_threads_and_from_a_snapshot(scenes):
+    def played(threads, again=False):
+        env = ccdiff_env.make_vec(6, scenes=scenes, traffic="egos", num_threads=threads)
+        env.reset(seed=3)
+        for step in range(20):
+            if again and step == 10:
+                for i in range(6):
+                    env.restore(i, env.snapshot(i))
+            env.step(np.zeros((6, 2), np.float32))
+        return [env.worlds.native.states(i)["position"].tobytes() for i in range(6)]
+
+    assert played(1) == played(3) == played(1, again=True)
+
+
+def test_a_dial_drives_traffic_otherwise(scenes, tmp_path):
+    worlds = ccdiff_env.make_vec(1, scenes=scenes, style=STYLES, config=CONFIG)
+    agent = agent_of(worlds.worlds.layout)
+    path = tmp_path / "dial.safetensors"
+    save_ego(
+        path, agent.state_dict(), UNICYCLE, {}, {n: STYLES[n] for n in ("progress", "comfort")}
+    )
+    ends = []
+    for style in ({}, {"progress": 2.0}):
+        own = {"egos": {"policy": str(path), "style": style}}
+        env = ccdiff_env.make_vec(2, scenes=scenes, traffic="egos", **own)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(np.zeros((2, 2), np.float32))
+        ends.append(env.worlds.native.states(0)["position"].copy())
+        assert "egos" in {d for i in range(2) for d in env.worlds.native.drivers(i)}
+    assert not np.array_equal(*ends)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"policy": "nobody"}, ConfigError, "nobody"),
+        ({"policy": "nobody.safetensors"}, DatasetNotFoundError, "nobody.safetensors"),
+        ({"policy": "pdm_open"}, ConfigError, "policy.4.weight"),
+        ({"style": {"comfort": 2.0}}, ConfigError, "style: comfort is 2.0, expected none"),
+        ({"policies": "ego"}, ConfigError, "policies"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(options, error, message, scenes):
+    with pytest.raises(error, match=message):
+        ccdiff_env.make_vec(1, scenes=scenes, traffic="egos", egos=options)
+
+
+def test_weights_that_are_not_finite_or_have_other_shapes_are_refused(scenes, tmp_path):
+    tensors, metadata = read_tensors(policies.SHIPPED["ego"])
+    path = tmp_path / "bad.safetensors"
+    for change in ({"mean": np.zeros(3, np.float32)}, {"policy.0.bias": np.zeros(3, np.float32)}):
+        write_tensors(path, {**tensors, **change}, metadata)
+        with pytest.raises((ConfigError, DatasetError), match=r"mean|policy\.0"):
+            ccdiff_env.make_vec(1, scenes=scenes, traffic="egos", egos={"policy": str(path)})
+
+
+def test_a_policy_imitates_a_rule_and_stays_near_it(tmp_path, capsys):
+    pytest.importorskip("torch")
+    from ccdiff_env import cli
+
+    out = ["--out", str(tmp_path / "uni"), "--dynamics", "unicycle", "--threads", "1"]
+    assert cli.main(["train-ego", "--smoke", "--teacher", "pdm", *out]) == 0
+    assert "imitates pdm" in capsys.readouterr().out
+    for words, said in (
+        (["--teacher", "nobody"], "--teacher is 'nobody'"),
+        (["--teacher", "pdm", "--anchor", "zero"], "neither"),
+        (["--style", "comfort", "0", "much"], "two factors"),
+        (["--style", "comfort", "0", "2", "--anchor", "ego"], "other observations"),
+    ):
+        assert cli.main(["train-ego", *words]) == 2
+        assert said in capsys.readouterr().err
