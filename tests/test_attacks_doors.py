@@ -27,11 +27,11 @@ from ccdiff_env.cli import main
 from ccdiff_env.metrics import Motion
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.policies.planners import load_sb3
-from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, unpack
 from ccdiff_env.system import files
+from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.live import read_curves

@@ -19,8 +19,8 @@ from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.page import markdown_html
 from ccdiff_env.models import TrajectoryModel, shipped_weights
-from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.record.bank import load_bank, record_bank
+from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import log_rollout, play_scene
 
 EGO = policies.SHIPPED["ego"]

@@ -120,7 +120,7 @@ def test_numpy_numbers_are_numbers():
         ({"dynamics": 3}, "unicycle, bicycle, delta_pose"),
         (
             {"traffic": "crazy"},
-            "there are bits, ccdiff, constant_velocity, ctg, ctgpp, idm, replay",
+            "there are bits, ccdiff, constant_velocity, ctg, ctgpp, egos, idm, replay",
         ),
         ({"traffic": ["idm"]}, "expected one of"),
         ({"traffic": {"idm": "half"}}, "expected float"),

@@ -55,7 +55,7 @@ def test_defaults_of_every_class_are_those_of_its_table():
         assert {k: v for k, v in made.items() if k != "model"} == {
             k: v for k, v in wanted.items() if k != "model"
         }
-    assert compared == {*PLACES, "CcdiffConfig", "PythonOptions"}
+    assert compared == {*PLACES, "CcdiffConfig", "EgosConfig", "PythonOptions"}
 
 
 def parsed(text):

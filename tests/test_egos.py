@@ -25,7 +25,7 @@ def scenes():
 
 def agent_of(layout):
     torch = pytest.importorskip("torch")
-    from ccdiff_env.envs.ppo import Agent
+    from ccdiff_env.envs.ego_network import Agent
 
     torch.manual_seed(0)
     made = Agent(layout, (0.5, 0.5))

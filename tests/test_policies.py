@@ -12,7 +12,7 @@ import ccdiff_env
 from ccdiff_env import WorldConfig, policies
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
-from ccdiff_env.envs import ppo
+from ccdiff_env.envs import ego_network
 from ccdiff_env.errors import (
     ConfigError,
     DatasetError,
@@ -37,7 +37,7 @@ def agent(scenes):
     """A network of random weights that has seen some observations."""
     torch.manual_seed(0)
     env = ccdiff_env.make_vec(8, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
-    made = ppo.Agent(env.worlds.layout, (0.5, 0.5))
+    made = ego_network.Agent(env.worlds.layout, (0.5, 0.5))
     torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
     made.see(torch.from_numpy(env.reset(seed=0)[0]))
     return made
@@ -70,7 +70,7 @@ def test_a_network_of_poses_gives_those_of_torch_in_the_egos_frame(scenes, tmp_p
     config = WorldConfig().with_options(**options)
     env = ccdiff_env.make_vec(3, scenes=scenes, config=config)
     torch.manual_seed(0)
-    made = ppo.Agent(env.worlds.layout, (0.1,) * 24, 8)
+    made = ego_network.Agent(env.worlds.layout, (0.1,) * 24, 8)
     obs, _ = env.reset(seed=0)
     made.see(torch.from_numpy(obs))
     save_ego(tmp_path / "own.safetensors", made.state_dict(), options, {})

@@ -143,7 +143,8 @@ def test_vehicles_starts_and_differences_are_drawn_but_the_ego_of_a_bank_stays(t
 def test_training_begins_with_a_policy_and_stays_near_an_anchor():
     torch = pytest.importorskip("torch")
     import ccdiff_env
-    from ccdiff_env.envs.ppo import Agent, update
+    from ccdiff_env.envs.ego_network import Agent
+    from ccdiff_env.envs.ppo import update
 
     ego = ccdiff_env.policies.load("ego")
     env = ccdiff_env.make_vec(64, traffic="idm", **ego.env_options)

@@ -19,7 +19,7 @@ import torch
 
 from ccdiff_env import load
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.envs.ppo import Agent
+from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.policies.ego import OBSERVATION, OPEN_OBSERVATION, POSE_S, REACH_S, save_ego
 from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.record.episode import begin, play

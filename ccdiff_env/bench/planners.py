@@ -40,7 +40,7 @@ from ccdiff_env.record.episode import play as played
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
-from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
 from ccdiff_env.view.captions import planner_title
 
 __all__ = [
@@ -119,6 +119,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         "idm-calm": Traffic("IDM, calm", "calm"),
         "idm": Traffic("IDM", "idm"),
         "idm-hasty": Traffic("IDM, hasty", "hasty"),
+        EGOS: Traffic("Trained egos", EGOS),
         **{
             name: Traffic(f"{_TITLES[name]}, no guidance", name, {"num_samples": 1})
             for name in NETWORKS

@@ -7,15 +7,13 @@ online learning" (DAgger), AISTATS 2011. The rule asks the worlds; the policy se
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
+from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.policies.rules import RULES
-
-if TYPE_CHECKING:
-    from ccdiff_env.envs.ppo import Agent, Worlds
 
 __all__ = ["imitate"]
 
@@ -26,7 +24,18 @@ LEARNING_RATE = 1e-3
 NOISE = 0.1
 
 
-def imitate(agent: Agent, worlds: Worlds, teacher: str, *, decisions: int, seed: int) -> float:
+class _Worlds(Protocol):
+    """Vector environments side by side, as :mod:`ccdiff_env.envs.ppo` has them."""
+
+    envs: list[Any]
+    obs: np.ndarray[Any, Any]
+    episodes: list[Any]
+
+    def step(self, actions: np.ndarray[Any, Any]) -> Any:
+        """Take the actions [E, W] of all worlds."""
+
+
+def imitate(agent: Agent, worlds: _Worlds, teacher: str, *, decisions: int, seed: int) -> float:
     """Train the means of a policy on the actions of a rule; returns the last mean error.
 
     Parameters
@@ -73,7 +82,7 @@ def imitate(agent: Agent, worlds: Worlds, teacher: str, *, decisions: int, seed:
             rows = torch.randint(len(x), (ROWS,))
             loss = (agent(agent.normalised(x[rows]))[0] - wanted[rows]).abs().mean()
             optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             optimiser.step()
             errors.append(float(loss.detach()))
         error = float(np.mean(errors))

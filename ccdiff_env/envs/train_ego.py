@@ -8,11 +8,11 @@ from pathlib import Path
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.scenes.arguments import add_scene_arguments
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import EGOS, NETWORKS
 
 #: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``bank`` what
 #: ``--bank`` recorded.
-LIVE = ("idm", "styles", *NETWORKS)
+LIVE = ("idm", "styles", EGOS, *NETWORKS)
 TRAFFIC = ("replay", *LIVE, "bank")
 
 
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"traffic of training, of: {', '.join(TRAFFIC)}",
     )
     parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument("--opponent", default="ego", help=f"policy that drives {EGOS} traffic")
     parser.add_argument(
         "--any-ego",
         action="store_true",

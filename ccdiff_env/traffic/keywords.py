@@ -17,6 +17,7 @@ from ccdiff_env.traffic.options import (
     Consequence,
     Controlled,
     Dynamics,
+    EgosConfig,
     IdmConfig,
     ObservationConfig,
     Pedestrians,
@@ -59,6 +60,7 @@ class SelectionKeywords(TypedDict, total=False):
     grid: ActionGrid | Mapping[str, Any] | None
     bev: BevConfig | Mapping[str, Any] | None
     python: PythonTraffic | Mapping[str, Any]
+    egos: EgosConfig | Mapping[str, Any]
     ccdiff: CcdiffConfig | Mapping[str, Any]
     simnet: CcdiffConfig | Mapping[str, Any]
     trafficsim: CcdiffConfig | Mapping[str, Any]

@@ -430,6 +430,16 @@ class PythonOptions:
     route_points: int = 41
 
 
+@dataclass(frozen=True, kw_only=True)
+class EgosConfig:
+    """Options of traffic that the policy of an ego drives."""
+
+    #: The policy: one of those that ship, or the path of a ``.safetensors`` file.
+    policy: str = "ego"
+    #: Factors of weights of its reward, where it was trained for them.
+    style: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
 
@@ -530,11 +540,3 @@ class CcdiffConfig:
     explain: bool = False
     #: Vehicles that stand still for the whole episode.
     parked_rule: ParkedRule = "parked"
-
-
-@dataclass(frozen=True, kw_only=True)
-class EgosConfig:
-    """Options of traffic that the policy of an ego drives."""
-
-    policy: str = "ego"
-    style: Mapping[str, float] = field(default_factory=dict, hash=False)

@@ -126,6 +126,6 @@ def egos_policy(asked: EgosConfig, dt_s: float) -> object:
         if config.dt_s != dt_s:
             raise ConfigError(f"trained in steps of {config.dt_s} s, the worlds have {dt_s} s")
         whole = json.loads(config.to_json())
-        fields = (json.dumps(whole[name]) for name in ("observation", "action"))
+        observation, action = (json.dumps(whole[name]) for name in ("observation", "action"))
         tensors = {name: np.ascontiguousarray(array) for name, array in found.tensors.items()}
-        return _native.egos_policy(*fields, config.decision_steps, tensors)
+        return _native.egos_policy(observation, action, config.decision_steps, tensors)

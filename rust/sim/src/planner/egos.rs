@@ -7,7 +7,9 @@ use crate::events::off_road;
 use crate::geom::Real;
 use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use crate::options;
-use crate::policy::{AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
+use crate::policy::{
+    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
+};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};

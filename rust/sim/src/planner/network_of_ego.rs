@@ -68,7 +68,9 @@ impl NetworkOfEgo {
         // of hidden layers the file says how wide they are
         let outputs: BTreeMap<String, usize> = tensors
             .iter()
-            .filter_map(|(name, (shape, _))| Some((name.strip_suffix(".weight")?.to_owned(), *shape.first()?)))
+            .filter_map(|(name, (shape, _))| {
+                Some((name.strip_suffix(".weight")?.to_owned(), *shape.first()?))
+            })
             .collect();
         let mut take = |name: &str, shape: &[usize]| match tensors.remove(name) {
             Some((found, numbers)) if found == shape && numbers.iter().all(|x| x.is_finite()) => Ok(numbers),

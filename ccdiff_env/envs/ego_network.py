@@ -1,0 +1,142 @@
+"""The network that learns to drive: :class:`~ccdiff_env.policies.ego.EgoPolicy` with gradients."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from torch import nn
+
+from ccdiff_env.policies.ego import EgoPolicy
+from ccdiff_env.worlds.spaces import Layout
+
+__all__ = ["Agent"]
+
+Floats: TypeAlias = np.ndarray[Any, Any]
+WIDTH_ROWS, WIDTH = 64, 128
+
+
+class Greatest(torch.autograd.Function):
+    """The greatest of each feature, at least 0, over parts of rows [N, F]: the first of B each."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: torch.Tensor, parts: list[int], size: int) -> torch.Tensor:
+        """Return [B, F]."""
+        found = rows.new_zeros(size, rows.shape[1])
+        ctx.parts = [slice(end - n, end) for n, end in zip(parts, np.cumsum(parts), strict=True)]
+        for n, part in zip(parts, ctx.parts, strict=True):
+            torch.maximum(found[:n], rows[part], out=found[:n])
+        ctx.save_for_backward(rows, found)
+        return found
+
+    @staticmethod
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        """Hand the gradient to the rows that were greatest."""
+        rows, found = ctx.saved_tensors
+        grad = torch.zeros_like(rows)
+        for part in ctx.parts:
+            n = part.stop - part.start
+            torch.mul(grads[0][:n], rows[part] == found[:n], out=grad[part])
+        return grad, None, None
+
+
+class Agent(nn.Module):
+    """Policy and value: all agents pass one network, the greatest of each feature stays."""
+
+    mean: torch.Tensor
+    var: torch.Tensor
+    count: torch.Tensor
+
+    def __init__(self, layout: Layout, noise: tuple[float, ...], width: int = WIDTH) -> None:
+        super().__init__()
+        entries = {entry.name: entry for entry in layout.entries}
+        rest, seen = layout.size, 0
+        self.shape: tuple[int, ...] = ()
+        self.rows = self.mask = slice(rest, rest)
+        if "agents" in entries:
+            rows, mask = entries["agents"], entries["agents_mask"]
+            self.rows, self.shape = slice(rows.offset, rows.offset + rows.size), rows.shape
+            self.mask = slice(mask.offset, mask.offset + mask.size)
+            rest, seen = rest - rows.size - mask.size, WIDTH_ROWS
+            self.encoder = nn.Sequential(
+                nn.Linear(rows.shape[1], WIDTH_ROWS),
+                nn.ReLU(),
+                nn.Linear(WIDTH_ROWS, WIDTH_ROWS),
+                nn.ReLU(),
+            )
+        self.policy, self.value = (
+            nn.Sequential(
+                nn.Linear(rest + seen, width),
+                nn.ReLU(),
+                nn.Linear(width, width),
+                nn.ReLU(),
+                nn.Linear(width, out),
+            )
+            for out in (len(noise), 1)
+        )
+        *_, weight, bias = self.policy.parameters()
+        nn.init.orthogonal_(weight, 0.01)
+        nn.init.zeros_(bias)
+        self.log_std = nn.Parameter(torch.tensor(noise).log())
+        for name, value in (("mean", 0.0), ("var", 1.0)):
+            self.register_buffer(name, torch.full((layout.size,), value))
+        self.register_buffer("count", torch.tensor(1e-4))
+
+    def take(self, policy: EgoPolicy) -> None:
+        """Begin with the networks of a policy, and with its means and variances for good."""
+        found = {name: torch.from_numpy(array) for name, array in policy.tensors.items()}
+        found["var"] = found.pop("std") ** 2 - 1e-4
+        self.load_state_dict(found | {"count": torch.tensor(1e9)}, strict=False)
+
+    def see(self, obs: torch.Tensor) -> None:
+        """Take observations [E, D] into mean and variance; rows of agents share theirs."""
+        mean, var = obs.mean(0), obs.var(0, unbiased=False)
+        if self.shape:
+            rows = obs[:, self.rows].reshape(-1, self.shape[1])
+            present = rows[obs[:, self.mask].reshape(-1) > 0]
+            if len(present) > 1:
+                mean[self.rows] = present.mean(0).repeat(self.shape[0])
+                var[self.rows] = present.var(0, unbiased=False).repeat(self.shape[0])
+        mean[self.mask], var[self.mask] = 0.0, 1.0
+        total = self.count + len(obs)
+        share, delta = len(obs) / total, mean - self.mean
+        self.var += (var - self.var) * share + delta**2 * share * (1.0 - share)
+        self.mean += delta * share
+        self.count.copy_(total)
+
+    def normalised(self, obs: torch.Tensor) -> torch.Tensor:
+        """Observations [E, D] as the networks want them."""
+        return ((obs - self.mean) / (self.var + 1e-4).sqrt()).clamp(-5.0, 5.0)
+
+    def features(self, x: torch.Tensor) -> torch.Tensor:
+        """What both heads see of normalised observations [B, D]."""
+        if not self.shape:
+            return x
+        # who sees most agents comes first: those of each place are the first rows of all
+        count = (x[:, self.mask] > 0).sum(1)
+        order = count.argsort(descending=True)
+        seen = (count.unsqueeze(1) > torch.arange(self.shape[0])).sum(0).tolist()
+        rows = x[:, self.rows].reshape(-1, *self.shape)
+        packed = [rows[order[:n], k] for k, n in enumerate(seen)]
+        # whole thousands of rows: kernels of bfloat16 are made anew for each number of rows
+        packed.append(rows.new_zeros(-sum(seen) % 1024, self.shape[1]))
+        encoded = self.encoder(torch.cat(packed))
+        found = Greatest.apply(encoded, seen, len(x))  # type: ignore[no-untyped-call]
+        rest = x[:, : self.rows.start], x[:, self.mask.stop :]
+        return torch.cat([*rest, found[order.argsort()]], dim=1)
+
+    def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means [B, W] of the actions and values [B]."""
+        features = self.features(x)
+        return self.policy(features), self.value(features).squeeze(1)
+
+    @torch.no_grad()
+    def act(self, obs: Floats) -> Floats:
+        """Means [B, W] of the actions for observations [B, D]."""
+        mean: Floats = self(self.normalised(torch.from_numpy(obs)))[0].clamp(-1.0, 1.0).numpy()
+        return mean
+
+    def log_prob(self, mean: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Log density [B] of actions, less a constant."""
+        return (-0.5 * ((actions - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(1)
