@@ -1,10 +1,10 @@
-"""Train an ego as any vehicle, in traffic that reacts; compare it where it learned and elsewhere.
+"""Train an ego against recorded critical traffic; compare it where it learned and elsewhere.
 
-    python examples/train_ego.py --dataroot <nuscenes> --split train+train_val --test-split val
+    python examples/train_ego.py --dataroot <nuscenes> --split train --test-split val
 
-Vehicle and start of every episode are drawn. Two worlds of three react to the ego: IDM of three
-tempers, CCDiff of one step, tokens; three in ten of their episodes begin before a failure. The
-policy begins at random, near IDM, and is drawn to ``ego``. The same command again goes on.
+The recipe of the shipped ``ego``: banks of CCDiff traffic against PDM-Closed, then PPO that changes
+what PDM-Closed does. ``--dynamics unicycle`` imitates PDM-Closed first, and drives without it. The
+same command again goes on.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ccdiff_env.bench.intervals import LEAST_SCENES
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.planner_report import permutation_p
 from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
+from ccdiff_env.record.bank import record_bank
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
@@ -29,12 +30,13 @@ from ccdiff_env.scenes.arguments import (
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Column, Table
 
-LIVE = ("styles", "styles", "ccdiff", "tokens")
-RECIPE = [
-    *("--any-ego", "--traffic", *LIVE, "replay", "replay"),
-    *("--forks", "0.3", "--anchor", "ego", "--kl", "0.05"),
-]
-OTHERS = ["ego", "idm", "lane_idm"]
+#: Criticalities of the banks.
+BANKS = (1.0, 2.0)
+RECIPES = {
+    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"),
+    "unicycle": ("--dynamics", "unicycle", "--teacher", "pdm", "--noise", "0.15", "0.08"),
+}
+OTHERS = ["ego", "pdm", "idm"]
 FIGURES = {
     "score": Column("score", head="score"),
     "collision": Column("collision", head="collides %", digits=1, factor=100.0),
@@ -45,10 +47,11 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
+    parser.add_argument("--dynamics", default="assisted", choices=RECIPES, help="of the ego")
     parser.add_argument("--decisions", default="1e6", help="of training")
     parser.add_argument("--seed", default="0", help="of training")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
-    parser.add_argument("--out", type=Path, default=Path("runs/any_ego"))
+    parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
 
@@ -68,8 +71,13 @@ def main() -> None:
     args = arguments()
     train, test = place_from(args), other_place(args)
     traffic = ["replay", "ccdiff", "ccdiff-1", "ccdiff-2"]
+    scenes = load(train)[: 2 if args.smoke else None]
+    banks = [str(args.out / f"bank-{criticality:g}") for criticality in BANKS]
+    for bank, criticality in zip(banks, BANKS, strict=True):
+        record_bank(scenes, bank, ego="pdm", criticality=criticality, workers=args.workers)
     words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", args.seed]
-    words += ["--threads", str(args.workers), "--out", str(args.out), *RECIPE]
+    words += ["--threads", str(args.workers), "--out", str(args.out)]
+    words += [*RECIPES[args.dynamics], "--traffic", "replay", *["bank"] * 3, "--bank", *banks]
     words += ["--resume"] * (args.out / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
     if cli.main(["train-ego", *words]):
         raise SystemExit(2)
