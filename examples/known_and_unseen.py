@@ -3,7 +3,7 @@
     python examples/known_and_unseen.py --dataroot <nuscenes> --split train+train_val \
         --test-split val --counts 40 160 640 --seeds 3
 
-Egos learn in log replay, and as any vehicle, in traffic that reacts, with forks and hidden
+Egos learn in log replay, in traffic that reacts, and as any vehicle in both, with forks and hidden
 differences. It prints a table, and draws ``curve.png``. The same command again goes on.
 """
 
@@ -37,7 +37,9 @@ TRAININGS = {
         *("--any-ego", "--traffic", "replay", "styles"),
         *("--forks", "0.3", "--differences", "0.1"),
     ),
+    "reacting traffic": ("--traffic", "styles"),
 }
+COLOURS = ("tab:blue", "tab:orange", "tab:green")
 TESTS = ("replay", "idm", "ccdiff-1")
 FIGURES = {
     "score": Column("score", interval=False),
@@ -143,7 +145,7 @@ def draw(args: argparse.Namespace, traffic: str, values) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
-    for title, colour in zip(TRAININGS, ("tab:blue", "tab:orange"), strict=True):
+    for title, colour in zip(TRAININGS, COLOURS, strict=True):
         for scenes, line in (("known", "--"), ("unseen", "-")):
             curves = np.stack([values("score", title, n, scenes, traffic) for n in args.counts])
             axes.plot(args.counts, curves.mean(1), line, color=colour, label=f"{title}: {scenes}")
