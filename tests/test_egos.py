@@ -62,7 +62,7 @@ def test_a_dial_sets_what_the_network_observes_last(scenes, tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("ego?comfort=1", "style: comfort is 1, expected none"),
+        ("ego_replay?comfort=1", "style: comfort is 1, expected none"),
         ("ego?comfort", "expected option=value"),
         ("ego?comfort=much", "expected a number"),
     ],
@@ -172,7 +172,11 @@ def test_a_dial_drives_traffic_otherwise(scenes, tmp_path):
         ({"policy": "nobody"}, ConfigError, "nobody"),
         ({"policy": "nobody.safetensors"}, DatasetNotFoundError, "nobody.safetensors"),
         ({"policy": "pdm_open"}, ConfigError, "policy.4.weight"),
-        ({"style": {"comfort": 2.0}}, ConfigError, "style: comfort is 2.0, expected none"),
+        (
+            {"style": {"comfort": 9.0}},
+            ConfigError,
+            "style: comfort is 9.0, expected .*comfort 0 to 4",
+        ),
         ({"policies": "ego"}, ConfigError, "policies"),
     ],
 )

@@ -96,6 +96,18 @@ TABLES: dict[str, Made] = {
             "off road %": Column("orr", factor=100.0, interval=False),
         },
     ),
+    "egos": Made(
+        "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
+        "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2",
+        "scores.csv",
+        ("planner", "traffic"),
+        {
+            "score": Column("score", digits=3),
+            "collides %": Column("collision", digits=1, factor=100.0),
+            "not at fault": Column("no_at_fault_collision", digits=3, interval=False),
+            "comfort": Column("comfort", digits=3, interval=False),
+        },
+    ),
     "dial": Made(
         "bench planners --planners idm --seeds 0,1,2 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
         "ccdiff-1-routes,ccdiff-1-routes-one-step,tokens,tokens-1,ccdiff-2,ccdiff-2-one-step,"
@@ -208,7 +220,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
     kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
-    if len(table.keys) > 1:
+    if "K" in table.keys:
         return _grid(kept, *table.columns.values())
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {

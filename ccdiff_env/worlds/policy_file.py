@@ -90,11 +90,19 @@ def _with_style(tensors: Mapping[str, F32], factors: F32) -> dict[str, F32]:
     found, size = dict(tensors), len(factors)
     if size:
         mean, std, weight = (found[name] for name in ("mean", "std", "policy.0.weight"))
+        bias = found["policy.0.bias"]
+        if not (std > 0.0).all():
+            raise DatasetError(f"std is {std.min()}, expected above 0")
+        if len(mean) != len(std) or bias.shape != weight.shape[:1] or len(mean) <= size:
+            raise DatasetError(
+                f"mean, std, policy.0 have shapes {mean.shape}, {std.shape}, {weight.shape}, "
+                f"{bias.shape}, expected (D,), (D,), (N, M), (N,), D above {size}"
+            )
         x = np.clip((factors - mean[-size:]) / std[-size:], -5.0, 5.0)
         # what is seen of other agents comes behind
         end = weight.shape[1] - len(found.get("encoder.2.bias", ()))
         dial = slice(end - size, end)
-        found["policy.0.bias"] = found["policy.0.bias"] + weight[:, dial] @ x
+        found["policy.0.bias"] = bias + weight[:, dial] @ x
         found["mean"], found["std"] = mean[:-size], std[:-size]
         found["policy.0.weight"] = np.delete(weight, dial, axis=1)
     return found
