@@ -32,8 +32,14 @@ from ccdiff_env.system.table import Column, Table
 
 #: Criticalities of the banks.
 BANKS = (1.0, 2.0)
+#: The dial: ranges of factors of reward weights.
+DIAL = (
+    *("--style", "progress", "0.25", "2"),
+    *("--style", "collision", "0.5", "4"),
+    *("--style", "comfort", "0", "4"),
+)
 RECIPES = {
-    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"),
+    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1", *DIAL),
     "unicycle": ("--dynamics", "unicycle", "--teacher", "pdm", "--noise", "0.15", "0.08"),
 }
 OTHERS = ["ego", "pdm", "idm"]
