@@ -48,22 +48,7 @@ class PolicyFile(NamedTuple):
 
 
 def read_policy(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> PolicyFile:
-    """Read a file that :func:`~ccdiff_env.policies.ego.save_ego` wrote.
-
-    Parameters
-    ----------
-    path
-        The file.
-    style
-        Factors of weights of the reward, where it was trained for a range of them; 1 by default.
-
-    Raises
-    ------
-    DatasetNotFoundError, DatasetError
-        If there is no such file, or it is damaged.
-    ConfigError
-        If it was not trained for the style.
-    """
+    """Read a file of a policy; :func:`~ccdiff_env.policies.ego.load_ego` says what is raised."""
     tensors, metadata = read_tensors(path)
     with reading("policy", path):
         if metadata.get("format") != FORMAT:
