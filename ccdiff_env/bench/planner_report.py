@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -156,23 +156,29 @@ def comparison(
         return "One planner alone.\n"
     if any(map(are_few, found.values())):
         return f"{FEW}\n"
-    scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
     rows: TableRows = []
-    for planner in planners:
-        best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
-        for other in dict.fromkeys([*bases, best]):
-            if other not in scores or other == planner:
-                continue
-            pairs = scores[planner] - scores[other]
-            figure, p = mean_interval(_by_scene(pairs), "score"), permutation_p(pairs)
-            same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
-            rows.append([title_of(planner), title_of(other), figure, p, same])
+    for planner, other, pairs in _pairs(found, planners, traffic, bases):
+        figure, p = mean_interval(_by_scene(pairs), "score"), permutation_p(pairs)
+        same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
+        rows.append([title_of(planner), title_of(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
     return document(
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
         Table(["planner", "against", *columns, ""], rows),
     )
+
+
+def _pairs(
+    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str]
+) -> Iterator[tuple[str, str, npt.NDArray[np.float64]]]:
+    """Differences [S] of scores, means over traffic: to ``bases``, and to the best other one."""
+    scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
+    for planner in planners:
+        best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
+        for other in dict.fromkeys([*bases, best]):
+            if other in scores and other != planner:
+                yield planner, other, scores[planner] - scores[other]
 
 
 def permutation_p(pairs: npt.NDArray[np.float64]) -> float:
@@ -191,7 +197,7 @@ def write_report(
     pages: Mapping[tuple[str, str, str], str] | None = None,
     privileged: Collection[str] = (),
 ) -> None:
-    """Write ``scores.csv``, ``headlines.csv``, tables (``.md``) and ``robustness.png``.
+    """Write scores, headlines and pairs (``.csv``), tables (``.md``) and ``robustness.png``.
 
     Parameters
     ----------
@@ -216,6 +222,8 @@ def write_report(
     found = over_seeds(found)
     write_aside(folder / "comparison.md", comparison(found, planners, traffic))
     _write_headlines(found, planners, traffic, folder / "headlines.csv")
+    if len(planners) > 1:
+        _write_pairs(found, planners, traffic, folder / "pairs.csv")
     columns = [Column(part, interval=part == "score") for part in _PARTS]
     tables = [
         Table(
@@ -250,6 +258,19 @@ def _write_headlines(
         heads |= {name: mean_interval(found[planner, name], "score") for name in traffic}
         rows.append([planner, *(heads[name] for name in names)])
     Table(["planner", *names], rows).write_csv(path)
+
+
+def _write_pairs(
+    found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path
+) -> None:
+    """Write the differences of :func:`comparison` in each traffic, with p, as CSV."""
+    rows: TableRows = []
+    for name in traffic:
+        for planner, other, pairs in _pairs(found, planners, [name], BASES):
+            figure = mean_interval(_by_scene(pairs), "score")
+            rows.append([planner, other, name, figure, permutation_p(pairs)])
+    columns = (Column("difference"), Column("p"))
+    Table(["planner", "against", "traffic", *columns], rows).write_csv(path)
 
 
 def short_name(planner: str) -> str:
