@@ -3,7 +3,7 @@
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
 pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
-the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows X and Y. ``grid`` has
+the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows of X and Y. ``grid`` has
 a row per method, and a figure in a column per K and T.
 """
 
@@ -229,7 +229,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     }
     named = only and [name.strip() for name in only.split(",")]
     for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
-        if named and row[table.keys[0]] not in named:
+        if named and not {row[key] for key in table.keys} & {*named}:
             continue
         cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
         for column in table.columns.values():
