@@ -13,6 +13,7 @@ import argparse
 import json
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -30,7 +31,6 @@ from ccdiff_env.scenes.arguments import (
 from ccdiff_env.scenes.sources import load, parse
 from ccdiff_env.system.table import Column, Table
 
-#: What changes with the training; the rest is that of `train-ego`.
 TRAININGS = {
     "log replay": ("--traffic", "replay"),
     "any vehicle, reacting traffic, forks, differences": (
@@ -94,43 +94,30 @@ def main() -> None:
         args.counts, test, tests = [2, 4], replace(test, limit=2), TESTS[:1]
     runs = {}
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        for i, (title, words) in enumerate(TRAININGS.items()):
-            for count in args.counts:
-                for seed in range(args.seeds):
-                    own = ["--decisions", args.decisions, "--seed", str(seed), "--threads", "1"]
-                    own += ["--dynamics", args.dynamics, *["--smoke"] * args.smoke, *words]
-                    folder = args.out / f"{i}-{count}-{seed}"
-                    place = str(replace(train, limit=count))
-                    job = pool.submit(trained, folder, place, str(test), own, args.smoke)
-                    runs[title, count, seed] = job
+        for key in product(TRAININGS, args.counts, range(args.seeds)):
+            title, count, seed = key
+            own = ["--decisions", args.decisions, "--seed", str(seed), "--threads", "1"]
+            own += ["--dynamics", args.dynamics, *["--smoke"] * args.smoke, *TRAININGS[title]]
+            folder = args.out / f"{[*TRAININGS].index(title)}-{count}-{seed}"
+            place = str(replace(train, limit=count))
+            runs[key] = pool.submit(trained, folder, place, str(test), own, args.smoke)
         found = {
             (*key, row["scenes"], row["traffic"]): row
             for key, job in runs.items()
             for row in job.result()
         }
 
-    def values(figure: str, *key: object) -> np.ndarray:
-        title, count, scenes, traffic = key
-        return np.array(
-            [found[title, count, s, scenes, traffic][figure] for s in range(args.seeds)]
-        )
+    def values(figure: str, title: str, count: int, scenes: str, traffic: str) -> np.ndarray:
+        seeds = range(args.seeds)
+        return np.array([found[title, count, s, scenes, traffic][figure] for s in seeds])
 
+    places = [(scenes, t) for t in tests for scenes in ("known", "unseen")]
     for figure, column in FIGURES.items():
-        heads = [
-            replace(column, head=f"{t}, {scenes}") for t in tests for scenes in ("known", "unseen")
-        ]
+        heads = [replace(column, head=f"{t}, {scenes}") for scenes, t in places]
         rows = [
-            [
-                title,
-                count,
-                *(
-                    float(values(figure, title, count, scenes, t).mean())
-                    for t in tests
-                    for scenes in ("known", "unseen")
-                ),
-            ]
+            [title, n, *(float(values(figure, title, n, *place).mean()) for place in places)]
             for title in TRAININGS
-            for count in args.counts
+            for n in args.counts
         ]
         print(f"{Table(['training', 'scenes', *heads], rows, column.title)}\n")
     print(f"Means of {args.seeds} trainings of {args.decisions} decisions, {args.dynamics}.")

@@ -26,10 +26,10 @@ struct Recipe<'a> {
     model: Option<&'a Py<PyAny>>,
 }
 
-/// All kinds: the simulator's, Python's, the networks.
+/// All kinds: the simulator's, Python's, the networks, egos; recordings of before count in this order.
 fn kinds() -> impl Iterator<Item = &'static Kind> {
-    let own = policy::KINDS.iter().chain([&python_policy::KIND, &EGOS]);
-    own.chain(NETWORKS.iter().map(|network| &network.kind))
+    let own = policy::KINDS.iter().chain([&python_policy::KIND]);
+    own.chain(NETWORKS.iter().map(|network| &network.kind)).chain([&EGOS])
 }
 
 /// The network under whose name the options stand that all networks share.
