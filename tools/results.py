@@ -3,8 +3,8 @@
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
 pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
-the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows of X and Y. ``grid`` has
-a row per method, and a figure in a column per K and T.
+the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows of X and Y. ``grid``
+has a row per method, and a figure in a column per K and T.
 """
 
 from __future__ import annotations
