@@ -60,7 +60,6 @@ class SelectionKeywords(TypedDict, total=False):
     grid: ActionGrid | Mapping[str, Any] | None
     bev: BevConfig | Mapping[str, Any] | None
     python: PythonTraffic | Mapping[str, Any]
-    egos: EgosConfig | Mapping[str, Any]
     ccdiff: CcdiffConfig | Mapping[str, Any]
     simnet: CcdiffConfig | Mapping[str, Any]
     trafficsim: CcdiffConfig | Mapping[str, Any]
@@ -69,6 +68,7 @@ class SelectionKeywords(TypedDict, total=False):
     ctg: CcdiffConfig | Mapping[str, Any]
     ctgpp: CcdiffConfig | Mapping[str, Any]
     tokens: CcdiffConfig | Mapping[str, Any]
+    egos: EgosConfig | Mapping[str, Any]
 
 
 class AgentKeywords(SelectionKeywords, total=False):
