@@ -21,7 +21,7 @@ from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.backtrack import Backtrack
 from ccdiff_env.envs.clone import imitate
 from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.errors import DatasetNotFoundError
+from ccdiff_env.errors import ConfigError, DatasetNotFoundError
 from ccdiff_env.policies import load
 from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.record.bank import load_bank
@@ -272,6 +272,8 @@ def train(args: argparse.Namespace) -> None:
     copied = None
     if args.teacher:
         copied = Agent(layout, tuple(args.noise))
+        if saved and "copied" not in saved:
+            raise ConfigError(f"--teacher: the run in {args.out} had none")
         if saved:
             copied.load_state_dict(saved["copied"])
         else:
