@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,25 @@ def test_a_progress_bar_does_not_run_past_its_end():
     bar.update(3.0)
     bar.set_postfix_str("done")
     bar.close()
+
+
+def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path: Path) -> None:
+    from tools.train_all import main as train_all
+
+    short = ["--batch-scenes", "1", "--hold-out-every", "4", "--limit", "8", "--steps", "1"]
+    trainings = [
+        {"name": "refused", "arguments": ["--model", "nobody", *short]},
+        {"name": "short", "arguments": ["--model", "simnet", *short]},
+    ]
+    listed = tmp_path / "trainings.json"
+    listed.write_text(json.dumps(trainings))
+    command = ["--list", str(listed), "--out", str(tmp_path / "runs")]
+    assert train_all(command) == 1
+    assert "nobody" in (tmp_path / "runs/refused/log.txt").read_text()
+    weights = tmp_path / "runs/short/weights.safetensors"
+    assert TrajectoryModel(weights).header["step"] == 1
+    written = weights.stat().st_mtime_ns
+    assert train_all([*command, "--only", "short"]) == 0
+    assert weights.stat().st_mtime_ns == written
+    with pytest.raises(SystemExit):
+        train_all([*command, "--only", "long"])
