@@ -389,9 +389,8 @@ def _check(folder: Path, scenario: Scenario) -> None:
     if not isinstance(scenario.file, str) or Path(scenario.file).name != scenario.file:
         raise DatasetError(f"file {scenario.file!r} is not in the folder of the set: {folder}")
     path = folder / scenario.file
-    if not path.is_file():
-        raise DatasetNotFoundError(f"no file {scenario.file!r} of scene {scenario.scene!r}: {path}")
-    got = _sha256(path)
+    with reading(f"file of scene {scenario.scene!r}", path):
+        got = _sha256(path)
     if got != scenario.sha256:
         raise DatasetError(
             f"file of scene {scenario.scene!r} has SHA-256 {got}, the manifest says "

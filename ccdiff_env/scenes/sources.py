@@ -17,6 +17,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet, gpudrive, load_nuscenes, load_scenarionet, of_kinds, splits
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.scenes.source_record import Place, Source
+from ccdiff_env.system.files import reading
 
 __all__ = [
     "DEFAULT",
@@ -120,7 +121,7 @@ def parse(text: str) -> Place:
 def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
     """Path, version and split of what follows the colon."""
     path, at, tail = text.rpartition("@")
-    if source.versions and at and tail.count("/") <= 1 and not Path(text).exists():
+    if source.versions and at and tail.count("/") <= 1 and not _is_there(text):
         version, _, split = tail.partition("/")
         return path, version, split or None
     path, _, last = text.rpartition("/")
@@ -136,7 +137,7 @@ def split_names(source: Source) -> list[str]:
 
 def _checked(place: Place, text: str) -> Place:
     """Refuse a place that no scenes can be found by."""
-    source = SOURCES[place.source]
+    source, there = SOURCES[place.source], place.path is None or _is_there(place.path)
     if place.limit is not None and place.limit < 1:
         raise _wrong(text, f"limit is {place.limit}, expected at least 1")
     if source.path is not None and not place.path:
@@ -149,11 +150,16 @@ def _checked(place: Place, text: str) -> Place:
             if part not in known:
                 expected = f"no split {part!r}, expected one of {', '.join(known)}"
                 raise _wrong(text, expected, part, known)
-    elif known and place.path is not None and not Path(place.path).exists():
-        last = Path(place.path).name
+    elif known and not there:
+        last = Path(place.path or "").name
         if _near(last, known):
             raise _wrong(text, f"neither a folder nor a split {last!r}", last, known)
     return place
+
+
+def _is_there(path: str) -> bool:
+    with reading("scenes", path):
+        return Path(path).exists()
 
 
 def _near(name: str, known: Iterable[str]) -> list[str]:
