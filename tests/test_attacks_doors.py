@@ -137,7 +137,7 @@ def test_files_are_read_by_one_function_and_written_aside():
     """But for the files of the package itself, and curves, which are appended to."""
     opens = r"\.(?:read|write)_(?:bytes|text)\(|\bopen\(|np\.load\((?!io\.)|ZipFile\((?!io\.)"
     own = r"webbrowser|resources|as_file|style\.read_text|in files\)|path\.open\(\"a\""
-    own += r"|ZipFile\(packed"
+    own += r"|ZipFile\(packed|file\.open\(info\)"
     for path in (ROOT / "ccdiff_env").rglob("*.py"):
         if path.name != "files.py":
             lines = path.read_text(encoding="utf-8").splitlines()

@@ -17,6 +17,7 @@ from ccdiff_env_cli import main
 
 TEN = [0.0, 1.0] * 5
 IDM = "IDM, log's path and speed"
+MARKED = f"{IDM} †"
 
 
 def leaderboard(*folders):
@@ -35,7 +36,7 @@ def test_the_better_mean_stands_higher(tmp_path, capsys):
     b = write_run(tmp_path / "b", raw("pdm", "replay", [0.85] * 10), raw("pdm", "idm", TEN))
     ((heading, table),) = leaderboard(a, b).items()
     assert "seed 0" in heading
-    assert order(table) == (["PDM-Closed", IDM], ["score", "Log replay", "IDM", "mean", "worst"])
+    assert order(table) == (["PDM-Closed", MARKED], ["score", "Log replay", "IDM", "mean", "worst"])
     assert "0.85" in table
     assert "0.75" in table
     assert f"| PDM-Closed | {IDM} | +0.050 [" in table
@@ -73,7 +74,7 @@ def test_runs_that_do_not_agree_stand_apart_and_none_is_lost(tmp_path, other):
     b = write_run(tmp_path / "b", raw(**given | other))
     tables = leaderboard(a, b)
     assert len(tables) == 2
-    assert all(order(table)[0] == [IDM] for table in tables.values())
+    assert all(order(table)[0] == [MARKED] for table in tables.values())
 
 
 def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_path):
@@ -89,14 +90,14 @@ def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_
         runs.append(write_run(tmp_path / planner, *results))
     ((heading, table),) = leaderboard(*runs).items()
     assert heading == "planner-1.1 smoke, seed 0, version 1"
-    assert set(order(table)[0]) == {IDM, "PDM-Closed"}
+    assert set(order(table)[0]) == {MARKED, "PDM-Closed"}
 
 
 def test_runs_of_one_name_or_of_one_folder_name_are_all_there(tmp_path):
     made = raw("idm", "replay", TEN)
     runs = [write_run(tmp_path / parent / "run", made) for parent in "abc"]
     (table,) = leaderboard(*runs).values()
-    assert order(table)[0] == [f"{IDM} (run)", f"{IDM} (run) #2", f"{IDM} (run) #3"]
+    assert order(table)[0] == [f"{IDM} (run) †", f"{IDM} (run) #2 †", f"{IDM} (run) #3 †"]
 
 
 def test_where_the_data_lies_does_not_matter(tmp_path):
@@ -106,20 +107,20 @@ def test_where_the_data_lies_does_not_matter(tmp_path):
         made["arguments"]["source"] = f"nuscenes:/{name}@v1.0-mini/all"
         runs.append(write_run(tmp_path / name, made))
     (table,) = leaderboard(*runs).values()
-    assert order(table)[0] == [f"{IDM} (a)", f"{IDM} (b)"]
+    assert order(table)[0] == [f"{IDM} (a) †", f"{IDM} (b) †"]
 
 
 def test_planners_without_code_are_marked(tmp_path):
     made = [raw("idm", "replay", TEN), raw("mine:Ego", "replay", TEN, source="abc")]
     (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
-    assert set(order(table)[0]) == {IDM, "mine:Ego (no code)"}
+    assert set(order(table)[0]) == {MARKED, "mine:Ego (no code)"}
 
 
 def test_privileged_planners_are_marked_and_scenes_that_the_log_fails_left_out_beside(tmp_path):
-    hard = [raw("mine:Ego", "replay", [0.0] + [0.5] * 10, privileged=True)]
+    hard = [raw("mine:Ego", "replay", [0.0] + [0.5] * 10, source="a", privileged=True)]
     hard[0]["result"][0]["log_fails"] = True
     (table,) = leaderboard(write_run(tmp_path / "a", *hard)).values()
-    assert order(table)[0] == ["mine:Ego †"]
+    assert order(table)[0] == ["mine:Ego (no code) †"]
     assert order(table)[1][-3:] == ["mean", "worst", "mean, log can"]
     row = next(line for line in table.splitlines() if line.startswith("| mine:Ego"))
     assert [cell.split()[0] for cell in row.split("|")[3:6]] == ["0.45", "0.45", "0.50"]

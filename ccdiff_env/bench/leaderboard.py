@@ -11,7 +11,6 @@ from ccdiff_env.bench.planner_report import (
     BASES,
     comparison,
     over_seeds,
-    short_name,
     summary,
     verdict,
 )
@@ -31,6 +30,7 @@ def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
         if (path / "report.html").is_file()
     ]
     line = f"{counted(len(paths), 'run')}; score of nuPlan's closed loop, mean over scenes"
+    line += "; figures are as handed in until bench verify has played every episode"
     parts = {**tables, "Reports of the runs": ", ".join(links)}
     write_report_page(out, title="Leaderboard", line=line, plots=[], parts=parts)
     return tables
@@ -85,11 +85,9 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
     privileged = {name for name, result in named.items() if result.privileged}
     blocks = [verdict(found, planners, traffic), *summary(found, planners, traffic, privileged)]
     for record, result in members:
-        declared = record.submission
-        if declared.get("code") and result.planner_source is not None:
-            trained = declared.get("training_data") or "not said"
+        if record.code and result.planner_source is not None:
             blocks.append(
-                f"{short_name(result.planner)}: [{declared['code']}]({declared['code']}), source "
-                f"{result.planner_source[:8]}, trained on: {trained}"
+                f"{record.label(result)}: [{record.code}]({record.code}), source "
+                f"{result.planner_source[:8]}, trained on: {record.training_data or 'not said'}"
             )
     return document(*blocks, comparison(found, planners, traffic, bases).rstrip())

@@ -128,7 +128,20 @@ def _leaderboard(args: argparse.Namespace) -> int:
 def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("verify", help="play episodes of a run again, and compare every bit")
     parser.add_argument("record", type=Path, help="run folder of bench planners, or submission")
-    parser.add_argument("--episodes", type=int, help="only so many, by chance (default: all)")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        help="only so many, drawn by chance; proves nothing of the others (default: all)",
+    )
+    parser.add_argument(
+        "--seed", type=int, help="repeats a draw of --episodes (default: another every time)"
+    )
+    parser.add_argument(
+        "--own-code",
+        action="store_true",
+        help="run models of traffic that a run folder names by module or file; for runs of your "
+        "own, since code in them runs (default: refused)",
+    )
     parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
     parser.set_defaults(run=_verify)
 
@@ -142,14 +155,26 @@ def _verify(args: argparse.Namespace) -> int:
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
         say(f"{heading}\n\n{text}")
-    count, differing = verify(record, episodes=args.episodes, dataroot=args.dataroot)
-    for line in differing:
+    found = verify(
+        record,
+        episodes=args.episodes,
+        seed=args.seed,
+        dataroot=args.dataroot,
+        own_code=args.own_code,
+    )
+    for line in found.differing:
         print(line)
-    print(f"{count - len(differing)} of {count} episodes come out the same, bit for bit")
-    there = record.settings.get("made_with", {}).get("processor")
-    if differing and there != processor():
+    same = found.played - len(found.differing)
+    print(f"{same} of {found.played} episodes come out the same, bit for bit")
+    if found.played < found.there:
+        print(
+            f"{found.played} of {found.there} were played, drawn by --seed {found.seed}: "
+            "a number is cited after all of them"
+        )
+    there = record.processor
+    if found.differing and there != processor():
         print(f"made on {there}, this is {processor()}: networks may round differently")
-    return 1 if differing else 0
+    return 1 if found.differing else 0
 
 
 def _add_submit(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

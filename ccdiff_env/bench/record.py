@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,19 +15,32 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.planner_report import title_of
-from ccdiff_env.bench.planners import TRAFFIC, score_of
+from ccdiff_env.bench.planners import TRAFFIC, is_privileged, score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
-from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.policies.planners import is_of_package
 from ccdiff_env.scenes.sources import coverage
-from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.files import (
+    MOST_TEXT_BYTES,
+    num_values,
+    parsed_object,
+    read_bytes,
+    read_text,
+    reading,
+    write_aside,
+)
 
 __all__ = ["Entry", "Record", "Result", "submit"]
 
 FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
-#: Bytes of a submission, unpacked.
-MOST_BYTES = 1 << 30
+#: Bytes of a submission, packed and unpacked, its members, and values of all texts of a record.
+MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
+_MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
+#: Letters that mean something in tables of Markdown.
+_MARKS = frozenset("|[]")
+_VERSION = re.compile(r"[\w.+-]{1,40}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -39,7 +53,7 @@ class Entry:
     planner: str
     traffic: str
     seed: int
-    #: Digest of the planner's source; ``None`` for what is part of the package.
+    #: Digest of the planner's source; ``None`` for drivers and planners of the package alone.
     planner_source: str | None
     made_from: Mapping[str, Any]
     rows: tuple[Mapping[str, Any], ...]
@@ -77,18 +91,19 @@ class Record:
     ----------
     path
         Run folder, or file of a submission.
-    settings
-        What ``run.json`` holds.
     entries
         The raw results.
-    submission
-        What was declared with a submission: ``code``, ``training_data``.
+    code, training_data
+        What was declared with a submission: an address of the web, and words.
+    processor
+        What it was made on, in words.
     """
 
     path: Path
-    settings: Mapping[str, Any]
     entries: tuple[Entry, ...]
-    submission: Mapping[str, Any]
+    code: str | None
+    training_data: str | None
+    processor: str | None
 
     @classmethod
     def read(cls, path: Path) -> Record:
@@ -103,36 +118,27 @@ class Record:
         ConfigError
             If it is the run of another benchmark.
         """
-        if path.is_file():
-            texts = dict(_of_file(path))
-        else:
-            found = [path / "run.json", *sorted((path / "raw").glob("*.json"))]
-            with reading("a run of planners", path):
-                texts = {f.relative_to(path).as_posix(): read_text(f) for f in found if f.is_file()}
-        if "run.json" not in texts:
-            raise DatasetNotFoundError(f"no run of `bench planners`: no {path / 'run.json'}")
-        parsed = {name: _parsed(text, path / name) for name, text in texts.items()}
-        settings = parsed.pop("run.json")
-        if settings.get("benchmark") != "planners":
-            raise ConfigError(
-                f"{path} is a run of {settings.get('benchmark')!r}, expected planners"
-            )
-        submission = parsed.pop("submission.json", {})
-        if submission and submission.get("format") != FORMAT:
-            made = submission.get("format")
-            raise DatasetError(f"{path}: format {made!r}, this release reads {FORMAT!r}")
-        for name in ("code", "training_data"):
-            text = submission.get(name) or ""
-            if not isinstance(text, str) or not text.isprintable():
-                raise DatasetError(f"damaged ({name} {text!r}): {path}")
-        entries = [
-            _entry(fields, str(path / name))
-            for name, fields in parsed.items()
-            if fields.get("function") == FUNCTION or not name.startswith("raw/replay-")
-        ]
-        if not entries:
-            raise DatasetNotFoundError(f"no raw results in {path}")
-        return cls(path, settings, tuple(entries), submission)
+        with reading("run of planners", path):
+            parsed = _parsed(_of_file(path) if path.is_file() else _of_folder(path), path)
+            if "run.json" not in parsed:
+                raise DatasetNotFoundError(f"no run of `bench planners`: no {path / 'run.json'}")
+            settings, declared = parsed.pop("run.json"), parsed.pop("submission.json", {})
+            if (kind := settings.get("benchmark")) != "planners":
+                raise ConfigError(f"a run of {kind!a:.40}, expected planners")
+            if declared and (made := declared.get("format")) != FORMAT:
+                raise DatasetError(f"format {made!a:.40}, this release reads {FORMAT!r}")
+            entries = [
+                _entry(fields, str(path / name))
+                for name, fields in parsed.items()
+                if fields.get("function") == FUNCTION or not name.startswith("raw/replay-")
+            ]
+            if not entries:
+                raise DatasetNotFoundError(f"no raw results in {path}")
+            code, trained = _declared(declared.get("code"), declared.get("training_data"))
+            processor = dict(settings.get("made_with", {})).get("processor")
+            if processor is not None and not _is_plain(processor):
+                raise ValueError(f"processor {processor!a:.80}")
+            return cls(path, tuple(entries), code, trained, processor)
 
     def results(self) -> list[Result]:
         """Return what there is of each planner.
@@ -181,31 +187,75 @@ class Record:
         heading = level or f"{source_title(first.source, count)}, {weights}"
         heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
         key = json.dumps(facts, sort_keys=True)
-        privileged = bool(made.get("privileged"))
+        packaged = first.planner_source is None
+        privileged = is_privileged(first.planner) if packaged else made.get("privileged") is True
         return Result(key, heading, first.planner, first.planner_source, privileged, rows)
 
     def label(self, result: Result) -> str:
-        """Return the name of a planner in tables; one without code is marked."""
-        coded = result.planner_source is None or self.submission.get("code")
-        return title_of(result.planner) + ("" if coded else " (no code)")
+        """Return the name of a planner in tables; one without code is marked.
+
+        A file keeps its suffix: ``pdm.zip`` is none of the package's.
+        """
+        if result.planner_source is None:
+            return title_of(result.planner)
+        file = re.fullmatch(r"(?:.*/)?([^/:]+)", result.planner)
+        return (file[1] if file else result.planner) + ("" if self.code else " (no code)")
+
+
+def _of_folder(path: Path) -> Iterator[tuple[str, str]]:
+    for file in (path / "run.json", *sorted((path / "raw").glob("*.json"))):
+        if file.is_file():
+            yield file.relative_to(path).as_posix(), read_text(file)
 
 
 def _of_file(path: Path) -> Iterator[tuple[str, str]]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as file:
-            if sum(info.file_size for info in file.infolist()) > MOST_BYTES:
-                raise DatasetError(f"a submission of more than {MOST_BYTES} bytes: {path}")
-            for name in file.namelist():
-                yield name, file.read(name).decode("utf-8", errors="replace")
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError) as error:
-        raise DatasetError(f"no submission ({error}): {path}") from None
+    """Return the members of a submission, one after another: they may be large, or say so."""
+    data = read_bytes(path, MOST_BYTES)
+    if data.count(b"PK\1\2") > MOST_MEMBERS:  # each takes memory before it is looked at
+        raise DatasetError(f"more than {MOST_MEMBERS} members")
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        members = [info for info in file.infolist() if not info.is_dir()]
+        names = [info.filename for info in members]
+        if len(set(names)) < len(names):
+            raise DatasetError("two members of one name")
+        if sum(info.file_size for info in members) > MOST_BYTES:
+            raise DatasetError(f"more than {MOST_BYTES} bytes, unpacked")
+        for info in members:
+            if not _MEMBER.fullmatch(info.filename):
+                raise DatasetError(f"a member {info.filename!a:.80}, expected raw results")
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise DatasetError(f"{info.filename} is neither stored nor deflated")
+            if info.file_size > MOST_TEXT_BYTES:
+                raise DatasetError(f"{info.filename} has more than {MOST_TEXT_BYTES} bytes")
+            with file.open(info) as member:  # a size that is not true is found, not unpacked
+                yield info.filename, member.read(info.file_size + 1).decode()
 
 
-def _parsed(text: str, where: Path) -> dict[str, Any]:
-    try:
-        return parsed_object(text)
-    except ValueError as error:
-        raise DatasetError(f"damaged ({error}): {where}") from None
+def _parsed(texts: Iterator[tuple[str, str]], path: Path) -> dict[str, dict[str, Any]]:
+    found, values = {}, 0
+    for name, text in texts:
+        values += num_values(text)
+        if values > MOST_VALUES:
+            raise DatasetError(f"more than {MOST_VALUES} values")
+        with reading("result", path / name):
+            found[name] = parsed_object(text)
+    return found
+
+
+def _is_plain(text: object, most: int = 300) -> bool:
+    """Return whether a text can be shown in tables and terminals as it is."""
+    fits = isinstance(text, str) and len(text) <= most and text.isprintable()
+    return fits and not set(str(text)) & _MARKS
+
+
+def _declared(code: object, training_data: object) -> tuple[str | None, str | None]:
+    """Return what is declared with a submission, checked; raises ``ValueError``."""
+    if code is not None and not (_is_plain(code) and re.fullmatch(r"https://[^\s()]+", str(code))):
+        raise ValueError(f"code is {code!a:.80}, expected an address of the web (https://...)")
+    if training_data is not None and not _is_plain(training_data):
+        raise ValueError(f"training_data is {training_data!a:.80}, expected a line of words")
+    found = (None if text is None else str(text) for text in (code, training_data))
+    return next(found), next(found)
 
 
 def _entry(fields: Mapping[str, Any], where: str) -> Entry:
@@ -216,13 +266,15 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
         given, made_from = dict(fields["arguments"]), dict(fields["made_from"])
         source_title(given["source"])
         planner, traffic, seed, names = (given[n] for n in ("planner", "traffic", "seed", "names"))
-        for what, name in (("planner", planner), ("traffic", traffic)):
-            if not isinstance(name, str) or set("|[]\n") & set(name) or not name.isprintable():
-                raise ValueError(f"{what} {name!r}")
+        scenes, weights = made_from["scenes"], made_from.get("weights") or ""
+        for text in (planner, traffic, *names, *scenes.values(), made_from["version"], weights):
+            if not _is_plain(text):
+                raise ValueError(f"the text {text!a:.80}")
+        if not _VERSION.fullmatch(made_from["version"]):
+            raise ValueError(f"version {made_from['version']!a:.80}")
         if traffic not in TRAFFIC or type(seed) is not int:
             raise ValueError(f"traffic {traffic!r}, seed {seed!r}")
-        scenes = made_from["scenes"]
-        if sorted(scenes) != sorted(names) or not all(isinstance(s, str) for s in scenes.values()):
+        if sorted(scenes) != sorted(names):
             raise ValueError("hashes of its scenes")
         if not isinstance(made_from["protocol"], str):
             raise ValueError("protocol")
@@ -230,9 +282,9 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
         if [row["scene"] for row in rows] != list(names):
             raise ValueError("its scenes")
         source = given["sources"]["planner"]
-        if source is not None and not isinstance(source, str):
-            raise ValueError(f"planner's source {source!r}")
-    except (AttributeError, ConfigError, KeyError, TypeError, ValueError) as error:
+        if (source is None) != is_of_package(planner) or not _is_plain(source or ""):
+            raise ValueError(f"planner's source {source!a:.80} of {planner}")
+    except (AttributeError, CcdiffError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"damaged result of a run ({error}): {where}") from None
     return Entry(
         where, given["source"], tuple(names), planner, traffic, seed, source, made_from, rows
@@ -244,8 +296,10 @@ def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, An
         raise ValueError(f"scene {row['scene']!r}")
     parts = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]
     for part in (*parts, "score", "collision", "success"):
-        if not (part == "on_road" and row[part] is None) and not 0.0 <= float(row[part]) <= 1.0:
-            raise ValueError(f"{part} {row[part]!r}, expected 0 to 1")
+        if part == "on_road" and row[part] is None:
+            continue
+        if type(row[part]) not in (float, int) or not 0.0 <= row[part] <= 1.0:
+            raise ValueError(f"{part} {row[part]!a:.80}, expected 0 to 1")
     if type(row["log_fails"]) is not bool:
         raise ValueError(f"log_fails {row['log_fails']!r}")
     made = score_of(row)
@@ -266,19 +320,21 @@ def submit(
     out
         File to write.
     code
-        Address of the planner's code, of the web.
+        Address of the planner's code, of the web (``https://``).
     training_data
         What the planner was trained on, in words.
 
     Raises
     ------
     ConfigError
-        If the address is none of the web.
+        If the address is none of the web, or the words are not one line of text.
     DatasetError, DatasetNotFoundError
         If the run is damaged, unfinished or not there.
     """
-    if code is not None and not code.startswith(("https://", "http://")):
-        raise ConfigError(f"--code is {code!r}, expected an address of the web (https://...)")
+    try:
+        _declared(code, training_data)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     record = Record.read(folder)
     record.results()
     declared = {"format": FORMAT, "code": code, "training_data": training_data}

@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError
+from ccdiff_env.policies.planners import Seat
 from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["Recorded", "Tape"]
+__all__ = ["Recorded", "Tape", "Witnessed"]
 
 F32 = npt.NDArray[np.float32]
 
@@ -91,7 +93,7 @@ class Recorded:
         try:
             self._data = [np.frombuffer(base64.b64decode(row["actions"]), "<f4") for row in rows]
             #: What the actions mean.
-            self.env_options = {"action": dict(rows[0]["action"])}
+            self.env_options: dict[str, Any] = {"action": dict(rows[0]["action"])}
         except (KeyError, TypeError, ValueError, binascii.Error) as error:
             raise DatasetError(f"damaged actions of an episode ({error!r})") from None
 
@@ -109,3 +111,39 @@ class Recorded:
             if (step + 1) * width <= len(data):
                 found[i] = data[step * width : (step + 1) * width]
         return found if native.num_actions is None else found[:, 0].astype(np.int64)
+
+
+class Witnessed(Recorded):
+    """Does again what tapes hold, while a planner of the package says what it would do.
+
+    Parameters
+    ----------
+    rows
+        As of :class:`Recorded`.
+    seat
+        The planner, which has not begun.
+    """
+
+    #: It reads the worlds as the planner does, who may be privileged.
+    privileged = True
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]], seat: Seat) -> None:
+        super().__init__(rows)
+        self.env_options = {"config": seat.config}
+        self._seat = seat
+        #: Largest difference of an action of each scene from the planner's [E].
+        self.apart = np.zeros(len(rows))
+
+    def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
+        """Begin at the first action; all worlds begin together."""
+        super().reset(worlds, indices)
+        self._seat.begin(behind(worlds))
+
+    def __call__(self, obs: Any) -> npt.NDArray[Any]:
+        """Return the recorded actions [E, W]."""
+        found = super().__call__(obs)
+        apart = np.abs(self._seat(obs) - found).max(axis=1)
+        for i in range(len(found)):
+            if self._worlds.native.slot_alive(i)[0]:
+                self.apart[i] = max(self.apart[i], apart[i])
+        return found

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Mapping
-from dataclasses import replace
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,63 +15,98 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
-from ccdiff_env.bench.tape import Recorded
+from ccdiff_env.bench.tape import Recorded, Witnessed
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.policies.planners import ego_driver, is_of_package
 from ccdiff_env.system.progress import shown
 
-__all__ = ["verify"]
+__all__ = ["Verified", "verify"]
+
+#: How far an action of a learned planner of the package may be from what it chooses here:
+#: processors multiply matrices of float32 in different orders.
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What came of a check.
+
+    Parameters
+    ----------
+    played, there
+        Episodes that were played, of all that the record holds.
+    seed
+        What they were drawn by.
+    differing
+        Those that came out differently, and in what.
+    """
+
+    played: int
+    there: int
+    seed: int
+    differing: tuple[str, ...]
 
 
 def verify(
-    record: Record, *, episodes: int | None = None, dataroot: str | None = None
-) -> tuple[int, list[str]]:
+    record: Record,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    dataroot: str | None = None,
+    own_code: bool = False,
+) -> Verified:
     """Play episodes again with the recorded actions and compare every bit.
 
-    No code of planners runs. Batches are played as a whole, as they were: networks round
-    differently in others.
+    No code of others runs: drivers of the world and planners of the package are played by name,
+    and their recorded actions must be those that they choose; of all other planners the recorded
+    actions are played. Batches are played as a whole, as they were: networks round differently in
+    others.
 
     Parameters
     ----------
     record
         The run or submission.
     episodes
-        At least so many, by chance but the same every time; all by default.
+        At least so many, by chance; all by default.
+    seed
+        Repeats a draw; from the system's randomness by default, so that nobody knows the draw
+        beforehand.
     dataroot
         Folder of nuScenes, where it is another than that of the run.
-
-    Returns
-    -------
-    int
-        Episodes that were played.
-    list of str
-        Those that came out differently, and in what.
+    own_code
+        Whether traffic that a run folder names by ``module:name`` or by the file of a policy is
+        run. That of a submission never is.
 
     Raises
     ------
     ConfigError
-        If the number is not positive, the data's folder is missing, or a submission's traffic is
-        code of its own.
+        If the number is not positive, the data's folder is missing, or traffic would run code.
     DatasetError
-        If scenes or protocol are not those of the run.
+        If scenes or protocol are not those of the run, or an episode lacks its actions.
     """
     if episodes is not None and episodes < 1:
         raise ConfigError(f"episodes is {episodes}, expected at least 1")
+    drawn_by = secrets.randbits(32) if seed is None else seed
     chosen = list(record.entries)
     if episodes is not None:
-        random.Random(0).shuffle(chosen)
+        random.Random(drawn_by).shuffle(chosen)
         ends = [sum(len(e.rows) for e in chosen[: i + 1]) for i in range(len(chosen))]
         chosen = chosen[: sum(end < episodes for end in ends) + 1]
     differing: list[str] = []
     for entry in shown(chosen, what="episodes"):
+        if ":" in entry.traffic and (record.path.is_file() or not own_code):
+            raise ConfigError(
+                f"{entry.where}: traffic {entry.traffic!r} is code or a file of its own, which is "
+                "run from a run folder alone, with --own-code: trust whoever made it"
+            )
         differing += _differences(entry, record.path, dataroot)
-    return sum(len(entry.rows) for entry in chosen), differing
+    played, there = (sum(len(e.rows) for e in part) for part in (chosen, record.entries))
+    return Verified(played, there, drawn_by, tuple(differing))
 
 
 def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
     place = place_of(entry.source)
-    if path.is_file() and ":" in entry.traffic:
-        raise ConfigError(f"{entry.traffic}: traffic of one's own is not run from a file of others")
     if path.is_file() and place.path is not None and dataroot is None:
         raise ConfigError(f"{path}: its scenes are of {place.source}, give --dataroot")
     if dataroot is not None and place.path is not None:
@@ -85,18 +121,33 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
             f"{entry.where}: scene {wrong[0]!r} has hash {hashes.get(wrong[0])} here, "
             f"{entry.made_from['scenes'][wrong[0]]} there"
         )
-    outside = any("actions" in row for row in entry.rows)
-    planner: Any = Recorded(entry.rows) if outside else entry.planner
-    if not outside and (entry.planner_source is not None or ":" in entry.planner):
-        raise DatasetError(f"{entry.where}: {entry.planner} without its actions")
+    planner = _planner(entry)
     scenes = scenes_of(source, entry.names)
     rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed)
     rows = with_log(rows, source, entry.names)
+    apart: Sequence[float] = getattr(planner, "apart", (0.0,) * len(rows))
     return [
         f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
-        for then, now in zip(entry.rows, rows, strict=True)
-        if (what := _difference(then, now))
+        for then, now, by in zip(entry.rows, rows, apart, strict=True)
+        if (what := _difference(then, now) or _choice(entry.planner, by))
     ]
+
+
+def _planner(entry: Entry) -> Any:
+    """Return who drives the episodes of an entry again, without code of others."""
+    if not is_of_package(entry.planner):
+        if any("actions" not in row for row in entry.rows):
+            raise DatasetError(f"{entry.where}: {entry.planner} without its actions")
+        return Recorded(entry.rows)
+    seat = ego_driver(entry.planner)[1]
+    return entry.planner if seat is None else Witnessed(entry.rows, seat)
+
+
+def _choice(planner: str, apart: float) -> str | None:
+    """Say that recorded actions are not those of a planner of the package."""
+    if apart <= TOLERANCE:
+        return None
+    return f"actions that {planner} of this release does not choose, off by {apart:.3g}"
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
@@ -106,6 +157,7 @@ def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
         then = {**then, "action": json.loads(options.to_json())["action"]}
     names = [name for name in {**now, **then} if then.get(name) != now.get(name)]
     figures = [name for name in names if name not in ("digest", "actions", "action")]
-    if figures:
-        return f"{figures[0]} was {then.get(figures[0])}, is {now.get(figures[0])}"
+    if figures:  # names and values may be anybody's
+        name, was, now_is = figures[0], then.get(figures[0]), now.get(figures[0])
+        return f"{ascii(name)[1:-1]:.40} was {was!a:.40}, is {now_is!a:.40}"
     return f"another {names[0]}" if names else None

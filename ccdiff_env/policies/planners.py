@@ -40,7 +40,17 @@ from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.worlds.spaces import Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
-__all__ = ["EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "load_sb3", "seated"]
+__all__ = [
+    "EGO_HELP",
+    "Act",
+    "Ego",
+    "Planner",
+    "Seat",
+    "ego_driver",
+    "is_of_package",
+    "load_sb3",
+    "seated",
+]
 
 F32 = npt.NDArray[np.float32]
 #: Planners of the package by name, without weights of their own.
@@ -378,6 +388,16 @@ def seated(
     if config is None and seat is not None:
         return seat, seat.config.with_options(decision_steps=1), {"dt_s": dt_s, **options}
     return seat, config, options
+
+
+def is_of_package(planner: str) -> bool:
+    """Return whether a text names a driver of the world or a planner of the package.
+
+    No code and no file of others is read to drive by such a name. The dials of shipped policies
+    may be set (``ego?comfort=4``).
+    """
+    name, _, options = planner.partition("?")
+    return planner in (*_WORLD_DRIVERS, *BUILT_IN) or (name in SHIPPED and ":" not in options)
 
 
 def ego_driver(ego: Ego) -> tuple[str, Seat | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -24,7 +25,9 @@ from ccdiff_env.errors import (
 
 __all__ = [
     "MOST_BYTES",
+    "MOST_TEXT_BYTES",
     "file_name",
+    "num_values",
     "parsed_object",
     "read_bytes",
     "read_text",
@@ -37,6 +40,9 @@ __all__ = [
 MOST_BYTES = 1 << 30
 #: Bytes of a text: settings, tables, manifests.
 MOST_TEXT_BYTES = 64 << 20
+
+#: Values of a text of JSON, each of which takes some hundred bytes of memory at most.
+MOST_VALUES = 1 << 22
 
 #: The half of a pair of UTF-16 in JSON: such text cannot be written again.
 _HALF_LETTER = re.compile(r"\\u[dD][89a-fA-F]")
@@ -60,21 +66,22 @@ def reading(
     Raises
     ------
     DatasetNotFoundError
-        If there is no such file.
+        If there is no such file, or its path is longer than the system's may be.
     """
     place = os.fspath(path)
     try:
         yield
-    except (FileNotFoundError, NotADirectoryError) as found:
-        if isinstance(found, CcdiffError):
-            raise
-        raise DatasetNotFoundError(f"no {what} at {place}") from None
     except CcdiffError as found:
+        if isinstance(found, DatasetNotFoundError):
+            raise
         kind = error if isinstance(found, (ShapeError, SceneError)) else type(found)
         if kind is type(found) and place in str(found):
             raise
         raise kind(f"{what}: {found}: {place}") from None
     except Exception as found:
+        missing = isinstance(found, (FileNotFoundError, NotADirectoryError))
+        if missing or getattr(found, "errno", None) == errno.ENAMETOOLONG:
+            raise DatasetNotFoundError(f"no {what} at {place}") from None
         raise error(f"{_fault(what, found)}: {place}") from found
 
 
@@ -112,6 +119,11 @@ def read_text(path: str | os.PathLike[str], most: int = MOST_TEXT_BYTES) -> str:
     return read_bytes(path, most).decode().replace("\r\n", "\n")
 
 
+def num_values(text: str) -> int:
+    """Return how many values a JSON text has at most, before it is parsed."""
+    return 1 + sum(map(text.count, ",[{"))
+
+
 def parsed_object(text: str | bytes) -> dict[str, Any]:
     """Return the object that a JSON text from a file holds.
 
@@ -119,9 +131,12 @@ def parsed_object(text: str | bytes) -> dict[str, Any]:
     ------
     ValueError
         If it is no JSON, nested too deep, no object, or holds what cannot be computed with or
-        written again: numbers that are not finite, integers beyond 64 bits, half letters.
+        written again: numbers that are not finite, integers beyond 64 bits, half letters. Also
+        if it has more than :data:`MOST_VALUES` values.
     """
     plain = text if isinstance(text, str) else text.decode("utf-8-sig")
+    if num_values(plain) > MOST_VALUES:
+        raise ValueError(f"more than {MOST_VALUES} values")
     kinds: dict[str, Any] = {
         "parse_constant": _constant,
         "parse_float": _finite,

@@ -1,0 +1,291 @@
+"""Runs and submissions of strangers: every door refuses every damage in words, and runs no code."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import json
+import pickle
+import zipfile
+
+import pytest
+
+from ccdiff_env import cli, errors
+from ccdiff_env.bench import record as module
+from ccdiff_env.bench.compare import compare
+from ccdiff_env.bench.leaderboard import write_leaderboard
+from ccdiff_env.bench.planners import score_of
+from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.bench.record import Record
+from ccdiff_env.bench.verify import verify
+
+PLANNER = """
+import numpy as np
+
+class Still:
+    def __call__(self, obs):
+        return np.zeros((len(obs), 2), np.float32)
+"""
+PARTS = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]
+DECLARED = {"format": module.FORMAT, "code": "https://example.org/me", "training_data": "nuScenes"}
+
+
+@pytest.fixture(scope="module")
+def members(tmp_path_factory):
+    """What a sound submission holds, by name: planners of one's own and of the package."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "attack_planner.py").write_text(PLANNER)
+    words = ["--planners", "attack_planner:Still,pdm,idm", "--traffic", "replay,idm"]
+    words += ["--limit", "2", "--seeds", "0", "--quiet", "--out", str(folder / "run")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        assert cli.main(["bench", "planners", *words]) == 0
+    raw = {f"raw/{p.name}": json.loads(p.read_text()) for p in (folder / "run/raw").iterdir()}
+    made_with = json.loads((folder / "run/run.json").read_text())
+    return {"submission.json": DECLARED, "run.json": made_with, **dict(sorted(raw.items()))}
+
+
+def packed(path, members, **texts):
+    """Write members and texts as a submission; returns the path."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, fields in members.items():
+            file.writestr(name, texts.get(name) or json.dumps(fields))
+    return path
+
+
+def unpacked(folder, members):
+    """Write members as a run folder."""
+    (folder / "raw").mkdir(parents=True)
+    for name, fields in members.items():
+        (folder / name).write_text(json.dumps(fields))
+    return folder
+
+
+def entries_of(members, planner="attack_planner:Still"):
+    found = [m for name, m in members.items() if name.startswith("raw/")]
+    return [m for m in found if m["arguments"]["planner"] == planner]
+
+
+def each(change, planner="attack_planner:Still"):
+    """A damage to all raw results of a planner."""
+
+    def damage(members):
+        for entry in entries_of(members, planner):
+            change(entry)
+
+    return damage
+
+
+def named(planner, source=None, *, recorded=False):
+    """Another planner's name, without a source; without actions, so that it would be played."""
+
+    def change(entry):
+        entry["arguments"].update(planner=planner, sources={"planner": source, "traffic": None})
+        for row in entry["result"]:
+            if not recorded:
+                del row["actions"], row["action"]
+
+    return each(change)
+
+
+def rows(**values):
+    return each(lambda entry: [row.update(values) for row in entry["result"]])
+
+
+def made_from(**values):
+    return each(lambda entry: entry["made_from"].update(values))
+
+
+def arguments(**values):
+    return each(lambda entry: entry["arguments"].update(values))
+
+
+def alone(**values):
+    """The same to one of them, without the others."""
+
+    def damage(members):
+        for name in [name for name, m in members.items() if name.startswith("raw/")][1:]:
+            del members[name]
+        arguments(**values)(members)
+
+    return damage
+
+
+def declared(**values):
+    return lambda members: members["submission.json"].update(values)
+
+
+def perfect(entry):
+    for row in entry["result"]:
+        row.update(dict.fromkeys(PARTS, 1.0), success=1.0, collision=0.0)
+        row["score"] = score_of(row)
+
+
+#: What is changed in a sound submission, and what the refusal says.
+DAMAGES = {
+    "a file of pickles": (named("evil.zip"), "source"),
+    "a file of pickles, with a source": (named("evil.zip", "0" * 64), "without its actions"),
+    "a policy": (named("evil.safetensors", "0" * 64), "without its actions"),
+    "a module": (named("attack_evil:Planner"), "source"),
+    "a module, with a source": (named("attack_evil:Planner", "0" * 64), "without its actions"),
+    "a module as an option": (named("ego?x=attack_evil:Planner"), "source"),
+    "a name of nobody": (named("pdm2"), "source"),
+    "no source": (named("attack_planner:Still", recorded=True), "source"),
+    "a name of the package with a source": (named("pdm", "0" * 64, recorded=True), "source"),
+    "traffic of a module": (alone(traffic="attack_evil:Model"), "--own-code"),
+    "traffic of a file": (alone(traffic="adversary:evil.zip"), "--own-code"),
+    "lines in the version": (made_from(version="0.2\n\n| mine | 1.00 |"), "text"),
+    "a long version": (made_from(version="1" * 41), "version"),
+    "lines in the weights": (made_from(weights="\n# x"), "text"),
+    "letters of a terminal": (arguments(planner="m:\x1b[2J"), "text"),
+    "a script as code": (declared(code="javascript:alert(1)"), "code"),
+    "http as code": (declared(code="http://example.org"), "code"),
+    "any host as code": (declared(code="//example.org/x"), "code"),
+    "two links as code": (declared(code="https://e.org/a)b[x](https://f.org"), "code"),
+    "a link as words": (declared(training_data="[x](https://e.org)"), "training_data"),
+    "numbers as words": (declared(training_data=3), "training_data"),
+    "another format": (declared(format="ccdiff-env submission 9"), "format"),
+    "another run": (lambda members: members["run.json"].update(benchmark="traffic"), "planners"),
+    "a processor of lines": (
+        lambda members: members["run.json"].update(made_with={"processor": "a\nb"}), "processor",
+    ),
+    "settings of a list": (lambda members: members["run.json"].update(made_with=[3]), "damaged"),
+    "a part as text": (rows(ttc="1.0"), "ttc"),
+    "a part as a truth": (rows(ttc=True), "ttc"),
+    "a part beyond 1": (rows(progress=1e308), "progress"),
+    "a score of its own": (rows(score=0.123), "its parts make"),
+    "damaged actions": (rows(actions="A"), "damaged actions"),
+    "a source of 6,000 letters": (arguments(source="nuscenes:" + "a/" * 3000), "a/a"),
+    "a folder of the system": (arguments(source="nuscenes:/etc"), "--dataroot"),
+    "no scenes": (arguments(names=[], source="embedded/val?limit=0"), "damaged"),
+    "other hashes": (each(lambda e: e["made_from"].update(
+        scenes=dict.fromkeys(e["made_from"]["scenes"], "0"))), "has hash"),
+    "another protocol": (made_from(protocol="0"), "another protocol"),
+    "a foreign member": (lambda members: members.update(data={}), "member 'data'"),
+    "a member above": (lambda members: members.update({"raw/../../x.json": {}}), "member"),
+    "no run": (lambda members: members.pop("run.json"), "run.json"),
+    "no results": (lambda m: [m.pop(n) for n in [*m] if n.startswith("raw/")], "no raw results"),
+}  # fmt: skip
+#: Damages of a folder are those of what it holds.
+OF_FILES = {
+    *("a foreign member", "a member above", "a folder of the system", "another format"),
+    *(name for name in DAMAGES if name.endswith((" as code", " as words"))),
+}
+
+
+class Evil:
+    """A pickle that leaves a trace."""
+
+    def __init__(self, trace):
+        self.trace = str(trace)
+
+    def __reduce__(self):
+        return open, (self.trace, "w")
+
+
+@pytest.fixture
+def trap(tmp_path, monkeypatch):
+    """A folder whose module and policy leave a trace where they are opened."""
+    trace = tmp_path / "trace"
+    (tmp_path / "attack_evil.py").write_text(f"open({str(trace)!r}, 'w')\n")
+    serialized = base64.b64encode(pickle.dumps(Evil(trace))).decode()
+    with zipfile.ZipFile(tmp_path / "evil.zip", "w") as file:
+        file.writestr("data", json.dumps({"x": {":type:": "x", ":serialized:": serialized}}))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    assert not trace.exists()
+
+
+def through_all_doors(path, page):
+    """Everything that reads a run, until one refuses."""
+    record = Record.read(path)
+    write_leaderboard([path], page)
+    compare(record, record)
+    return verify(record)
+
+
+@pytest.mark.parametrize("form", ["file", "folder"])
+@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.usefixtures("trap")
+def test_what_is_damaged_is_refused(tmp_path, members, name, form):
+    if form == "folder" and name in OF_FILES:
+        pytest.skip("a damage of files")
+    changed = copy.deepcopy(members)
+    damage, words = DAMAGES[name]
+    damage(changed)
+    path = packed(tmp_path / "mine.zip", changed) if form == "file" else tmp_path / "run"
+    if form == "folder":
+        unpacked(path, changed)
+    with pytest.raises(errors.CcdiffError, match=words):
+        through_all_doors(path, tmp_path / "page.html")
+
+
+@pytest.mark.usefixtures("trap")
+def test_one_file_that_is_a_submission_and_a_policy(tmp_path, members):
+    changed = copy.deepcopy(members)
+    named("mine.zip")(changed)
+    with zipfile.ZipFile("evil.zip") as evil:
+        changed["data"] = json.loads(evil.read("data")) | entries_of(changed, "mine.zip")[0]
+    assert cli.main(["bench", "verify", str(packed(tmp_path / "mine.zip", changed))]) == 2
+
+
+def test_sound_ones_go_through_all_doors(tmp_path, members):
+    for path in (packed(tmp_path / "a.zip", members), unpacked(tmp_path / "a", members)):
+        found = through_all_doors(path, tmp_path / "page.html")
+        assert (found.played, found.there, found.differing) == (12, 12, ())
+    page = (tmp_path / "page.html").read_text()
+    assert "attack_planner:Still" in page
+
+
+def test_traffic_of_ones_own_runs_where_it_is_asked_for(tmp_path, members, monkeypatch):
+    (tmp_path / "attack_own.py").write_text("def model(batch):\n    raise ZeroDivisionError\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    changed = copy.deepcopy(members)
+    alone(traffic="attack_own:model")(changed)
+    folder = unpacked(tmp_path / "run", changed)
+    with pytest.raises(errors.ConfigError, match="--own-code"):
+        verify(Record.read(folder))
+    with pytest.raises(ZeroDivisionError):
+        verify(Record.read(folder), own_code=True)
+    with pytest.raises(errors.ConfigError, match="--own-code"):
+        verify(Record.read(packed(tmp_path / "a.zip", changed)), own_code=True)
+
+
+# forged figures
+
+
+def test_a_draw_is_not_known_beforehand_and_can_be_repeated(tmp_path, members, capsys):
+    record = Record.read(packed(tmp_path / "a.zip", members))
+    drawn = [verify(record, episodes=1) for _ in range(5)]
+    assert len({found.seed for found in drawn}) == 5
+    assert {(found.played, found.there) for found in drawn} == {(2, 12)}
+    forged = copy.deepcopy(members)
+    perfect(entries_of(forged)[0])
+    path = packed(tmp_path / "b.zip", forged)
+    caught = [len(verify(Record.read(path), episodes=1, seed=s).differing) for s in range(12)]
+    assert {0, 1} == set(caught)  # one of six batches is forged
+    seed = caught.index(1)
+    capsys.readouterr()
+    assert cli.main(["bench", "verify", str(path), "--episodes", "1", "--seed", str(seed)]) == 1
+    assert f"2 of 12 were played, drawn by --seed {seed}" in capsys.readouterr().out
+    assert len(verify(Record.read(path)).differing) == 1
+
+
+def test_actions_under_the_name_of_the_package_are_those_that_it_chooses(tmp_path, members):
+    forged = copy.deepcopy(members)
+    own = entries_of(forged, "pdm")
+    forged = {name: fields for name, fields in forged.items() if fields not in own}
+    named("pdm", recorded=True)(forged)
+    found = verify(Record.read(packed(tmp_path / "a.zip", forged)))
+    lines = [line for line in found.differing if "does not choose" in line]
+    assert len(lines) == 4
+    assert all(line.startswith("pdm in ") for line in lines)
+
+
+@pytest.mark.parametrize(("planner", "dagger"), [("idm", True), ("pdm", False)])
+def test_the_dagger_of_the_package_is_not_declared(tmp_path, members, planner, dagger):
+    forged = copy.deepcopy(members)
+    each(lambda e: e["made_from"].update(privileged=not dagger), planner)(forged)
+    results = Record.read(packed(tmp_path / "a.zip", forged)).results()
+    assert [r.privileged for r in results if r.planner == planner] == [dagger]
