@@ -152,8 +152,13 @@ class Scene:
         source: str = "",
         origin: tuple[float, float] = ...,
         map_layers: MapLayers | None = None,
+        elevation_m: F32 | None = None,
     ) -> Scene:
-        """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return."""
+        """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return.
+
+        With ``elevation_m`` agents more than 2.5 m higher or lower are out of each other's reach,
+        and so are lanes and roads whose elevations ``map_layers`` tells.
+        """
 
     @staticmethod
     def from_bytes(data: bytes) -> Scene:
@@ -331,8 +336,14 @@ def load_nuscenes(
 ) -> tuple[list[Scene], str]: ...
 def load_gpudrive(paths: list[str], *, cache_directory: str | None) -> tuple[list[Scene], str]: ...
 def complete_map(
-    layers: MapLayers, *, edges: list[F32], surfaces: list[Polygon], seeds: F32
-) -> tuple[MapLayers, str]: ...
+    layers: MapLayers,
+    *,
+    edges: list[F32],
+    surfaces: list[Polygon],
+    seeds: F32,
+    tracks: F32 | None = None,
+    heights: dict[str, list[F32]] | None = None,
+) -> tuple[MapLayers, str, list[float]]: ...
 def drivers() -> list[tuple[str, str, int]]:
     """Return name, title and number in images of everybody who may move an agent: those that
     images tell apart, in the order of their numbers, then kinds that look like one of them.

@@ -243,7 +243,7 @@ def test_edges_give_back_the_road_of_real_maps(data_root):
                 for lane in layers["lanes"]
             ]
         }
-        found, road = _native.complete_map(bare, edges=edges, surfaces=[], seeds=seeds)
+        found, road, _ = _native.complete_map(bare, edges=edges, surfaces=[], seeds=seeds)
         assert road == "edges"
         near = shapely.LineString(tracks["position"][0][tracks["valid"][0]]).buffer(20.0)
         ours, theirs = area(found["drivable_area"]) & near, given & near

@@ -34,6 +34,8 @@ __all__ = [
     "with_tracks",
 ]
 
+_TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
+
 
 def with_tracks(
     scene: Scene,
@@ -52,7 +54,7 @@ def with_tracks(
         The scene.
     tracks
         ``position`` [A, T, 2] m, ``heading`` [A, T] rad, ``velocity`` [A, T, 2] m/s and ``valid``
-        [A, T], as :meth:`Scene.tracks` gives them.
+        [A, T], as :meth:`Scene.tracks` gives them; ``elevation_m`` [A, T] m in scenes with levels.
     agents
         Numbers [N] of the agents that stay, the ego (0) among them; all of them for ``None``.
     name, source
@@ -67,7 +69,7 @@ def with_tracks(
         agent_types=[scene.agent_types[i] for i in kept],
         agent_categories=[scene.agent_categories[i] for i in kept],
         sizes=(scene.sizes if sizes is None else sizes)[kept],
-        **{field: tracks[field][kept] for field in ("position", "heading", "velocity", "valid")},
+        **{field: tracks[field][kept] for field in _TRACKS if field in tracks},
         dt=scene.dt,
         token=scene.token,
         location=scene.location,

@@ -21,6 +21,7 @@ from ccdiff_env._native import Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
 from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
+from ccdiff_env.scenes.scenario_heights import Heights, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
 from ccdiff_env.scenes.scene_types import Lane, MapLayers, Polygon
 from ccdiff_env.system.files import reading
@@ -58,6 +59,8 @@ class _Track:
     heading: F64
     velocity: F64
     valid: npt.NDArray[np.bool_]
+    #: Ground below the box [T], metres; nothing where the file does not tell heights.
+    elevation: F64 | None
 
 
 def _kind_of(type_name: str, category: str, own: object) -> str | None:
@@ -106,14 +109,17 @@ def _states(
         raise source.fault(f"size of tracks[{key!r}]", sizes, "a positive length and width")
     heading = values("heading").copy()
     heading[valid] = np.unwrap(heading[valid])
-    position, velocity = values("position", 2)[:, :2], values("velocity", 2)[:, :2]
+    centre, velocity = values("position", 2), values("velocity", 2)[:, :2]
+    position, elevation = centre[:, :2], ground(centre, sizes[2], valid)
+    if elevation is None and centre.shape[1] > 2:
+        source.notes.append(f"no heights in tracks[{key!r}]: the scene is taken as flat")
     for name, array in (("position", position), ("heading", heading), ("velocity", velocity)):
         bad = valid & ~np.isfinite(array.reshape(num_steps, -1)).all(axis=1)
         if bad.any():
             where = f"tracks[{key!r}].state.{name} at step {int(bad.argmax())}"
             raise source.fault(where, array[bad][0], "finite numbers where valid")
     size = (sizes[0], sizes[1], sizes[2])
-    return _Track(key, kind, category, size, position, heading, velocity, valid)
+    return _Track(key, kind, category, size, position, heading, velocity, valid, elevation)
 
 
 def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
@@ -136,18 +142,19 @@ def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
 
 
 def _resampled(source: ScenarioFields, name: str, points: F64) -> F64:
-    """A line with points about a metre apart; empty where it has no length."""
+    """A line [P, 3] with points about a metre apart; empty where it has no length."""
     if len(points) < 2:
         return points[:0]
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     points = points[np.concatenate([[True], steps > 1e-6])]
     if len(points) < 2:
         return points[:0]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
     count = max(int(np.ceil(along[-1] / _CENTRELINE_SPACING_M)), 1) + 1
     source.spend(2 * count, f"{name} of {along[-1]:.0f} m")
     at = np.linspace(0.0, along[-1], count)
-    return np.stack([np.interp(at, along, points[:, i]) for i in range(2)], axis=1)
+    return np.stack([np.interp(at, along, points[:, i]) for i in range(3)], axis=1)
 
 
 def _own_layers(source: ScenarioFields, origin: F64) -> MapLayers | None:
@@ -173,12 +180,20 @@ def _own_layers(source: ScenarioFields, origin: F64) -> MapLayers | None:
             found.append({"exterior": ring(polygon["exterior"], name), "holes": holes})
         return found
 
-    return {
+    layers: MapLayers = {
         "drivable_area": polygons("drivable_area"),
         "walkways": polygons("walkways"),
         "stop_lines": polygons("stop_lines"),
         "carpark_areas": polygons("carpark_areas"),
     }
+    if own.get("elevation_m") is not None:
+        name = f"{where}.elevation_m"
+        heights = source.mapping(own["elevation_m"], name).items()
+        layers["elevation_m"] = {
+            source.text(layer, name): source.array(pairs, name, columns=2)[:, :2].astype(np.float32)
+            for layer, pairs in heights
+        }
+    return layers
 
 
 def _origin(source: ScenarioFields, tracks: Sequence[_Track]) -> F64:
@@ -195,10 +210,24 @@ def _origin(source: ScenarioFields, tracks: Sequence[_Track]) -> F64:
     return np.asarray(np.round(every.mean(axis=0)))
 
 
-class _Features:
-    """Sorts map features into our layers; ``seeds`` [N, 2] are places where vehicles were."""
+def _polygon(ring: F64) -> Polygon:
+    return {"exterior": np.ascontiguousarray(ring[:, :2], np.float32), "holes": []}
 
-    def __init__(self, source: ScenarioFields, origin: F64, seeds: npt.NDArray[np.float32]) -> None:
+
+class _Features:
+    """Sorts map features into our layers.
+
+    ``seeds`` [N, 3] are places where vehicles were, ``places`` [N, 3] those of everybody, nothing
+    where the file does not tell their heights.
+    """
+
+    def __init__(
+        self,
+        source: ScenarioFields,
+        origin: F64,
+        seeds: npt.NDArray[np.float32],
+        places: npt.NDArray[np.float32] | None,
+    ) -> None:
         self._source = source
         self._origin = origin
         self._unused: Counter[str] = Counter()
@@ -206,6 +235,7 @@ class _Features:
         #: Lines with the road on their left, and surfaces without lanes that vehicles use.
         self._edges: list[npt.NDArray[np.float32]] = []
         self._surfaces: list[Polygon] = []
+        self._heights = Heights(source.part("metadata").get("dataset"))
         self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
         self.layers: MapLayers = {
             "drivable_area": [],
@@ -225,11 +255,25 @@ class _Features:
         self._link(lanes)
         self.road = "given"
         if self._own is None:
-            self.layers, self.road = complete_map(
-                self.layers, edges=self._edges, surfaces=self._surfaces, seeds=seeds
+            self.layers, self.road, bounds = complete_map(
+                self.layers,
+                edges=self._edges,
+                surfaces=self._surfaces,
+                seeds=np.ascontiguousarray(seeds[:, :2]),
+                tracks=places,
+                heights=None if places is None else self._heights.of_layers(seeds[:, 2]),
             )
+            if bounds:
+                source.notes.append(
+                    f"{len(bounds) + 1} levels of roads: who is more than 2.5 m higher or lower is "
+                    "out of reach"
+                )
+            self.has_levels = bool(bounds)
         else:  # its edges are the rings of the drivable area
             self.layers.update(self._own)
+            self.has_levels = "elevation_m" in self._own
+            for lane in () if self.has_levels else self.layers["lanes"]:
+                del lane["elevation_m"]
             self.road = "given" if self._own["drivable_area"] else "none"
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
@@ -237,19 +281,22 @@ class _Features:
     def _points(self, key: str, feature: Mapping[str, Any], name: str) -> F64:
         value, where = feature.get(name), f"map_features[{key!r}].{name}"
         if value is None or (isinstance(value, (list, tuple)) and not value):
-            return np.zeros((0, 2))
-        points = self._source.array(value, where, columns=2)[:, :2] - self._origin
+            return np.zeros((0, 3))
+        found = self._source.array(value, where, columns=2)
+        points = found[:, :2] - self._origin
         if not (np.abs(points) <= _FARTHEST_M).all():
             raise self._source.fault(
                 where, "not finite or far away", f"points within {_FARTHEST_M:.0f} m of the origin"
             )
-        return points
+        if name == "polygon" and feature.get("polyline") is not None:  # of a lane: its line tells
+            return points
+        return np.column_stack([points, self._heights.read(found)])
 
-    def _polygon(self, key: str, feature: Mapping[str, Any]) -> Polygon:
+    def _ring(self, key: str, feature: Mapping[str, Any]) -> F64:
         ring = self._points(key, feature, "polygon")
-        if len(ring) > 1 and np.allclose(ring[0], ring[-1]):
+        if len(ring) > 1 and np.allclose(ring[0, :2], ring[-1, :2]):
             ring = ring[:-1]
-        return {"exterior": ring.astype(np.float32), "holes": []}
+        return ring
 
     def _sort(
         self, key: str, feature: Mapping[str, Any], lanes: dict[str, tuple[Lane, Mapping[str, Any]]]
@@ -268,35 +315,38 @@ class _Features:
             lane: Lane = {
                 "id": key,
                 "kind": "connector" if kind == "LANE_SURFACE_UNSTRUCTURE" else "lane",
-                "centreline": line.astype(np.float32),
-                "polygon": self._polygon(key, feature),
+                "centreline": np.ascontiguousarray(line[:, :2], np.float32),
+                "elevation_m": line[:, 2].astype(np.float32),
+                "polygon": _polygon(self._ring(key, feature)),
                 "successors": [],
                 "predecessors": [],
                 "speed_limit_mps": None if limit is None else limit / 3.6,
             }
             lanes[key] = (lane, feature)
         elif kind.startswith("ROAD_LINE_"):
-            divider = self._points(key, feature, "polyline").astype(np.float32)
             # yellow lines part the directions of traffic
-            layer = layers["road_dividers"] if "YELLOW" in kind else layers["lane_dividers"]
-            if len(divider) >= 2:
-                layer.append(divider)
+            name = "road_dividers" if "YELLOW" in kind else "lane_dividers"
+            self._add_line(name, layers[name], self._points(key, feature, "polyline"))
         elif kind in _ROAD_EDGES:
-            edge = self._points(key, feature, "polyline").astype(np.float32)
-            if len(edge) >= 2:
-                self._edges.append(edge)
+            self._add_line("edges", self._edges, self._points(key, feature, "polyline"))
         elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK", "DRIVEWAY"):
-            polygon = self._polygon(key, feature)
-            layer_of = {
-                "CROSSWALK": layers["ped_crossings"],
-                "DRIVEWAY": self._surfaces,
-            }.get(kind, layers["walkways"])
-            if len(polygon["exterior"]) >= 3:
-                layer_of.append(polygon)
+            ring = self._ring(key, feature)
+            name, layer = {
+                "CROSSWALK": ("ped_crossings", layers["ped_crossings"]),
+                "DRIVEWAY": ("surfaces", self._surfaces),
+            }.get(kind, ("walkways", layers["walkways"]))
+            if len(ring) >= 3:
+                layer.append(_polygon(ring))
+                self._heights.add(name, ring[:, 2])
             else:
                 self._unused[f"{kind} without an area"] += 1
         else:
             self._unused[kind] += 1
+
+    def _add_line(self, name: str, layer: list[npt.NDArray[np.float32]], points: F64) -> None:
+        if len(points) >= 2:
+            layer.append(np.ascontiguousarray(points[:, :2], np.float32))
+            self._heights.add(name, points[:, 2])
 
     def _link(self, lanes: Mapping[str, tuple[Lane, Mapping[str, Any]]]) -> None:
         index = {key: i for i, key in enumerate(lanes)}
@@ -377,6 +427,19 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
     return scene, report
 
 
+def _heights(tracks: Sequence[_Track]) -> npt.NDArray[np.float32]:
+    """Elevations [A, T] of the ground below all agents, 0 where it is not told."""
+    heights = [t.elevation if t.elevation is not None else np.zeros(len(t.valid)) for t in tracks]
+    return np.stack(heights).astype(np.float32)
+
+
+def _places(tracks: Sequence[_Track], origin: F64) -> npt.NDArray[np.float32]:
+    """Places [N, 3] at which agents are, with the elevation of the ground."""
+    valid = np.stack([track.valid for track in tracks])
+    position = np.stack([track.position for track in tracks]) - origin
+    return np.column_stack([position[valid], _heights(tracks)[valid]]).astype(np.float32)
+
+
 def _assembled(
     source: ScenarioFields, name: str, num_steps: int, tracks: Sequence[_Track]
 ) -> tuple[Scene, dict[str, int], str]:
@@ -384,9 +447,10 @@ def _assembled(
     valid = np.stack([track.valid for track in tracks])
     position = np.stack([track.position for track in tracks])
     origin = _origin(source, tracks)
+    told = all(track.elevation is not None for track in tracks)
     vehicles = [track for track in tracks if track.kind == "vehicle"] or tracks[:1]
-    seeds = np.concatenate([track.position[track.valid] for track in vehicles]) - origin
-    features = _Features(source, origin, seeds.astype(np.float32))
+    places = _places(tracks, origin)
+    features = _Features(source, origin, _places(vehicles, origin), places if told else None)
     scene = Scene.from_arrays(
         name,
         agent_ids=[track.id for track in tracks],
@@ -403,6 +467,7 @@ def _assembled(
         source=f"scenarionet {source.name(('metadata.dataset',), 'unknown')}",
         origin=(float(origin[0]), float(origin[1])),
         map_layers=features.layers,
+        elevation_m=_heights(tracks) if told and features.has_levels else None,
     )
     counts = {
         layer: len(items) for layer, items in features.layers.items() if isinstance(items, list)

@@ -44,6 +44,8 @@ def _track(scene: Scene, agent_idx: int, tracks: Any, origin: F64) -> dict[str, 
     length, width, height = (float(v) for v in scene.sizes[agent_idx])
     position = np.zeros((num_steps, 3))
     position[valid, :2] = tracks["position"][agent_idx][valid].astype(np.float64) + origin
+    if "elevation_m" in tracks:  # of the ground, below the middle of the box
+        position[valid, 2] = tracks["elevation_m"][agent_idx][valid] + 0.5 * height
     heading = tracks["heading"][agent_idx].astype(np.float64)
     wrapped = np.where(valid, np.arctan2(np.sin(heading), np.cos(heading)), 0.0)
     kind, agent_id = scene.agent_types[agent_idx], scene.agent_ids[agent_idx]
@@ -74,9 +76,12 @@ def _ring(polygon: Polygon, origin: F64) -> F64:
 
 def _lane(lane: Lane, lanes: list[Lane], origin: F64) -> dict[str, Any]:
     street = lane["kind"] == "lane"
+    line = lane["centreline"].astype(np.float64) + origin
+    if "elevation_m" in lane:
+        line = np.column_stack([line, lane["elevation_m"]])
     feature: dict[str, Any] = {
         "type": "LANE_SURFACE_STREET" if street else "LANE_SURFACE_UNSTRUCTURE",
-        "polyline": lane["centreline"].astype(np.float64) + origin,
+        "polyline": line,
         "entry_lanes": [lanes[i]["id"] for i in lane["predecessors"]],
         "exit_lanes": [lanes[i]["id"] for i in lane["successors"]],
         "left_neighbor": [],
@@ -116,6 +121,7 @@ def scenario_dict(scene: Scene) -> dict[str, Any]:
     tracks = scene.tracks()
     ids = scene.agent_ids
     layers: dict[str, Any] = dict(scene.map_layers())
+    heights = {"elevation_m": layers.get("elevation_m", {})} if "elevation_m" in tracks else {}
     sdc_id = "ego" if "ego" in ids else ids[0]
     return {
         "id": scene.token or scene.name,
@@ -138,6 +144,7 @@ def scenario_dict(scene: Scene) -> dict[str, Any]:
             "ccdiff_env": {
                 "origin": list(scene.origin),
                 **{name: layers.get(name, []) for name in OWN_LAYERS},
+                **heights,
             },
         },
     }

@@ -22,7 +22,12 @@ class Polygon(TypedDict):
     """Inner rings [P, 2] each."""
 
 
-class Lane(TypedDict):
+class _Heights(TypedDict, total=False):
+    elevation_m: F32
+    """Elevation of each point of the centre line [P], metres; only where it is known."""
+
+
+class Lane(_Heights):
     """A lane or lane connector."""
 
     id: str
@@ -54,9 +59,17 @@ class MapLayers(TypedDict, total=False):
     lane_dividers: list[F32]
     """Lines [P, 2] between lanes of one direction."""
     lanes: list[Lane]
+    elevation_m: dict[str, F32]
+    """Least and greatest elevation [N, 2] of the N parts of other layers, metres, by layer; only
+    where roads pass over each other."""
 
 
-class TrackArrays(TypedDict):
+class _TrackHeights(TypedDict, total=False):
+    elevation_m: F32
+    """Elevation of the ground below the box [A, T], metres; only in scenes with levels."""
+
+
+class TrackArrays(_TrackHeights):
     """Logged states of A agents over T steps, in the scene frame."""
 
     position: F32

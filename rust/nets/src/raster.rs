@@ -352,6 +352,7 @@ mod tests {
                 successors: Vec::new(),
                 predecessors: Vec::new(),
                 speed_limit_mps: None,
+                elevation_m: Vec::new(),
             }],
             ..Map::default()
         };

@@ -192,6 +192,7 @@ fn lay_out(tracks: &[Resampled], origin: [f64; 2], num_steps: usize) -> Tracks {
         heading_rad: vec![0.0; entries],
         velocity: vec![Vector2::zeros(); entries],
         valid: vec![false; entries],
+        elevation_m: Vec::new(),
     };
     for (agent_idx, track) in tracks.iter().enumerate() {
         for (i, state) in track.states.iter().enumerate() {

@@ -5,7 +5,7 @@ use ccdiff_sim::scene::Scene;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// What scene bytes begin with; the last byte is the format's number.
-const MARK: &[u8; 9] = b"ccdscene\x03";
+const MARK: &[u8; 9] = b"ccdscene\x04";
 
 /// A scene as a mark and postcard bytes: the same for equal scenes, on every machine.
 ///
@@ -25,7 +25,7 @@ fn contents(scene: &Scene) -> Result<Vec<u8>> {
 /// [`NuscenesError::Bytes`] for bytes that are no scene, [`NuscenesError::Scene`] for one that breaks a rule.
 pub fn decode_scene(bytes: &[u8]) -> Result<Scene> {
     let Some(contents) = bytes.strip_prefix(MARK) else {
-        let message = "not of format 3: load the scene from its data set, or record it, again";
+        let message = "not of format 4: load the scene from its data set, or record it, again";
         return Err(NuscenesError::Bytes(message.into()));
     };
     let scene: Scene = postcard::from_bytes(contents).map_err(|e| NuscenesError::Bytes(e.to_string()))?;

@@ -23,6 +23,7 @@ pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds) -> Map {
         walkways: cutter.polygons(&map.walkways),
         stop_lines: cutter.polygons(&map.stop_lines),
         carpark_areas: cutter.polygons(&map.carpark_areas),
+        ..Map::default()
     }
 }
 
@@ -105,6 +106,7 @@ impl Cutter {
             successors: links(&lane.successors),
             predecessors: links(&lane.predecessors),
             speed_limit_mps: None,
+            elevation_m: Vec::new(),
         };
         kept.iter().map(|i| lane(&map.lanes[*i as usize])).collect()
     }

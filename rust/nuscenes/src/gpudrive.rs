@@ -1,6 +1,7 @@
 //! Waymo scenes in GPUDrive's JSON (Kazemkhani et al., "GPUDrive", 2024): one file a scene, 10 Hz, no drivable area.
 //!
-//! Where a state is not valid its numbers are -10000. Road edges are open lines with the road to their left: the drivable area
+//! Positions are centres of boxes, also in height; points of roads lie on the ground. Where no road passes over another the
+//! heights are left out. Where a state is not valid its numbers are -10000. Road edges are open lines with the road to their left: the drivable area
 //! is made from them, and lanes follow each other where one ends and another begins.
 
 use crate::build::count_layers;
@@ -11,7 +12,8 @@ use crate::load::Loaded;
 use crate::report::{CacheReport, LoadReport, Road, SceneReport};
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
-    Agent, AgentKind, EGO_ID, Lane, LaneKind, Map, RoadParts, Scene, Tracks, link_lanes, road_area,
+    Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, LaneKind, Map, PartElevations, RoadParts, Scene,
+    Tracks, cut_by_level, level_bounds, link_lanes, range_of, road_area, road_areas,
 };
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -79,6 +81,15 @@ struct MapElement {
 struct Point {
     x: f64,
     y: f64,
+    #[serde(default)]
+    z: Option<f64>,
+}
+
+impl Point {
+    /// Whether its height is one on Earth, or not told.
+    fn is_high(&self) -> bool {
+        self.z.is_none_or(|z| z.abs() <= f64::from(HIGHEST_M))
+    }
 }
 
 /// Loads scenes, one from each file, in parallel.
@@ -181,13 +192,14 @@ impl Reader<'_> {
         let first = self.file.objects[ego].valid.iter().position(|valid| *valid).unwrap_or(0);
         let start = self.file.objects[ego].position[first];
         let origin = [start.x.round(), start.y.round()];
-        let (agents, tracks) = self.agents(&kept, ego, num_steps, origin);
+        let (agents, mut tracks) = self.agents(&kept, ego, num_steps, origin);
+        let bounds = self.levels(&kept, &mut tracks, origin, &mut report);
         for agent in &agents {
             *report.tracks.entry(agent.category.clone()).or_default() += 1;
         }
         report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
         let seeds = vehicles(&agents, &tracks);
-        let map = self.map(origin, &seeds, &mut report)?;
+        let map = self.map(origin, &seeds, &bounds, &mut report)?;
         count_layers(&map, &mut report);
         let scene = Scene {
             token,
@@ -271,6 +283,10 @@ impl Reader<'_> {
         }
         for step in (0..num_steps).filter(|step| object.valid[*step]) {
             let (position, velocity) = (object.position[step], object.velocity[step]);
+            if !position.is_high() {
+                let (got, expected) = (position.z.unwrap_or_default(), "a height within 9 km");
+                return self.fault(format!("objects[{i}].position[{step}]"), "z", got, expected);
+            }
             for (list, field, value) in [
                 ("position", "x", position.x),
                 ("position", "y", position.y),
@@ -294,6 +310,7 @@ impl Reader<'_> {
             heading_rad: vec![0.0; entries],
             velocity: vec![Vector2::zeros(); entries],
             valid: Vec::with_capacity(entries),
+            elevation_m: Vec::new(),
         };
         let mut agents = Vec::with_capacity(kept.len());
         for (row, i) in kept.iter().enumerate() {
@@ -321,18 +338,61 @@ impl Reader<'_> {
         (agents, tracks)
     }
 
-    fn map(&self, origin: [f64; 2], seeds: &[Point2], report: &mut SceneReport) -> Result<Map> {
+    /// Elevations between the levels of the scene, none where it is flat; fills in the elevations of the tracks otherwise.
+    fn levels(
+        &self,
+        kept: &[usize],
+        tracks: &mut Tracks,
+        origin: [f64; 2],
+        report: &mut SceneReport,
+    ) -> Vec<Real> {
+        let objects = kept.iter().map(|i| &self.file.objects[*i]);
+        let states = objects.flat_map(|o| o.position.iter().zip(&o.valid).map(move |(p, ok)| (o, p, *ok)));
+        // the ground is half a body below the middle of a box
+        let ground = |(o, p, _): (&Object, &Point, bool)| p.z.map_or(0.0, |z| (z - 0.5 * o.height) as Real);
+        let roads = self.file.roads.iter().flat_map(|road| &road.geometry);
+        let shown = states.clone().filter(|(_, _, ok)| *ok).map(|(_, p, _)| p);
+        let unknown = shown.chain(roads).filter(|p| p.z.is_none()).count();
+        if unknown > 0 {
+            report.notes.push(format!("{unknown} places without a height: the scene is taken as flat"));
+            return Vec::new();
+        }
+        let lines: Vec<_> = self.file.roads.iter().map(|road| line_of(&road.geometry, origin)).collect();
+        let lines = lines.iter().map(|(line, heights)| (line.as_slice(), heights.as_slice()));
+        let of_tracks = states.clone().zip(&tracks.position).filter(|((.., ok), _)| *ok);
+        let of_tracks = of_tracks.map(|(state, position)| (*position, ground(state)));
+        let bounds = level_bounds(lines, of_tracks);
+        if !bounds.is_empty() {
+            let heights = states.map(|state| if state.2 { ground(state) } else { 0.0 });
+            tracks.elevation_m = heights.collect();
+            let levels = bounds.len() + 1;
+            report.notes.push(format!(
+                "{levels} levels of roads: who is more than 2.5 m higher or lower is out of reach"
+            ));
+        }
+        bounds
+    }
+
+    fn map(
+        &self,
+        origin: [f64; 2],
+        seeds: &[(Point2, Real)],
+        bounds: &[Real],
+        report: &mut SceneReport,
+    ) -> Result<Map> {
         let mut map = Map::default();
-        let (mut edges, mut lanes_m) = (Vec::new(), 0.0);
+        let (mut edges, mut edge_heights, mut surface_heights, mut lanes_m) =
+            (Vec::new(), Vec::new(), Vec::new(), 0.0);
         let mut unused = std::collections::BTreeMap::<String, usize>::new();
         for (i, road) in self.file.roads.iter().enumerate() {
-            let far = |p: &&Point| p.x.abs() > MAX_COORDINATE_M || p.y.abs() > MAX_COORDINATE_M;
+            let far =
+                |p: &&Point| p.x.abs() > MAX_COORDINATE_M || p.y.abs() > MAX_COORDINATE_M || !p.is_high();
             if let Some(point) = road.geometry.iter().find(far) {
-                let got = format!("{}, {}", point.x, point.y);
-                return self.fault(format!("roads[{i}]"), "geometry", got, "points within 1000 km");
+                let got = format!("{}, {}, {:?}", point.x, point.y, point.z);
+                let expected = "points within 1000 km, and 9 km in height";
+                return self.fault(format!("roads[{i}]"), "geometry", got, expected);
             }
-            let mut line: Vec<Point2> = road.geometry.iter().map(|p| relative(*p, origin)).collect();
-            line.dedup();
+            let (line, heights) = line_of(&road.geometry, origin);
             let is_line = line.len() >= 2;
             let is_area = line.len() >= 3;
             match (road.kind.as_str(), road.map_element_id) {
@@ -346,22 +406,41 @@ impl Reader<'_> {
                             "1000 km of lanes at most",
                         );
                     }
+                    let (centreline, elevation_m) = resampled(&line, &heights).into_iter().unzip();
                     map.lanes.push(Lane {
                         id: road.id.to_string(),
                         kind: LaneKind::Lane,
-                        centreline: resampled(&line),
+                        centreline,
+                        elevation_m: if bounds.is_empty() { Vec::new() } else { elevation_m },
                         polygon: Polygon::default(),
                         successors: Vec::new(),
                         predecessors: Vec::new(),
                         speed_limit_mps: None,
                     });
                 }
-                // yellow lines part the directions of traffic
-                ("road_line", 9..=13) if is_line => map.road_dividers.push(line),
-                ("road_line", _) if is_line => map.lane_dividers.push(line),
-                ("road_edge", _) if is_line => edges.push(line),
-                ("crosswalk", _) if is_area => map.ped_crossings.push(area(line)),
-                ("driveway", _) if is_area => map.drivable_area.push(area(line)),
+                ("road_line", element) if is_line => {
+                    // yellow lines part the directions of traffic
+                    let (lines, ranges) = match element {
+                        9..=13 => (&mut map.road_dividers, &mut map.elevation_m.road_dividers),
+                        _ => (&mut map.lane_dividers, &mut map.elevation_m.lane_dividers),
+                    };
+                    for (piece, range) in cut_by_level(&line, &heights, bounds) {
+                        lines.push(piece);
+                        ranges.push(range);
+                    }
+                }
+                ("road_edge", _) if is_line => {
+                    edges.push(line);
+                    edge_heights.push(heights);
+                }
+                ("crosswalk", _) if is_area => {
+                    map.ped_crossings.push(area(line));
+                    map.elevation_m.ped_crossings.push(range_of(&heights));
+                }
+                ("driveway", _) if is_area => {
+                    map.drivable_area.push(area(line));
+                    surface_heights.push(range_of(&heights));
+                }
                 (kind, _) => *unused.entry(kind.chars().take(40).collect()).or_default() += 1,
             }
         }
@@ -370,8 +449,16 @@ impl Reader<'_> {
         }
         link_lanes(&mut map.lanes);
         let surfaces = std::mem::take(&mut map.drivable_area);
-        let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds };
-        map.drivable_area = road_area(parts);
+        let (seeds, seed_heights): (Vec<Point2>, Vec<Real>) = seeds.iter().copied().unzip();
+        let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds: &seeds };
+        if bounds.is_empty() {
+            map.elevation_m = Elevations::default();
+            map.drivable_area = road_area(parts);
+        } else {
+            let heights =
+                PartElevations { edges: &edge_heights, surfaces: &surface_heights, seeds: &seed_heights };
+            (map.drivable_area, map.elevation_m.drivable_area) = road_areas(parts, heights, bounds);
+        }
         report.road = if map.drivable_area.is_empty() { Road::None } else { Road::Edges };
         Ok(map)
     }
@@ -390,11 +477,12 @@ fn relative(point: Point, origin: [f64; 2]) -> Point2 {
     Point2::new((point.x - origin[0]) as Real, (point.y - origin[1]) as Real)
 }
 
-/// Where vehicles were.
-fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<Point2> {
+/// Where vehicles were, and how high where that is known.
+fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<(Point2, Real)> {
     let num_steps = tracks.valid.len() / agents.len();
     let of_vehicle = |i: &usize| tracks.valid[*i] && agents[*i / num_steps].kind == AgentKind::Vehicle;
-    (0..tracks.valid.len()).filter(of_vehicle).map(|i| tracks.position[i]).collect()
+    let height = |i: usize| tracks.elevation_m.get(i).copied().unwrap_or(0.0);
+    (0..tracks.valid.len()).filter(of_vehicle).map(|i| (tracks.position[i], height(i))).collect()
 }
 
 /// The angle that differs from the one before by at most half a turn.
@@ -411,8 +499,16 @@ fn area(mut ring: Vec<Point2>) -> Polygon {
     Polygon::from_exterior(ring)
 }
 
-/// A line with points about a metre apart.
-fn resampled(line: &[Point2]) -> Vec<Point2> {
+/// The points of a line without those that repeat the one before, and their heights, 0 where these are not known.
+fn line_of(points: &[Point], origin: [f64; 2]) -> (Vec<Point2>, Vec<Real>) {
+    let mut line: Vec<(Point2, Real)> =
+        points.iter().map(|p| (relative(*p, origin), p.z.unwrap_or_default() as Real)).collect();
+    line.dedup_by_key(|(point, _)| *point);
+    line.into_iter().unzip()
+}
+
+/// A line with points about a metre apart, and their heights.
+fn resampled(line: &[Point2], heights: &[Real]) -> Vec<(Point2, Real)> {
     let length_m: f64 = line.windows(2).map(|w| f64::from((w[1] - w[0]).norm())).sum();
     let count = (length_m / LANE_SPACING_M).ceil().max(1.0) as usize;
     let mut out = Vec::with_capacity(count + 1);
@@ -426,8 +522,9 @@ fn resampled(line: &[Point2]) -> Vec<Point2> {
             step_m = f64::from((line[i + 1] - line[i]).norm());
         }
         let share = ((along_m - passed_m) / step_m).clamp(0.0, 1.0) as Real;
-        out.push(line[i] + (line[i + 1] - line[i]) * share);
+        let height = heights[i] + (heights[i + 1] - heights[i]) * share;
+        out.push((line[i] + (line[i + 1] - line[i]) * share, height));
     }
-    out.push(line[line.len() - 1]);
+    out.push((line[line.len() - 1], heights[line.len() - 1]));
     out
 }

@@ -89,9 +89,10 @@ impl PyScene {
     #[staticmethod]
     #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
         agent_categories=None, token=Text::default(), location=Text::default(), source=Text::default(),
-        origin=(0.0, 0.0), map_layers=None),
+        origin=(0.0, 0.0), map_layers=None, elevation_m=None),
         text_signature = "(name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1, \
-            agent_categories=None, token=\"\", location=\"\", source=\"\", origin=(0.0, 0.0), map_layers=None)")]
+            agent_categories=None, token=\"\", location=\"\", source=\"\", origin=(0.0, 0.0), map_layers=None, \
+            elevation_m=None)")]
     fn from_arrays(
         name: Text,
         agent_ids: Vec<Text>,
@@ -108,6 +109,7 @@ impl PyScene {
         source: Text,
         origin: (f64, f64),
         map_layers: Option<&Bound<'_, PyDict>>,
+        elevation_m: Option<PyReadonlyArray2<'_, f32>>,
     ) -> PyResult<Self> {
         let (num_agents, num_steps) = (valid.shape()[0], valid.shape()[1]);
         let texts = |list: Vec<Text>| list.into_iter().map(|text| text.0).collect::<Vec<_>>();
@@ -122,6 +124,9 @@ impl PyScene {
         expect_shape("position", position.shape(), &[num_agents, num_steps, 2])?;
         expect_shape("heading", heading.shape(), &[num_agents, num_steps])?;
         expect_shape("velocity", velocity.shape(), &[num_agents, num_steps, 2])?;
+        if let Some(elevation_m) = &elevation_m {
+            expect_shape("elevation_m", elevation_m.shape(), &[num_agents, num_steps])?;
+        }
         let sizes = sizes.as_array();
         let mut agents = Vec::with_capacity(num_agents);
         for (i, ((id, kind_name), category)) in
@@ -149,6 +154,7 @@ impl PyScene {
                 .zip(axis(&velocity, 1))
                 .map(|(x, y)| Vector2::new(x, y))
                 .collect(),
+            elevation_m: elevation_m.map(|array| masked(array.as_array())).unwrap_or_default(),
             valid: shown.clone(),
         };
         let map = map_layers.map(scene_map::from_dict).transpose()?.unwrap_or_default();
@@ -282,6 +288,9 @@ impl PyScene {
         dict.set_item("heading", PyArray1::from_slice(py, &tracks.heading_rad).reshape(shape)?)?;
         dict.set_item("velocity", PyArray1::from_vec(py, velocity).reshape(pairs)?)?;
         dict.set_item("valid", PyArray1::from_slice(py, &tracks.valid).reshape(shape)?)?;
+        if self.scene.has_levels() {
+            dict.set_item("elevation_m", PyArray1::from_slice(py, &tracks.elevation_m).reshape(shape)?)?;
+        }
         Ok(dict)
     }
 

@@ -3,8 +3,11 @@
 use crate::enter::Text;
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
-use ccdiff_sim::scene::{Lane, LaneKind, Map, RoadParts, link_lanes, road_area};
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use ccdiff_sim::scene::{
+    Elevations, Lane, LaneKind, Map, PartElevations, RoadParts, cut_by_level, level_bounds, link_lanes,
+    range_of, road_area, road_areas,
+};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -32,6 +35,9 @@ fn lane<'py>(py: Python<'py>, lane: &Lane) -> PyResult<Bound<'py, PyDict>> {
     dict.set_item("successors", &lane.successors)?;
     dict.set_item("predecessors", &lane.predecessors)?;
     dict.set_item("speed_limit_mps", lane.speed_limit_mps)?;
+    if !lane.elevation_m.is_empty() {
+        dict.set_item("elevation_m", PyArray1::from_slice(py, &lane.elevation_m))?;
+    }
     Ok(dict)
 }
 
@@ -58,7 +64,41 @@ pub(crate) fn to_dict<'py>(py: Python<'py>, map: &Map) -> PyResult<Bound<'py, Py
         dict.set_item(name, layer.iter().map(|l| points(py, l)).collect::<PyResult<Vec<_>>>()?)?;
     }
     dict.set_item("lanes", map.lanes.iter().map(|l| lane(py, l)).collect::<PyResult<Vec<_>>>()?)?;
+    let heights = PyDict::new(py);
+    for (name, ranges) in map.elevation_m.layers().into_iter().filter(|(_, ranges)| !ranges.is_empty()) {
+        let array = PyArray1::from_slice(py, ranges.as_flattened()).reshape([ranges.len(), 2])?;
+        heights.set_item(name, array)?;
+    }
+    if !heights.is_empty() {
+        dict.set_item("elevation_m", heights)?;
+    }
     Ok(dict)
+}
+
+/// An array of heights, one a point.
+fn read_heights(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<f32>> {
+    let array: PyReadonlyArray1<'_, f32> = value.extract().map_err(|_| {
+        py::ShapeError::new_err(format!("{what}: expected elevation_m as a float32 array of shape [P]"))
+    })?;
+    Ok(array.as_array().to_vec())
+}
+
+/// Least and greatest heights of the parts of layers, by their names.
+fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
+    let mut elevations = Elevations::default();
+    for (name, value) in value.cast::<PyDict>()? {
+        let Text(name) = name.extract()?;
+        let what = format!("elevation_m of {name:?}");
+        let ranges = elevations.layers_mut().into_iter().find(|(known, _)| *known == name);
+        let Some((_, ranges)) = ranges else {
+            return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}")));
+        };
+        *ranges = read_points(&value, &what)?
+            .iter()
+            .map(|p| if p.x > p.y { [p.y, p.x] } else { [p.x, p.y] })
+            .collect();
+    }
+    Ok(elevations)
 }
 
 fn read_points(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<Point2>> {
@@ -105,6 +145,10 @@ fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
         successors: optional("successors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
         predecessors: optional("predecessors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
         speed_limit_mps: optional("speed_limit_mps")?.map(|s| s.extract()).transpose()?,
+        elevation_m: optional("elevation_m")?
+            .map(|z| read_heights(&z, &what))
+            .transpose()?
+            .unwrap_or_default(),
         id,
     })
 }
@@ -128,6 +172,10 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
                 }
                 continue;
             }
+            "elevation_m" => {
+                map.elevation_m = read_elevations(&value)?;
+                continue;
+            }
             "lanes" => {
                 map.lanes = read_list(&value, read_lane)?;
                 continue;
@@ -142,34 +190,121 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
 /// Fills in what a map lacks: links between lanes that have none, and the area where vehicles may drive, from `edges` with
 /// the road on their left and from lanes and `surfaces`. `seeds` [N, 2] are places where vehicles were.
 ///
-/// Returns the layers and how the area was had: "given", "edges", "lanes" or "none".
+/// Where `tracks`, places [N, 3] of everybody, or `heights` of the points of lanes, edges and the other layers show roads
+/// that pass over each other, each level's road is made on its own; otherwise elevations are left out.
+///
+/// Returns the layers, how the area was had: "given", "edges", "lanes" or "none", and the elevations between levels.
 #[pyfunction]
-#[pyo3(signature = (layers, *, edges, surfaces, seeds))]
+#[pyo3(signature = (layers, *, edges, surfaces, seeds, tracks=None, heights=None))]
 pub(crate) fn complete_map<'py>(
     py: Python<'py>,
     layers: &Bound<'py, PyDict>,
     edges: &Bound<'py, PyList>,
     surfaces: &Bound<'py, PyList>,
     seeds: &Bound<'py, PyAny>,
-) -> PyResult<(Bound<'py, PyDict>, &'static str)> {
+    tracks: Option<PyReadonlyArray2<'py, f32>>,
+    heights: Option<&Bound<'py, PyDict>>,
+) -> PyResult<(Bound<'py, PyDict>, &'static str, Vec<f32>)> {
     let mut map = from_dict(layers)?;
     let edges = read_list(edges, |line| read_points(line, "edges"))?;
     let surfaces = read_list(surfaces, |p| read_polygon(p, "surfaces"))?;
     let seeds = read_points(seeds, "seeds")?;
-    let road = py.detach(|| {
-        link_lanes(&mut map.lanes);
-        if !map.drivable_area.is_empty() {
-            return "given";
+    let rings = |polygons: &[Polygon]| polygons.iter().map(|p| p.exterior.len()).collect::<Vec<_>>();
+    let points = |lines: &[Vec<Point2>]| lines.iter().map(Vec::len).collect::<Vec<_>>();
+    let heights = heights.map(|heights| {
+        let of = |name: &str, lengths: Vec<usize>| {
+            let found = read_list(&item(heights, name, "heights")?, |z| read_heights(z, name))?;
+            if found.iter().map(Vec::len).ne(lengths) {
+                return Err(py::ShapeError::new_err(format!("heights of {name}: expected one a point")));
+            }
+            Ok(found)
+        };
+        Ok::<_, PyErr>(Heights {
+            edges: of("edges", points(&edges))?,
+            surfaces: of("surfaces", rings(&surfaces))?,
+            seeds: of("seeds", vec![seeds.len()])?.concat(),
+            dividers: [
+                of("road_dividers", points(&map.road_dividers))?,
+                of("lane_dividers", points(&map.lane_dividers))?,
+            ],
+            areas: [of("ped_crossings", rings(&map.ped_crossings))?, of("walkways", rings(&map.walkways))?],
+        })
+    });
+    let heights = heights.transpose()?;
+    let tracks: Vec<_> = match &tracks {
+        Some(tracks) if tracks.shape()[1] != 3 => {
+            let message = format!("tracks has shape {:?}, expected [N, 3]", tracks.shape());
+            return Err(py::ShapeError::new_err(message));
         }
+        Some(tracks) => {
+            tracks.as_array().rows().into_iter().map(|row| (Point2::new(row[0], row[1]), row[2])).collect()
+        }
+        None => Vec::new(),
+    };
+    let (road, bounds) = py.detach(|| {
+        link_lanes(&mut map.lanes);
+        let lines = map.lanes.iter().map(|lane| (lane.centreline.as_slice(), lane.elevation_m.as_slice()));
+        let of_edges = heights.iter().flat_map(|h| edges.iter().zip(&h.edges));
+        let lines = lines.chain(of_edges.map(|(line, heights)| (line.as_slice(), heights.as_slice())));
+        let bounds = level_bounds(lines, tracks.into_iter());
         let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds: &seeds };
-        map.drivable_area = road_area(parts);
-        match (map.drivable_area.is_empty(), edges.is_empty()) {
+        let is_given = !map.drivable_area.is_empty();
+        let area = match heights.as_ref().filter(|_| !bounds.is_empty()) {
+            Some(heights) => heights.area(parts, &bounds),
+            None => (if is_given { Vec::new() } else { road_area(parts) }, Vec::new()),
+        };
+        match heights.filter(|_| !bounds.is_empty()) {
+            Some(heights) => heights.tell(&mut map, &bounds),
+            None => map.lanes.iter_mut().for_each(|lane| lane.elevation_m.clear()),
+        }
+        if is_given {
+            return ("given", bounds);
+        }
+        (map.drivable_area, map.elevation_m.drivable_area) = area;
+        let road = match (map.drivable_area.is_empty(), edges.is_empty()) {
             (true, _) => "none",
             (false, true) => "lanes",
             (false, false) => "edges",
-        }
+        };
+        (road, bounds)
     });
-    Ok((to_dict(py, &map)?, road))
+    Ok((to_dict(py, &map)?, road, bounds))
+}
+
+/// Heights of the points of what a map is made from, metres.
+struct Heights {
+    edges: Vec<Vec<f32>>,
+    surfaces: Vec<Vec<f32>>,
+    seeds: Vec<f32>,
+    /// Of dividers of roads and of lanes.
+    dividers: [Vec<Vec<f32>>; 2],
+    /// Of crossings and of walkways.
+    areas: [Vec<Vec<f32>>; 2],
+}
+
+impl Heights {
+    fn area(&self, parts: RoadParts<'_>, bounds: &[f32]) -> (Vec<Polygon>, Vec<[f32; 2]>) {
+        let surfaces: Vec<_> = self.surfaces.iter().map(|heights| range_of(heights)).collect();
+        let heights = PartElevations { edges: &self.edges, surfaces: &surfaces, seeds: &self.seeds };
+        road_areas(parts, heights, bounds)
+    }
+
+    /// Cuts lines where the level changes, and says how high the parts of layers lie.
+    fn tell(&self, map: &mut Map, bounds: &[f32]) {
+        let ranges = &mut map.elevation_m;
+        let layers = [
+            (&mut map.road_dividers, &mut ranges.road_dividers),
+            (&mut map.lane_dividers, &mut ranges.lane_dividers),
+        ];
+        for ((lines, ranges), heights) in layers.into_iter().zip(&self.dividers) {
+            let pieces = lines.iter().zip(heights).flat_map(|(line, z)| cut_by_level(line, z, bounds));
+            (*lines, *ranges) = pieces.unzip();
+        }
+        let layers = [&mut ranges.ped_crossings, &mut ranges.walkways];
+        for (ranges, heights) in layers.into_iter().zip(&self.areas) {
+            *ranges = heights.iter().map(|z| range_of(z)).collect();
+        }
+    }
 }
 
 fn read_list<T>(

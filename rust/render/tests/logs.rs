@@ -26,6 +26,7 @@ fn scene() -> Scene {
         heading_rad: vec![0.0; 2 * STEPS],
         velocity: vec![Vector2::new(10.0, 0.0); 2 * STEPS],
         valid: (0..2 * STEPS).map(|i| !(STEPS..STEPS + 5).contains(&i)).collect(),
+        elevation_m: Vec::new(),
     };
     Scene {
         name: "scene-1".into(),

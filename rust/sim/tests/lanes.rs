@@ -16,6 +16,7 @@ fn lane(centreline: Vec<Point2>) -> Lane {
         successors: vec![],
         predecessors: vec![],
         speed_limit_mps: None,
+        elevation_m: Vec::new(),
     }
 }
 

@@ -23,6 +23,7 @@ fn lane(centreline: Vec<Point2>) -> Lane {
         successors: Vec::new(),
         predecessors: Vec::new(),
         speed_limit_mps: None,
+        elevation_m: Vec::new(),
     }
 }
 

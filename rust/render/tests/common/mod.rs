@@ -23,6 +23,7 @@ pub(crate) fn crossroads() -> Map {
         successors: vec![],
         predecessors: vec![],
         speed_limit_mps: None,
+        elevation_m: Vec::new(),
     };
     Map {
         drivable_area: vec![rectangle((-80.0, 80.0), (-7.0, 7.0)), rectangle((-7.0, 7.0), (-80.0, 80.0))],
@@ -33,6 +34,7 @@ pub(crate) fn crossroads() -> Map {
         walkways: vec![rectangle((-80.0, -7.0), (7.0, 10.5)), rectangle((7.0, 80.0), (7.0, 10.5))],
         stop_lines: vec![rectangle((13.0, 15.0), (0.0, 7.0))],
         carpark_areas: vec![rectangle((20.0, 45.0), (-20.0, -7.0))],
+        ..Map::default()
     }
 }
 

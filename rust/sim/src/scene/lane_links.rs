@@ -1,6 +1,6 @@
 //! Links between lanes for maps that have none: a lane follows another that ends where it begins.
 
-use super::map::Lane;
+use super::map::{LEVEL_M, Lane};
 use crate::geom::{Point2, Real, Vector2};
 use std::collections::BTreeMap;
 
@@ -35,7 +35,9 @@ pub fn link_lanes(lanes: &mut [Lane]) {
             let follows = |[(start, ahead), _]: [(Point2, Vector2); 2]| {
                 (start - end).norm() <= JOINT_M && ahead.dot(heading) >= TURN_COS
             };
-            *j != i && ends[*j].is_some_and(follows)
+            let [last, first] = [lanes[i].elevation_m.last(), lanes[*j].elevation_m.first()];
+            let level = last.zip(first).is_none_or(|(z, next)| (z - next).abs() <= LEVEL_M);
+            *j != i && level && ends[*j].is_some_and(follows)
         });
         followers.sort_unstable();
         for j in followers {
@@ -68,6 +70,7 @@ mod tests {
             successors: vec![],
             predecessors: vec![],
             speed_limit_mps: None,
+            elevation_m: Vec::new(),
         }
     }
 

@@ -6,6 +6,12 @@ use serde::{Deserialize, Serialize};
 /// Nothing of a scene lies farther from its origin along an axis, metres.
 pub(crate) const FARTHEST_M: Real = 1e6;
 
+/// Heights at one place that are farther apart than this are levels, metres: less than any road leaves free for another one
+/// below it, more than slopes and rough measurements make of one road.
+pub const LEVEL_M: Real = 2.5;
+/// Nothing lies higher above sea level or deeper below, metres.
+pub const HIGHEST_M: Real = 9e3;
+
 /// What a lane is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -33,6 +39,56 @@ pub struct Lane {
     pub predecessors: Vec<u32>,
     /// Posted limit in metres per second, where the data has one (nuScenes has none).
     pub speed_limit_mps: Option<Real>,
+    /// Elevation of each point of the centre line, metres; empty where nothing says how high it lies.
+    pub elevation_m: Vec<Real>,
+}
+
+/// Least and greatest elevation of each part of a layer, metres; empty where these are not known, and then the parts belong
+/// to all levels. Lanes have elevations of their own.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Elevations {
+    /// Of the drivable area: the elevations at which somebody is on it.
+    pub drivable_area: Vec<[Real; 2]>,
+    /// Of the lines between directions of traffic.
+    pub road_dividers: Vec<[Real; 2]>,
+    /// Of the lines between lanes.
+    pub lane_dividers: Vec<[Real; 2]>,
+    /// Of the pedestrian crossings.
+    pub ped_crossings: Vec<[Real; 2]>,
+    /// Of the walkways.
+    pub walkways: Vec<[Real; 2]>,
+    /// Of the stop lines.
+    pub stop_lines: Vec<[Real; 2]>,
+    /// Of the car parks.
+    pub carpark_areas: Vec<[Real; 2]>,
+}
+
+impl Elevations {
+    /// The layers by their names.
+    pub fn layers(&self) -> [(&'static str, &Vec<[Real; 2]>); 7] {
+        [
+            ("drivable_area", &self.drivable_area),
+            ("road_dividers", &self.road_dividers),
+            ("lane_dividers", &self.lane_dividers),
+            ("ped_crossings", &self.ped_crossings),
+            ("walkways", &self.walkways),
+            ("stop_lines", &self.stop_lines),
+            ("carpark_areas", &self.carpark_areas),
+        ]
+    }
+
+    /// The layers by their names, to be filled in.
+    pub fn layers_mut(&mut self) -> [(&'static str, &mut Vec<[Real; 2]>); 7] {
+        [
+            ("drivable_area", &mut self.drivable_area),
+            ("road_dividers", &mut self.road_dividers),
+            ("lane_dividers", &mut self.lane_dividers),
+            ("ped_crossings", &mut self.ped_crossings),
+            ("walkways", &mut self.walkways),
+            ("stop_lines", &mut self.stop_lines),
+            ("carpark_areas", &mut self.carpark_areas),
+        ]
+    }
 }
 
 /// Layers of the map, cropped round the scene. Any layer can be empty: what needs lanes must say so or fall back.
@@ -54,6 +110,8 @@ pub struct Map {
     pub stop_lines: Vec<Polygon>,
     /// Car parks.
     pub carpark_areas: Vec<Polygon>,
+    /// How high the parts of these layers lie, but for lanes, which say so themselves.
+    pub elevation_m: Elevations,
 }
 
 impl Map {

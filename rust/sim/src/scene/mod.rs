@@ -7,6 +7,7 @@ mod contour;
 mod lane_index;
 mod lane_links;
 mod lane_path;
+mod levels;
 mod map;
 mod road_area;
 pub mod synthetic;
@@ -14,7 +15,8 @@ pub mod synthetic;
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use lane_links::link_lanes;
 pub(crate) use lane_path::follow;
-pub use map::{Lane, LaneKind, Map};
+pub use levels::{PartElevations, cut_by_level, level_bounds, range_of, road_areas};
+pub use map::{Elevations, HIGHEST_M, LEVEL_M, Lane, LaneKind, Map};
 pub use road_area::{RoadParts, road_area};
 
 use crate::error::{Result, SimError};
@@ -88,6 +90,8 @@ pub struct Tracks {
     pub velocity: Vec<Vector2>,
     /// Whether the agent is present.
     pub valid: Vec<bool>,
+    /// Elevation of the ground below the box, metres; empty where the scene is flat or nothing says how high it lies.
+    pub elevation_m: Vec<Real>,
 }
 
 /// One scene. Agent 0 is the ego where the data has one.
@@ -180,6 +184,9 @@ impl Scene {
                 return fail(field, got, "finite numbers within 1000 km");
             }
         }
+        if let Some((field, got)) = self.height_fault() {
+            return fail(field, got, "one finite number within 9 km for each entry, or none at all");
+        }
         let logged_m = self.logged_m();
         if logged_m > LONGEST_M {
             return fail("tracks.position".into(), format!("{logged_m:.0} m of paths"), "at most 5000 km");
@@ -196,6 +203,44 @@ impl Scene {
             return fail("map".into(), format!("{length_m:.0} m of lines"), "at most 5000 km");
         }
         Ok(self)
+    }
+
+    /// The first field of elevations that has not as many as there are entries, or one that is no height on Earth.
+    fn height_fault(&self) -> Option<(String, String)> {
+        let fault = |field: String, heights: &[Real], entries: usize, counts: &dyn Fn(usize) -> bool| {
+            if !heights.is_empty() && heights.len() != entries {
+                return Some((field, format!("{} entries for {entries}", heights.len())));
+            }
+            let bad = heights.iter().enumerate().find(|(i, z)| counts(*i) && !(z.abs() <= HIGHEST_M));
+            bad.map(|(i, z)| (format!("{field}[{i}]"), z.to_string()))
+        };
+        let (tracks, map, ranges) = (&self.tracks, &self.map, &self.map.elevation_m);
+        let counts = |i: usize| tracks.valid[i];
+        let of_lane = |(i, lane): (usize, &Lane)| {
+            fault(format!("map.lanes[{i}].elevation_m"), &lane.elevation_m, lane.centreline.len(), &|_| true)
+        };
+        fault("tracks.elevation_m".into(), &tracks.elevation_m, tracks.valid.len(), &counts)
+            .or_else(|| map.lanes.iter().enumerate().find_map(of_lane))
+            .or_else(|| {
+                let entries = [
+                    map.drivable_area.len(),
+                    map.road_dividers.len(),
+                    map.lane_dividers.len(),
+                    map.ped_crossings.len(),
+                    map.walkways.len(),
+                    map.stop_lines.len(),
+                    map.carpark_areas.len(),
+                ];
+                ranges.layers().into_iter().zip(entries).find_map(|((name, ranges), entries)| {
+                    let field = format!("map.elevation_m.{name}");
+                    fault(field, ranges.as_flattened(), 2 * entries, &|_| true)
+                })
+            })
+    }
+
+    /// Whether agents are told apart by their height.
+    pub fn has_levels(&self) -> bool {
+        !self.tracks.elevation_m.is_empty()
     }
 
     /// Length of the paths of all agents from one logged position to the next, metres.

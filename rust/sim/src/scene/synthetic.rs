@@ -65,6 +65,7 @@ impl GridCity {
                         successors: Vec::new(),
                         predecessors: Vec::new(),
                         speed_limit_mps: None,
+                        elevation_m: Vec::new(),
                     });
                 }
             }
