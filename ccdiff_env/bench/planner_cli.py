@@ -168,8 +168,8 @@ def _verify(args: argparse.Namespace) -> int:
     print(f"{same} of {found.played} episodes come out the same, bit for bit")
     if found.played < found.there:
         print(
-            f"{found.played} of {found.there} were played, drawn by --seed {found.seed}: "
-            "a number is cited after all of them"
+            f"{found.played} of {found.there} were played (--seed {found.seed}): "
+            "cite a number after all"
         )
     there = record.processor
     if found.differing and there != processor():
