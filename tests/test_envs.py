@@ -253,7 +253,13 @@ def test_baselines_drive_in_rust_and_ignore_the_action(driver, scenes):
 
 def test_expert_actions_keep_the_ego_near_its_log(scenes):
     for form in ({}, {"dynamics": "bicycle"}, {"dynamics": "delta_pose"}):
-        env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore", **form)
+        env = EgoEnv(
+            scenes=scenes,
+            on_off_road="ignore",
+            on_collision="ignore",
+            terminate_at_goal=False,
+            **form,
+        )
         env.reset(options={"scene": 0})
         for _ in range(40):
             *_, info = env.step(env.expert_action())

@@ -122,6 +122,7 @@ def test_episodes_are_recorded_as_video(vector, scenes, tmp_path):
         "scenes": scenes,
         "render_mode": "rgb_array",
         "render_options": {"size": (64, 64)},
+        "terminate_at_goal": False,
         **RULES,
     }
     if vector:
@@ -214,7 +215,7 @@ def test_no_return_leaks_over_the_end_of_an_episode(scenes):
 
     obs, _ = env.reset(seed=1)
     single = [EgoEnv(scenes=scenes, **rules) for _ in range(num_envs)]
-    actions = np.random.default_rng(0).normal(0.0, 0.15, (steps, num_envs, 2)).astype(np.float32)
+    actions = np.random.default_rng(0).normal(-0.3, 0.3, (steps, num_envs, 2)).astype(np.float32)
     rewards, terms, truncs, values = [], [], [], []
     for action in actions:
         obs, reward, terminated, truncated, infos = env.step(action)

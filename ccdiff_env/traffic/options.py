@@ -333,9 +333,9 @@ class WorldOptions:
     pedestrians: Pedestrians = "replay"
     #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
     drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
-    #: Whether agents that the log brings later enter (once their place is free).
+    #: Whether agents that the log brings later enter. Their bodies never appear in driven agents.
     late_arrivals: bool = True
-    #: Whether background agents leave when the log has them no more; else they drive on.
+    #: Whether background agents leave at the end of their log; else they drive on.
     vanish_with_log: bool = False
     #: Whether the episode is truncated where the log ends.
     truncate_at_log_end: bool = True
@@ -346,7 +346,8 @@ class WorldOptions:
     on_traffic_collision: TrafficCollision = "stop"
     #: Consequence of a box corner off the road for a controlled agent.
     on_off_road: Consequence = "terminate"
-    #: Whether an agent's episode ends at its goal, the logged position at the episode's last step.
+    #: Whether an agent's episode ends at its goal, the logged position at the episode's last step;
+    #: else it drives on.
     terminate_at_goal: bool = True
     #: Agents with a slot that play against the others, ids by the name of the scene. The reward of
     #: an adversary is minus the mean reward of the others; once only adversaries are left, their

@@ -64,7 +64,12 @@ fn worlds_that_rest_stay_as_they_are_and_the_others_play_as_alone() {
 
 #[test]
 fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
-    let disabled = WorldConfig { autoreset: Autoreset::Disabled, horizon_steps: 5, ..config("idm") };
+    let disabled = WorldConfig {
+        autoreset: Autoreset::Disabled,
+        horizon_steps: 5,
+        terminate_at_goal: false,
+        ..config("idm")
+    };
     let mut batch = Batch::new(vec![city(12)], disabled, 3, 1);
     batch.step_some(&[0.0; 6], &[false; 3]).unwrap();
     assert!(matches!(

@@ -278,7 +278,7 @@ fn a_snapshot_of_another_layout_is_refused_by_its_number() {
     let mut bytes = batch.world.snapshot(0).unwrap();
     bytes[0] = 1;
     let error = batch.world.restore(0, &bytes).unwrap_err().to_string();
-    assert_eq!(error, "snapshot: layout 1 of another release, this one reads 6");
+    assert_eq!(error, "snapshot: layout 1 of another release, this one reads 7");
 }
 
 /// Leaves everything to the defaults of the trait.

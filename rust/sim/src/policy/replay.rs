@@ -1,6 +1,6 @@
 //! Log replay.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, ConstantVelocity, Kind, PlanState, TrafficPolicy, WorldView};
 
 /// The log.
 pub(super) const KIND: Kind = Kind {
@@ -12,7 +12,8 @@ pub(super) const KIND: Kind = Kind {
     make: Some(|_, _| Ok(Box::new(Replay))),
 };
 
-/// Puts every agent where the log has it; leaves where the log has it no more.
+/// Puts every agent where the log has it; goes straight on through a gap of the log, and leaves where the log has it no
+/// more.
 #[derive(Debug, Default)]
 pub struct Replay;
 
@@ -22,7 +23,11 @@ impl TrafficPolicy for Replay {
     }
 
     fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
-        let logged = world.scene.log.at(agent_idx, world.step_idx + 1);
-        logged.map_or(AgentMotion::Leave, |(pose, velocity)| AgentMotion::Place(pose, velocity))
+        let (log, next) = (&world.scene.log, world.step_idx + 1);
+        match log.at(agent_idx, next) {
+            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
+            None if log.goes_on(agent_idx, next) => ConstantVelocity.act(world, None, agent_idx),
+            None => AgentMotion::Leave,
+        }
     }
 }

@@ -3,6 +3,7 @@
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::scene::Scene;
 use crate::simd_dispatch::simd_dispatch;
+use crate::stage::route::Route;
 use crate::state::AgentStates;
 use std::sync::OnceLock;
 
@@ -13,14 +14,15 @@ const SPEED: usize = 5;
 
 /// Logged states of A agents at T steps, each column [T, A].
 ///
-/// Memory: 33 bytes for each agent and step, 16 bytes for each step, and 4 bytes for each agent at steps whose
-/// positions along the routes were asked for.
+/// Memory: 33 bytes for each agent and step, and 4 bytes more for agents whose positions along the route were asked for.
 #[derive(Debug)]
 pub(crate) struct Log {
     num_agents: usize,
     columns: [Vec<Real>; NUM_COLUMNS],
     valid: Vec<bool>,
-    /// Positions along the routes at each step [T], made when they are first asked for.
+    /// The step after the last logged one of each agent.
+    end_step: Vec<usize>,
+    /// Positions along the route [T] of each agent, made when they are first asked for.
     pub(crate) route_s_m: Vec<OnceLock<Box<[Real]>>>,
 }
 
@@ -40,12 +42,58 @@ impl Log {
         }
         let AgentStates { x, y, heading_rad, cos, sin, speed_mps, velocity_x_mps, velocity_y_mps, .. } =
             states;
+        let end = |a| (0..num_steps).rev().find(|t| scene.is_valid(a, *t)).map_or(0, |t| t + 1);
+        let end_step = (0..num_agents).map(end).collect();
         Self {
             num_agents,
             columns: [x, y, heading_rad, cos, sin, speed_mps, velocity_x_mps, velocity_y_mps],
             valid: states.active,
-            route_s_m: (0..num_steps).map(|_| OnceLock::new()).collect(),
+            end_step,
+            route_s_m: (0..num_agents).map(|_| OnceLock::new()).collect(),
         }
+    }
+
+    /// Whether the log has an agent at a step or at a later one.
+    #[inline]
+    pub(crate) fn goes_on(&self, agent_idx: usize, step_idx: usize) -> bool {
+        step_idx < self.end_step[agent_idx]
+    }
+
+    /// Whether the log has an agent again at a step, after a gap of at most some steps.
+    pub(crate) fn has_again(&self, agent_idx: usize, step_idx: usize, steps: usize) -> bool {
+        let has = |t: usize| self.position(agent_idx, t).is_some();
+        let first = step_idx.saturating_sub(steps + 1);
+        has(step_idx) && step_idx > first && !has(step_idx - 1) && (first..step_idx).any(has)
+    }
+
+    /// Acceleration (m/s²) and yaw rate (rad/s) of an agent at a logged step: over the step before, where that is logged,
+    /// else over the next one; else zero.
+    pub(crate) fn rates(&self, agent_idx: usize, step_idx: usize, dt_s: Real) -> (Real, Real) {
+        let at = |t: usize| {
+            let at = t * self.num_agents + agent_idx;
+            let is_logged = self.valid.get(at).is_some_and(|valid| *valid);
+            is_logged.then(|| (self.columns[SPEED][at], self.columns[HEADING][at]))
+        };
+        let (before, here) = (step_idx.checked_sub(1).and_then(at), at(step_idx));
+        let (from, to) = if before.is_some() { (before, here) } else { (here, at(step_idx + 1)) };
+        let (Some((speed, heading)), Some((next_speed, next_heading))) = (from, to) else {
+            return (0.0, 0.0);
+        };
+        ((next_speed - speed) / dt_s, math::wrap_angle(next_heading - heading) / dt_s)
+    }
+
+    /// Positions along its route of an agent [T], followed from the start of the log on.
+    pub(crate) fn along(&self, agent_idx: usize, route: &Route) -> Box<[Real]> {
+        let (mut s_m, mut last) = (0.0, None);
+        let follow = |t| {
+            if let Some(point) = self.position(agent_idx, t) {
+                let moved_m = last.map_or(0.0, |last: Point2| (point - last).norm());
+                s_m = route.advance(point, s_m, moved_m);
+                last = Some(point);
+            }
+            s_m
+        };
+        (0..self.valid.len() / self.num_agents).map(follow).collect()
     }
 
     /// Pose and velocity of an agent at a step; `None` where it is not logged.

@@ -122,12 +122,9 @@ impl PreparedScene {
         }
     }
 
-    /// Position along its route of an agent where it is logged at a step, metres.
+    /// Position along its route of an agent at a step, metres; where it is not logged, that of the step logged before.
     pub fn logged_s_m(&self, agent_idx: usize, step_idx: usize) -> Real {
-        let project = |(a, route): (usize, &Route)| {
-            self.log.at(a, step_idx).map_or(0.0, |(pose, _)| route.path.project(pose.position).s_m)
-        };
-        let all = || self.routes.iter().enumerate().map(project).collect();
-        self.log.route_s_m[step_idx].get_or_init(all)[agent_idx]
+        let follow = || self.log.along(agent_idx, &self.routes[agent_idx]);
+        self.log.route_s_m[agent_idx].get_or_init(follow)[step_idx]
     }
 }

@@ -13,6 +13,8 @@ const EXTENSION_M: Real = 80.0;
 const CURVE_MPS2: Real = 3.0;
 /// Braking assumed ahead of a curve, m/s².
 const APPROACH_MPS2: Real = 2.0;
+/// How far along the route an agent is looked for from where it was, metres: more where it moves far in a step.
+const REACH_M: Real = 8.0;
 /// A vehicle whose log never exceeds this speed is parked, m/s.
 const PARKED_MPS: Real = 0.5;
 /// So is one that is never logged farther than this from where it is logged first, metres: boxes jitter.
@@ -67,6 +69,13 @@ impl Route {
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
         Self { path, curve_speed_mps, logged_speed_mps, logged_reach_m, on_lanes }
+    }
+
+    /// Position along the route of an agent at a point that was at a position and has moved by a distance, metres. Where a
+    /// route crosses itself it stays on its branch.
+    #[inline]
+    pub fn advance(&self, point: Point2, s_m: Real, moved_m: Real) -> Real {
+        self.path.project_near(point, s_m, REACH_M.max(2.0 * moved_m)).s_m
     }
 
     /// Whether the vehicle never moves in the log.

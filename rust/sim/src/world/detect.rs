@@ -33,7 +33,9 @@ impl World {
             &scene.kinds,
             &self.scratch.present,
         );
-        e.initial_contacts.retain(|(i, j)| pairs.contains(&(*i.min(j), *i.max(j))));
+        let (active, touching) = (&e.states.active, |i: u32, j: u32| pairs.contains(&(i.min(j), i.max(j))));
+        let both_there = |i: u32, j: u32| active[i as usize] && active[j as usize];
+        e.initial_contacts.retain(|(i, j)| touching(*i, *j) || !both_there(*i, *j));
         for (slot, contact) in e.slots.iter().zip(&mut self.scratch.contacts) {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
             for &(i, j) in pairs {

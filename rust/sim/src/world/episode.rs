@@ -11,13 +11,11 @@ use crate::world::config::{Controlled, WorldConfig};
 use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
+use crate::world::progress::Progress;
 use crate::world::rng::Rng;
 use crate::world::start::{Start, Wanted};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Distances to a goal below this are a log that stands still, metres.
-pub(crate) const STATIONARY_M: Real = 2.0;
 
 /// Steps of an episode are far fewer.
 const MOST_STEPS: usize = 1 << 30;
@@ -39,10 +37,7 @@ pub(crate) struct Slot {
     pub(crate) ended_at: Option<usize>,
     /// Stands still whatever its action.
     pub(crate) stopped: bool,
-    pub(crate) start_s_m: Real,
-    pub(crate) goal_s_m: Real,
-    /// Farthest position along the route so far.
-    pub(crate) best_s_m: Real,
+    pub(crate) progress: Progress,
     /// The last action, normalised.
     pub(crate) last_action: [Real; 3],
     /// Acceleration of the step before, for the jerk.
@@ -52,7 +47,6 @@ pub(crate) struct Slot {
     pub(crate) ever_off_road: bool,
     /// Whether the agent has been on the road; before that, it is not counted as off the road.
     pub(crate) has_been_on_road: bool,
-    pub(crate) goal_reached: bool,
     // what the last step found out, for reward and observation
     pub(crate) off_road: bool,
     pub(crate) off_road_centroid: bool,
@@ -83,7 +77,8 @@ pub(crate) struct Episode {
     pub(crate) states: AgentStates,
     pub(crate) route_s_m: Vec<Real>,
     pub(crate) drivers: Vec<Driver>,
-    /// Whether an agent has been in the world; nobody enters twice.
+    /// Whether an agent has been in the world. Who follows its log is there whenever the log has it; nobody else enters
+    /// twice.
     pub(crate) entered: Vec<bool>,
     /// Pairs that touch since the start and are no collisions until they have parted.
     pub(crate) initial_contacts: Vec<(u32, u32)>,
@@ -157,7 +152,7 @@ impl Episode {
         }));
         for a in 0..num_agents {
             if log.is_valid(a, self.step_idx) {
-                self.enter(scene, a);
+                self.enter(scene, a, config.dt_s);
             }
         }
         self.fill_slots(scene, config, policies.of_slots(), start.ego, &wanted.style);
@@ -177,17 +172,16 @@ impl Episode {
         self.plan_override = PlanOverride::default();
     }
 
-    /// Puts an agent at its logged state of the present step.
-    pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize) {
+    /// Puts an agent at its logged state of the present step. Accelerations and yaw rates are the log's.
+    pub(crate) fn enter(&mut self, scene: &PreparedScene, agent_idx: usize, dt_s: Real) {
         let Some((pose, _)) = scene.log.at(agent_idx, self.step_idx) else { return };
         self.states.set_pose(agent_idx, pose, self.velocity_at_entry(&scene.scene, agent_idx));
+        let (acceleration, yaw_rate) = scene.log.rates(agent_idx, self.step_idx, dt_s);
+        self.states.acceleration_mps2[agent_idx] = acceleration;
+        self.states.yaw_rate_radps[agent_idx] = yaw_rate;
         self.states.active[agent_idx] = true;
         self.entered[agent_idx] = true;
-        self.route_s_m[agent_idx] = if self.elapsed_steps == 0 {
-            scene.logged_s_m(agent_idx, self.step_idx)
-        } else {
-            scene.routes[agent_idx].path.project(pose.position).s_m
-        };
+        self.route_s_m[agent_idx] = scene.logged_s_m(agent_idx, self.step_idx);
     }
 
     /// Velocity of an agent that enters: the logged one; of a late arrival that does not follow its log, the mean over
@@ -214,7 +208,6 @@ impl Episode {
         let log = &scene.scene;
         let mut first_unseen = 0;
         let rng = Rng::new(self.seed).split(self.number).split(u64::MAX - 1);
-        let (start_step, end_step) = (self.step_idx, self.step_idx + config.horizon_steps);
         self.slots.clear();
         for c in 0..config.num_slots {
             let agent = match &config.controlled {
@@ -233,31 +226,22 @@ impl Episode {
                 }
             };
             let agent_idx = agent.filter(|a| self.states.active[*a]);
-            let (mut start_s_m, mut goal_s_m) = (0.0, 0.0);
             if let Some(a) = agent_idx {
                 self.drivers[a] = driver;
-                start_s_m = self.route_s_m[a];
-                let last = (start_step..log.num_steps.min(end_step + 1))
-                    .rev()
-                    .find(|t| log.is_valid(a, *t))
-                    .unwrap_or(start_step);
-                goal_s_m = scene.logged_s_m(a, last).max(start_s_m);
             }
+            let progress = |a| Progress::new(scene, a, self.step_idx, self.step_idx + config.horizon_steps);
             self.slots.push(Slot {
                 agent_idx,
                 alive: agent_idx.is_some(),
                 ended_at: None,
                 stopped: false,
-                start_s_m,
-                goal_s_m,
-                best_s_m: start_s_m,
+                progress: agent_idx.map_or_else(Progress::none, progress),
                 last_action: [0.0; 3],
-                acceleration_mps2: 0.0,
+                acceleration_mps2: agent_idx.map_or(0.0, |a| self.states.acceleration_mps2[a]),
                 in_contact: false,
                 ever_collided: false,
                 ever_off_road: false,
                 has_been_on_road: false,
-                goal_reached: false,
                 off_road: false,
                 off_road_centroid: false,
                 wrong_way: false,
@@ -278,6 +262,23 @@ impl Episode {
         self.states.acceleration_mps2[agent_idx] = (self.states.speed_mps[agent_idx] - speed) / dt_s;
         self.states.yaw_rate_radps[agent_idx] =
             crate::geom::math::wrap_angle(pose.heading_rad - heading) / dt_s;
+    }
+
+    /// Moves an agent as its driver wants: where that is back to the log after a gap, accelerations and yaw rates are the log's.
+    pub(crate) fn place(
+        &mut self,
+        scene: &PreparedScene,
+        a: usize,
+        pose: Pose2,
+        velocity: Vector2,
+        dt_s: Real,
+    ) {
+        let (now, before) = (scene.log.position(a, self.step_idx), scene.log.position(a, self.step_idx - 1));
+        if before.is_none() && now == Some(pose.position) {
+            self.enter(scene, a, dt_s);
+        } else {
+            self.set_pose(a, pose, velocity, dt_s);
+        }
     }
 
     /// Which agents the log moves, whatever happens: those of replay that are there, have no slot and were not stopped.
@@ -362,10 +363,14 @@ impl Episode {
 impl Slot {
     /// Whether all numbers are such that an episode can go on with them.
     fn is_sound(&self) -> bool {
-        let ways =
-            [self.start_s_m, self.goal_s_m, self.best_s_m, self.acceleration_mps2, self.speed_limit_mps];
-        let found =
-            [self.route_distance_m, self.route_heading_error_rad, self.lane_distance_m.unwrap_or(0.0)];
+        let found = [
+            self.acceleration_mps2,
+            self.speed_limit_mps,
+            self.route_distance_m,
+            self.route_heading_error_rad,
+            self.lane_distance_m.unwrap_or(0.0),
+        ];
+        let ways = self.progress.reals();
         let reals = ways.iter().chain(&found).chain(&self.last_action);
         reals.into_iter().all(|x| is_sound(*x)) && self.statistics.is_finite() && self.drawn.is_sound()
     }
@@ -373,11 +378,5 @@ impl Slot {
     /// Whether the agent's episode ended in a step after `since` and before the present one.
     pub(super) fn ended_earlier(&self, since: usize, elapsed_steps: usize) -> bool {
         self.ended_at.is_some_and(|at| since < at && at < elapsed_steps)
-    }
-
-    /// Share of the way to the goal, 0 to 1; 1 where the log stands still.
-    pub(crate) fn completion(&self) -> Real {
-        let way = self.goal_s_m - self.start_s_m;
-        if way < STATIONARY_M { 1.0 } else { ((self.best_s_m - self.start_s_m) / way).clamp(0.0, 1.0) }
     }
 }

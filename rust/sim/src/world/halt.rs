@@ -32,7 +32,8 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
 pub(super) fn halt(e: &mut Episode, scene: &PreparedScene, collisions: &mut Collisions, before: &[Pose2]) {
     collisions.find(&e.states, &scene.footprints, &scene.kinds);
     let pairs = collisions.pairs();
-    e.given_contacts.retain(|pair| pairs.contains(pair));
+    let gone = |a: u32| !e.states.active[a as usize];
+    e.given_contacts.retain(|pair| pairs.contains(pair) || gone(pair.0) || gone(pair.1));
     for (i, j) in pairs {
         let ends = [*i as usize, *j as usize];
         if e.given_contacts.contains(&(*i, *j)) || !ends.iter().any(|a| is_driven(e, *a)) {

@@ -262,7 +262,7 @@ impl VecWorld {
         Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.alive).collect())
     }
 
-    /// Route of a slot's agent, points about a metre apart, and the goal on it.
+    /// Route of a slot's agent, points about a metre apart, and the goal: the logged place at the end of the episode.
     ///
     /// # Errors
     /// As [`VecWorld::status`].
@@ -270,7 +270,7 @@ impl VecWorld {
         let world = self.begun(world_idx)?;
         Ok(world.episode.slots.get(slot_idx).and_then(|slot| {
             let path = &world.scene.routes[slot.agent_idx?].path;
-            Some((path.points().to_vec(), path.at(slot.goal_s_m).position))
+            Some((path.points().to_vec(), slot.progress.goal))
         }))
     }
 

@@ -7,6 +7,7 @@
 //! worlds of the batch.
 
 mod actions;
+mod arrival;
 mod assist;
 mod autoreset;
 mod buffers;
@@ -23,6 +24,7 @@ mod inspect;
 mod map_queries;
 mod motion;
 mod policies;
+mod progress;
 mod reward;
 mod reward_columns;
 mod rng;

@@ -2,9 +2,9 @@
 
 use crate::geom::Vector2;
 use crate::policy::{AgentMotion, Driver};
+use crate::world::arrival;
 use crate::world::config::TrafficCollision;
 use crate::world::halt;
-use crate::world::surroundings::place_is_free;
 use crate::world::tick::{Shared, World};
 
 impl World {
@@ -52,10 +52,12 @@ impl World {
         for (a, motion) in self.scratch.motions.drain(..) {
             let a = a as usize;
             let slot = self.scratch.slot_of[a].map(|c| &e.slots[c as usize]);
-            let log_ended = config.vanish_with_log && !self.scene.scene.is_valid(a, e.step_idx);
+            let log_ended = config.vanish_with_log && !self.scene.log.goes_on(a, e.step_idx);
             match (motion, slot) {
                 (_, Some(slot)) if slot.stopped => {}
-                (AgentMotion::Place(pose, velocity), Some(_)) => e.set_pose(a, pose, velocity, config.dt_s),
+                (AgentMotion::Place(pose, velocity), Some(_)) => {
+                    e.place(&self.scene, a, pose, velocity, config.dt_s)
+                }
                 // an agent with a slot waits where its policy has no more way for it
                 (AgentMotion::Leave, Some(_)) => {
                     let pose = e.states.pose(a);
@@ -66,7 +68,7 @@ impl World {
                     e.set_pose(a, pose, Vector2::zeros(), config.dt_s);
                 }
                 (AgentMotion::Place(pose, velocity), None) if !log_ended => {
-                    e.set_pose(a, pose, velocity, config.dt_s);
+                    e.place(&self.scene, a, pose, velocity, config.dt_s);
                 }
                 _ => e.states.active[a] = false,
             }
@@ -77,20 +79,11 @@ impl World {
         for a in 0..e.states.len() {
             let follows_route = e.drivers[a] != Driver::REPLAY || self.scratch.slot_of[a].is_some();
             if e.states.active[a] && follows_route {
-                let path = &self.scene.routes[a].path;
-                e.route_s_m[a] = path.project_near(e.states.position(a), e.route_s_m[a], 8.0).s_m;
+                let moved_m = e.states.velocity(a).norm() * config.dt_s;
+                e.route_s_m[a] = self.scene.routes[a].advance(e.states.position(a), e.route_s_m[a], moved_m);
             }
         }
-        if config.late_arrivals {
-            for a in 0..self.scene.scene.num_agents() {
-                if !e.entered[a]
-                    && self.scene.scene.is_valid(a, e.step_idx)
-                    && place_is_free(e, &self.scene, a)
-                {
-                    e.enter(&self.scene, a);
-                }
-            }
-        }
+        arrival::let_in(e, &self.scene, config);
         if let Some(history) = &mut e.history {
             history.push(&e.states);
         }

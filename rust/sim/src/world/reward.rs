@@ -4,7 +4,7 @@ use crate::events::Contact;
 use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
-use crate::world::episode::{STATIONARY_M, Slot};
+use crate::world::episode::Slot;
 use crate::world::reward_columns::{self, RewardForm, Step};
 
 /// Scale of accelerations in the discomfort, m/s².
@@ -26,6 +26,10 @@ pub(crate) struct StepFacts {
     pub(crate) contact: Option<Contact>,
     pub(crate) ttc_s: Real,
     pub(crate) log_distance_m: Real,
+    /// New progress.
+    pub(crate) progress_m: Real,
+    /// The goal is reached in this step.
+    pub(crate) reached: bool,
 }
 
 /// How uncomfortable a step is, 0 to 3, from acceleration and lateral acceleration (m/s²) and jerk (m/s³).
@@ -35,14 +39,13 @@ pub(crate) fn discomfort(acceleration: Real, lateral: Real, jerk: Real) -> Real 
         .min(MAX_DISCOMFORT)
 }
 
-/// Fills a slot's columns (all but the time limit) and returns the reward. `slot.best_s_m` holds the progress of
-/// this step already; `slot` learns accidents and the goal.
+/// Fills a slot's columns (all but the time limit) and returns the reward. `slot.progress` holds this step already;
+/// `slot` learns accidents.
 pub(crate) fn score(
     states: &AgentStates,
     agent_idx: usize,
     slot: &mut Slot,
     facts: &StepFacts,
-    progress_before_m: Real,
     config: &WorldConfig,
     columns: &mut [Real],
 ) -> Real {
@@ -50,20 +53,17 @@ pub(crate) fn score(
     let lateral = speed * states.yaw_rate_radps[agent_idx];
     let jerk = (acceleration - slot.acceleration_mps2) / config.dt_s;
     slot.acceleration_mps2 = acceleration;
-    let standing = slot.goal_s_m - slot.start_s_m < STATIONARY_M;
-    let reached = !standing && !slot.goal_reached && slot.best_s_m >= slot.goal_s_m;
     slot.ever_collided |= facts.contact.is_some();
     slot.ever_off_road |= slot.off_road;
-    slot.goal_reached |= reached;
     let mut step = Step {
         contact: facts.contact,
         contact_counts: facts.contact.is_some(),
         worth: 1.0,
         soft: 1.0,
-        progress_m: slot.best_s_m - progress_before_m,
-        travelled_m: slot.best_s_m - slot.start_s_m,
-        completion: slot.completion(),
-        reached,
+        progress_m: facts.progress_m,
+        travelled_m: slot.progress.travelled_m(),
+        completion: slot.progress.completion(),
+        reached: facts.reached,
         off_road: slot.off_road,
         off_road_centroid: slot.off_road_centroid,
         wrong_way: slot.wrong_way,
@@ -93,7 +93,9 @@ pub(crate) fn score(
     reward_columns::fill(&step, &config.reward, &slot.drawn.style, columns)
 }
 
-/// Whether an episode that ends now was a success.
-pub(crate) fn is_success(slot: &Slot, config: &WorldConfig) -> bool {
-    !slot.ever_collided && !slot.ever_off_road && slot.completion() >= config.success_completion
+/// Whether an episode that ends now, at a place along the route, was a success.
+pub(crate) fn is_success(slot: &Slot, route_s_m: Real, config: &WorldConfig) -> bool {
+    let arrives =
+        slot.progress.completion() >= config.success_completion && !slot.progress.has_missed(route_s_m);
+    !slot.ever_collided && !slot.ever_off_road && arrives
 }

@@ -62,7 +62,7 @@ impl World {
                 heading_error_rad: slot.route_heading_error_rad,
                 off_road: slot.off_road,
                 collided: slot.in_contact,
-                route_remaining_m: (slot.goal_s_m - e.route_s_m[a]).max(0.0),
+                route_remaining_m: slot.progress.remaining_m(e.route_s_m[a]),
                 time_remaining: 1.0 - e.elapsed_steps as Real / config.horizon_steps as Real,
             };
             let view = View {

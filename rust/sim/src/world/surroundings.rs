@@ -1,8 +1,7 @@
 //! Where an agent is: beside others, its route, lanes, the road, its log.
 
 use crate::events::{lane_facts, off_road};
-use crate::geom::{Point2, Real, math};
-use crate::scene::AgentKind;
+use crate::geom::{Real, math};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
@@ -10,24 +9,6 @@ use crate::world::episode::{Episode, Slot};
 
 /// Lanes farther than this say nothing about an agent, metres.
 const LANE_REACH_M: Real = 5.0;
-
-/// Whether an agent could stand at its logged state of the present step.
-pub(crate) fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
-    let Some((pose, _)) = scene.log.at(a, e.step_idx) else { return false };
-    let (own, p) = (scene.footprints[a].at(&pose), pose.position);
-    let still = scene.kinds[a] == AgentKind::Static;
-    (0..e.states.len()).all(|j| {
-        !e.states.active[j]
-            || (still && scene.kinds[j] == AgentKind::Static)
-            || !near(e.states.position(j), p, scene.footprints[j].radius_m + scene.footprints[a].radius_m)
-            || !own.overlaps(&e.states.oriented_box(j, &scene.footprints[j]))
-    })
-}
-
-#[inline]
-fn near(a: Point2, b: Point2, distance_m: Real) -> bool {
-    (a - b).norm_squared() <= distance_m * distance_m
-}
 
 /// Where an agent is beside its route and lanes.
 pub(crate) struct OnRoute {

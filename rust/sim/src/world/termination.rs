@@ -31,11 +31,12 @@ impl Outcome {
         Self { ends, stands, leaves }
     }
 
-    /// What follows all events of a step. Who reaches its goal without an accident leaves.
+    /// What follows all events of a step. Who reaches its goal without an accident leaves, where episodes end there.
     fn of(collided: bool, off_road: bool, reached: bool, config: &WorldConfig) -> Self {
         let at_goal = if config.terminate_at_goal { Consequence::Terminate } else { Consequence::Ignore };
         let events = [(collided, config.on_collision), (off_road, config.on_off_road), (reached, at_goal)];
-        let none = Self { ends: false, stands: false, leaves: reached && !collided && !off_road };
+        let leaves = reached && config.terminate_at_goal && !collided && !off_road;
+        let none = Self { ends: false, stands: false, leaves };
         let happened = events.into_iter().filter(|(happened, _)| *happened);
         happened.map(|(_, consequence)| Self::after(consequence)).fold(none, |all, one| Self {
             ends: all.ends || one.ends,
@@ -58,26 +59,26 @@ impl World {
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
             let contact = self.scratch.contacts[c];
-            let facts = StepFacts {
-                contact: contact.filter(|_| !e.slots[c].in_contact),
-                ttc_s: self.scratch.least_times.of(a),
-                log_distance_m: log_distance(e, &self.scene, a),
-            };
+            let (log_distance_m, s_m) = (log_distance(e, &self.scene, a), e.route_s_m[a]);
             let slot = &mut e.slots[c];
+            let had_reached = slot.progress.reached;
+            let route = &self.scene.routes[a].path;
+            let facts = StepFacts {
+                contact: contact.filter(|_| !slot.in_contact),
+                ttc_s: self.scratch.least_times.of(a),
+                log_distance_m,
+                progress_m: slot.progress.advance(&e.states, a, route, s_m, config.dt_s),
+                reached: slot.progress.reached && !had_reached,
+            };
             slot.in_contact = contact.is_some();
-            let before_m = slot.best_s_m;
-            slot.best_s_m = before_m.max(e.route_s_m[a].min(slot.goal_s_m));
-            let had_reached = slot.goal_reached;
-            let reward = reward::score(&e.states, a, slot, &facts, before_m, config, columns);
-            let collided = facts.contact.is_some();
-            let reached = slot.goal_reached && !had_reached;
-            let outcome = Outcome::of(collided, slot.off_road, reached, config);
+            let reward = reward::score(&e.states, a, slot, &facts, config, columns);
+            let outcome = Outcome::of(facts.contact.is_some(), slot.off_road, facts.reached, config);
             out.terminated[c] = outcome.ends;
             out.truncated[c] = at_end && !outcome.ends;
             columns[Col::TimeLimit as usize] = f32::from(out.truncated[c]);
             slot.stopped |= outcome.stands;
             let ended = out.terminated[c] || out.truncated[c];
-            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot, config));
+            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot, s_m, config));
             slot.statistics.add(reward, columns);
             out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {
@@ -126,6 +127,6 @@ mod tests {
         assert_eq!(of(true, false, false, &gone), (false, false, false));
         assert_eq!(of(true, true, false, &gone), (true, true, true));
         let open = WorldConfig { terminate_at_goal: false, ..gone };
-        assert_eq!(of(false, false, true, &open), (false, false, true));
+        assert_eq!(of(false, false, true, &open), (false, false, false));
     }
 }

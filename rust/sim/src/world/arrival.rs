@@ -1,0 +1,64 @@
+//! Who comes into a world after its start: late arrivals, and agents that the log has again after a gap.
+//!
+//! An agent that follows its log is there whenever the log has it, also where its logged place overlaps others' there:
+//! such contacts are the log's. It waits only where its body would appear in somebody who is not where the log has it,
+//! which nobody could have foreseen: a driven ego, driven traffic, who was stopped by a contact. Who was lost from the log
+//! for a moment waits for nobody. Agents that others drive enter once, by the same rule.
+
+use crate::geom::Real;
+use crate::policy::Driver;
+use crate::scene::AgentKind;
+use crate::stage::PreparedScene;
+use crate::world::config::WorldConfig;
+use crate::world::episode::Episode;
+
+/// Who is lost from the log for this time has not been away: loaders fill gaps of up to as long. Seconds.
+const LOST_S: Real = 2.0;
+/// Agents nearer to their logged place are at it, metres.
+const AT_LOG_M: Real = 0.01;
+
+/// Lets those in whom the log has at the present step and who may come. Contacts in which an agent appears are given.
+pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfig) {
+    for a in 0..e.states.len() {
+        if e.states.active[a] || !scene.scene.is_valid(a, e.step_idx) {
+            continue;
+        }
+        let comes_back = e.drivers[a] == Driver::REPLAY && !e.halted[a] && !e.has_slot(a);
+        if e.entered[a]
+            && comes_back
+            && scene.log.has_again(a, e.step_idx, (LOST_S / config.dt_s).round() as usize)
+        {
+            e.enter(scene, a, config.dt_s);
+        } else if if e.entered[a] { comes_back } else { config.late_arrivals } && place_is_free(e, scene, a) {
+            e.enter(scene, a, config.dt_s);
+            for j in (0..e.states.len()).filter(|j| *j != a) {
+                if e.states.active[j] && overlaps(e, scene, a, j) {
+                    e.given_contacts.push((a.min(j) as u32, a.max(j) as u32));
+                    for (slot, other) in [(a, j), (j, a)] {
+                        if e.has_slot(slot) {
+                            e.initial_contacts.push((slot as u32, other as u32));
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Whether the box of an agent at its logged place overlaps that of another one where it is.
+fn overlaps(e: &Episode, scene: &PreparedScene, a: usize, j: usize) -> bool {
+    let Some((pose, _)) = scene.log.at(a, e.step_idx) else { return false };
+    let reach_m = scene.footprints[j].radius_m + scene.footprints[a].radius_m;
+    (e.states.position(j) - pose.position).norm_squared() <= reach_m * reach_m
+        && scene.footprints[a].at(&pose).overlaps(&e.states.oriented_box(j, &scene.footprints[j]))
+}
+
+/// Whether nobody is at the logged place of an agent who is not there by the log.
+fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
+    let by_log = |j: usize| {
+        let logged = scene.log.position(j, e.step_idx);
+        scene.kinds[j] == AgentKind::Static
+            || logged.is_some_and(|p| (e.states.position(j) - p).norm() <= AT_LOG_M)
+    };
+    (0..e.states.len()).all(|j| !e.states.active[j] || !overlaps(e, scene, a, j) || by_log(j))
+}

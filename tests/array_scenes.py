@@ -1,0 +1,58 @@
+"""Scenes of a few agents on a wide straight road, from arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdiff_env import Scene
+
+DT_S = 0.1
+STEPS = 160
+TIMES_S = np.arange(STEPS) * DT_S
+
+
+def agent(ident, x, y=0.0, **more):
+    """An agent at x, y (m), numbers or one per step; also `heading`, `valid`, `size`, `kind`."""
+    return {"id": ident, "x": x, "y": y, **more}
+
+
+def wide_road():
+    """Layers of a map with a drivable area alone."""
+    ring = np.array([[-300, -100], [600, -100], [600, 100], [-300, 100]], np.float32)
+    names = ("ped_crossings", "walkways", "stop_lines", "carpark_areas", "road_dividers")
+    empty = {name: [] for name in (*names, "lane_dividers", "lanes")}
+    return {"drivable_area": [{"exterior": ring, "holes": []}], **empty}
+
+
+def array_scene(*agents, name="own", dt_s=DT_S):
+    """A scene of such agents; velocities are differences of the positions."""
+    steps = max(np.size(a["x"]) for a in agents)
+
+    def rows(key, default):
+        return np.stack([np.broadcast_to(np.asarray(a.get(key, default)), steps) for a in agents])
+
+    x, y = rows("x", 0.0).astype(float), rows("y", 0.0).astype(float)
+    position = np.stack([x, y], -1)
+    return Scene.from_arrays(
+        name,
+        agent_ids=[a["id"] for a in agents],
+        agent_types=[a.get("kind", "vehicle") for a in agents],
+        sizes=np.array([a.get("size", (4.5, 2.0, 1.6)) for a in agents], np.float32),
+        position=position.astype(np.float32),
+        heading=rows("heading", 0.0).astype(np.float32),
+        velocity=np.gradient(position, dt_s, axis=1).astype(np.float32),
+        valid=rows("valid", True).astype(bool),
+        dt=dt_s,
+        map_layers=wide_road(),
+    )
+
+
+def played(env, action=None, **reset):
+    """Play an episode; yield step of the log, states and info after each step."""
+    env.reset(seed=0, **reset)
+    native, done = env.worlds.native, False
+    while not done:
+        act = np.zeros(env.action_space.shape, np.float32) if action is None else action
+        _, reward, terminated, truncated, info = env.step(act)
+        done = terminated or truncated
+        yield native.status(0).step_idx, native.states(0), {**info, "reward": reward}
