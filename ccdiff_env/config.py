@@ -12,7 +12,7 @@ import json
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
@@ -107,9 +107,8 @@ class WorldConfig(WorldOptions):
             if name == "external" or (kind and (kind.always or name != policy.kind)):
                 raise ConfigError(f"config: policies: {name!r} is a driver already")
         known = driver_names(own)
-        shares = (self.traffic,) if isinstance(self.traffic, str) else tuple(self.traffic)
         for what, names, also in (
-            ("traffic", shares, ()),
+            ("traffic", self._shares(), ()),
             ("driver", (self.driver,), ("external",)),
             ("driver", tuple(self.drivers.values()), ("external",)),
         ):
@@ -182,10 +181,32 @@ class WorldConfig(WorldOptions):
             or any(n.background_driver == "idm" or n.plan_radius_m is not None for n in networks)
         )
 
+    def guided_traffic(self, what: str) -> tuple[CcdiffConfig, ...]:
+        """Return the options of the networks that drive others than the agents with a slot.
+
+        Raises
+        ------
+        ConfigError
+            If there are none: nobody can be guided; ``what`` was to guide them.
+        """
+        names = [*self._shares(), *self.drivers.values()]
+        own = {name: policy.options for name, policy in self.policies.items()}
+        networks = dict.fromkeys(NETWORKS, self.ccdiff)
+        options = [own.get(name, networks.get(name)) for name in names]
+        found = tuple(one for one in options if isinstance(one, CcdiffConfig))
+        if not found:
+            raise ConfigError(
+                f"{what}: traffic is {self.traffic!r}, expected one that can be guided: "
+                f"{', '.join(NETWORKS)}"
+            )
+        return found
+
+    def _shares(self) -> Iterable[str]:
+        return (self.traffic,) if isinstance(self.traffic, str) else self.traffic
+
     def _driving(self) -> set[str]:
         """Names of drivers by which somebody drives from the start."""
-        shares = [self.traffic] if isinstance(self.traffic, str) else self.traffic
-        return {*shares, self.driver, *self.drivers.values()}
+        return {*self._shares(), self.driver, *self.drivers.values()}
 
     def with_criticality(self, criticality: float) -> WorldConfig:
         """Return the configuration with one criticality for all networks."""

@@ -113,6 +113,8 @@ def test_mistakes_are_named(scenes):
         None,
         float("nan"),
         lambda p: (0.0, float("inf")),
+        50.0,
+        (0.0, 1e30),
     ):
         with pytest.raises(ConfigError):
             Curriculum(bad)

@@ -318,3 +318,27 @@ def test_mistakes_are_named(scenes):
     with pytest.raises(errors.UnknownNameError):
         env.step({**good, "nobody": np.zeros(2)})
     assert env.worlds.native.digest(0) == digest
+
+
+def test_more_agents_than_there_are_are_refused_with_the_range(scenes):
+    """By the vehicles that a scene has at a time, counted here by hand."""
+    most = 0
+    for scene in scenes:
+        vehicles = [i for i, kind in enumerate(scene.agent_types) if kind == "vehicle"]
+        most = max(most, *scene.tracks()["valid"][vehicles].sum(0))
+    for options, named in (
+        ({"agents": 99}, f"agents is 99, expected 1 to {most}"),
+        ({"agents": 600}, f"agents is 600, expected 1 to {most}"),
+        ({"agents": int(most) + 1}, f"agents is {most + 1}, expected 1 to {most}"),
+        ({"agents": 4, "adversaries": 9}, "adversaries is 9, expected 1 to 3"),
+        ({"agents": 4, "adversaries": 4}, "adversaries is 4, expected 1 to 3"),
+        ({"agents": ["ego", "nobody"]}, "no scene has an agent 'nobody'"),
+        ({"agents": 4, "adversaries": ["nobody"]}, "no scene has an agent 'nobody'"),
+    ):
+        for make in (parallel_env, aec_env, ccdiff_env.AgentVectorEnv):
+            with pytest.raises(ConfigError, match=named):
+                make(scenes=scenes, **options)
+    game = parallel_env(scenes=scenes, agents=4, adversaries=3)
+    game.reset(seed=0)
+    assert sum(game.role(name) == "adversary" for name in game.agents) == 3
+    assert parallel_env(scenes=scenes, agents=int(most)).worlds.num_slots <= most

@@ -134,6 +134,19 @@ class Ahead:
         return np.stack(found)
 
 
+class AheadOfItself(Ahead):
+    """The same in its own frame."""
+
+    frame = "ego"
+
+    def __call__(self, obs):
+        found = np.zeros((self.native.num_worlds, 8, 3))
+        for i in range(self.native.num_worlds):
+            speed = self.native.states(i)["speed"][self.native.slot_agents(i)[0]]
+            found[i, :, 0] = 0.1 * np.arange(1, 9) * speed
+        return found
+
+
 class Follows(Ahead):
     def __call__(self, obs):
         return self.tracker(super().__call__(obs))
@@ -143,6 +156,9 @@ def test_trajectories_are_followed_and_their_actions_kept(scenes):
     rows, rollouts = drive(scenes, Ahead, REPLAY, record=scenes.names)
     assert rows == drive(scenes, Follows, REPLAY)[0]
     assert rows == drive(scenes, Recorded(rows), REPLAY)[0]
+    own = drive(scenes, AheadOfItself, REPLAY, record=scenes.names)[1]
+    for name, rollout in rollouts.items():
+        np.testing.assert_allclose(own[name].position, rollout.position, atol=1e-2)
     for rollout in rollouts.values():
         heading = rollout.heading[rollout.agent_ids.index("ego")][-rollout.num_steps :]
         assert np.abs(np.diff(heading)).max() < 1e-3
@@ -162,7 +178,7 @@ def test_pages_and_adversaries_take_every_planner(scenes, name):
     assert ":" in name or f'value="{name}"' in page.page({})
     assert len(page.replay({"traffic": "idm", "driver": name})) > 50_000
     if name != "arbiter":  # forks of worlds that others act on
-        env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=name, traffic="idm")
+        env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=name)
         env.reset(seed=0)
         assert env.step(env.action_space.sample())[4] is not None
 
@@ -293,7 +309,7 @@ def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
     trained(scenes, dynamics="bicycle").save(tmp_path / "ego.zip")
     with pytest.raises(ConfigError, match=r'dynamics = "bicycle", the worlds have "unicycle"'):
         drive(scenes, str(tmp_path / "ego.zip"), REPLAY, options={"dynamics": "unicycle"})
-    chosen = {"scenes": scenes, "ego": tmp_path / "ego.zip", "traffic": "idm"}
+    chosen = {"scenes": scenes, "ego": tmp_path / "ego.zip"}
     env = ccdiff_env.AdversarySelectionEnv(**chosen, dynamics="unicycle")
     with pytest.raises(ConfigError, match="bicycle"):
         env.reset(seed=0)

@@ -6,7 +6,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
-from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.policies import SHIPPED
 from ccdiff_env.policies.planners import Seat, ego_driver
 from ccdiff_env.policies.planning import (
@@ -301,3 +301,43 @@ def test_queries_of_places_work_with_what_a_planner_is_given(val):
     seat(out.obs[:, 0])
     assert seen[0] > 1.0
     assert seen[1] < 1.0
+
+
+def test_a_trajectory_that_begins_elsewhere_names_its_world_and_the_frames(val):
+    scenes = val[:4]
+    worlds, out = begun(scenes)
+    ids = [worlds.native.slot_agents(i)[0] for i in range(4)]
+    places = [worlds.native.states(i)["position"][agent] for i, agent in enumerate(ids)]
+
+    def seat(poses, **attributes):
+        def plan(obs):
+            return np.asarray(poses, np.float64)
+
+        vars(plan).update(attributes)
+        made = Seat(plan, "mine")
+        made.begin(worlds)
+        return made
+
+    here = np.column_stack([places, np.zeros(4)])[:, None]
+    for away, fine in ((20.0, False), (2.0, True)):
+        moved = np.add(here, [away, 0.0, 0.0])
+        at = np.add(np.zeros((4, 1, 3)), [away, 0.0, 0.0])
+        for made in (seat(moved), seat(moved, frame="scene"), seat(at, frame="ego")):
+            if fine:
+                assert made(out.obs[:, 0]).shape == (4, 2)
+                continue
+            with pytest.raises(
+                ActionError, match=r"mine .*world 0 \(\S+, step 0\): .* 20\.0 m from"
+            ):
+                made(out.obs[:, 0])
+    # of its own frame, which it does not say
+    far = np.array([np.hypot(*place) > 20.0 for place in places])
+    assert far.any()
+    silent = seat(np.zeros((4, 1, 3)))
+    with pytest.raises(
+        ActionError, match=r"'scene'; expected at most .* \(the default\) or \"ego\""
+    ):
+        silent(out.obs[:, 0])
+    silent(out.obs[:, 0], ~far)  # those that do not go on mean nothing
+    with pytest.raises(ConfigError, match="frame is 'world', expected 'scene' or 'ego'"):
+        seat(here, frame="world")

@@ -107,7 +107,7 @@ def test_rows_and_step_metrics_are_those_of_numpy(scenes):
 
 
 def test_agents_that_are_not_there_are_refused(scenes):
-    env = AdversarySelectionEnv(scenes=scenes[:1], traffic="idm", horizon_steps=20)
+    env = AdversarySelectionEnv(scenes=scenes[:1], horizon_steps=20)
     env.reset(seed=0)
     native = env.worlds.native
     # nothing has happened since the reset

@@ -83,7 +83,7 @@ def batch(
     worlds = begin(scenes, config, seed)
     driver, rng = Driver(worlds), np.random.default_rng(seed)
     tracker = Tracker(worlds, REACH_S)
-    follow = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True)
+    follow = Tracker(worlds, REACH_S, pose_s=POSE_S, frame="ego")
     is_open = len(agent.log_std) > 2
     itself = rng.random(worlds.num_worlds) < own
     seen: list[npt.NDArray[np.float32]] = []

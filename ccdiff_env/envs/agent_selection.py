@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -58,7 +58,7 @@ class AgentSelection:
             Step of the log at which episodes start.
         agents
             ``"all"`` vehicles that are there at the start, the ego and the first K - 1 others of
-            the ranking, or ids.
+            the ranking, or ids. K is at most the vehicles that any scene ever has at a time.
         ranking
             How the others are ranked.
         adversaries
@@ -67,10 +67,15 @@ class AgentSelection:
         Raises
         ------
         ConfigError
-            If a choice does not exist, or leaves a scene without anybody.
+            If a choice does not exist or is more than there are, or leaves a scene without anybody.
         """
         ranking = ranking_named(ranking)
         count = _count("agents", agents, "all")
+        if count is not None:
+            _expect_most("agents", count, min(_most_vehicles(scenes), MAX_SLOTS))
+        elif agents != "all":
+            _expect_known("agents", agents, {one for scene in scenes for one in scene.agent_ids})
+            _expect_most("agents", len(agents), MAX_SLOTS)
         ids = []
         for scene in scenes:
             if count is None and agents != "all":
@@ -81,6 +86,11 @@ class AgentSelection:
             if not chosen:
                 raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
             ids.append(tuple(chosen[:MAX_SLOTS]))
+        against = None if adversaries is None else _count("adversaries", adversaries, "others")
+        if against is not None:
+            _expect_most("adversaries", against, max(len(chosen) for chosen in ids) - 1)
+        elif adversaries is not None and adversaries != "others":
+            _expect_known("adversaries", adversaries, {one for chosen in ids for one in chosen})
         return cls(tuple(ids), tuple(_adversaries(adversaries, chosen) for chosen in ids))
 
     @property
@@ -139,6 +149,26 @@ def _count(name: str, choice: Any, word: str) -> int | None:
     if not isinstance(choice, (str, Sequence)):
         raise ConfigError(f"{name} is {choice!r}, expected {word!r}, a number or ids")
     return None
+
+
+def _most_vehicles(scenes: SceneSet) -> int:
+    """Return the most vehicles that any scene has at a step."""
+    found = 0
+    for scene in scenes:
+        vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], np.bool_)
+        found = max(found, int(scene.tracks()["valid"][vehicles].sum(0).max(initial=0)))
+    return found
+
+
+def _expect_most(name: str, count: int, most: int) -> None:
+    if count > most:
+        raise ConfigError(f"{name} is {count}, expected 1 to {most}: no scene has more")
+
+
+def _expect_known(name: str, choice: Any, known: Collection[str]) -> None:
+    for one in choice:
+        if one not in known:
+            raise ConfigError(f"{name}: no scene has an agent {one!r} to choose")
 
 
 def _adversaries(choice: Adversaries, ids: tuple[str, ...]) -> frozenset[str]:

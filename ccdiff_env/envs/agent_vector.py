@@ -11,11 +11,12 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.as_vector import AsVector, with_masks
 from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
 from ccdiff_env.envs.key_agents import KeyRanking
+from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import (
@@ -66,6 +67,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
     """
 
+    reset_option_names = AGENT_OPTIONS
     metadata = {  # noqa: RUF012 (Gymnasium's form)
         "render_modes": ["rgb_array"],
         "render_fps": FPS,
@@ -125,7 +127,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._action_shape = (self.num_envs, *(self.single_action_space.shape or ()))
+        self._action_shape = (self.num_envs, *self.worlds.action_shape)
         self._selection = selection
         self._info = info
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
@@ -148,7 +150,9 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         seed
             Any integer n (world i gets n + i), or one per world or row (then that of its first).
         options
-            ``scene``: name or index, or one per world or row.
+            ``scene``: name or index; ``drivers``: drivers of single vehicles by id, for these
+            episodes. Each is one for all (drivers then of those vehicles that a world's scene
+            has), or a list of one per world or row; rows of one world must agree.
 
         Returns
         -------
@@ -156,13 +160,15 @@ class AgentVectorEnv(FollowsTraining, AsVector):
             Observations [E x C, ...]; ``active``, ``agent_id``, ``role``, ``scene``,
             ``scene_token``, ``seed``, ``episode_idx``.
         """
-        for name in options or {}:
-            if name != "scene":
-                raise unknown("reset option", str(name), ("scene",))
-        listed = self._per_world("scene", (options or {}).get("scene"))
-        scenes = [self.worlds.scene_index(one) for one in listed]
+        given = reset_options(options, AGENT_OPTIONS)
+        named, drivers = (self._per_world(name, given.get(name)) for name in AGENT_OPTIONS)
+        scenes = [self.worlds.scene_index(one) for one in named]
+        drivers = [self.worlds.agent_drivers(one) for one in drivers]
         out = self.worlds.arrays()
         self.worlds.native.reset(self._seeds(seed), scenes, None, out)
+        for_all = isinstance(given.get("drivers"), Mapping)
+        for world_idx, one in enumerate(drivers):
+            self.worlds.assign(world_idx, one, passing_over=for_all)
         self._active = out.alive.copy()
         infos: Info = {}
         self._begin(infos, np.ones(self.num_worlds, np.bool_))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ __all__ = ["AsVector"]
 class AsVector(VectorEnv[Any, Any, Any]):
     """Besides: ``call``, ``get_attr``, ``set_attr``, as ``SyncVectorEnv`` has them."""
 
+    #: Options that a reset takes for all worlds, or for each.
+    reset_option_names: ClassVar[tuple[str, ...]]
     worlds: Worlds
     _render_options: dict[str, Any]
     _seeded = False
@@ -75,17 +77,34 @@ class AsVector(VectorEnv[Any, Any, Any]):
         """Do nothing: the worlds go with the environment."""
 
     def _per_world(self, name: str, value: Any) -> list[Any]:
-        """Return what a reset is given, world by world: one for all, or one per world or row."""
+        """Return what a reset is given, world by world: one for all, or one per world or row.
+
+        Raises
+        ------
+        ConfigError
+            If there are more or fewer, or rows of one world are given different ones.
+        """
+        found = []
+        for rows in self._rows(name, value):
+            said = [one for one in rows if one is not None]
+            if any(one != said[0] for one in said):
+                raise ConfigError(f"{name} is {rows} in the rows of one world, expected the same")
+            found.append(said[0] if said else None)
+        return found
+
+    def _rows(self, name: str, value: Any) -> list[list[Any]]:
+        """Return what the rows of each world are given."""
         num_worlds, num_envs = self.worlds.num_worlds, self.num_envs
         if not isinstance(value, (list, tuple, np.ndarray)) or not np.ndim(value):
-            return [value] * num_worlds
+            return [[value]] * num_worlds
         listed = list(value)
         if len(listed) not in (num_worlds, num_envs):
             known = (
                 f"num_worlds={num_worlds} or " * (num_worlds < num_envs) + f"num_envs={num_envs}"
             )
             raise ConfigError(f"{name} has {len(listed)} entries, expected {known}")
-        return listed[:: len(listed) // num_worlds]
+        size = len(listed) // num_worlds
+        return [listed[i : i + size] for i in range(0, len(listed), size)]
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return seeds of the worlds; ``None`` goes on with a world's generator."""
@@ -94,8 +113,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
         if not self._seeded:
             seeds = [int(n) for n in self.np_random.integers(2**63, size=num_worlds)]
         if isinstance(seed, (list, tuple, np.ndarray)):
-            pairs = zip(self._per_world("seed", seed), seeds, strict=True)
-            seeds = [fresh if one is None else normalize_seed(one) for one, fresh in pairs]
+            pairs = zip(self._rows("seed", seed), seeds, strict=True)
+            seeds = [fresh if one is None else normalize_seed(one) for (one, *_), fresh in pairs]
         elif seed is not None:
             super().reset(seed=normalize_seed(seed))
             first = operator.index(cast("int", seed))

@@ -16,6 +16,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection, Names
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
 from ccdiff_env.envs.key_agents import KeyRanking
+from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.worlds import (
@@ -210,15 +211,16 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             Any integer; ``None`` goes on with the world's generator.
         options
             ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles by id,
-            for this episode. Other options are ignored, as PettingZoo asks.
+            for this episode. ``options`` is ignored: PettingZoo's own tests give it.
 
         Returns
         -------
         observations, infos
             Of all agents of the episode; infos hold scene, token, seed, the agent's id and role.
         """
-        drivers = self.worlds.agent_drivers((options or {}).get("drivers", {}))
-        scene_idx = self.worlds.scene_index((options or {}).get("scene"))
+        given = reset_options(options, (*AGENT_OPTIONS, "options"))
+        scene_idx = self.worlds.scene_index(given.get("scene"))
+        drivers = self.worlds.agent_drivers(given.get("drivers"))
         normalized = None if seed is None else normalize_seed(seed)
         if normalized is None and not self._seeded:
             normalized = int(np.random.default_rng().integers(2**63))
@@ -303,7 +305,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
     def _actions(self, actions: Mapping[str, Any]) -> F32:
         width = self.worlds.native.action_width
-        rows = np.zeros((self.worlds.num_slots, *(self.worlds.action_space.shape or ())))
+        rows = np.zeros((self.worlds.num_slots, *self.worlds.action_shape))
         for name in actions:
             self._known(name)
         for name in self.agents:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
+from ccdiff_env.envs.reset_options import reset_options
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError, MissingFeatureError
@@ -93,16 +95,27 @@ class SB3VecEnv(VecEnv):
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        # VecNormalize changes spaces of rasters in place: those of the worlds stay what they are
+        spaces = copy.deepcopy((env.single_observation_space, env.single_action_space))
+        super().__init__(env.num_envs, *spaces)
 
     def reset(self) -> Any:
-        """Reset all worlds, with the seeds and options of :meth:`seed` and ``set_options``."""
+        """Reset all worlds, with the seeds and options of :meth:`seed` and ``set_options``.
+
+        Options are those of the worlds' own ``reset``, one dictionary for all or one per row.
+
+        Raises
+        ------
+        ConfigError
+            For an option that the worlds do not take, or another number of dictionaries.
+        """
         seeds = [None if s is None else int(s) for s in self._seeds]
-        options: dict[str, Any] = {}
-        scenes = [o.get("scene") if isinstance(o, dict) else None for o in self._options]
-        if any(s is not None for s in scenes):
-            options["scene"] = scenes
-        obs, infos = self.env.reset(seed=seeds, options=options or None)
+        if len(self._options) != self.num_envs:
+            raise ConfigError(f"{len(self._options)} options, expected {self.num_envs}")
+        rows = [reset_options(one, self.env.unwrapped.reset_option_names) for one in self._options]
+        names = dict.fromkeys(name for one in rows for name in one)
+        options = {name: [one.get(name) for one in rows] for name in names}
+        obs, infos = self.env.reset(seed=seeds, options=options)
         self.reset_infos = [self._info_of(infos, i) for i in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()

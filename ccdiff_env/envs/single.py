@@ -10,9 +10,10 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
-from ccdiff_env.envs.vector import RESET_OPTIONS, InfoLevel, check_choices, check_ego
+from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
+from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.policies.planners import seated
 from ccdiff_env.record.certificate import Certificate
@@ -170,14 +171,11 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``, and where they
             are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
-        options = options or {}
-        for name in options:
-            if name not in RESET_OPTIONS:
-                raise unknown("reset option", str(name), RESET_OPTIONS)
-        drivers = self.worlds.agent_drivers(options.get("drivers", {}))
-        scene_idx = self.worlds.scene_index(options.get("scene"))
-        rest = [options.get(name) for name in ("ego", "start", "style")]
+        given = reset_options(options, EGO_OPTIONS)
+        scene, *rest, drivers = (given.get(name) for name in EGO_OPTIONS)
+        scene_idx = self.worlds.scene_index(scene)
         wanted = self.worlds.wanted(scene_idx, *rest)
+        assigned = self.worlds.agent_drivers(drivers)
         normalized = None if seed is None else normalize_seed(seed)
         super().reset(seed=normalized)
         if normalized is None and not self._seeded:
@@ -185,9 +183,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         self._seeded = self._begun = True
         out = self.worlds.arrays()
         self.worlds.native.reset([normalized], [scene_idx], None, out, [wanted])
-        self.worlds.assign(0, drivers)
         if self._seat is not None:
             self._seat.reset([0])
+        self.worlds.assign(0, assigned)
         self._actions = []
         if self.render_mode == "human":
             self.render()
@@ -215,7 +213,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         """
         if self._seat is not None and self._begun:
             action = self._seat.decide(self.worlds)[0]
-        checked = self.worlds.actions(action, self.action_space.shape or ())
+        checked = self.worlds.actions(action, self.worlds.action_shape)
         out = self.worlds.arrays()
         self.worlds.native.step(checked, out)
         if self._actions is not None:
@@ -246,7 +244,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def expert_action(self) -> Any:
         """Return the action that leads from here towards the ego's next logged state."""
         action: F32 = self.worlds.native.expert_actions(0)[0]
-        if isinstance(self.action_space, gymnasium.spaces.Discrete):
+        if self.worlds.discrete:
             return np.int64(action[0])
         return action
 

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.as_vector import AsVector, with_masks
 from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
+from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.policies.planners import seated
 from ccdiff_env.traffic import TrafficPlan
@@ -39,9 +40,6 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 InfoLevel = Literal["full", "end", "none"]
-
-#: What resets of one ego per world take.
-RESET_OPTIONS = ("scene", "ego", "start", "style", "drivers")
 
 _AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",
@@ -129,6 +127,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     drawn.
     """
 
+    reset_option_names = EGO_OPTIONS
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -175,8 +174,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        shape = self.single_action_space.shape
-        self._action_shape = (num_envs, *(shape or ()))
+        self._action_shape = (num_envs, *self.worlds.action_shape)
         self._info = info
         self._copy = copy
         self._kept = self._arrays_for(mode)
@@ -221,10 +219,11 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with their
             generators).
         options
-            ``scene``: name or index, or one per world; with ``ego="any"`` besides ``ego``: id, and
-            ``start``: step of the log; ``style``: factors of weights of the reward;
-            ``reset_mask``: worlds [E] to reset; ``drivers``: drivers of single vehicles by id, for
-            these episodes, of those vehicles that a world's scene has.
+            ``scene``: name or index; with ``ego="any"`` besides ``ego``: id, and ``start``: step
+            of the log; ``style``: factors of weights of the reward; ``drivers``: drivers of single
+            vehicles by id, for these episodes. Each is one for all worlds (drivers then of those
+            vehicles that a world's scene has), or a list of one per world, ``None`` for no choice.
+            ``reset_mask``: worlds [E] to reset.
 
         Returns
         -------
@@ -234,33 +233,27 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were reset;
             where they are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
-        options = options or {}
-        for name in options:
-            if name not in (*RESET_OPTIONS, "reset_mask"):
-                raise unknown("reset option", str(name), (*RESET_OPTIONS, "reset_mask"))
-        drivers = self.worlds.agent_drivers(options.get("drivers", {}))
-        seeds = self._seeds(seed)
-        asked = ("scene", "ego", "start", "style")
-        named, *rest = (self._per_world(name, options.get(name)) for name in asked)
+        given = reset_options(options, (*EGO_OPTIONS, "reset_mask"))
+        named, *rest, drivers = (self._per_world(name, given.get(name)) for name in EGO_OPTIONS)
         scenes = [self.worlds.scene_index(one) for one in named]
         wanted = [self.worlds.wanted(*one) for one in zip(scenes, *rest, strict=True)]
-        mask = options.get("reset_mask")
+        drivers = [self.worlds.agent_drivers(one) for one in drivers]
+        mask = given.get("reset_mask")
         mask = None if mask is None else self._reset_mask(mask)
+        seeds = self._seeds(seed)
         arrays = self._kept or self.worlds.arrays()
         if mask is not None and self._kept is None:
             for i in np.flatnonzero(~mask):
                 self._keep(arrays, int(i))
         listed = None if mask is None else mask.tolist()
         self.worlds.native.reset(seeds, scenes, listed, arrays, wanted)
-        for i in range(self.num_envs):
-            if mask is None or mask[i]:
-                ids = set(self.worlds.scenes[self.worlds.native.status(i).scene_idx].agent_ids)
-                self.worlds.assign(i, {k: v for k, v in drivers.items() if k in ids})
-        rows = slice(None) if mask is None else mask
-        self._begun[rows] = True
-        if self._seat is not None:
-            self._seat.reset(np.arange(self.num_envs)[rows])
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
+        self._begun[done] = True
+        if self._seat is not None:
+            self._seat.reset(np.flatnonzero(done))
+        for_all = isinstance(given.get("drivers"), Mapping)
+        for i in np.flatnonzero(done):
+            self.worlds.assign(int(i), drivers[i], passing_over=for_all)
         return self._observation(arrays), self._reset_infos({}, done)
 
     def step(

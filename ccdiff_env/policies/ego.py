@@ -233,7 +233,7 @@ class EgoPolicy:
                 f"{worlds.config.decision_steps}; make them with its env_options"
             )
         poses = self.num_poses > 0
-        follow = Tracker(worlds, REACH_S, pose_s=POSE_S, own_frame=True) if poses else None
+        follow = Tracker(worlds, REACH_S, pose_s=POSE_S, frame="ego") if poses else None
 
         def decide(obs: npt.NDArray[Any]) -> F32:
             return self.act(obs) if follow is None else follow(self.act(obs))

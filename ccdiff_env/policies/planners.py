@@ -30,7 +30,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.policies.arbitration import Arbiter
 from ccdiff_env.policies.holding import Held
-from ccdiff_env.policies.planning import Tracker
+from ccdiff_env.policies.planning import FRAMES, Tracker
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
@@ -70,7 +70,8 @@ class Planner(Protocol):
     """What drives egos, one in each of E worlds.
 
     Attributes are optional: ``observation`` (``"flat"``, the default, ``"dict"`` or ``"bev"``) is
-    the form in which observations come, ``env_options`` are fields of
+    the form in which observations come, ``frame`` that of trajectories: ``"scene"``, the default as
+    with nuPlan's planners, or ``"ego"``, x ahead and y left of it. ``env_options`` are fields of
     :class:`~ccdiff_env.WorldConfig` that the planner needs; benchmarks take actions, observations,
     dynamics and decision steps, nothing else. ``files`` are paths that it reads: a benchmark plays
     anew where one of them has changed. ``privileged = True`` says that it uses what a vehicle
@@ -83,8 +84,8 @@ class Planner(Protocol):
     def __call__(self, obs: Any) -> npt.NDArray[Any]:
         """Return actions [E, W] in [-1, 1], or indices [E], for observations of all worlds.
 
-        Trajectories [E, T, 3] are followed: x, y and heading in the scenes' frames after every step
-        of the worlds. ``obs`` is [E, D] float32, a dictionary of arrays
+        Trajectories [E, T, 3] are followed: x, y (m) and heading (rad) after every step of the
+        worlds, in the planner's ``frame``. ``obs`` is [E, D] float32, a dictionary of arrays
         [E, ...], or uint8 [E, channels, S, S].
         """
 
@@ -141,6 +142,9 @@ class Seat:
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
+        self._frame = getattr(planner, "frame", "scene")
+        if self._frame not in FRAMES:
+            raise ConfigError(f"{name}: frame is {self._frame!r}, expected 'scene' or 'ego'")
         self._form: Form = getattr(planner, "observation", "flat")
         if self._form not in ("flat", "dict", "bev"):
             raise ConfigError(
@@ -176,6 +180,12 @@ class Seat:
         fit = getattr(self._act, "fit", None)
         if isinstance(fit, Fit):
             fit.check(worlds.config, worlds.native.layout_json, self.name)
+            space = getattr(self._act, "space", None)
+            if space is not None and space != worlds.layout.space(self._form):
+                raise ConfigError(
+                    f"{self.name} was trained on observations of another space than the worlds' "
+                    "own, as VecNormalize makes of rasters; train it without"
+                )
         self._worlds, self._given_worlds = worlds, given_worlds
         self._tracker: Tracker | None = None
         drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
@@ -212,6 +222,8 @@ class Seat:
         ------
         ShapeError
             If the planner returns another shape, or numbers that are not finite.
+        ActionError
+            If a trajectory does not begin where its vehicle is.
         PolicyError
             If the planner raises; names it, the scenes and their steps.
         """
@@ -226,7 +238,7 @@ class Seat:
         answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
         found, shape = np.asarray(answered), self._held.shape
         if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
-            found = self._followed(found)
+            found = self._followed(found, due)
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
         if found.shape != shape or found.dtype.kind not in "iuf":
@@ -238,10 +250,12 @@ class Seat:
             raise ShapeError(f"{self.name} returned numbers that are not finite")
         return found
 
-    def _followed(self, trajectories: npt.NDArray[Any]) -> F32:
+    def _followed(self, trajectories: npt.NDArray[Any], due: npt.NDArray[np.bool_]) -> F32:
         """Return the actions [E, 2] that follow trajectories [E, T, 3]."""
         try:
-            self._tracker = self._tracker or Tracker(self._worlds)
+            self._tracker = self._tracker or Tracker(self._worlds, frame=self._frame)
+            if trajectories.shape[1]:
+                self._tracker.expect_near(trajectories, due)
             return self._tracker(trajectories)
         except CcdiffError as error:
             raise type(error)(f"{self.name} returned trajectories: {error}") from None
@@ -280,6 +294,7 @@ class _Sb3:
     def __init__(self, model: Any, name: str) -> None:
         self._model = model
         self.fit = Fit.read(getattr(model.observation_space, ATTRIBUTE, None), name)
+        self.space = model.observation_space
         self._statistics = getattr(model, STATISTICS, None)
         last = None if self._statistics else getattr(model, "_last_obs", None)
         if last is not None and not _inside(model.observation_space, last):

@@ -1,7 +1,7 @@
 """What planners need of places that nobody has taken yet, and how a trajectory becomes actions.
 
-All places are in the scene's frame: x, y in metres, heading in radians. Functions take the worlds
-that a planner was made with.
+All places are in the scene's frame, where no other is said: x, y in metres, heading in radians.
+Functions take the worlds that a planner was made with.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import UnicycleLimits
-from ccdiff_env.errors import ConfigError, expect_shape
+from ccdiff_env.errors import ActionError, ConfigError, expect_shape
 from ccdiff_env.scenes import map_queries
 from ccdiff_env.worlds.worlds_view import behind
 
@@ -20,6 +20,10 @@ __all__ = ["Tracker", "curve_speed", "lane_ahead", "overlap", "road_distance"]
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+#: Frames of trajectories.
+FRAMES = ("scene", "ego")
+#: A trajectory begins within this distance of the vehicle, and what it drives until the first pose.
+NEAR_M = 5.0
 
 
 def _scene(worlds: Any, world_idx: int) -> Any:
@@ -125,13 +129,13 @@ class Tracker:
         How far ahead the trajectory is aimed at.
     pose_s
         Seconds between poses; a time step of the worlds by default.
-    own_frame
-        Whether poses are in the frame of who is driven, in place of the scene's.
+    frame
+        Frame of the poses: ``"scene"``, or ``"ego"``, that of who is driven, x ahead and y left.
 
     Raises
     ------
     ConfigError
-        For other dynamics, and for indices of a grid.
+        For another frame or other dynamics, and for indices of a grid.
     """
 
     def __init__(
@@ -140,14 +144,17 @@ class Tracker:
         reach_s: float = 0.5,
         *,
         pose_s: float | None = None,
-        own_frame: bool = False,
+        frame: str = "scene",
     ) -> None:
+        if frame not in FRAMES:
+            raise ConfigError(f"frame is {frame!r}, expected {' or '.join(map(repr, FRAMES))}")
         action = worlds.config.action
         if action.discrete or not isinstance(action.dynamics, UnicycleLimits):
             raise ConfigError("action: a tracker needs continuous actions of the unicycle")
-        self._native, self._pose_s = worlds.native, pose_s or worlds.config.dt_s
+        self._worlds, self._native = worlds, worlds.native
+        self._pose_s = pose_s or worlds.config.dt_s
         self._reach = max(round(reach_s / self._pose_s), 1)
-        self._limits, self._own_frame = action, own_frame
+        self._limits, self._frame = action, frame
 
     def __call__(self, trajectories: npt.ArrayLike) -> F32:
         """Return actions [E, 2] that follow trajectories [E, T, 3].
@@ -173,7 +180,7 @@ class Tracker:
             states = native.states(i)
             heading, speed = float(states["heading"][agent]), float(states["speed"][agent])
             ahead, left = wanted[i, aim - 1, :2]
-            if not self._own_frame:
+            if self._frame == "scene":
                 x, y = wanted[i, aim - 1, :2] - states["position"][agent]
                 ahead = x * np.cos(heading) + y * np.sin(heading)
                 left = y * np.cos(heading) - x * np.sin(heading)
@@ -184,3 +191,39 @@ class Tracker:
             action = acceleration / most, yaw_rate / limits.max_yaw_rate_radps
             actions[i] = np.clip(action, -1.0, 1.0)
         return actions
+
+    def expect_near(self, trajectories: npt.ArrayLike, which: npt.NDArray[np.bool_]) -> None:
+        """Refuse trajectories [E, T, 3] that begin where the vehicles of some worlds [E] are not.
+
+        The first pose may be :data:`NEAR_M` from the vehicle, and twice what it drives until then
+        at its speed or 10 m/s.
+
+        Raises
+        ------
+        ActionError
+            Names the world, where the trajectory begins, where the vehicle is and what may lie
+            between.
+        """
+        native, first = self._native, np.asarray(trajectories, np.float64)[:, 0, :2]
+        for i in np.flatnonzero(which):
+            agent = native.slot_agents(i)[0]
+            if agent is None or not native.slot_alive(i)[0]:
+                continue
+            states = native.states(i)
+            own = self._frame == "ego"
+            at = np.zeros(2) if own else np.asarray(states["position"][agent], np.float64)
+            most = NEAR_M + 2.0 * self._pose_s * max(abs(float(states["speed"][agent])), 10.0)
+            away = float(np.hypot(*(first[i] - at)))
+            if away > most:
+                status = native.status(i)
+                raise ActionError(
+                    f"world {i} ({self._worlds.scenes[status.scene_idx].name}, step "
+                    f"{status.elapsed_steps}): the first pose is at {_metres(first[i])}, "
+                    f"{away:.1f} m from the vehicle, which is at {_metres(at)} in the frame "
+                    f"{self._frame!r}; expected at most {most:.1f} m. A planner says which frame "
+                    'it means: frame = "scene" (the default) or "ego"'
+                )
+
+
+def _metres(point: F64) -> str:
+    return f"({point[0]:.1f}, {point[1]:.1f})"

@@ -158,11 +158,7 @@ def branch(
     fork = _fork(worlds, [seed])
     native = fork.native
     if adversaries is not None:
-        if not native.planners:
-            raise ConfigError(
-                f"adversaries: traffic is {fork.config.traffic!r}, expected one that plans, as "
-                "'ccdiff'"
-            )
+        fork.config.guided_traffic("adversaries")
         ids = fork.scenes[native.status(0).scene_idx].agent_ids
         native.override_plan(0, guided=[ids.index(one) for one in adversaries], criticality=None)
     act = _taken_over(fork, ego)

@@ -50,15 +50,15 @@ class UnicycleLimits:
     reverse gear.
     """
 
-    #: Lowest and highest acceleration (m/s²).
+    #: Lowest and highest acceleration (m/s², in [-100, 100]).
     acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
-    #: Lowest and highest speed (m/s). Vehicles brake to a stop and do not reverse.
+    #: Lowest and highest speed (m/s, in [-100, 100]). Vehicles brake to a stop and do not reverse.
     speed_mps: tuple[float, float] = (0.0, 30.0)
-    #: Yaw rate that is allowed at any speed (rad/s, > 0).
+    #: Yaw rate that is allowed at any speed (rad/s, in (0, 10]).
     min_yaw_rate_radps: float = 0.1
-    #: Highest yaw rate per speed, a curvature (1/m, > 0).
+    #: Highest yaw rate per speed, a curvature (1/m, in (0, 10]).
     max_curvature_1pm: float = 0.5
-    #: Highest yaw rate times speed (m/s², > 0).
+    #: Highest yaw rate times speed (m/s², in (0, 100]).
     max_lateral_acceleration_mps2: float = 6.2831855
 
 
@@ -66,17 +66,17 @@ class UnicycleLimits:
 class BicycleLimits:
     """Limits of the kinematic bicycle: actions are acceleration (m/s²) and steering angle (rad)."""
 
-    #: Lowest and highest acceleration (m/s²).
+    #: Lowest and highest acceleration (m/s², in [-100, 100]).
     acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
-    #: Lowest and highest speed along the heading (m/s). Vehicles brake to a stop and do not
-    #: reverse.
+    #: Lowest and highest speed along the heading (m/s, in [-100, 100]). Vehicles brake to a stop
+    #: and do not reverse.
     speed_mps: tuple[float, float] = (0.0, 30.0)
     #: Largest steering angle of the front wheel, below π/2 (rad, in (0, 1.57]).
     max_steering_rad: float = 0.6
-    #: Highest yaw rate times speed (m/s², > 0).
+    #: Highest yaw rate times speed (m/s², in (0, 100]).
     max_lateral_acceleration_mps2: float = 6.2831855
-    #: Wheelbase as a share of the length (> 0). 0.6 fits passenger cars: nuPlan's Pacifica has
-    #: 3.089 m of 5.176 m.
+    #: Wheelbase as a share of the length (in (0, 1]). 0.6 fits passenger cars: nuPlan's Pacifica
+    #: has 3.089 m of 5.176 m.
     wheelbase_share: float = 0.6
 
 
@@ -88,11 +88,11 @@ class DeltaPoseLimits:
     The defaults allow −10 to 40 m/s along, 10 m/s across and 5 rad/s at steps of 0.1 s.
     """
 
-    #: Least and most way forward per step (m).
+    #: Least and most way forward per step (m, in [-100, 100]).
     dx_m: tuple[float, float] = (-1.0, 4.0)
-    #: Least and most way to the left per step (m).
+    #: Least and most way to the left per step (m, in [-100, 100]).
     dy_m: tuple[float, float] = (-1.0, 1.0)
-    #: Least and most turn to the left per step (rad).
+    #: Least and most turn to the left per step (rad, in [-3.1, 3.1]).
     dheading_rad: tuple[float, float] = (-0.5, 0.5)
 
 
@@ -110,15 +110,16 @@ class AssistedLimits:
 
     #: What is changed.
     base: AssistedBase = "idm"
-    #: Change of the acceleration at -1 and +1, about zero (m/s²).
+    #: Change of the acceleration at -1 and +1, about zero (m/s², in [-100, 100]).
     delta_mps2: tuple[float, float] = (-6.0, 2.0)
-    #: Distance from the way at -1 and +1, left positive, about zero (m).
+    #: Distance from the way at -1 and +1, left positive, about zero (m, in [-100, 100]).
     offset_m: tuple[float, float] = (-1.5, 1.5)
-    #: Lowest and highest acceleration, about zero (m/s²).
+    #: Lowest and highest acceleration, about zero (m/s², in [-100, 100]).
     acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
-    #: The acceleration changes no faster than this, except where the base brakes (m/s³, > 0).
+    #: The acceleration changes no faster than this, except where the base brakes (m/s³, in (0,
+    #: 1000]).
     max_jerk_mps3: float = 8.0
-    #: Lowest and highest speed (m/s).
+    #: Lowest and highest speed (m/s, in [-100, 100]).
     speed_mps: tuple[float, float] = (0.0, 30.0)
 
 
@@ -142,10 +143,10 @@ class ActionGrid:
     (dψ) for delta pose, whose dy is 0, else 1.
     """
 
-    #: Accelerations, m/s² (delta pose: dx, m).
+    #: Accelerations, m/s² (delta pose: dx, m) (in [-100, 100]).
     first: tuple[float, ...]
-    #: Yaw rates, rad/s (bicycle: steering angles, rad; delta pose: turns, rad; assisted: distances,
-    #: m).
+    #: Yaw rates, rad/s (bicycle: steering angles, rad (in [-100, 100]); delta pose: turns, rad;
+    #: assisted: distances, m).
     second: tuple[float, ...]
 
 
@@ -163,17 +164,17 @@ class ActionConfig:
     discrete: bool = False
     #: Physical actions to choose from; ``None``: the dynamics' default 7 x 9 grid.
     grid: ActionGrid | None = None
-    #: Acceleration at +1 (m/s², > 0).
+    #: Acceleration at +1 (m/s², in (0, 100]).
     max_acceleration_mps2: float = 4.0
-    #: Deceleration at -1 (m/s², > 0).
+    #: Deceleration at -1 (m/s², in (0, 100]).
     max_deceleration_mps2: float = 8.0
-    #: Unicycle: yaw rate at +1 (rad/s, > 0).
+    #: Unicycle: yaw rate at +1 (rad/s, in (0, 10]).
     max_yaw_rate_radps: float = 1.0
     #: Bicycle: front wheel angle at +1 (rad, in (0, 1.5)).
     max_steering_rad: float = 0.5
-    #: Delta pose: displacement at +1, per step (m, > 0).
+    #: Delta pose: displacement at +1, per step (m, in (0, 100]).
     max_displacement_m: float = 3.0
-    #: Delta pose: turn at +1, per step (rad, > 0).
+    #: Delta pose: turn at +1, per step (rad, in (0, 3.1]).
     max_turn_rad: float = 0.1
 
 
@@ -277,20 +278,20 @@ class Randomization:
 class IdmConfig:
     """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
 
-    #: Time headway T (s, > 0).
+    #: Time headway T (s, in (0, 60]).
     headway_s: float = 1.2
-    #: Gap at standstill s₀ (m, >= 0).
+    #: Gap at standstill s₀ (m, in [0, 100]).
     min_gap_m: float = 2.0
-    #: Greatest acceleration a (m/s², > 0).
+    #: Greatest acceleration a (m/s², in (0, 100]).
     acceleration_mps2: float = 1.5
-    #: Comfortable deceleration b (m/s², > 0).
+    #: Comfortable deceleration b (m/s², in (0, 100]).
     deceleration_mps2: float = 2.5
-    #: Hardest braking (m/s², > 0).
+    #: Hardest braking (m/s², in (0, 100]).
     max_braking_mps2: float = 8.0
-    #: Acceleration exponent δ (> 0).
+    #: Acceleration exponent δ (in (0, 100]).
     exponent: float = 4.0
-    #: Others are also looked for where they will be, at constant velocity, after this time (s, >=
-    #: 0).
+    #: Others are also looked for where they will be, at constant velocity, after this time (s, in
+    #: [0, 60]).
     anticipation_s: float = 1.0
 
 
@@ -307,16 +308,16 @@ class WorldOptions:
 
     #: Step (s, in (0, 1]); must equal the scenes' own.
     dt_s: float = 0.1
-    #: Logged steps before the first free one; episodes start at this step of the log. Drivers that
-    #: look back farther are told that the states before were not there.
+    #: Logged steps before the first free one (in [0, 10000]); episodes start at this step of the
+    #: log. Drivers that look back farther are told that the states before were not there.
     history_steps: int = 30
-    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene.
-    #: Egos that are drawn start anywhere by default.
+    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene
+    #: (in [0, 10000]). Egos that are drawn start anywhere by default.
     start_spread_steps: int = 0
-    #: Steps of an episode at most (>= 1).
+    #: Steps of an episode at most (in [1, 100000]).
     horizon_steps: int = 100
-    #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (>= 1).
-    #: Rewards are summed up; a learner's discount per call is that of a step to this power.
+    #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (in [1,
+    #: 1000]). Rewards are summed up; a learner's discount per call is that of a step to this power.
     decision_steps: int = 1
     #: Agents with a slot, which are observed and rewarded; ids as a list, or as lists by the name
     #: of the scene.
@@ -358,7 +359,7 @@ class WorldOptions:
     adversary_shaping: float = 0.0
     #: Share of the way to the goal that makes an episode without accident a success (in [0, 1]).
     success_completion: float = 0.95
-    #: Speed limit where the map has none (m/s, > 0).
+    #: Speed limit where the map has none (m/s, in (0, 100]).
     speed_limit_mps: float = 15.0
     #: Actions.
     action: ActionConfig = field(default_factory=ActionConfig)
@@ -367,7 +368,7 @@ class WorldOptions:
     #: Rewards.
     reward: RewardConfig = field(default_factory=RewardConfig)
     #: Lowest and highest factors of weights of the reward by name, drawn for each episode or set by
-    #: a reset, and observed as ``style``.
+    #: a reset, and observed as ``style`` (in [0, 1000000]).
     style: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
     #: Hidden differences.
     randomization: Randomization = field(default_factory=Randomization)
@@ -391,7 +392,7 @@ class SelectionReward:
     to one, choosing nobody would be best.
     """
 
-    #: Per new collision that counts.
+    #: Per new collision that counts (in [-1000000, 1000000]).
     collision: float = 5.0
     #: Which collisions count, of agents that were adversaries in the episode.
     count: CountedCollisions = "ego"
@@ -402,11 +403,12 @@ class SelectionReward:
     #: (``counterfactual.rollout_avoidability``, up to a second each).
     avoidable_only: bool = False
     #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
-    #: C), mean over adversaries.
+    #: C), mean over adversaries (in [-1000000, 1000000]).
     realism: float = -0.02
-    #: Per share of steps that adversaries spend off the road.
+    #: Per share of steps that adversaries spend off the road (in [-1000000, 1000000]).
     off_road: float = -0.1
-    #: Per unit of discomfort (as ``RewardConfig``), mean over steps and adversaries.
+    #: Per unit of discomfort (as ``RewardConfig``), mean over steps and adversaries (in [-1000000,
+    #: 1000000]).
     comfort: float = -0.005
 
     def __post_init__(self) -> None:
@@ -437,7 +439,7 @@ class EgosConfig:
 
     #: The policy: one of those that ship, or the path of a ``.safetensors`` file.
     policy: str = "ego"
-    #: Factors of weights of its reward, where it was trained for them.
+    #: Factors of weights of its reward, where it was trained for them (in [0, 1000000]).
     style: Mapping[str, float] = field(default_factory=dict, hash=False)
 
 
@@ -478,19 +480,19 @@ class CcdiffConfig:
     #: cards.
     device: str = "cpu"
     #: Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along
-    #: the routes, unseen by the network (m, >= 0). ``None``: all are planned for.
+    #: the routes, unseen by the network (m, in [0, 10000]). ``None``: all are planned for.
     plan_radius_m: float | None = None
-    #: Steps from one plan to the next n, at most the horizon of the plans (>= 1).
+    #: Steps from one plan to the next n, at most the horizon of the plans (in [1, 1000]).
     replan_steps: int = 5
-    #: Network evaluations of the DDIM sampler (one: guidance moves its only step) (>= 1); ``None``:
-    #: DDPM with all 100 steps.
+    #: Network evaluations of the DDIM sampler (one: guidance moves its only step) (in [1, 1000]);
+    #: ``None``: DDPM with all 100 steps.
     denoising_steps: int | None = 5
-    #: Samples per plan N (>= 1).
+    #: Samples per plan N (in [1, 1024]).
     num_samples: int = 1
     #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
     cfg_weight: float = 1.0
-    #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (>
-    #: 0); 1 for other networks. Below 1 likely plans are drawn more often.
+    #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (in
+    #: (0, 100]); 1 for other networks. Below 1 likely plans are drawn more often.
     temperature: float = 1.0
     #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
     tie_first_knot: bool = False
@@ -502,7 +504,7 @@ class CcdiffConfig:
     follow_route: bool = False
     #: The decision causal graph G that the network sees.
     graph: GraphMode = "causal"
-    #: Vehicles that are guided K; ``None``: all.
+    #: Vehicles that are guided K (in [0, 512]); ``None``: all.
     num_guided: int | None = 5
     #: How they are found; a list may be a mapping or the path of a JSON file
     #: (``ccdiff_env.traffic.read_ranking``).
@@ -512,8 +514,8 @@ class CcdiffConfig:
     #: Who drives the vehicles that are not guided.
     background_driver: BackgroundDriver = "ccdiff"
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
-    #: configured (one denoising step: a fifth of it, so that an ego collides as often) (>= 0).
-    #: Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may be told
+    #: configured (one denoising step: a fifth of it, so that an ego collides as often) (in [0,
+    #: 10]). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may be told
     #: another one at any time.
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
@@ -533,9 +535,9 @@ class CcdiffConfig:
     #: are steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the
     #: guided vehicles.
     avoidable_only: bool = False
-    #: Time of the episode from which plans are guided (s, >= 0).
+    #: Time of the episode from which plans are guided (s, in [0, 10000]).
     guided_from_s: float = 0.0
-    #: Time of the episode until which plans are guided (s, >= 0); ``None``: to its end.
+    #: Time of the episode until which plans are guided (s, in [0, 10000]); ``None``: to its end.
     guided_until_s: float | None = None
     #: Whether plans keep attention and gradient statistics, at some cost.
     explain: bool = False

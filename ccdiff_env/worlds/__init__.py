@@ -26,7 +26,7 @@ from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import SOURCES, load
-from ccdiff_env.traffic import EGOS, NETWORKS, PythonTraffic, TrafficPlan
+from ccdiff_env.traffic import EGOS, PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
@@ -197,11 +197,8 @@ class Worlds:
             network_policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
-        wanted = {kind for _, kind, _ in _native.networks_wanted(config.to_json())}
-        if criticality is not None and not wanted & set(NETWORKS):
-            raise ConfigError(
-                f"criticality: traffic is {config.traffic!r}, expected one that plans, as 'ccdiff'"
-            )
+        if criticality is not None:
+            config.guided_traffic("criticality")
         self.curriculum = None if criticality is None else Curriculum(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}
@@ -214,8 +211,9 @@ class Worlds:
         self.column_names = tuple(column.name for column in self.columns)
         self.metrics = read_columns(_native.metrics_json())
         self.metric_names = tuple(metric.name for metric in self.metrics)
-        self.action_space = action_space(self.native.action_width, self.native.num_actions)
-        self._discrete = self.native.num_actions is not None
+        self.discrete = self.native.num_actions is not None
+        #: Shape of an agent's action.
+        self.action_shape = () if self.discrete else (self.native.action_width,)
         self._width = self.native.action_width
         self._arrays = self.native.step_arrays()
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
@@ -227,6 +225,11 @@ class Worlds:
         config = self.config.with_options(autoreset=mode)
         self.native.set_autoreset(config.to_json())
         self.config, self._arrays = config, self.native.step_arrays()
+
+    @property
+    def action_space(self) -> gymnasium.Space[Any]:
+        """Space of an agent's actions, made anew: wrappers may change what they are given."""
+        return action_space(self.native.action_width, self.native.num_actions)
 
     def observation_space(self, form: Form) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations in a form; it says what they are made from.
@@ -253,13 +256,13 @@ class Worlds:
         ActionError
             If they are no numbers, or no integers where actions are indices.
         """
-        if type(actions) is not np.ndarray or actions.dtype != np.float32 or self._discrete:
+        if type(actions) is not np.ndarray or actions.dtype != np.float32 or self.discrete:
             try:
                 given = np.asarray(actions)
             except (TypeError, ValueError) as error:
                 raise ShapeError(f"actions: {error}, expected an array of shape {shape}") from None
-            if given.dtype.kind not in ("iu" if self._discrete else "fiu"):
-                kind = "integers" if self._discrete else "numbers"
+            if given.dtype.kind not in ("iu" if self.discrete else "fiu"):
+                kind = "integers" if self.discrete else "numbers"
                 raise ActionError(f"actions have dtype {given.dtype}, expected {kind}")
             with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused
                 actions = given.astype(np.float32)
@@ -334,6 +337,8 @@ class Worlds:
         UnknownNameError
             If the batch has no such driver.
         """
+        if choice is None:
+            return {}
         if not isinstance(choice, Mapping):
             raise ConfigError(f"drivers is {choice!r}, expected names of drivers by agent id")
         known = ("external", *(name for name, _ in self.native.policies))
@@ -345,22 +350,34 @@ class Worlds:
                 )
         return dict(choice)
 
-    def assign(self, world_idx: int, drivers: Mapping[str, str]) -> None:
+    def assign(
+        self, world_idx: int, drivers: Mapping[str, str], *, passing_over: bool = False
+    ) -> None:
         """Put drivers into vehicles of a world by id, until its episode ends.
+
+        Parameters
+        ----------
+        world_idx, drivers
+            The world, and names of drivers by id.
+        passing_over
+            Whether vehicles that the scene does not have are passed over.
 
         Raises
         ------
         UnknownNameError
             If the scene has no such vehicle.
         """
-        ids = list(self.scenes[self.native.status(world_idx).scene_idx].agent_ids)
-        for agent, driver in drivers.items():
-            if agent not in ids:
-                raise UnknownNameError(
-                    f"drivers: scene of world {world_idx} has no agent {agent!r}"
-                )
-            self.native.assign(world_idx, [ids.index(agent)], driver)
-        self.drivers[world_idx] = dict(drivers)
+        scene = self.scenes[self.native.status(world_idx).scene_idx]
+        places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
+        found = {agent: driver for agent, driver in drivers.items() if agent in places}
+        unknown = [] if passing_over else [agent for agent in drivers if agent not in places]
+        if unknown:
+            raise UnknownNameError(
+                f"drivers: {scene.name} (world {world_idx}) has no agent {unknown[0]!r}"
+            )
+        for agent, driver in found.items():
+            self.native.assign(world_idx, [places[agent]], driver)
+        self.drivers[world_idx] = found
 
     def set_progress(self, progress: float) -> None:
         """Tell the curriculum how far training has come, 0 to 1.

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.traffic.options import check
 
 __all__ = ["Criticality", "Curriculum", "SceneWeights"]
 
@@ -31,7 +32,7 @@ class Curriculum:
     Raises
     ------
     ConfigError
-        If a strength is negative or not finite, or a share is.
+        If a strength is out of the range of ``CcdiffConfig.criticality``, or a share is negative.
 
     Examples
     --------
@@ -65,11 +66,13 @@ class Curriculum:
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
         ranges = [(_number(share), *_ends(part)) for part, share in parts]
         shares = [share for share, _, _ in ranges]
-        fine = all(0.0 <= low <= high and np.isfinite(high) for _, low, high in ranges)
+        for end in (end for _, *ends in ranges for end in ends):
+            check("CcdiffConfig", "", {"criticality": end})
+        fine = all(low <= high for _, low, high in ranges)
         if not (fine and min(shares, default=-1.0) >= 0.0 and 0.0 < sum(shares) < np.inf):
             raise ConfigError(
-                f"criticality is {strength!r}, expected 0 <= low <= high, finite, and shares by "
-                "these, not negative"
+                f"criticality is {strength!r}, expected low <= high, and shares by these, not "
+                "negative"
             )
         return ranges
 

@@ -50,6 +50,11 @@ class SelectionBatch:
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig`; ``traffic`` is ``"ccdiff"`` of
         criticality 1 by default.
+
+    Raises
+    ------
+    ConfigError
+        In traffic that nothing guides.
     """
 
     def __init__(
@@ -86,6 +91,15 @@ class SelectionBatch:
         if config is None and unsaid and resolved.takes_ccdiff():
             resolved = resolved.with_options(ccdiff={"criticality": 1.0})
         resolved = resolved.with_options(driver=driver, autoreset="disabled", decision_steps=1)
+        networks = resolved.guided_traffic("adversary selection")
+        #: Whether whom an action chooses is guided, though it does not say how strongly.
+        self._guides = max(one.criticality for one in networks) > 0.0
+        self.decision_steps, *others = dict.fromkeys(one.replan_steps for one in networks)
+        if others:
+            raise ConfigError(
+                f"adversary selection: replan_steps are {self.decision_steps} and {others[0]}, "
+                "expected one number for all traffic"
+            )
         self.worlds = Worlds(
             chosen, resolved, num_worlds=num_worlds, num_threads=num_threads, trails=trails
         )
@@ -96,7 +110,6 @@ class SelectionBatch:
         self._reward = reward
         #: Called after every step of the worlds, of which a decision has several.
         self.on_step: Callable[[], object] | None = None
-        self.decision_steps = resolved.ccdiff.replan_steps
 
     def episode(self, world_idx: int) -> SelectionEpisode:
         """Return the episode of a world.
@@ -170,12 +183,10 @@ class SelectionBatch:
         Raises
         ------
         ConfigError
-            If the ego is a policy, whose memory a fork does not hold; if nothing can be guided.
+            If the ego is a policy, whose memory a fork does not hold.
         """
         if self._act is not None:
             raise ConfigError("forks need an ego that worlds drive themselves, such as idm")
-        if not self.worlds.native.planners:
-            raise ConfigError("forks need traffic that can be guided, such as ccdiff")
         native, num_worlds = self.worlds.native, self.worlds.num_worlds
         saved = [native.snapshot(e) for e in range(num_worlds)]
         episodes = [self.episode(e) for e in range(num_worlds)]
@@ -214,6 +225,8 @@ class SelectionBatch:
         ------
         ActionError
             If an action does not fit; nothing has moved then.
+        ConfigError
+            If somebody is chosen and nothing says how strongly to guide: a criticality of 0.
         ResetNeededError
             If a world has ended or was never reset.
         """
@@ -226,11 +239,16 @@ class SelectionBatch:
             rows = self.episode(e).rows(self.actions.num_rows)
             mask = np.arange(self.actions.num_rows) < len(rows)
             chosen.append([rows[row] for row in self.actions.rows(action, mask)])
+        strengths = [self.actions.criticality(action) for action in actions]
+        for adversaries, strength in zip(chosen, strengths, strict=True):
+            if adversaries and strength is None and not self._guides:
+                raise ConfigError(
+                    "adversary selection: ccdiff.criticality is 0, expected more: nobody whom an "
+                    "action chooses is guided"
+                )
         for e, adversaries in enumerate(chosen):
             self.episode(e).begin(adversaries)
-            if self.worlds.native.planners:
-                strength = self.actions.criticality(actions[e])
-                native.override_plan(e, guided=adversaries, criticality=strength)
+            native.override_plan(e, guided=adversaries, criticality=strengths[e])
         terminated, truncated = np.zeros((2, num_worlds), np.bool_)
         for _ in range(self.decision_steps):
             running = ~self._ended
@@ -252,7 +270,7 @@ class SelectionBatch:
         ]
 
     def _ego_actions(self, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
-        shape = (self.worlds.num_worlds, *(self.worlds.action_space.shape or ()))
+        shape = (self.worlds.num_worlds, *self.worlds.action_shape)
         if self._act is None:
             width = self.worlds.native.action_width
             return np.zeros((self.worlds.num_worlds, 1, width), np.float32)

@@ -163,9 +163,7 @@ class SelectionEpisode:
         return max(horizon - elapsed, 0) / horizon
 
     def plan(self) -> TrafficPlan | None:
-        """Return what the policy says about its latest plan, ``None`` where there is none."""
-        if not self._worlds.native.planners:
-            return None
+        """Return what the policy says about its latest plan, ``None`` before the first one."""
         return self._worlds.explain(self._world_idx)
 
     def begin(self, adversaries: list[int]) -> None:

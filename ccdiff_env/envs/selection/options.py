@@ -9,8 +9,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from ccdiff_env.config import unknown
+from ccdiff_env.envs.agent_selection import MAX_SLOTS
 from ccdiff_env.errors import ActionError, ConfigError
-from ccdiff_env.traffic.options import SelectionReward
+from ccdiff_env.traffic.options import SelectionReward, check
 
 __all__ = ["ActionMode", "SelectionActions", "SelectionReward"]
 
@@ -50,15 +51,18 @@ class SelectionActions:
     ) -> None:
         if mode not in MODES:
             raise unknown("action mode", str(mode), MODES)
-        for name, value in (("max_agents", num_rows), ("budget", budget)):
-            if type(value) is not int or value < 1:
-                raise ConfigError(f"{name} is {value!r}, expected an integer of at least 1")
+        bounds = (("max_agents", num_rows, MAX_SLOTS), ("budget", budget, num_rows))
+        for name, value, most in bounds:
+            if type(value) is not int or not 1 <= value <= most:
+                raise ConfigError(f"{name} is {value!r}, expected an integer from 1 to {most}")
         if criticality is not None:
             if mode != "scores":
                 raise ConfigError('criticality is an entry of action mode "scores" only')
             low, high = criticality
-            if not 0.0 <= low < high < np.inf:
-                raise ConfigError(f"criticality is {criticality}, expected 0 <= low < high")
+            for end in criticality:
+                check("CcdiffConfig", "", {"criticality": end})
+            if not low < high:
+                raise ConfigError(f"criticality is {criticality}, expected low < high")
         self.mode, self.num_rows, self.budget = mode, num_rows, budget
         self._criticality = criticality
         self.space: spaces.Space[Any]

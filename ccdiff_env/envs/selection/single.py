@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
+from ccdiff_env.envs.reset_options import SELECTION_OPTIONS, reset_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.errors import ConfigError
@@ -113,7 +115,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         self.worlds = self._batch.worlds
         self.render_mode = render_mode
         self.observation_space: gymnasium.Space[Any] = self._batch.observation_space
-        self.action_space: gymnasium.Space[Any] = self._batch.actions.space
+        self.action_space: gymnasium.Space[Any] = copy.deepcopy(self._batch.actions.space)
         self._seeded = False
 
     @property
@@ -136,10 +138,8 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
             First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx`` and
             ``agent_ids``, who sits in which row.
         """
-        for name in options or {}:
-            if name != "scene":
-                raise unknown("reset option", str(name), ("scene",))
-        scene_idx = self.worlds.scene_index((options or {}).get("scene"))
+        given = reset_options(options, SELECTION_OPTIONS)
+        scene_idx = self.worlds.scene_index(given.get("scene"))
         normalized = None if seed is None else normalize_seed(seed)
         super().reset(seed=normalized)
         if normalized is None and not self._seeded:

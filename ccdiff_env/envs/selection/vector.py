@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,10 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
+from ccdiff_env.envs.reset_options import SELECTION_OPTIONS, reset_options
 from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
@@ -51,6 +53,7 @@ class AdversarySelectionVectorEnv(AsVector):
         ``None`` or ``"rgb_array"``.
     """
 
+    reset_option_names = SELECTION_OPTIONS
     metadata = {  # noqa: RUF012 (Gymnasium's form)
         "render_modes": ["rgb_array"],
         "render_fps": FPS,
@@ -94,7 +97,7 @@ class AdversarySelectionVectorEnv(AsVector):
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space: gymnasium.Space[Any] = self._batch.observation_space
-        self.single_action_space: gymnasium.Space[Any] = self._batch.actions.space
+        self.single_action_space: gymnasium.Space[Any] = copy.deepcopy(self._batch.actions.space)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -118,10 +121,8 @@ class AdversarySelectionVectorEnv(AsVector):
         obs, infos
             Observations [E, ...]; ``scene``, ``scene_token``, ``seed``, ``episode_idx``.
         """
-        for name in options or {}:
-            if name != "scene":
-                raise unknown("reset option", str(name), ("scene",))
-        listed = self._per_world("scene", (options or {}).get("scene"))
+        given = reset_options(options, SELECTION_OPTIONS)
+        listed = self._per_world("scene", given.get("scene"))
         scenes = [self.worlds.scene_index(one) for one in listed]
         self._batch.reset(self._seeds(seed), scenes)
         infos: Info = {}
@@ -212,6 +213,6 @@ class AdversarySelectionVectorEnv(AsVector):
         Raises
         ------
         ConfigError
-            If the ego is a policy; if the traffic cannot be guided.
+            If the ego is a policy.
         """
         return self._batch.fork_gaps(steps)

@@ -2,7 +2,7 @@
 
 use crate::error::{ModelError, Result};
 use ccdiff_sim::causal::graph::GraphThresholds;
-use ccdiff_sim::options::{Form, Setting, Table, above, at_least, within};
+use ccdiff_sim::options::{Form, Range, Setting, Table, WEIGHT, within};
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 
@@ -84,7 +84,7 @@ options! {
         /// Side of a pixel.
         metres_per_px: f32 = 0.5, unit "m", range within(0.01, 100.0);
         /// Column of the agent, inside the raster (x runs along columns); its row is the middle one.
-        agent_column_px: usize = 56, unit "px";
+        agent_column_px: usize = 56, unit "px", range within(0.0, 512.0);
         /// Whether two layers with the direction of the lanes (cosine, sine) follow the three of the paper.
         lane_direction: bool = false;
         /// Whether one channel per history step with the agents' pixels comes first.
@@ -94,9 +94,12 @@ options! {
         /// Resolution of the scene's bitmap that rasters are cut from.
         bitmap_px_per_m: f32 = 2.0, unit "px/m", range within(0.01, 100.0);
         /// Decoder rounds that attend to the map, at most 64.
-        rounds: Vec<usize> = vec![1];
+        rounds: Vec<usize> = vec![1], range within(0.0, 64.0);
     }
 }
+
+/// Standard deviations.
+const SPREAD: Range = within(0.0, 1e6).open_below();
 
 options! {
     /// Means and standard deviations estimated from the training data; x_n = (x - mean) / std. The defaults are round numbers
@@ -106,21 +109,21 @@ options! {
     #[derive(Clone)]
     pub struct Normalisation {
         /// Mean of the future x, y, v, yaw, acceleration, yaw rate in the agent frame.
-        trajectory_mean: [f64; 6] = [0.0; 6], unit "m, m, m/s, rad, m/s², rad/s";
+        trajectory_mean: [f64; 6] = [0.0; 6], unit "m, m, m/s, rad, m/s², rad/s", range WEIGHT;
         /// Their standard deviations.
-        trajectory_std: [f64; 6] = [12.0, 1.5, 4.0, 0.2, 0.8, 0.07], unit "m, m, m/s, rad, m/s², rad/s", range above(0.0);
+        trajectory_std: [f64; 6] = [12.0, 1.5, 4.0, 0.2, 0.8, 0.07], unit "m, m, m/s, rad, m/s², rad/s", range SPREAD;
         /// Mean of the action knots: acceleration, yaw rate.
-        action_mean: [f64; 2] = [0.0; 2], unit "m/s², rad/s";
+        action_mean: [f64; 2] = [0.0; 2], unit "m/s², rad/s", range WEIGHT;
         /// Their standard deviations.
-        action_std: [f64; 2] = [0.8, 0.07], unit "m/s², rad/s", range above(0.0);
+        action_std: [f64; 2] = [0.8, 0.07], unit "m/s², rad/s", range SPREAD;
         /// Mean of the history's x, y, v, length, width in the agent frame.
-        history_mean: [f64; 5] = [-6.0, 0.0, 4.0, 4.8, 2.0], unit "m, m, m/s, m, m";
+        history_mean: [f64; 5] = [-6.0, 0.0, 4.0, 4.8, 2.0], unit "m, m, m/s, m, m", range WEIGHT;
         /// Their standard deviations.
-        history_std: [f64; 5] = [7.0, 0.7, 4.0, 1.4, 0.4], unit "m, m, m/s, m, m", range above(0.0);
+        history_std: [f64; 5] = [7.0, 0.7, 4.0, 1.4, 0.4], unit "m, m, m/s, m, m", range SPREAD;
         /// Standard deviation of relative positions x, y of joined pairs.
-        edge_position_std: [f64; 2] = [12.0, 8.0], unit "m", range above(0.0);
+        edge_position_std: [f64; 2] = [12.0, 8.0], unit "m", range SPREAD;
         /// Standard deviation of relative velocities of joined pairs.
-        edge_velocity_std: f64 = 5.0, unit "m/s", range above(0.0);
+        edge_velocity_std: f64 = 5.0, unit "m/s", range SPREAD;
     }
 }
 
@@ -141,15 +144,15 @@ options! {
         /// Future steps of a plan.
         horizon_steps: usize = 52, range within(1.0, 1000.0);
         /// Time between steps.
-        dt_s: f64 = 0.1, unit "s", range above(0.0);
+        dt_s: f64 = 0.1, unit "s", range within(0.0, 1.0).open_below();
         /// Steps between action knots, a divisor of the horizon; 1: every step is a knot (paper). Knots are joined linearly.
-        knot_stride: usize = 1, range at_least(1.0);
+        knot_stride: usize = 1, range within(1.0, 1000.0);
         /// How histories become tokens.
         history: HistoryTokens = HistoryTokens::PerStep;
         /// Token width: an even multiple of the heads.
         width: i64 = 128, range within(2.0, 4096.0);
         /// Attention heads.
-        heads: i64 = 16, range at_least(1.0);
+        heads: i64 = 16, range within(1.0, 4096.0);
         /// Hidden width of the temporal and plain social layers.
         feed_forward: i64 = 384, range within(1.0, 65_536.0);
         /// Hidden width of the edge-aware social layers.
@@ -163,14 +166,14 @@ options! {
         /// Map raster and encoder; `None`: the network is blind to the map.
         map: Option<MapConfig> = Some(MapConfig::default());
         /// Neighbours join the decision causal graph up to this time to contact.
-        ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s", range at_least(0.0);
+        ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s", range within(0.0, 1000.0);
         /// An agent ahead in one's corridor also joins the graph up to this headway; 0: by time to contact alone.
         ///
         /// Differs from the paper where it is not 0: see `features::urgency`. Weights without the entry were trained with 0.
         #[serde(default)]
-        headway_threshold_s: f32 = 0.0, unit "s", range at_least(0.0);
+        headway_threshold_s: f32 = 0.0, unit "s", range within(0.0, 1000.0);
         /// Neighbours join the graph up to this distance.
-        distance_threshold_m: f32 = GraphThresholds::PAPER.distance_m, unit "m", range at_least(0.0);
+        distance_threshold_m: f32 = GraphThresholds::PAPER.distance_m, unit "m", range within(0.0, 10_000.0);
         /// Which neighbours are joined, and their order.
         #[serde(default)]
         neighbour_order: NeighbourOrder = NeighbourOrder::Urgency;
@@ -183,13 +186,13 @@ options! {
         /// Most neighbours of an agent, the first in their order.
         max_neighbours: usize = 20, range within(0.0, 4096.0);
         /// Training samples hold the agents within this distance of the centre agent.
-        agents_within_m: f32 = 50.0, unit "m", range above(0.0);
+        agents_within_m: f32 = 50.0, unit "m", range within(0.0, 10_000.0).open_below();
         /// And at most so many, the nearest.
         max_agents: usize = 21, range within(1.0, 4096.0);
         /// Diffusion steps K.
         diffusion_steps: usize = 100, range within(2.0, 10_000.0);
         /// Weights of x, y, v, yaw, acceleration, yaw rate in the loss.
-        loss_weights: [f64; 6] = [1.0; 6], range at_least(0.0);
+        loss_weights: [f64; 6] = [1.0; 6], range within(0.0, 1e6);
         /// Constants of the data.
         normalisation: Normalisation = Normalisation::default();
     }

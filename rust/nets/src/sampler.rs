@@ -6,7 +6,7 @@ use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::noise::Noise;
 use crate::schedule::Schedule;
 use ccdiff_sim::options;
-use ccdiff_sim::options::{above, at_least, within};
+use ccdiff_sim::options::within;
 
 /// Correlation of the noise of a row's plans with the noise that the row keeps.
 const KEPT_NOISE: f32 = 0.5;
@@ -18,13 +18,13 @@ options! {
     pub struct SampleOptions {
         /// Network evaluations of DDIM, evenly spaced, deterministic after the first noise; `None`: DDPM with all K steps, noise
         /// added after each but the last (paper).
-        solver_steps: Option<usize> = Some(5), range at_least(1.0);
+        solver_steps: Option<usize> = Some(5), range within(1.0, 1000.0);
         /// Samples per plan N.
-        num_samples: usize = 1, range at_least(1.0);
+        num_samples: usize = 1, range within(1.0, 1024.0);
         /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
         guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
         /// As that of `CcdiffConfig`.
-        temperature: f64 = 1.0, range above(0.0);
+        temperature: f64 = 1.0, range within(0.0, 100.0).open_below();
     }
 }
 

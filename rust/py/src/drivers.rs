@@ -27,7 +27,7 @@ struct Recipe<'a> {
 }
 
 /// All kinds: the simulator's, Python's, the networks, egos; recordings of before count in this order.
-fn kinds() -> impl Iterator<Item = &'static Kind> {
+pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = policy::KINDS.iter().chain([&python_policy::KIND]);
     own.chain(NETWORKS.iter().map(|network| &network.kind)).chain([&EGOS])
 }

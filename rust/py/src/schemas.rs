@@ -1,5 +1,6 @@
 //! What worlds are configured with and report, as JSON that Python reads names, units and meanings from.
 
+use crate::drivers;
 use crate::python_policy::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_sim::options::{Table, check_table};
@@ -39,7 +40,8 @@ fn tables() -> impl Iterator<Item = &'static Table> {
 /// Checks options that are used in Python alone, as JSON, against the table of this name; `path` is where they stand.
 #[pyfunction]
 fn check_options(table: &str, path: &str, options: &str) -> PyResult<()> {
-    let known = tables().find(|t| t.name == table);
+    let of_drivers = drivers::kinds().filter_map(|kind| kind.options);
+    let known = tables().chain(of_drivers).find(|t| t.name == table);
     let known = known.ok_or_else(|| py::ConfigError::new_err(format!("no table of options {table:?}")))?;
     check_table(known, path, options).map_err(from_sim)
 }

@@ -16,7 +16,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Numbers that are allowed.
+/// Numbers that are allowed, with both ends: what is larger hangs, fills the memory or means nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
     low: f64,
@@ -25,22 +25,19 @@ pub struct Range {
     high_in: bool,
 }
 
-const ALL: Range = Range { low: f64::NEG_INFINITY, high: f64::INFINITY, low_in: false, high_in: false };
-
-/// Greater than.
-pub const fn above(low: f64) -> Range {
-    Range { low, ..ALL }
-}
-
-/// Not less than.
-pub const fn at_least(low: f64) -> Range {
-    Range { low, low_in: true, ..ALL }
-}
-
 /// From the first to the last, both included.
 pub const fn within(low: f64, high: f64) -> Range {
     Range { low, high, low_in: true, high_in: true }
 }
+
+/// Weights and other factors of either sign.
+pub const WEIGHT: Range = within(-1e6, 1e6);
+/// Lengths of either sign, metres; accelerations and speeds, m/s² and m/s: more than anything on a road.
+pub const MOTION: Range = within(-100.0, 100.0);
+/// The same above 0.
+pub const POSITIVE_MOTION: Range = within(0.0, 100.0).open_below();
+/// Strengths of guidance.
+pub const CRITICALITY: Range = within(0.0, 10.0);
 
 impl Range {
     /// The same without its lower end.
@@ -53,7 +50,8 @@ impl Range {
         Self { high_in: false, ..self }
     }
 
-    fn holds(&self, x: f64) -> bool {
+    /// Whether a number is allowed.
+    pub fn holds(&self, x: f64) -> bool {
         (x > self.low || self.low_in && x == self.low) && (x < self.high || self.high_in && x == self.high)
     }
 }
@@ -61,15 +59,8 @@ impl Range {
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { low, high, low_in, high_in } = self;
-        match (low.is_finite(), high.is_finite()) {
-            (true, true) => {
-                let (left, right) = (if *low_in { '[' } else { '(' }, if *high_in { ']' } else { ')' });
-                write!(f, "in {left}{low}, {high}{right}")
-            }
-            (true, false) => write!(f, "{} {low}", if *low_in { ">=" } else { ">" }),
-            (false, true) => write!(f, "{} {high}", if *high_in { "<=" } else { "<" }),
-            (false, false) => Ok(()),
-        }
+        let (left, right) = (if *low_in { '[' } else { '(' }, if *high_in { ']' } else { ')' });
+        write!(f, "in {left}{low}, {high}{right}")
     }
 }
 
@@ -213,7 +204,7 @@ impl<T: Setting> Setting for BTreeMap<String, T> {
     const FORM: Form = Form::ByName(&T::FORM);
 }
 
-/// A struct of a configuration from a list `name: type = default, unit "m/s", range above(0.0);`, in which unit and range may
+/// A struct of a configuration from a list `name: type = default, unit "m/s", range within(0.0, 100.0);`, in which unit and range may
 /// be left out. Without defaults every field must be given, and `serde(default)` is left out, too. `#[serde(default)]` on a
 /// field alone: files of before it are read as if its type's default stood in them.
 #[macro_export]

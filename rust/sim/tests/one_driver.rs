@@ -9,7 +9,7 @@ use common::{Batch, actions, city};
 
 mod creeping {
     use ccdiff_sim::geom::{Point2, Pose2, Real, Vector2};
-    use ccdiff_sim::options::{self, above};
+    use ccdiff_sim::options::{self, within};
     use ccdiff_sim::policy::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 
     pub(crate) const KIND: Kind = Kind {
@@ -27,7 +27,7 @@ mod creeping {
         #[serde(deny_unknown_fields, default)]
         pub struct CreepingConfig {
             /// Their speed.
-            speed_mps: Real = 1.0, unit "m/s", range above(0.0);
+            speed_mps: Real = 1.0, unit "m/s", range within(0.0, 100.0).open_below();
         }
     }
 

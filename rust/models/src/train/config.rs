@@ -2,22 +2,22 @@
 
 use crate::error::Result;
 use ccdiff_sim::options;
-use ccdiff_sim::options::{above, at_least, within};
+use ccdiff_sim::options::within;
 
 options! {
     /// How a network is trained. The defaults are those of the preset `"paper"` for CCDiff (reference.md#training-settings).
     #[derive(Clone)]
     pub struct TrainConfig {
         /// Scenes per step.
-        batch_scenes: usize = 4, range at_least(1.0);
+        batch_scenes: usize = 4, range within(1.0, 65_536.0);
         /// Peak learning rate.
-        learning_rate: f64 = 1e-4, range above(0.0);
+        learning_rate: f64 = 1e-4, range within(0.0, 1000.0).open_below();
         /// Steps of linear warm-up.
-        warmup_steps: u64 = 0;
+        warmup_steps: u64 = 0, range within(0.0, 1e9);
         /// Decay of the moving average of the weights.
         ema_decay: f64 = 0.995, range within(0.0, 1.0).open_above();
         /// Until this step the average is a copy.
-        ema_start: u64 = 4000;
+        ema_start: u64 = 4000, range within(0.0, 1e9);
         /// Probability that a scene's G is replaced by the identity.
         drop_graph: f64 = 0.1, range within(0.0, 1.0);
         /// Probability that an agent's route is not told, for a network that may know it.
@@ -29,12 +29,12 @@ options! {
         /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
         /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
         #[serde(default)]
-        collision_weight: f64 = 0.0, range at_least(0.0);
+        collision_weight: f64 = 0.0, range within(0.0, 1e6);
         /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
         #[serde(default)]
-        teacher_steps: usize = 0;
+        teacher_steps: usize = 0, range within(0.0, 1000.0);
         /// Largest norm of the gradient.
-        clip_norm: f64 = 100.0;
+        clip_norm: f64 = 100.0, range within(0.0, 1e6).open_below();
         /// Seed of batches, noise and dropping.
         seed: u64 = 0;
     }

@@ -4,7 +4,7 @@ use super::objective::{
     AgentCollision, Approach, Comfort, Goal, MapCollision, Objective, OverSpeed, TargetDistance, TargetSpeed,
 };
 use crate::error::{ModelError, Result};
-use ccdiff_sim::options::{Table, above, at_least, within};
+use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
 
 choices! {
@@ -81,22 +81,22 @@ options! {
         /// Weight γ^t of future step t in the collision losses, over the sum of all.
         discount: f32 = 0.9, range within(0.0, 1.0).open_below();
         /// Gradient steps per denoising step; 0 chooses among samples only.
-        gradient_steps: usize = 1;
+        gradient_steps: usize = 1, range within(0.0, 1000.0);
         /// Learning rate, normalised units.
-        learning_rate: f32 = 0.3, range above(0.0);
+        learning_rate: f32 = 0.3, range within(0.0, 1000.0).open_below();
         /// Rule of a gradient step.
         optimiser: Optimiser = Optimiser::Adam;
         /// How far guidance may move a plan in one denoising step.
         clip: Clip = Clip::Sigma;
         /// The largest such move.
-        clip_limit: f32 = 1.0, range above(0.0);
+        clip_limit: f32 = 1.0, range within(0.0, 1e6).open_below();
         /// What is moved.
         target: Target = Target::Mu;
         /// Leading actions of the plan that may be moved; `None`: all. With knots several steps apart, a knot may be moved
         /// where the first step nearest to it is one of these.
-        executed_steps: Option<usize> = None, range at_least(1.0);
+        executed_steps: Option<usize> = None, range within(1.0, 1000.0);
         /// Leading steps of the plan that collision losses look at; `None`: all.
-        seen_steps: Option<usize> = None, range at_least(1.0);
+        seen_steps: Option<usize> = None, range within(1.0, 1000.0);
         /// Weights with which losses choose among samples.
         filter_weights: FilterWeights = FilterWeights::Signed;
     }

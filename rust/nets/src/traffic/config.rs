@@ -8,7 +8,7 @@ use crate::sampler::SampleOptions;
 use crate::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
-use ccdiff_sim::options::{Form, Setting, above, at_least, within};
+use ccdiff_sim::options::{CRITICALITY, Form, Setting, within};
 use ccdiff_sim::policy::{Kind, WorldView};
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
@@ -135,18 +135,18 @@ options! {
         device: String = CPU.into();
         /// Distance from the ego, or from any vehicle driven from outside, beyond which IDM drives along the routes, unseen by
         /// the network. `None`: all are planned for.
-        plan_radius_m: Option<Real> = None, unit "m", range at_least(0.0);
+        plan_radius_m: Option<Real> = None, unit "m", range within(0.0, 10_000.0);
         /// Steps from one plan to the next n, at most the horizon of the plans.
-        replan_steps: usize = 5, range at_least(1.0);
+        replan_steps: usize = 5, range within(1.0, 1000.0);
         /// Network evaluations of the DDIM sampler (one: guidance moves its only step); `None`: DDPM with all 100 steps.
-        denoising_steps: Option<usize> = Some(5), range at_least(1.0);
+        denoising_steps: Option<usize> = Some(5), range within(1.0, 1000.0);
         /// Samples per plan N.
-        num_samples: usize = 1, range at_least(1.0);
+        num_samples: usize = 1, range within(1.0, 1024.0);
         /// Weight w of the conditional branch in classifier-free guidance.
         cfg_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
         /// Standard deviation of the noise that is denoised, or what logits of tokens are divided by; 1 for other networks.
         /// Below 1 likely plans are drawn more often.
-        temperature: f64 = 1.0, range above(0.0);
+        temperature: f64 = 1.0, range within(0.0, 100.0).open_below();
         /// Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
         tie_first_knot: bool = false;
         /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
@@ -158,7 +158,7 @@ options! {
         /// The decision causal graph G that the network sees.
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
-        num_guided: Option<usize> = Some(5);
+        num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
         /// How they are found; a list may be a mapping or the path of a JSON file (`ccdiff_env.traffic.read_ranking`).
         ranking: Ranking = Ranking::Cliques;
         /// Whether they are found anew at every plan, not only at the first one.
@@ -168,7 +168,7 @@ options! {
         /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
         /// denoising step: a fifth of it, so that an ego collides as often). Tokens: guided
         /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
-        criticality: Real = 0.0, range at_least(0.0);
+        criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
         /// Whether plans without guidance are moved off contacts and onto the road, at the cost of the gradients. Tokens:
@@ -186,9 +186,9 @@ options! {
         /// accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
         avoidable_only: bool = false;
         /// Time of the episode from which plans are guided.
-        guided_from_s: Real = 0.0, unit "s", range at_least(0.0);
+        guided_from_s: Real = 0.0, unit "s", range within(0.0, 10_000.0);
         /// Time of the episode until which plans are guided; `None`: to its end.
-        guided_until_s: Option<Real> = None, unit "s", range at_least(0.0);
+        guided_until_s: Option<Real> = None, unit "s", range within(0.0, 10_000.0);
         /// Whether plans keep attention and gradient statistics, at some cost.
         explain: bool = false;
         /// Vehicles that stand still for the whole episode.

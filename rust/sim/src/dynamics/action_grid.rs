@@ -3,6 +3,7 @@
 use super::{Action, Dynamics};
 use crate::geom::Real;
 use crate::options;
+use crate::options::MOTION;
 
 options! {
     /// Physical actions to choose from: every value of one axis with every value of the other.
@@ -13,9 +14,9 @@ options! {
     #[serde(deny_unknown_fields)]
     pub struct ActionGrid {
         /// Accelerations, m/s² (delta pose: dx, m).
-        first: Vec<Real>;
+        first: Vec<Real>, range MOTION;
         /// Yaw rates, rad/s (bicycle: steering angles, rad; delta pose: turns, rad; assisted: distances, m).
-        second: Vec<Real>;
+        second: Vec<Real>, range MOTION;
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Action, UnicycleLimits};
 use crate::geom::Real;
-use crate::options::above;
+use crate::options::{MOTION, within};
 use crate::{choices, options};
 
 /// Natural frequency of the return to the wanted distance from the route, rad/s; critically damped.
@@ -34,15 +34,15 @@ options! {
         /// What is changed.
         base: AssistedBase = AssistedBase::Idm;
         /// Change of the acceleration at -1 and +1, about zero.
-        delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²";
+        delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²", range MOTION;
         /// Distance from the way at -1 and +1, left positive, about zero.
-        offset_m: [Real; 2] = [-1.5, 1.5], unit "m";
+        offset_m: [Real; 2] = [-1.5, 1.5], unit "m", range MOTION;
         /// Lowest and highest acceleration, about zero.
-        acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²";
+        acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²", range MOTION;
         /// The acceleration changes no faster than this, except where the base brakes.
-        max_jerk_mps3: Real = 8.0, unit "m/s³", range above(0.0);
+        max_jerk_mps3: Real = 8.0, unit "m/s³", range within(0.0, 1000.0).open_below();
         /// Lowest and highest speed.
-        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s", range MOTION;
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Action, KinState, LateralSpeed};
 use crate::geom::{Real, math};
 use crate::options;
-use crate::options::{above, within};
+use crate::options::{MOTION, POSITIVE_MOTION, within};
 use crate::state::Footprint;
 use std::f32::consts::TAU;
 
@@ -16,15 +16,15 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct BicycleLimits {
         /// Lowest and highest acceleration.
-        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²";
+        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²", range MOTION;
         /// Lowest and highest speed along the heading. Vehicles brake to a stop and do not reverse.
-        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s", range MOTION;
         /// Largest steering angle of the front wheel, below π/2.
         max_steering_rad: Real = 0.6, unit "rad", range within(0.0, 1.57).open_below();
         /// Highest yaw rate times speed.
-        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range above(0.0);
+        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range POSITIVE_MOTION;
         /// Wheelbase as a share of the length. 0.6 fits passenger cars: nuPlan's Pacifica has 3.089 m of 5.176 m.
-        wheelbase_share: Real = 0.6, range above(0.0);
+        wheelbase_share: Real = 0.6, range within(0.0, 1.0).open_below();
     }
 }
 

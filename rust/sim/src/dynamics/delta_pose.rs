@@ -3,6 +3,7 @@
 use super::{Action, KinState, LateralSpeed};
 use crate::geom::{Real, math};
 use crate::options;
+use crate::options::{MOTION, within};
 
 options! {
     /// Limits of one step of the delta-pose model: actions are dx, dy (m) and turn (rad) in the agent's own frame.
@@ -12,11 +13,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct DeltaPoseLimits {
         /// Least and most way forward per step.
-        dx_m: [Real; 2] = [-1.0, 4.0], unit "m";
+        dx_m: [Real; 2] = [-1.0, 4.0], unit "m", range MOTION;
         /// Least and most way to the left per step.
-        dy_m: [Real; 2] = [-1.0, 1.0], unit "m";
+        dy_m: [Real; 2] = [-1.0, 1.0], unit "m", range MOTION;
         /// Least and most turn to the left per step.
-        dheading_rad: [Real; 2] = [-0.5, 0.5], unit "rad";
+        dheading_rad: [Real; 2] = [-0.5, 0.5], unit "rad", range within(-3.1, 3.1);
     }
 }
 

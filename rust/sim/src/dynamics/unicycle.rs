@@ -3,7 +3,7 @@
 use super::{Action, KinState, LateralSpeed};
 use crate::geom::Real;
 use crate::options;
-use crate::options::above;
+use crate::options::{MOTION, POSITIVE_MOTION, within};
 use std::f32::consts::TAU;
 
 options! {
@@ -13,15 +13,15 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct UnicycleLimits {
         /// Lowest and highest acceleration.
-        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²";
+        acceleration_mps2: [Real; 2] = [-10.0, 8.0], unit "m/s²", range MOTION;
         /// Lowest and highest speed. Vehicles brake to a stop and do not reverse.
-        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s";
+        speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s", range MOTION;
         /// Yaw rate that is allowed at any speed.
-        min_yaw_rate_radps: Real = 0.1, unit "rad/s", range above(0.0);
+        min_yaw_rate_radps: Real = 0.1, unit "rad/s", range within(0.0, 10.0).open_below();
         /// Highest yaw rate per speed, a curvature.
-        max_curvature_1pm: Real = 0.5, unit "1/m", range above(0.0);
+        max_curvature_1pm: Real = 0.5, unit "1/m", range within(0.0, 10.0).open_below();
         /// Highest yaw rate times speed.
-        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range above(0.0);
+        max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range POSITIVE_MOTION;
     }
 }
 

@@ -28,11 +28,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct Whole {
         /// A number.
-        speed_mps: f32 = 0.1, unit "m/s", range above(0.0);
+        speed_mps: f32 = 0.1, unit "m/s", range within(0.0, 100.0).open_below();
         /// Its way.
         way: Way = Way::Plain;
         /// A count, or none.
-        count: Option<usize> = None, range at_least(1.0);
+        count: Option<usize> = None, range within(1.0, 1024.0);
         /// Two ends.
         span_m: [f32; 2] = [-1.0, 1.0], unit "m";
     }
@@ -62,10 +62,10 @@ fn what_is_legal_is_read() {
 #[test]
 fn what_is_wrong_is_named_with_its_path_and_its_rule() {
     for (json, message) in [
-        (r#"{"speed_mps": 0}"#, "config: speed_mps is 0, expected a number > 0"),
-        (r#"{"speed_mps": 1e39}"#, "config: speed_mps is 1e+39, expected a number > 0"),
-        (r#"{"count": 0}"#, "config: count is 0, expected a whole number >= 1"),
-        (r#"{"count": 1.5}"#, "config: count is 1.5, expected a whole number >= 1"),
+        (r#"{"speed_mps": 0}"#, "config: speed_mps is 0, expected a number in (0, 100]"),
+        (r#"{"speed_mps": 1e39}"#, "config: speed_mps is 1e+39, expected a number in (0, 100]"),
+        (r#"{"count": 0}"#, "config: count is 0, expected a whole number in [1, 1024]"),
+        (r#"{"count": 1.5}"#, "config: count is 1.5, expected a whole number in [1, 1024]"),
         (r#"{"sped": 1}"#, "config: sped is no option, expected one of speed_mps, way, count, span_m"),
         (r#"{"way": "parted"}"#, "config: way is \"parted\", expected one of plain, parted"),
         (r#"{"way": {"parted": {}}}"#, "config: way.parted.sizes_m is missing, expected a value"),
@@ -81,7 +81,7 @@ fn what_is_wrong_is_named_with_its_path_and_its_rule() {
     let bad = Whole { speed_mps: Real::NAN, ..Whole::default() };
     assert_eq!(
         check("a.b", &bad).unwrap_err().to_string(),
-        "config: a.b.speed_mps is null, expected a number > 0"
+        "config: a.b.speed_mps is null, expected a number in (0, 100]"
     );
 }
 
@@ -89,7 +89,7 @@ fn what_is_wrong_is_named_with_its_path_and_its_rule() {
 fn tables_say_what_they_hold() {
     let table = serde_json::to_value(Whole::TABLE).unwrap();
     assert_eq!(table["defaults"]["speed_mps"], 0.1);
-    assert_eq!(table["fields"][0]["range"], "> 0");
+    assert_eq!(table["fields"][0]["range"], "in (0, 100]");
     assert_eq!(table["fields"][1]["form"]["one_of"]["variants"][1]["form"]["table"], "Part");
 }
 

@@ -7,6 +7,7 @@ use crate::events::off_road;
 use crate::geom::Real;
 use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use crate::options;
+use crate::options::within;
 use crate::policy::{
     AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
 };
@@ -33,7 +34,7 @@ options! {
         /// The policy: one of those that ship, or the path of a `.safetensors` file.
         policy: String = "ego".into();
         /// Factors of weights of its reward, where it was trained for them.
-        style: BTreeMap<String, Real> = BTreeMap::new();
+        style: BTreeMap<String, Real> = BTreeMap::new(), range within(0.0, 1e6);
     }
 }
 

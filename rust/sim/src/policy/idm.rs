@@ -9,7 +9,7 @@ use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 use crate::events::{ANTICIPATION_S, leader};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
-use crate::options::{above, at_least};
+use crate::options::{POSITIVE_MOTION, within};
 
 /// The intelligent driver model.
 pub(super) const KIND: Kind = Kind {
@@ -27,19 +27,19 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct IdmConfig {
         /// Time headway T.
-        headway_s: Real = 1.2, unit "s", range above(0.0);
+        headway_s: Real = 1.2, unit "s", range within(0.0, 60.0).open_below();
         /// Gap at standstill s₀.
-        min_gap_m: Real = 2.0, unit "m", range at_least(0.0);
+        min_gap_m: Real = 2.0, unit "m", range within(0.0, 100.0);
         /// Greatest acceleration a.
-        acceleration_mps2: Real = 1.5, unit "m/s²", range above(0.0);
+        acceleration_mps2: Real = 1.5, unit "m/s²", range POSITIVE_MOTION;
         /// Comfortable deceleration b.
-        deceleration_mps2: Real = 2.5, unit "m/s²", range above(0.0);
+        deceleration_mps2: Real = 2.5, unit "m/s²", range POSITIVE_MOTION;
         /// Hardest braking.
-        max_braking_mps2: Real = 8.0, unit "m/s²", range above(0.0);
+        max_braking_mps2: Real = 8.0, unit "m/s²", range POSITIVE_MOTION;
         /// Acceleration exponent δ.
-        exponent: Real = 4.0, range above(0.0);
+        exponent: Real = 4.0, range within(0.0, 100.0).open_below();
         /// Others are also looked for where they will be, at constant velocity, after this time.
-        anticipation_s: Real = ANTICIPATION_S, unit "s", range at_least(0.0);
+        anticipation_s: Real = ANTICIPATION_S, unit "s", range within(0.0, 60.0);
     }
 }
 

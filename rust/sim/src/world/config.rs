@@ -6,11 +6,11 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
-use crate::options::{Table, above, at_least, within};
+use crate::options::{POSITIVE_MOTION, Table, WEIGHT, within};
 use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::world::differences::{self, Randomization};
-use crate::world::reward_columns::{RewardConfig, WEIGHT};
+use crate::world::reward_columns::RewardConfig;
 use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::collections::BTreeMap;
@@ -121,17 +121,17 @@ options! {
         /// Physical actions to choose from; `None`: the dynamics' default 7 x 9 grid.
         grid: Option<ActionGrid> = None;
         /// Acceleration at +1.
-        max_acceleration_mps2: Real = 4.0, unit "m/s²", range above(0.0);
+        max_acceleration_mps2: Real = 4.0, unit "m/s²", range POSITIVE_MOTION;
         /// Deceleration at -1.
-        max_deceleration_mps2: Real = 8.0, unit "m/s²", range above(0.0);
+        max_deceleration_mps2: Real = 8.0, unit "m/s²", range POSITIVE_MOTION;
         /// Unicycle: yaw rate at +1.
-        max_yaw_rate_radps: Real = 1.0, unit "rad/s", range above(0.0);
+        max_yaw_rate_radps: Real = 1.0, unit "rad/s", range within(0.0, 10.0).open_below();
         /// Bicycle: front wheel angle at +1.
         max_steering_rad: Real = 0.5, unit "rad", range within(0.0, 1.5).open_below().open_above();
         /// Delta pose: displacement at +1, per step.
-        max_displacement_m: Real = 3.0, unit "m", range above(0.0);
+        max_displacement_m: Real = 3.0, unit "m", range POSITIVE_MOTION;
         /// Delta pose: turn at +1, per step.
-        max_turn_rad: Real = 0.1, unit "rad", range above(0.0);
+        max_turn_rad: Real = 0.1, unit "rad", range within(0.0, 3.1).open_below();
     }
 }
 
@@ -144,15 +144,15 @@ options! {
         dt_s: Real = 0.1, unit "s", range within(0.0, 1.0).open_below();
         /// Logged steps before the first free one; episodes start at this step of the log. Drivers that look back farther
         /// are told that the states before were not there.
-        history_steps: usize = 30;
+        history_steps: usize = 30, range within(0.0, 10_000.0);
         /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene. Egos that are
         /// drawn start anywhere by default.
-        start_spread_steps: usize = 0;
+        start_spread_steps: usize = 0, range within(0.0, 10_000.0);
         /// Steps of an episode at most.
-        horizon_steps: usize = 100, range at_least(1.0);
+        horizon_steps: usize = 100, range within(1.0, 100_000.0);
         /// Steps that a call of `step` holds its action for, at most to the end of the episode. Rewards are summed up; a
         /// learner's discount per call is that of a step to this power.
-        decision_steps: usize = 1, range at_least(1.0);
+        decision_steps: usize = 1, range within(1.0, 1000.0);
         /// Agents with a slot, which are observed and rewarded; ids as a list, or as lists by the name of the scene.
         controlled: Controlled = Controlled::Ego;
         /// Slots per world.
@@ -189,7 +189,7 @@ options! {
         /// Share of the way to the goal that makes an episode without accident a success.
         success_completion: Real = 0.95, range within(0.0, 1.0);
         /// Speed limit where the map has none.
-        speed_limit_mps: Real = 15.0, unit "m/s", range above(0.0);
+        speed_limit_mps: Real = 15.0, unit "m/s", range POSITIVE_MOTION;
         /// Actions.
         action: ActionConfig = ActionConfig::default();
         /// Observations.
@@ -198,7 +198,7 @@ options! {
         reward: RewardConfig = RewardConfig::default();
         /// Lowest and highest factors of weights of the reward by name, drawn for each episode or set by a reset, and
         /// observed as `style`.
-        style: BTreeMap<String, [Real; 2]> = BTreeMap::new();
+        style: BTreeMap<String, [Real; 2]> = BTreeMap::new(), range within(0.0, 1e6);
         /// Hidden differences.
         randomization: Randomization = Randomization::default();
         /// Options of the driver `"idm"`.

@@ -106,10 +106,6 @@ pub(crate) fn check_styles(ranges: &Styles, reward: &RewardConfig) -> Result<()>
         let in_form = reward.form == RewardForm::Sum || !FACTORS.contains(&name);
         in_form && reward.weight(name).is_some_and(|weight| weight != 0.0)
     };
-    if let Some((name, [low, _])) = ranges.iter().find(|(_, [low, _])| *low < 0.0) {
-        let (got, expected) = (low.to_string(), "factors >= 0".into());
-        return Err(SimError::Config { field: format!("style.{name}").into(), got, expected });
-    }
     let Some(name) = ranges.keys().find(|name| !counts(name)) else { return Ok(()) };
     let known: Vec<_> = COMPONENTS.into_iter().filter(|name| counts(name)).collect();
     let expected = format!("weights that are not 0: {}", known.join(", "));

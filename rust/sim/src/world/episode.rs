@@ -2,6 +2,7 @@
 
 use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
+use crate::options::CRITICALITY;
 use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
@@ -351,7 +352,7 @@ impl Episode {
             && self.plans.len() == policies.len()
             && self.plans.iter().flatten().all(|p| p.fits(n) && p.record.made_at <= self.elapsed_steps)
             && self.plan_override.guided.iter().flatten().all(|a| in_range(*a))
-            && self.plan_override.criticality.is_none_or(|level| level >= 0.0 && is_sound(level))
+            && self.plan_override.criticality.is_none_or(|level| CRITICALITY.holds(f64::from(level)))
     }
 
     /// A number that depends on the seed, the episode and the step alone.

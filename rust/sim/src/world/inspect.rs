@@ -6,7 +6,7 @@ use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
-use crate::options;
+use crate::options::{self, CRITICALITY};
 use crate::policy::{Driver, PlanOverride, PlanRecord};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
@@ -64,15 +64,15 @@ impl VecWorld {
     ///
     /// # Errors
     /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch without a policy that plans;
-    /// [`SimError::Config`] for a negative criticality.
+    /// [`SimError::Config`] for a criticality out of its range.
     pub fn override_plan(&mut self, world_idx: usize, wanted: PlanOverride) -> Result<()> {
         let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
         if let Some(agent) = wanted.guided.iter().flatten().find(|a| **a >= num_agents) {
             let expected = format!("an index below {num_agents}");
             return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
         }
-        if let Some(strength) = wanted.criticality.filter(|c| !c.is_finite() || *c < 0.0) {
-            let expected = "a finite number of at least 0".into();
+        if let Some(strength) = wanted.criticality.filter(|c| !CRITICALITY.holds(f64::from(*c))) {
+            let expected = format!("a number {CRITICALITY}");
             return Err(SimError::Config {
                 field: "criticality".into(),
                 got: strength.to_string(),

@@ -7,7 +7,7 @@ use crate::choices;
 use crate::events::{Contact, ContactKind};
 use crate::geom::Real;
 use crate::options;
-use crate::options::{Range, within};
+use crate::options::WEIGHT;
 use serde::Serialize;
 
 /// A column of `info`, or a metric of an episode.
@@ -102,7 +102,6 @@ fn flag(is: bool) -> Real {
 }
 
 /// Weights of rewards.
-pub(crate) const WEIGHT: Range = within(-1e6, 1e6);
 
 macro_rules! columns {
     (

@@ -1,5 +1,6 @@
 //! What choosing adversaries is rewarded for: the options of the environments that learn it.
 
+use crate::options::WEIGHT;
 use crate::{choices, options};
 
 choices! {
@@ -22,7 +23,7 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct SelectionReward {
         /// Per new collision that counts.
-        collision: f64 = 5.0;
+        collision: f64 = 5.0, range WEIGHT;
         /// Which collisions count, of agents that were adversaries in the episode.
         count: CountedCollisions = CountedCollisions::Ego;
         /// Whether collisions count that the ego is at fault for (paper), such as rear-ending an adversary that brakes.
@@ -32,10 +33,10 @@ options! {
         avoidable_only: bool = false;
         /// Per unit of realism cost (total variation between guided and unguided actions, the paper's C), mean over
         /// adversaries.
-        realism: f64 = -0.02;
+        realism: f64 = -0.02, range WEIGHT;
         /// Per share of steps that adversaries spend off the road.
-        off_road: f64 = -0.1;
+        off_road: f64 = -0.1, range WEIGHT;
         /// Per unit of discomfort (as `RewardConfig`), mean over steps and adversaries.
-        comfort: f64 = -0.005;
+        comfort: f64 = -0.005, range WEIGHT;
     }
 }

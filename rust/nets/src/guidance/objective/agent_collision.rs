@@ -10,7 +10,7 @@ use super::disks::{Disks, for_pairs};
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
-use ccdiff_sim::options::at_least;
+use ccdiff_sim::options::{WEIGHT, within};
 
 options! {
     /// Settings of the collision loss.
@@ -18,11 +18,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct AgentCollision {
         /// Signed weight; negative seeks collisions.
-        weight: f32 = -50.0;
+        weight: f32 = -50.0, range WEIGHT;
         /// Disks per vehicle.
-        num_disks: usize = 2, range at_least(1.0);
+        num_disks: usize = 2, range within(1.0, 64.0);
         /// Added to the distance at which disks touch.
-        buffer_m: f32 = 0.2, unit "m", range at_least(0.0);
+        buffer_m: f32 = 0.2, unit "m", range within(0.0, 100.0);
     }
 }
 

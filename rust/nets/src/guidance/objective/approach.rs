@@ -12,7 +12,7 @@ use super::disks::{Disks, for_pairs};
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
-use ccdiff_sim::options::{above, at_least};
+use ccdiff_sim::options::{WEIGHT, within};
 
 options! {
     /// Settings of the closeness loss.
@@ -20,11 +20,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct Approach {
         /// Signed weight; negative draws vehicles together.
-        weight: f32 = -10.0;
+        weight: f32 = -10.0, range WEIGHT;
         /// Distance from which on there is no pull.
-        reach_m: f32 = 20.0, unit "m", range above(0.0);
+        reach_m: f32 = 20.0, unit "m", range within(0.0, 1000.0).open_below();
         /// Disks per vehicle.
-        num_disks: usize = 2, range at_least(1.0);
+        num_disks: usize = 2, range within(1.0, 64.0);
     }
 }
 

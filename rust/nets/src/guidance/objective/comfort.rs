@@ -9,7 +9,7 @@ use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::geom::math;
 use ccdiff_sim::options;
-use ccdiff_sim::options::above;
+use ccdiff_sim::options::{POSITIVE_MOTION, WEIGHT, within};
 
 options! {
     /// Settings of the comfort loss. The limits are those of nuPlan's comfort.
@@ -17,11 +17,11 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct Comfort {
         /// Signed weight; positive seeks comfort.
-        weight: f32 = 1.0;
+        weight: f32 = 1.0, range WEIGHT;
         /// Lateral acceleration that costs nothing.
-        lateral_limit_mps2: f32 = 4.89, unit "m/s²", range above(0.0);
+        lateral_limit_mps2: f32 = 4.89, unit "m/s²", range POSITIVE_MOTION;
         /// Jerk along the heading that costs nothing.
-        jerk_limit_mps3: f32 = 8.37, unit "m/s³", range above(0.0);
+        jerk_limit_mps3: f32 = 8.37, unit "m/s³", range within(0.0, 1000.0).open_below();
     }
 }
 

@@ -8,6 +8,7 @@ use super::Evaluation;
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
+use ccdiff_sim::options::{WEIGHT, within};
 
 options! {
     /// Settings of the goal loss.
@@ -15,9 +16,9 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct Goal {
         /// Signed weight; positive seeks the goal.
-        weight: f32 = 1.0;
+        weight: f32 = 1.0, range WEIGHT;
         /// Step of the plan at which the goal counts, clamped to the last; `None`: whenever it is nearest.
-        at_step: Option<usize> = None;
+        at_step: Option<usize> = None, range within(0.0, 1000.0);
     }
 }
 

@@ -15,6 +15,7 @@ use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::geom::{Point2, Region};
 use ccdiff_sim::options;
+use ccdiff_sim::options::WEIGHT;
 
 /// Points per side of the grid.
 const SIDE: usize = 10;
@@ -36,7 +37,7 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct MapCollision {
         /// Signed weight; positive keeps to the road.
-        weight: f32 = 1.0;
+        weight: f32 = 1.0, range WEIGHT;
     }
 }
 

@@ -9,7 +9,7 @@ use super::Evaluation;
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
-use ccdiff_sim::options::above;
+use ccdiff_sim::options::{POSITIVE_MOTION, WEIGHT};
 
 options! {
     /// Settings of the over-speed loss.
@@ -17,9 +17,9 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct OverSpeed {
         /// Signed weight; negative seeks speed.
-        weight: f32 = -1.0;
+        weight: f32 = -1.0, range WEIGHT;
         /// Limit; `None`: that of the world.
-        limit_mps: Option<f32> = None, unit "m/s", range above(0.0);
+        limit_mps: Option<f32> = None, unit "m/s", range POSITIVE_MOTION;
     }
 }
 

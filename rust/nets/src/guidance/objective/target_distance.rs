@@ -10,7 +10,7 @@ use super::Evaluation;
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
-use ccdiff_sim::options::at_least;
+use ccdiff_sim::options::{WEIGHT, within};
 
 options! {
     /// Settings of the distance to the target. Without `collision_targets` nobody is the target, and nobody is drawn.
@@ -18,9 +18,9 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct TargetDistance {
         /// Signed weight; positive draws the attacker to the target.
-        weight: f32 = 2.0;
+        weight: f32 = 2.0, range WEIGHT;
         /// Time of the plan from which on distances count.
-        from_s: f32 = 2.0, unit "s", range at_least(0.0);
+        from_s: f32 = 2.0, unit "s", range within(0.0, 1000.0);
     }
 }
 

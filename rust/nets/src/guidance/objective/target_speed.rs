@@ -7,6 +7,7 @@ use super::Evaluation;
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
+use ccdiff_sim::options::{MOTION, WEIGHT};
 
 options! {
     /// Settings of the target-speed loss.
@@ -14,9 +15,9 @@ options! {
     #[serde(deny_unknown_fields, default)]
     pub struct TargetSpeed {
         /// Signed weight; positive seeks the speed.
-        weight: f32 = 1.0;
+        weight: f32 = 1.0, range WEIGHT;
         /// Speed of agents without one of their own; `None`: these seek none.
-        speed_mps: Option<f32> = None, unit "m/s";
+        speed_mps: Option<f32> = None, unit "m/s", range MOTION;
     }
 }
 

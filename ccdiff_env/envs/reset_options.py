@@ -1,0 +1,34 @@
+"""Options of resets: which there are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ccdiff_env.config import unknown
+from ccdiff_env.errors import ConfigError
+
+__all__ = ["AGENT_OPTIONS", "EGO_OPTIONS", "SELECTION_OPTIONS", "reset_options"]
+
+#: What resets of one ego per world take, of several agents, and of the selection of adversaries.
+EGO_OPTIONS = ("scene", "ego", "start", "style", "drivers")
+AGENT_OPTIONS = ("scene", "drivers")
+SELECTION_OPTIONS = ("scene",)
+
+
+def reset_options(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
+    """Return the options of a reset, all of which are known.
+
+    Raises
+    ------
+    ConfigError
+        For another name, and for what is no dictionary.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"options is {given!r}, expected a dictionary")
+    for name in given:
+        if name not in known:
+            raise unknown("reset option", str(name), known)
+    return given
