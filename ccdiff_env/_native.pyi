@@ -302,6 +302,7 @@ class Scene:
     def __eq__(self, other: object, /) -> bool: ...
     def __hash__(self) -> int: ...
 
+EGO_AXLE_TO_CENTRE_M: float
 LINE_KINDS: list[str]
 ROUTE_SPACING_M: float
 
@@ -327,6 +328,7 @@ def load_nuscenes(
     dt: float,
     timing: str,
     interpolation: str,
+    ego_reference: str,
     kinds: list[str] | None,
     categories: list[str] | None,
     map_margin: float,

@@ -87,8 +87,11 @@ def frames(devkit):
                 )
             boxes = []
             for instance, category, (width, length), record in rows:
-                x, y = record["translation"][:2]
-                yaw = Quaternion(record["rotation"]).yaw_pitch_roll[0]
+                pose = Quaternion(record["rotation"])
+                # a pose of the ego is the middle of its rear axle
+                ahead = pose.rotate([1.385 if instance == "ego" else 0.0, 0.0, 0.0])
+                x, y = (np.array(record["translation"]) + ahead)[:2]
+                yaw = pose.yaw_pitch_roll[0]
                 flat = shapely_box(-length / 2, -width / 2, length / 2, width / 2)
                 shape = translate(rotate(flat, yaw, origin=(0, 0), use_radians=True), x, y)
                 boxes.append((instance, category, shape, yaw, (x, y)))

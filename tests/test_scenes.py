@@ -87,7 +87,7 @@ def test_scene_gives_arrays_in_its_own_frame(scenes):
     scene = scenes[0]
     assert (scene.name, scene.token, scene.location) == ("scene-0000", "t0", "town")
     assert scene.source == "nuscenes v1.0-tiny"
-    assert (scene.dt, scene.num_steps, scene.origin) == (0.1, 21, (1000.0, 500.0))
+    assert (scene.dt, scene.num_steps, scene.origin) == (0.1, 21, (1001.0, 500.0))
     assert scene.agent_ids == ["ego", "car0"]
     assert scene.agent_types == ["vehicle", "vehicle"]
     assert scene.agent_categories == ["vehicle.ego", "vehicle.car"]
@@ -100,12 +100,49 @@ def test_scene_gives_arrays_in_its_own_frame(scenes):
         "velocity": ((2, 21, 2), "float32"),
         "valid": ((2, 21), "bool"),
     }
-    assert np.allclose(tracks["position"][0, :, 0], np.arange(21))
+    assert np.allclose(tracks["position"][0, :, 0], 0.385 + np.arange(21))
     assert np.allclose(tracks["velocity"][1], [0, 4], atol=1e-4)
     # past half a turn without a jump
     assert np.allclose(tracks["heading"][1], 3.1 + 0.01 * np.arange(21), atol=1e-5)
     tracks["position"][:] = 77
     assert not (scene.tracks()["position"] == 77).any(), "arrays are copies"
+
+
+@pytest.mark.parametrize("interpolation", ["smooth", "linear"])
+def test_an_ego_pose_is_the_middle_of_the_rear_axle(tmp_path, interpolation):
+    """A car whose rear axle goes round a circle: its centre goes round a wider one, askew."""
+    rate, radius, ahead = 0.2, 20.0, 1.385
+    rows = tables(1, 31)
+    for k, pose in enumerate(rows["ego_pose"]):
+        turn = rate * 0.5 * k
+        pose["translation"] = [900 + radius * math.sin(turn), 400 - radius * math.cos(turn), 2.0]
+        pose["rotation"] = [math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)]
+    write(tmp_path, rows)
+
+    def ego(**options):
+        options |= {"interpolation": interpolation, "cache": tmp_path / "cache"}
+        (scene,) = ccdiff_env.load_nuscenes(tmp_path, VERSION, **options)
+        tracks = scene.tracks()
+        position = tracks["position"][0] + np.array(scene.origin)
+        return position, tracks["velocity"][0], tracks["heading"][0], scene
+
+    position, velocity, heading, scene = ego()
+    axle, axle_velocity, _, as_paper = ego(ego_reference="centre")
+    keys = slice(40, -40, 5)  # splines are straight at their ends
+    turn = rate * 0.1 * np.arange(len(heading))
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    middle = np.array([900, 400])
+    assert np.allclose(axle[keys], (middle - radius * left)[keys], atol=2e-4)
+    assert np.allclose(position[keys], (middle - radius * left + ahead * along)[keys], atol=2e-4)
+    slack = 2e-3 if interpolation == "smooth" else 0.02
+    assert np.allclose(axle_velocity[keys], rate * radius * along[keys], atol=slack)
+    expected = rate * (radius * along + ahead * left)
+    assert np.allclose(velocity[keys], expected[keys], atol=slack)
+    assert scene.sizes[0, 0] == as_paper.sizes[0, 0]
+    assert scene.hash != as_paper.hash
+    with pytest.raises(errors.ConfigError, match="rear_axle"):
+        ego(ego_reference="bumper")
 
 
 def test_set_is_a_sequence_with_names(scenes):

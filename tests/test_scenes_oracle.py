@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pyquaternion import Quaternion
 
 import ccdiff_env
 from ccdiff_env.scenes import splits
@@ -44,13 +45,12 @@ def key_frames(devkit, scene):
 
 def yaw_of(rotation):
     from nuscenes.eval.common.utils import quaternion_yaw
-    from pyquaternion import Quaternion
 
     return quaternion_yaw(Quaternion(rotation))
 
 
 def annotated(devkit, scene):
-    """Times (s) and poses [K, 3] at key frames, by agent; the ego's first."""
+    """Times (s) and poses [K, 3] at key frames, by agent; the ego's first, from its rear axle."""
     samples = key_frames(devkit, scene)
     start_us, keys = samples[0]["timestamp"], {"ego": []}
     for sample in samples:
@@ -60,7 +60,10 @@ def annotated(devkit, scene):
         boxes = [devkit.get("sample_annotation", token) for token in sample["anns"]]
         rows += [(box["instance_token"], sample["timestamp"], box) for box in boxes]
         for agent, time_us, row in rows:
-            pose = (*row["translation"][:2], yaw_of(row["rotation"]))
+            ahead = 1.385 if agent == "ego" else 0.0
+            place = np.array(row["translation"])
+            place += Quaternion(row["rotation"]).rotate([ahead, 0.0, 0.0])
+            pose = (*place[:2], yaw_of(row["rotation"]))
             keys.setdefault(agent, []).append(((time_us - start_us) * 1e-6, *pose))
     found = {agent: np.array(rows) for agent, rows in keys.items()}
     for rows in found.values():

@@ -45,6 +45,8 @@ FOLDER, MINI = "/data/nuscenes", "v1.0-mini"
         (f"nuscenes:{FOLDER}@{MINI}/mini_val", ("nuscenes", FOLDER, MINI, "mini_val", None)),
         ("nuscenes:/a@b/c/all?limit=2", ("nuscenes", "/a@b/c", None, "all", 2)),
         ("nuscenes:/data/val/val", ("nuscenes", "/data/val", None, "val", None)),
+        (f"nuscenes:{FOLDER}?ego_reference=centre", ("nuscenes", FOLDER, None, None, None)),
+        ("nuscenes:/a/val?ego_reference=centre&limit=2", ("nuscenes", "/a", None, "val", 2)),
         ("scenarionet:/data/val", ("scenarionet", "/data/val", None, None, None)),
         ("scenarionet:a@b/c.pkl", ("scenarionet", "a@b/c.pkl", None, None, None)),
     ],
@@ -52,6 +54,7 @@ FOLDER, MINI = "/data/nuscenes", "v1.0-mini"
 def test_texts_have_parts_and_places_give_them_back(text, parts):
     place = parse(text)
     assert (place.source, place.path, place.version, place.split, place.limit) == parts
+    assert place.ego_reference == ("centre" if "=centre" in text else None)
     assert str(place) == text
     whole = settled(place)
     assert parse(str(whole)) == whole
@@ -75,6 +78,9 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("nuscenes:/nowhere/mini_vla", "neither a folder nor a split 'mini_vla' (did you mean"),
         ("embedded?limit=0", "limit is 0, expected at least 1"),
         ("embedded/val?limit=-1", "no split 'val?limit=-1'"),
+        ("embedded/val?limit=two", "limit is 'two', expected a whole number"),
+        ("embedded?ego_reference=centre", "ego_reference is 'centre', expected none for embedded"),
+        ("nuscenes:/a?ego_reference=axle", "'axle', expected 'rear_axle' or 'centre'"),
     ],
 )
 def test_wrong_texts_are_told_with_the_sources_there_are(text, message):

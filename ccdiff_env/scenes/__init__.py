@@ -10,7 +10,7 @@ from functools import cache as _memoise
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.scenes.load_report import LoadReport
 
 __all__ = [
+    "EgoReference",
     "LoadReport",
     "Scene",
     "SceneSet",
@@ -35,6 +36,9 @@ __all__ = [
 ]
 
 _TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
+
+#: Which point of a recording car its poses are of.
+EgoReference = Literal["rear_axle", "centre"]
 
 
 def with_tracks(
@@ -251,6 +255,7 @@ def load_nuscenes(
     dt: float = 0.1,
     timing: Literal["recorded", "nominal"] = "recorded",
     interpolation: Literal["smooth", "linear"] = "smooth",
+    ego_reference: EgoReference = "rear_axle",
     kinds: Sequence[str] | None = None,
     categories: Sequence[str] | None = None,
     map_margin: float = 60.0,
@@ -282,6 +287,10 @@ def load_nuscenes(
         is the velocity, through the poses of the ego and within the noise of the annotations of
         others; or ``"linear"``, straight lines in position, heading and velocity, the velocity at
         key frames that of the devkit's ``box_velocity``.
+    ego_reference
+        Which point of the recording car its poses are of: ``"rear_axle"``, its middle, as
+        nuScenes has them (nuscenes-devkit#108), so that the centre of the box is 1.385 m ahead; or
+        ``"centre"``. Differs from the paper: its released code takes poses as centres.
     kinds
         Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
         ``static``; all by default.
@@ -330,6 +339,7 @@ def load_nuscenes(
         dt=dt,
         timing=timing,
         interpolation=interpolation,
+        ego_reference=ego_reference,
         kinds=None if kinds is None else list(kinds),
         categories=None if categories is None else list(categories),
         map_margin=map_margin,
@@ -354,7 +364,9 @@ def load_nuscenes(
     return SceneSet(loaded, partial(LoadReport.from_json, report))
 
 
-def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
+def load_scenarionet(
+    path: str | os.PathLike[str], *, ego_reference: EgoReference = "rear_axle"
+) -> SceneSet:
     """Load ScenarioNet scenario descriptions: exports of nuScenes, Waymo, nuPlan, Argoverse 2.
 
     The pickles are read with an unpickler that builds numpy arrays and plain containers only. The
@@ -367,6 +379,10 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     ----------
     path
         One ``.pkl`` file, or a folder that is searched for them.
+    ego_reference
+        Which point of the car the ego's poses are of in files made from nuScenes, as in
+        :func:`load_nuscenes`; those of others are centres. Such files have the ego's length and
+        width swapped, which is mended and noted.
 
     Returns
     -------
@@ -381,10 +397,15 @@ def load_scenarionet(path: str | os.PathLike[str]) -> SceneSet:
     DatasetError
         A file is damaged, asks for another global than the allowed ones, or breaks a rule; the
         message names file, field and value.
+    ConfigError
+        No such ``ego_reference``.
     """
+    if ego_reference not in get_args(EgoReference):
+        known = " or ".join(map(repr, get_args(EgoReference)))
+        raise ConfigError(f"ego_reference is {ego_reference!r}, expected {known}")
     # imported here: reading pickles is not needed to import the package
     from ccdiff_env.scenes.scenarionet import read_scenarios
 
-    scenes = SceneSet(*read_scenarios(path))
+    scenes = SceneSet(*read_scenarios(path, ego_reference))
     warn_without_road(scenes)
     return scenes

@@ -43,7 +43,9 @@ def add_scene_arguments(
     forms = ", ".join(source.form for source in SOURCES.values())
     parser.set_defaults(scenes_use=use)
     parser.add_argument(
-        "--scenes", metavar="SOURCE", help=f"source of the scenes, of: {forms} (default: {usual})"
+        "--scenes",
+        metavar="SOURCE",
+        help=f"source of the scenes, of: {forms}, and ?ego_reference=centre (default: {usual})",
     )
     parser.add_argument(
         "--dataroot",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env._native import Scene, complete_map
+from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
 from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
@@ -104,7 +104,7 @@ def _states(
     for name in ("length", "width", "height"):
         shown = values(name)[valid] if name in state else np.zeros(1)
         known = shown[np.isfinite(shown) & (shown > 0)]
-        sizes.append(float(known[0]) if len(known) else 0.0)
+        sizes.append(float(np.median(known)) if len(known) else 0.0)
     if min(sizes[:2]) <= 0:
         raise source.fault(f"size of tracks[{key!r}]", sizes, "a positive length and width")
     heading = values("heading").copy()
@@ -120,6 +120,20 @@ def _states(
             raise source.fault(where, array[bad][0], "finite numbers where valid")
     size = (sizes[0], sizes[1], sizes[2])
     return _Track(key, kind, category, size, position, heading, velocity, valid, elevation)
+
+
+def _nuscenes_ego(source: ScenarioFields, ego: _Track, dt: float, reference: str) -> None:
+    """Bring an ego of nuScenes from its rear axle to its centre; mend its swapped sides."""
+    length, width, height = ego.size
+    if width > length:  # of the converter, scenarionet#68
+        ego.size = (width, length, height)
+        source.notes.append(f"ego {length:.2f} m long and {width:.2f} m wide: sides swapped")
+    if reference == "rear_axle":
+        shown, heading = ego.valid, ego.heading[ego.valid]
+        ahead = EGO_AXLE_TO_CENTRE_M * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        ego.position, ego.velocity = ego.position.copy(), ego.velocity.copy()
+        ego.position[shown] += ahead
+        ego.velocity[shown] += np.gradient(ahead, dt * np.flatnonzero(shown), axis=0)
 
 
 def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
@@ -390,7 +404,7 @@ def _tracks(source: ScenarioFields, num_steps: int, ego: str | None) -> list[_Tr
     return found
 
 
-def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneReport]:
+def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | None, SceneReport]:
     source = ScenarioFields(path, load_scenario_dict(path))
     metadata = source.part("metadata")
     num_steps = source.data.get("length")
@@ -404,11 +418,14 @@ def _scene(path: Path, taken: Collection[str]) -> tuple[Scene | None, SceneRepor
     sdc_id = metadata.get("sdc_id")
     ego = None if sdc_id is None else source.text(sdc_id, "metadata.sdc_id")
     tracks = _tracks(source, num_steps, ego)
+    dt = _time_step(source, metadata)
+    if tracks and tracks[0].id == _EGO_ID and metadata.get("dataset") == "nuscenes":
+        _nuscenes_ego(source, tracks[0], dt, reference)
     scene: Scene | None = None
     layers: dict[str, int] = {}
     road = "none"
     if tracks:
-        scene, layers, road = _assembled(source, name, num_steps, tracks)
+        scene, layers, road = _assembled(source, name, dt, tracks)
     counts = Counter(track.category for track in tracks)
     report = SceneReport(
         name=name,
@@ -441,9 +458,8 @@ def _places(tracks: Sequence[_Track], origin: F64) -> npt.NDArray[np.float32]:
 
 
 def _assembled(
-    source: ScenarioFields, name: str, num_steps: int, tracks: Sequence[_Track]
+    source: ScenarioFields, name: str, dt: float, tracks: Sequence[_Track]
 ) -> tuple[Scene, dict[str, int], str]:
-    metadata = source.part("metadata")
     valid = np.stack([track.valid for track in tracks])
     position = np.stack([track.position for track in tracks])
     origin = _origin(source, tracks)
@@ -461,7 +477,7 @@ def _assembled(
         heading=np.stack([track.heading for track in tracks]).astype(np.float32),
         velocity=np.stack([track.velocity for track in tracks]).astype(np.float32),
         valid=valid,
-        dt=_time_step(source, metadata),
+        dt=dt,
         token=source.name(("metadata.scenario_token", "id"), name),
         location=source.name(("metadata.map",), ""),
         source=f"scenarionet {source.name(('metadata.dataset',), 'unknown')}",
@@ -484,7 +500,7 @@ def _files(path: Path) -> Iterator[Path]:
         raise DatasetNotFoundError(f"no scenario file or folder at {path}")
 
 
-def read_scenarios(path: str | os.PathLike[str]) -> tuple[list[Scene], LoadReport]:
+def read_scenarios(path: str | os.PathLike[str], ego_reference: str) -> tuple[list[Scene], LoadReport]:
     """Import a scenario file, or all of a folder; see :func:`ccdiff_env.load_scenarionet`."""
     started = time.perf_counter()
     scenes: list[Scene] = []
@@ -493,7 +509,7 @@ def read_scenarios(path: str | os.PathLike[str]) -> tuple[list[Scene], LoadRepor
     taken: set[str] = set()
     for file in _files(Path(path)):
         with reading("scenario", file):
-            scene, report = _scene(file, taken)
+            scene, report = _scene(file, taken, ego_reference)
         if scene is None:
             empty.append(report.name)
             continue

@@ -22,6 +22,8 @@ class Place:
         Where its files are, and which of them; several splits are joined, ``"train+train_val"``.
     limit
         Only so many scenes, the first ones.
+    ego_reference
+        Which point of a recording car its poses are of, where the source asks for it.
     names, kinds
         Only scenes of these names, and only agents of these types. They are not in the text.
         A source may use them to read less: what it leaves is left out afterwards.
@@ -32,12 +34,16 @@ class Place:
     version: str | None = None
     split: str | None = None
     limit: int | None = None
+    ego_reference: str | None = None
     names: tuple[str, ...] | None = None
     kinds: tuple[str, ...] | None = None
 
     def __str__(self) -> str:
-        marks = {":": self.path, "@": self.version, "/": self.split, "?limit=": self.limit}
-        return self.source + "".join(f"{m}{part}" for m, part in marks.items() if part is not None)
+        marks = {":": self.path, "@": self.version, "/": self.split}
+        text = self.source + "".join(f"{m}{part}" for m, part in marks.items() if part is not None)
+        options = {"ego_reference": self.ego_reference, "limit": self.limit}
+        given = "&".join(f"{name}={part}" for name, part in options.items() if part is not None)
+        return text + f"?{given}" * bool(given)
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,8 @@ class Source:
     usual
         The splits to ``"train"`` and to ``"test"`` on by default, by version (``""`` where the
         source has no versions). The first version that is there is the default.
+    ego_references
+        What ``ego_reference`` may be; nothing where poses are centres anyway.
     kept_out
         Splits whose scenes no network is trained on.
     lacks
@@ -71,6 +79,7 @@ class Source:
     path: str | None = None
     splits: Callable[[], Mapping[str, Sequence[str]]] | None = None
     usual: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    ego_references: tuple[str, ...] = ()
     kept_out: tuple[str, ...] = ()
     lacks: str = ""
 

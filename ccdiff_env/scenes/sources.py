@@ -1,7 +1,8 @@
 """Data sources: where scenes come from, and the texts that name them.
 
-``SOURCE:PATH@VERSION/SPLIT?limit=N``: each source says which of these parts it has. A source is one
-record of :data:`SOURCES`; commands, benchmarks, examples and environments take every one of them.
+``SOURCE:PATH@VERSION/SPLIT?ego_reference=centre&limit=N``: each source says which of these parts it
+has. A source is one record of :data:`SOURCES`; commands, benchmarks, examples and environments take
+every one of them.
 """
 
 from __future__ import annotations
@@ -12,9 +13,18 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, get_args
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import SceneSet, gpudrive, load_nuscenes, load_scenarionet, of_kinds, splits
+from ccdiff_env.scenes import (
+    EgoReference,
+    SceneSet,
+    gpudrive,
+    load_nuscenes,
+    load_scenarionet,
+    of_kinds,
+    splits,
+)
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.scenes.source_record import Place, Source
 from ccdiff_env.system.files import reading
@@ -33,10 +43,16 @@ __all__ = [
 ]
 
 
+def _options(place: Place) -> dict[str, Any]:
+    return {} if place.ego_reference is None else {"ego_reference": place.ego_reference}
+
+
 def _nuscenes(place: Place) -> SceneSet:
     split = None if place.names or place.split is None else place.split.split("+")
     version = place.version or "v1.0-trainval"
-    return load_nuscenes(place.path or "", version, split, place.names, kinds=place.kinds)
+    return load_nuscenes(
+        place.path or "", version, split, place.names, kinds=place.kinds, **_options(place)
+    )
 
 
 def _embedded(place: Place) -> SceneSet:
@@ -45,7 +61,7 @@ def _embedded(place: Place) -> SceneSet:
 
 
 def _scenarionet(place: Place) -> SceneSet:
-    return load_scenarionet(place.path or "")
+    return load_scenarionet(place.path or "", **_options(place))
 
 
 #: The sources by name.
@@ -71,6 +87,7 @@ SOURCES: dict[str, Source] = {
                 "v1.0-trainval": {"train": "train+train_val", "test": "ccdiff100"},
                 "v1.0-mini": {"train": "mini_train", "test": "mini_val"},
             },
+            ego_references=get_args(EgoReference),
             kept_out=("val", "mini_val"),
             lacks="states of traffic lights, speed limits",
         ),
@@ -79,6 +96,7 @@ SOURCES: dict[str, Source] = {
             "ScenarioNet",
             _scenarionet,
             path="FILE_OR_FOLDER",
+            ego_references=get_args(EgoReference),
             lacks="a road where a file has neither road edges nor lanes",
         ),
         gpudrive.SOURCE,
@@ -101,8 +119,13 @@ def parse(text: str) -> Place:
     ConfigError
         If it names no source, no split of it, or a part that the source does not have or needs.
     """
-    found = re.fullmatch(r"(\w*)(.*?)(?:\?limit=(\d+))?", text, re.DOTALL)
-    name, rest, limit = found.groups() if found else (text, "", None)
+    option = r"(?:limit|ego_reference)=\w+"
+    found = re.fullmatch(rf"(\w*)(.*?)(?:\?({option}(?:&{option})*))?", text, re.DOTALL)
+    name, rest, given = found.groups() if found else (text, "", None)
+    options = dict(part.split("=") for part in given.split("&")) if given else {}
+    limit = options.get("limit")
+    if limit is not None and not limit.isdecimal():
+        raise _wrong(text, f"limit is {limit!r}, expected a whole number")
     if name not in SOURCES:
         raise _wrong(text, f"no source {name!r}", name, SOURCES)
     path: str | None = None
@@ -114,7 +137,8 @@ def parse(text: str) -> Place:
         split = rest[1:]
     elif rest:
         raise _wrong(text, f"{rest!r} after {name!r}")
-    place = Place(name, path, version, split, None if limit is None else int(limit))
+    number = None if limit is None else int(limit)
+    place = Place(name, path, version, split, number, options.get("ego_reference"))
     return _checked(place, text)
 
 
@@ -140,6 +164,10 @@ def _checked(place: Place, text: str) -> Place:
     source, there = SOURCES[place.source], place.path is None or _is_there(place.path)
     if place.limit is not None and place.limit < 1:
         raise _wrong(text, f"limit is {place.limit}, expected at least 1")
+    reference = place.ego_reference
+    if reference is not None and reference not in source.ego_references:
+        known = " or ".join(map(repr, source.ego_references)) or f"none for {source.name}"
+        raise _wrong(text, f"ego_reference is {reference!r}, expected {known}")
     if source.path is not None and not place.path:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:
@@ -207,7 +235,7 @@ def load(
     scenes
         ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
         ``"scenarionet:/data/files"``. Without a version the first that is there is taken, without
-        a split all scenes.
+        a split all scenes. ``?limit=N`` and ``?ego_reference=centre`` may follow, joined by ``&``.
     limit
         Only so many scenes, the first ones.
     names
@@ -267,4 +295,5 @@ def title(place: Place, counted: str | None = None) -> str:
     name = place.version or (place.path and Path(place.path).name) or ""
     parts = [f"{source.title} {name}".strip(), counted or place.split or ""]
     parts += [] if place.limit is None else [f"the first {place.limit}"]
+    parts += ["ego poses taken as centres"] * (place.ego_reference == "centre")
     return ", ".join(part for part in parts if part)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M
 from tools.embedded_city.checks import KEY_FRAME_S, Track
 from tools.embedded_city.curves import Pose, wrap
 from tools.embedded_city.layout import LOCATION
@@ -128,6 +129,18 @@ def _rotation(yaw: float) -> list[float]:
     return [round(math.cos(half), 6), 0.0, 0.0, round(math.sin(half), 6)]
 
 
+def _rear_axle(centre: Pose, rotation: Sequence[float]) -> list[float]:
+    """Return the place from which the loader comes to a centre; not rounded, so that it does."""
+    w, _, _, z = rotation
+    norm = w * w + z * z
+    axis = (w * w - z * z, 2.0 * (w * z))
+    x, y = (
+        at - EGO_AXLE_TO_CENTRE_M * (along / norm)
+        for at, along in zip(centre.xy, axis, strict=True)
+    )
+    return [x, y, 0.0]
+
+
 def _add_scene(out: dict[str, list[Record]], number: int, scene: LoggedScene) -> None:
     keys = [(number, frame) for frame in range(scene.num_frames)]
     out["scene"].append(
@@ -145,12 +158,13 @@ def _add_scene(out: dict[str, list[Record]], number: int, scene: LoggedScene) ->
         time = {"timestamp": _timestamp_us(number, frame)}
         sample = {"token": token("sample", *key), **time, "scene_token": token("scene", number)}
         out["sample"].append({**sample, **_chain("sample", keys, frame)})
+        rotation = _rotation(pose.yaw)
         out["ego_pose"].append(
             {
                 "token": token("ego_pose", *key),
                 **time,
-                "rotation": _rotation(pose.yaw),
-                "translation": [pose.x, pose.y, 0.0],
+                "rotation": rotation,
+                "translation": _rear_axle(pose, rotation),
             }
         )
         out["sample_data"].append(

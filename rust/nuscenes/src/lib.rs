@@ -46,6 +46,7 @@ pub use error::{NuscenesError, Result};
 pub use gpudrive::load_gpudrive;
 pub use load::{Loaded, load};
 pub use options::{
-    BuildOptions, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming, LoadOptions, Selection,
+    BuildOptions, EGO_AXLE_TO_CENTRE_M, EgoReference, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming,
+    LoadOptions, Selection,
 };
 pub use report::{CacheReport, Dropped, LoadReport, MapReport, Road, SceneReport, Timing};

@@ -112,7 +112,13 @@ impl Load<'_> {
         if !lost.is_empty() {
             let indices: Vec<usize> = lost.iter().map(|i| wanted[*i]).collect();
             let (logged, maps) = rayon::join(
-                || self.tables.read_logged(&entries, &indices),
+                || {
+                    self.tables.read_logged(
+                        &entries,
+                        &indices,
+                        self.options.build.ego_reference.to_centre_m(),
+                    )
+                },
                 || self.read_maps(indices.iter().map(|i| &entries[*i])),
             );
             let (logged, maps) = (logged?, maps?);

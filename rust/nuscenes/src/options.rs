@@ -8,6 +8,11 @@ use std::path::PathBuf;
 /// Seconds between key frames of nuScenes.
 pub const KEY_FRAME_INTERVAL_S: f64 = 0.5;
 
+/// From the rear axle of nuScenes' recording car to the middle of its length, metres. A Renault Zoe is 4.084 m long, has its
+/// axles 2.588 m apart and overhangs the rear one by 0.657 m (Renault's drawing of the car; py123d takes the same 1.385 m).
+/// That ego poses are of the rear axle says nuscenes-devkit#108.
+pub const EGO_AXLE_TO_CENTRE_M: f64 = 1.385;
+
 /// When key frames were.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -17,6 +22,27 @@ pub enum KeyFrameTiming {
     Recorded,
     /// Every half second, whatever their timestamps, as the paper's released code has it (reference.md#time-base).
     Nominal,
+}
+
+/// Which point of the recording car its poses are of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoReference {
+    /// The middle of the rear axle, as in nuScenes: the centre of the box is [`EGO_AXLE_TO_CENTRE_M`] ahead.
+    #[default]
+    RearAxle,
+    /// The centre of the box, as the paper's released code takes them.
+    Centre,
+}
+
+impl EgoReference {
+    /// How far ahead of a pose the centre of the box is, metres.
+    pub(crate) fn to_centre_m(self) -> f64 {
+        match self {
+            Self::RearAxle => EGO_AXLE_TO_CENTRE_M,
+            Self::Centre => 0.0,
+        }
+    }
 }
 
 /// How states between key frames are made.
@@ -40,6 +66,8 @@ pub struct BuildOptions {
     pub timing: KeyFrameTiming,
     /// How states between key frames are made.
     pub interpolation: Interpolation,
+    /// Which point of the recording car its poses are of.
+    pub ego_reference: EgoReference,
     /// Kinds to keep; `None` keeps all. The ego is always kept.
     pub kinds: Option<Vec<AgentKind>>,
     /// Categories to keep, by full name or by a prefix that ends at a dot (`vehicle`, `vehicle.bus`); `None` keeps all.
@@ -58,6 +86,7 @@ impl Default for BuildOptions {
             dt_s: 0.1,
             timing: KeyFrameTiming::Recorded,
             interpolation: Interpolation::Smooth,
+            ego_reference: EgoReference::RearAxle,
             kinds: None,
             categories: None,
             map_margin_m: 60.0,

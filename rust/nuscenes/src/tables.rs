@@ -73,7 +73,7 @@ pub(crate) struct LoggedTrack {
 pub(crate) struct LoggedScene {
     /// Times of the key frames, strictly increasing.
     pub(crate) timestamps_us: Vec<i64>,
-    /// Ego poses of the key frames that have one, in time order.
+    /// Centres of the ego's box at the key frames that have a pose of it, in time order.
     pub(crate) ego: Vec<Key>,
     /// Channel they are of.
     pub(crate) ego_channel: Option<String>,
@@ -142,8 +142,14 @@ impl Tables {
         Ok(scenes)
     }
 
-    /// What the tables say about the scenes at these indices of `scenes`, in the order of `wanted`.
-    pub(crate) fn read_logged(&self, scenes: &[SceneEntry], wanted: &[usize]) -> Result<Vec<LoggedScene>> {
+    /// What the tables say about the scenes at these indices of `scenes`, in the order of `wanted`; the centre of the ego's
+    /// box is `ego_ahead_m` ahead of its poses.
+    pub(crate) fn read_logged(
+        &self,
+        scenes: &[SceneEntry],
+        wanted: &[usize],
+        ego_ahead_m: f64,
+    ) -> Result<Vec<LoggedScene>> {
         let samples = self.read_samples(scenes, wanted)?;
         let mut logged = vec![LoggedScene::default(); wanted.len()];
         for sample in &samples.list {
@@ -151,8 +157,10 @@ impl Tables {
                 logged[slot].timestamps_us.push(sample.timestamp_us);
             }
         }
-        let (tracks, egos) =
-            rayon::join(|| self.read_tracks(&samples), || self.read_egos(&samples, wanted.len()));
+        let (tracks, egos) = rayon::join(
+            || self.read_tracks(&samples),
+            || self.read_egos(&samples, wanted.len(), ego_ahead_m),
+        );
         for (slot, track) in tracks? {
             logged[slot].tracks.push(track);
         }
@@ -207,7 +215,7 @@ impl Tables {
             let sample = &samples.list[place];
             let Some(slot) = sample.slot else { return Ok(None) };
             let (translation, rotation) = (row.parse(3)?, row.parse(5)?);
-            let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation)?;
+            let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation, 0.0)?;
             Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.parse(4)? }))
         })?;
         let tokens: Vec<Token> = rows.iter().map(|a| a.token).collect();
@@ -273,8 +281,13 @@ impl Tables {
         Ok(LoggedTrack { instance, category, size_m: first.size_m, keys })
     }
 
-    /// For each scene the key poses of the ego, and the channel they are of.
-    fn read_egos(&self, samples: &Samples, num_scenes: usize) -> Result<Vec<(Vec<Key>, Option<String>)>> {
+    /// For each scene the centres of the ego at key frames, and the channel they are of.
+    fn read_egos(
+        &self,
+        samples: &Samples,
+        num_scenes: usize,
+        ahead_m: f64,
+    ) -> Result<Vec<(Vec<Key>, Option<String>)>> {
         let (channels, rows) = self.read_key_frame_data(samples)?;
         let chosen = choose_channels(&rows, samples, channels.len(), num_scenes);
         let wanted: Vec<(Token, u32)> = rows
@@ -304,7 +317,7 @@ impl Tables {
                 let expected = "within 0.25 s of its sample's";
                 return Err(late(path.clone(), token, timestamp_us, expected));
             }
-            let key = ground_pose(&path, token, sample, timestamp_us, translation, rotation)?;
+            let key = ground_pose(&path, token, sample, timestamp_us, translation, rotation, ahead_m)?;
             Ok(Some((place, sample.slot, key)))
         })?;
         let mut egos: Vec<Vec<Key>> = vec![Vec::new(); num_scenes];
@@ -462,8 +475,8 @@ fn late(path: PathBuf, token: Token, timestamp_us: i64, expected: &'static str) 
     NuscenesError::Value { path, token, field: "timestamp", got, expected }
 }
 
-/// Position and yaw of a pose in three dimensions, checked. Yaw is the direction of the rotated x axis, as the
-/// devkit's `quaternion_yaw`.
+/// Position and yaw of the point `ahead_m` along the x axis of a pose in three dimensions, checked. Yaw is the direction of
+/// the rotated x axis, as the devkit's `quaternion_yaw`.
 fn ground_pose(
     path: &Path,
     token: Token,
@@ -471,6 +484,7 @@ fn ground_pose(
     timestamp_us: i64,
     translation: [f64; 3],
     rotation: [f64; 4],
+    ahead_m: f64,
 ) -> Result<Key> {
     let fail = |field, got: &[f64], expected| {
         let (path, token, got) = (path.to_owned(), token.to_string(), format!("{got:?}"));
@@ -485,6 +499,7 @@ fn ground_pose(
     if !(1e-12..1e12).contains(&norm_sq) {
         return fail("rotation", &rotation, "a quaternion w, x, y, z that is not zero");
     }
-    let yaw_rad = (2.0 * (x * y + w * z)).atan2(w * w + x * x - y * y - z * z);
-    Ok(Key { frame: sample.frame, timestamp_us, x_m, y_m, yaw_rad })
+    let axis = [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)];
+    let [x_m, y_m] = [x_m + ahead_m * (axis[0] / norm_sq), y_m + ahead_m * (axis[1] / norm_sq)];
+    Ok(Key { frame: sample.frame, timestamp_us, x_m, y_m, yaw_rad: axis[1].atan2(axis[0]) })
 }

@@ -33,12 +33,13 @@ fn agents_come_ego_first_then_by_first_appearance_and_nothing_is_lost_silently()
     let kinds: Vec<AgentKind> = scene.agents.iter().map(|a| a.kind).collect();
     use AgentKind::{Cyclist, Pedestrian, Static, Vehicle};
     assert_eq!(kinds, [Vehicle, Vehicle, Static, Pedestrian, Cyclist]);
-    assert_eq!((scene.agents[0].id.as_str(), scene.origin), ("ego", [100.0, 200.0]));
+    assert_eq!((scene.agents[0].id.as_str(), scene.origin), ("ego", [102.0, 200.0]));
     assert_eq!((scene.agents[1].length_m, scene.agents[1].width_m), (4.5, 1.9));
     // the ego drives at 10 m/s, the car at 4 m/s with one key frame missing
     assert!((scene.tracks.velocity[scene.at(0, 13)].x - 10.0).abs() < 1e-4);
     assert!((scene.tracks.velocity[scene.at(1, 15)].x - 4.0).abs() < 1e-4);
-    assert!((scene.tracks.position[scene.at(0, 0)].x - 0.25).abs() < 1e-6);
+    // its pose at 100.25 is the middle of the rear axle
+    assert!((scene.tracks.position[scene.at(0, 0)].x + scene.origin[0] as f32 - 101.635).abs() < 1e-5);
     let report = &loaded.report.scenes[0];
     assert_eq!((report.filled_gaps, report.filled_key_frames), (1, 1));
     assert_eq!(report.ego_channel.as_deref(), Some("LIDAR_TOP"));
@@ -58,10 +59,10 @@ fn the_map_is_cropped_round_the_tracks_and_keeps_holes_and_links() {
     let folder = DataSet::new().written();
     let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
     let map = &loaded.scenes[0].map;
-    // tracks span x 100.25..125.25 and y 200..215, the margin is 60
+    // tracks span x 101.635..126.635 and y 200..215, the margin is 60
     let area = &map.drivable_area[0];
     let (min, max) = area.bounds().unwrap();
-    assert!((min.x - -59.75).abs() < 1e-3 && (max.x - 85.25).abs() < 1e-3, "{min} {max}");
+    assert!((min.x - -60.365).abs() < 1e-3 && (max.x - 84.635).abs() < 1e-3, "{min} {max}");
     assert!((min.y - -60.0).abs() < 1e-3 && (max.y - 75.0).abs() < 1e-3, "{min} {max}");
     assert_eq!(area.holes.len(), 1);
     assert_eq!(

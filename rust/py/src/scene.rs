@@ -5,8 +5,8 @@ use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, Loaded, NuscenesError, Selection, decode_scene,
-    encode_scene, load, scene_hash,
+    BuildOptions, EGO_AXLE_TO_CENTRE_M, EgoReference, Interpolation, KeyFrameTiming, LoadOptions, Loaded,
+    NuscenesError, Selection, decode_scene, encode_scene, load, scene_hash,
 };
 use ccdiff_render::{LogView, render_log};
 use ccdiff_sim::geom::{Point2, Vector2};
@@ -23,6 +23,7 @@ use std::sync::{Arc, OnceLock};
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyScene>()?;
+    module.add("EGO_AXLE_TO_CENTRE_M", EGO_AXLE_TO_CENTRE_M)?;
     module.add_function(wrap_pyfunction!(scene_map::complete_map, module)?)?;
     module.add_function(wrap_pyfunction!(load_gpudrive, module)?)?;
     module.add_function(wrap_pyfunction!(load_nuscenes, module)?)
@@ -370,8 +371,8 @@ fn unknown(field: &str, value: &str, expected: &str) -> PyErr {
 
 /// Loads nuScenes scenes; returns them with the report as JSON.
 #[pyfunction]
-#[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, kinds, categories, map_margin,
-    min_annotations, require_map, cache_directory))]
+#[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, ego_reference, kinds, categories,
+    map_margin, min_annotations, require_map, cache_directory))]
 fn load_nuscenes(
     py: Python<'_>,
     dataroot: PathBuf,
@@ -381,6 +382,7 @@ fn load_nuscenes(
     dt: f64,
     timing: &str,
     interpolation: &str,
+    ego_reference: &str,
     kinds: Option<Vec<String>>,
     categories: Option<Vec<String>>,
     map_margin: f64,
@@ -398,6 +400,11 @@ fn load_nuscenes(
         "linear" => Interpolation::Linear,
         other => return Err(unknown("interpolation", other, "\"smooth\" or \"linear\"")),
     };
+    let ego_reference = match ego_reference {
+        "rear_axle" => EgoReference::RearAxle,
+        "centre" => EgoReference::Centre,
+        other => return Err(unknown("ego_reference", other, "\"rear_axle\" or \"centre\"")),
+    };
     let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
     let selection = match names {
         None => Selection::All,
@@ -408,6 +415,7 @@ fn load_nuscenes(
         dt_s: dt,
         timing,
         interpolation,
+        ego_reference,
         kinds,
         categories,
         map_margin_m: map_margin,
