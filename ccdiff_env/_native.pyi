@@ -153,13 +153,18 @@ class Scene:
         origin: tuple[float, float] = ...,
         map_layers: MapLayers | None = None,
         elevation_m: F32 | None = None,
+        mend: bool = True,
     ) -> Scene:
         """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return.
 
         With ``elevation_m`` agents more than 2.5 m higher or lower are out of each other's reach,
         and so are lanes and roads whose elevations ``map_layers`` tells.
+
+        ``mend`` does what the loaders do: gaps of up to two seconds are filled, vehicles that run
+        against their heading are turned by half a turn, with a warning.
         """
 
+    def _mended(self) -> tuple[Scene, list[int], list[str]]: ...
     @staticmethod
     def from_bytes(data: bytes) -> Scene:
         """Read what ``to_bytes`` wrote."""

@@ -121,6 +121,7 @@ def test_drivable_area_of_a_real_scene_is_where_shapely_says(data_root):
         dt=0.5,
         timing="recorded",
         interpolation="linear",
+        ego_reference="rear_axle",
         kinds=["vehicle"],
         categories=["vehicle.ego"],
         map_margin=100.0,

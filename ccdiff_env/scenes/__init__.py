@@ -80,6 +80,7 @@ def with_tracks(
         source=source or scene.source,
         origin=scene.origin,
         map_layers=scene.map_layers(),
+        mend=False,
     )
 
 

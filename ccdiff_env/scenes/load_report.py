@@ -37,9 +37,11 @@ class SceneReport:
     dropped: tuple[Dropped, ...]
     """Tracks left out."""
     filled_gaps: int
-    """Gaps inside tracks that were filled by interpolation."""
+    """Gaps inside tracks, of up to two seconds, that were filled by interpolation."""
     filled_key_frames: int
-    """Key frames in those gaps."""
+    """Key frames in those gaps; steps where the data set has no key frames."""
+    absences: int
+    """Longer gaps: the agent is away meanwhile."""
     ego_channel: str | None
     """Sensor channel of the ego poses; ``None`` where the scene has no ego."""
     road: str
@@ -215,6 +217,8 @@ def _lines(report: LoadReport) -> list[str]:
     rows += [(f"  {d.category}", f"{d.tracks}: {d.reason}") for d in dropped]
     gaps, frames = sum(s.filled_gaps for s in scenes), sum(s.filled_key_frames for s in scenes)
     rows.append(("gaps filled", f"{gaps} ({frames} key frames)"))
+    if absences := sum(s.absences for s in scenes):
+        rows.append(("gaps above 2 s", f"{absences}: away meanwhile"))
     channels = Counter(s.ego_channel or "none" for s in scenes)
     rows.append(("ego poses", ", ".join(f"{name} in {n} scenes" for name, n in channels.items())))
     roads = Counter(s.road for s in scenes)

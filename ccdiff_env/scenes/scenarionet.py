@@ -422,10 +422,13 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
     if tracks and tracks[0].id == _EGO_ID and metadata.get("dataset") == "nuscenes":
         _nuscenes_ego(source, tracks[0], dt, reference)
     scene: Scene | None = None
+    filled, steps, absences = 0, 0, 0
     layers: dict[str, int] = {}
     road = "none"
     if tracks:
-        scene, layers, road = _assembled(source, name, dt, tracks)
+        given, layers, road = _assembled(source, name, dt, tracks)
+        scene, (filled, steps, absences), notes = given._mended()
+        source.notes.extend(notes)
     counts = Counter(track.category for track in tracks)
     report = SceneReport(
         name=name,
@@ -433,8 +436,9 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
         tracks=dict(sorted(counts.items())),
         annotations=int(sum(track.valid.sum() for track in tracks)),
         dropped=tuple(Dropped(*key, count, 0) for key, count in sorted(source.dropped.items())),
-        filled_gaps=0,
-        filled_key_frames=0,
+        filled_gaps=filled,
+        filled_key_frames=steps,
+        absences=absences,
         ego_channel=None if sdc_id is None else "sdc",
         road=road,
         map_layers=layers,
@@ -484,6 +488,7 @@ def _assembled(
         origin=(float(origin[0]), float(origin[1])),
         map_layers=features.layers,
         elevation_m=_heights(tracks) if told and features.has_levels else None,
+        mend=False,
     )
     counts = {
         layer: len(items) for layer, items in features.layers.items() if isinstance(items, list)
@@ -500,7 +505,9 @@ def _files(path: Path) -> Iterator[Path]:
         raise DatasetNotFoundError(f"no scenario file or folder at {path}")
 
 
-def read_scenarios(path: str | os.PathLike[str], ego_reference: str) -> tuple[list[Scene], LoadReport]:
+def read_scenarios(
+    path: str | os.PathLike[str], ego_reference: str
+) -> tuple[list[Scene], LoadReport]:
     """Import a scenario file, or all of a folder; see :func:`ccdiff_env.load_scenarionet`."""
     started = time.perf_counter()
     scenes: list[Scene] = []

@@ -166,8 +166,8 @@ def _checked(place: Place, text: str) -> Place:
         raise _wrong(text, f"limit is {place.limit}, expected at least 1")
     reference = place.ego_reference
     if reference is not None and reference not in source.ego_references:
-        known = " or ".join(map(repr, source.ego_references)) or f"none for {source.name}"
-        raise _wrong(text, f"ego_reference is {reference!r}, expected {known}")
+        which = " or ".join(map(repr, source.ego_references)) or f"none for {source.name}"
+        raise _wrong(text, f"ego_reference is {reference!r}, expected {which}")
     if source.path is not None and not place.path:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:

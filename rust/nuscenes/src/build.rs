@@ -67,7 +67,7 @@ pub(crate) fn build_scene(
         tracks: lay_out(&tracks, origin, num_steps),
         map: Arc::new(scene_map),
     };
-    Ok((Some(scene.validated()?), report))
+    Ok((Some(report.mend(scene.validated()?)), report))
 }
 
 /// When key frames of a scene are, and its steps.
@@ -195,8 +195,11 @@ fn lay_out(tracks: &[Resampled], origin: [f64; 2], num_steps: usize) -> Tracks {
         elevation_m: Vec::new(),
     };
     for (agent_idx, track) in tracks.iter().enumerate() {
-        for (i, state) in track.states.iter().enumerate() {
-            let at = agent_idx * num_steps + track.first_step + i;
+        for (step, state) in (track.first_step..).zip(&track.states) {
+            if track.absences.iter().any(|away| away.contains(&step)) {
+                continue;
+            }
+            let at = agent_idx * num_steps + step;
             let [x, y] = state.position_m;
             out.position[at] = Point2::new((x - origin[0]) as Real, (y - origin[1]) as Real);
             out.heading_rad[at] = state.heading_rad as Real;

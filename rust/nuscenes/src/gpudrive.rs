@@ -213,7 +213,7 @@ impl Reader<'_> {
             tracks,
             map: Arc::new(map),
         };
-        Ok((scene.validated()?, report))
+        Ok((report.mend(scene.validated()?), report))
     }
 
     /// Printable names: of the file, which tells scenes apart without reading them, and of the scenario.

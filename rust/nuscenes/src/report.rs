@@ -1,5 +1,6 @@
 //! What a load did: what was kept, what was left out and why, where time went.
 
+use ccdiff_sim::scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -44,10 +45,12 @@ pub struct SceneReport {
     pub annotations: usize,
     /// Tracks left out.
     pub dropped: Vec<Dropped>,
-    /// Gaps inside tracks that were filled by interpolation.
+    /// Gaps inside tracks, of up to two seconds, that were filled by interpolation.
     pub filled_gaps: usize,
-    /// Key frames in those gaps.
+    /// Key frames in those gaps; steps where the data set has no key frames.
     pub filled_key_frames: usize,
+    /// Longer gaps: the agent is away meanwhile.
+    pub absences: usize,
     /// Sensor channel whose key frames carry the ego poses; `None` where the scene has no ego.
     pub ego_channel: Option<String>,
     /// How the area where vehicles may drive was had.
@@ -61,6 +64,16 @@ pub struct SceneReport {
 }
 
 impl SceneReport {
+    /// Mends a scene and says what was done.
+    pub(crate) fn mend(&mut self, mut scene: Scene) -> Scene {
+        let mended = scene.mend();
+        self.filled_gaps += mended.filled_gaps;
+        self.filled_key_frames += mended.filled_steps;
+        self.absences += mended.absences;
+        self.notes.extend(mended.notes);
+        scene
+    }
+
     /// Adds one dropped track.
     pub(crate) fn drop_track(&mut self, reason: &str, category: &str, annotations: usize) {
         let same = |d: &&mut Dropped| d.reason == reason && d.category == category;

@@ -3,6 +3,7 @@
 use crate::options::Interpolation;
 use crate::spline::{Curve, SmoothingSpline};
 use crate::tables::Key;
+use ccdiff_sim::scene::LONGEST_GAP_S;
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
@@ -24,6 +25,8 @@ pub(crate) struct Resampled {
     /// Step of `states[0]` in the scene.
     pub(crate) first_step: usize,
     pub(crate) states: Vec<State>,
+    /// Steps of the scene inside the track at which the agent is away: gaps that are too long to be filled.
+    pub(crate) absences: Vec<Range<usize>>,
     /// Gaps inside the track that were filled.
     pub(crate) filled_gaps: usize,
     /// Key frames in those gaps.
@@ -45,14 +48,17 @@ impl Steps {
 
     /// Steps of a track: the nearest ones to its ends and those between them.
     fn within(&self, first_us: i64, last_us: i64) -> Range<usize> {
-        let nearest = |us: i64| ((us as f64 / self.step_us).round().max(0.0) as usize).min(self.count - 1);
-        nearest(first_us)..nearest(last_us) + 1
+        self.nearest(first_us)..self.nearest(last_us) + 1
+    }
+
+    fn nearest(&self, us: i64) -> usize {
+        ((us as f64 / self.step_us).round().max(0.0) as usize).min(self.count - 1)
     }
 }
 
 /// Resamples a track; `keys` in time order, `times_us` their times after the first key frame of the scene.
 ///
-/// Missing key frames are bridged as the intervals between others are. A step that is nearest to an end of the track but
+/// Missing key frames are bridged as the intervals between others are, unless the gap is longer than two seconds. A step that is nearest to an end of the track but
 /// lies beyond it continues the motion there.
 pub(crate) fn resample(
     keys: &[Key],
@@ -64,10 +70,14 @@ pub(crate) fn resample(
     let (Some(first), Some(last)) = (times_us.first(), times_us.last()) else { return Resampled::default() };
     let range = steps.within(*first, *last);
     let mut out = Resampled { first_step: range.start, ..Resampled::default() };
-    for pair in keys.windows(2) {
+    for (pair, times) in keys.windows(2).zip(times_us.windows(2)) {
         let missing = pair[1].frame - pair[0].frame - 1;
-        out.filled_gaps += usize::from(missing > 0);
-        out.filled_key_frames += missing;
+        if missing > 0 && (times[1] - times[0]) as f64 * 1e-6 > f64::from(LONGEST_GAP_S) {
+            out.absences.push(steps.nearest(times[0]) + 1..steps.nearest(times[1]));
+        } else {
+            out.filled_gaps += usize::from(missing > 0);
+            out.filled_key_frames += missing;
+        }
     }
     let headings = unwrapped(keys);
     let track = match (interpolation, keys) {

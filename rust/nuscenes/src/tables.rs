@@ -63,7 +63,7 @@ pub(crate) struct Key {
 pub(crate) struct LoggedTrack {
     pub(crate) instance: String,
     pub(crate) category: String,
-    /// Width, length, height of the first annotation, metres, as the table orders them.
+    /// Medians of the annotations' width, length and height, metres, as the table orders them.
     pub(crate) size_m: [f64; 3],
     pub(crate) keys: Vec<Key>,
 }
@@ -263,22 +263,26 @@ impl Tables {
         let (instance, category) = instances.get(first.instance).cloned().ok_or_else(|| {
             self.dangling((TABLE, "instance_token"), first.token, first.instance, "instance")
         })?;
-        let [width, length, height] = first.size_m;
-        if !(width > 0.0 && length > 0.0 && height >= 0.0 && width.max(length).max(height) < 1e4) {
-            return Err(NuscenesError::Value {
-                path: self.path(TABLE),
-                token: first.token.to_string(),
-                field: "size",
-                got: format!("{:?}", first.size_m),
-                expected: "a positive width and length in metres",
-            });
+        for row in group.iter().map(|i| &rows[*i as usize]) {
+            let [width, length, height] = row.size_m;
+            if !(width > 0.0 && length > 0.0 && height >= 0.0 && width.max(length).max(height) < 1e4) {
+                return Err(NuscenesError::Value {
+                    path: self.path(TABLE),
+                    token: row.token.to_string(),
+                    field: "size",
+                    got: format!("{:?}", row.size_m),
+                    expected: "a positive width and length in metres",
+                });
+            }
         }
         let keys: Vec<Key> = group.iter().map(|i| rows[*i as usize].key).collect();
         if let Some(pair) = keys.windows(2).find(|w| w[0].frame == w[1].frame) {
             let got = format!("{} in frame {}", instance, pair[0].frame);
             return Err(self.duplicate(TABLE, "annotation of instance", got));
         }
-        Ok(LoggedTrack { instance, category, size_m: first.size_m, keys })
+        let is_constant = group.iter().all(|i| rows[*i as usize].size_m == first.size_m);
+        let size_m = if is_constant { first.size_m } else { [0, 1, 2].map(|side| median(rows, group, side)) };
+        Ok(LoggedTrack { instance, category, size_m, keys })
     }
 
     /// For each scene the centres of the ego at key frames, and the channel they are of.
@@ -448,6 +452,13 @@ fn group(rows: &[Annotation]) -> Vec<Vec<u32>> {
         .collect();
     groups.sort_unstable_by_key(|places| (rows[places[0] as usize].slot, key(&places[0])));
     groups
+}
+
+/// Median of one side of the boxes of a group.
+fn median(rows: &[Annotation], group: &[u32], side: usize) -> f64 {
+    let mut sides: Vec<f64> = group.iter().map(|i| rows[*i as usize].size_m[side]).collect();
+    sides.sort_unstable_by(f64::total_cmp);
+    0.5 * (sides[(sides.len() - 1) / 2] + sides[sides.len() / 2])
 }
 
 /// For each scene the channel that covers the most key frames; among equals the most wanted.

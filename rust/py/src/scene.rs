@@ -15,8 +15,10 @@ use ccdiff_sim::stage::PreparedScene;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyCapsule, PyDict};
+use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
@@ -86,15 +88,16 @@ fn expect_shape(what: &str, got: &[usize], expected: &[usize]) -> PyResult<()> {
 
 #[pymethods]
 impl PyScene {
-    /// Builds a scene from arrays in the scene frame.
+    /// Builds a scene from arrays in the scene frame; `mend` as the loaders mend theirs.
     #[staticmethod]
     #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
         agent_categories=None, token=Text::default(), location=Text::default(), source=Text::default(),
-        origin=(0.0, 0.0), map_layers=None, elevation_m=None),
+        origin=(0.0, 0.0), map_layers=None, elevation_m=None, mend=true),
         text_signature = "(name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1, \
             agent_categories=None, token=\"\", location=\"\", source=\"\", origin=(0.0, 0.0), map_layers=None, \
-            elevation_m=None)")]
+            elevation_m=None, mend=True)")]
     fn from_arrays(
+        py: Python<'_>,
         name: Text,
         agent_ids: Vec<Text>,
         agent_types: Vec<Text>,
@@ -111,6 +114,7 @@ impl PyScene {
         origin: (f64, f64),
         map_layers: Option<&Bound<'_, PyDict>>,
         elevation_m: Option<PyReadonlyArray2<'_, f32>>,
+        mend: bool,
     ) -> PyResult<Self> {
         let (num_agents, num_steps) = (valid.shape()[0], valid.shape()[1]);
         let texts = |list: Vec<Text>| list.into_iter().map(|text| text.0).collect::<Vec<_>>();
@@ -171,7 +175,22 @@ impl PyScene {
             tracks,
             map: Arc::new(map),
         };
-        Ok(Arc::new(scene.validated().map_err(from_sim)?).into())
+        let mut scene = scene.validated().map_err(from_sim)?;
+        if mend {
+            for note in scene.mend().notes {
+                let text = CString::new(format!("scene {:?}: {note}", scene.name)).unwrap_or_default();
+                PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+            }
+        }
+        Ok(Arc::new(scene).into())
+    }
+
+    /// The scene with its log mended, as other loaders do it; gaps filled, steps in them, absences, and notes.
+    fn _mended(&self) -> (Self, [usize; 3], Vec<String>) {
+        let mut scene = Scene::clone(&self.scene);
+        let mended = scene.mend();
+        let counts = [mended.filled_gaps, mended.filled_steps, mended.absences];
+        (Arc::new(scene).into(), counts, mended.notes)
     }
 
     /// The scene that `to_bytes` wrote.

@@ -9,6 +9,7 @@ mod lane_links;
 mod lane_path;
 mod levels;
 mod map;
+mod mend;
 mod road_area;
 pub mod synthetic;
 
@@ -17,6 +18,7 @@ pub use lane_links::link_lanes;
 pub(crate) use lane_path::follow;
 pub use levels::{PartElevations, cut_by_level, level_bounds, range_of, road_areas};
 pub use map::{Elevations, HIGHEST_M, LEVEL_M, Lane, LaneKind, Map};
+pub use mend::{LONGEST_GAP_S, Mended};
 pub use road_area::{RoadParts, road_area};
 
 use crate::error::{Result, SimError};

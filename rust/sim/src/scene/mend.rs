@@ -1,0 +1,165 @@
+//! What a recorded log needs before it is played: short gaps filled, boxes that were annotated backwards turned.
+//!
+//! What flows in: a scene as its data set has it. What flows out: the same scene, mended, and what was done to whom.
+
+use super::{AgentKind, Scene};
+use crate::geom::{Real, Vector2, math};
+use std::f32::consts::PI;
+
+/// Longest time from the last state before a gap to the first after it, seconds: two seconds of steps, or three key frames
+/// of nuScenes.
+pub const LONGEST_GAP_S: Real = 2.15;
+/// A track that is faster than this at a gap, or goes through it faster, is no track to go on with, m/s.
+const FASTEST_MPS: Real = 100.0;
+
+/// Directions are compared this often, seconds.
+const LOOK_S: Real = 0.5;
+/// Slower motion says nothing about where a vehicle's front is, m/s.
+const SLOWEST_MPS: Real = 1.0;
+/// Faster than vehicles reverse, m/s.
+const FAST_MPS: Real = 3.0;
+/// Cosine between the velocity and the heading from which on a vehicle goes ahead, and below minus which backwards.
+const ALONG: Real = 0.8;
+/// A box is turned where it runs at least this far against its heading, metres,
+const LEAST_BACK_M: Real = 10.0;
+/// for this share of its way,
+const LEAST_BACK_SHARE: Real = 0.8;
+/// fast for as long as this, seconds,
+const LEAST_FAST_S: Real = 1.0;
+/// or as far as nobody reverses, metres. Of 4,707 vehicles of nuScenes none that reverses does so as far or as fast.
+const FARTHEST_REVERSE_M: Real = 30.0;
+
+/// Vehicles wider than this and wider than long are noted, metres.
+const WIDEST_M: Real = 2.6;
+
+/// What was done to a scene, or could not be.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Mended {
+    /// Gaps inside tracks that were filled.
+    pub filled_gaps: usize,
+    /// Steps in those gaps.
+    pub filled_steps: usize,
+    /// Gaps that are too long: the agent is away meanwhile.
+    pub absences: usize,
+    /// Agents whose heading was turned by half a turn.
+    pub turned: Vec<usize>,
+    /// In words, without the gaps.
+    pub notes: Vec<String>,
+}
+
+impl Scene {
+    /// Fills gaps of up to two seconds and turns vehicles whose boxes were annotated backwards.
+    pub fn mend(&mut self) -> Mended {
+        let mut mended = Mended::default();
+        for agent in 0..self.agents.len() {
+            self.fill_gaps(agent, &mut mended);
+            if self.runs_backwards(agent) {
+                self.turn(agent);
+                mended.turned.push(agent);
+            }
+            mended.notes.extend(self.odd_size(agent));
+        }
+        let turned = mended.turned.iter().map(|agent| &self.agents[*agent].id);
+        mended.notes.extend(turned.map(|id| format!("{id} runs against its heading, which was turned by π")));
+        mended
+    }
+
+    fn fill_gaps(&mut self, agent: usize, mended: &mut Mended) {
+        let (start, end) = (self.at(agent, 0), self.at(agent + 1, 0));
+        let next = |scene: &Self, from: usize, wanted: bool| {
+            scene.tracks.valid[from..end].iter().position(|valid| *valid == wanted).map(|i| from + i)
+        };
+        let mut at = next(self, start, true);
+        while let Some(gap) = at.and_then(|at| next(self, at, false)) {
+            at = next(self, gap, true);
+            match at {
+                Some(after) if self.fill(gap - 1, after) => {
+                    mended.filled_gaps += 1;
+                    mended.filled_steps += after - gap;
+                }
+                Some(_) => mended.absences += 1,
+                None => {}
+            }
+        }
+    }
+
+    /// Fills the entries between two of a track: position by the cubic with the velocities of both ends, velocity by its
+    /// slope, heading evenly the short way. Of the ways tried on Waymo's tracks this is nearest to steps left out, with
+    /// no more acceleration or jerk than they have.
+    fn fill(&mut self, before: usize, after: usize) -> bool {
+        let tracks = &mut self.tracks;
+        let time_s = (after - before) as Real * self.dt_s;
+        let (start, end) = (tracks.position[before], tracks.position[after]);
+        let (first, last) = (tracks.velocity[before], tracks.velocity[after]);
+        let mean = (end - start) / time_s;
+        if time_s > LONGEST_GAP_S || [first, last, mean].iter().any(|v| v.norm() > FASTEST_MPS) {
+            return false;
+        }
+        let heading_rad = tracks.heading_rad[before];
+        let turn_rad = math::wrap_angle(tracks.heading_rad[after] - heading_rad);
+        // how far the ends' velocities miss the way between them
+        let missed = mean - (first + last) * 0.5;
+        for at in before + 1..after {
+            let u = (at - before) as Real / (after - before) as Real;
+            let way = first * (u - 0.5 * u * u) + last * (0.5 * u * u) + missed * (u * u * (3.0 - 2.0 * u));
+            tracks.position[at] = start + way * time_s;
+            tracks.velocity[at] = first + (last - first) * u + missed * (6.0 * u * (1.0 - u));
+            tracks.heading_rad[at] = heading_rad + turn_rad * u;
+            if !tracks.elevation_m.is_empty() {
+                let (low, high) = (tracks.elevation_m[before], tracks.elevation_m[after]);
+                tracks.elevation_m[at] = low + (high - low) * u;
+            }
+            tracks.valid[at] = true;
+        }
+        true
+    }
+
+    /// Whether most of a vehicle's way runs against its heading, farther and faster than vehicles reverse.
+    fn runs_backwards(&self, agent: usize) -> bool {
+        if matches!(self.agents[agent].kind, AgentKind::Pedestrian | AgentKind::Static) {
+            return false;
+        }
+        let (mut ahead_m, mut back_m, mut fast_s) = (0.0, 0.0, 0.0);
+        let stride = (LOOK_S / self.dt_s).round().max(1.0);
+        let look_s = stride * self.dt_s;
+        for at in (self.at(agent, 0)..self.at(agent + 1, 0)).step_by(stride as usize) {
+            let velocity = self.tracks.velocity[at];
+            let speed_mps = velocity.norm();
+            if !(self.tracks.valid[at] && (SLOWEST_MPS..FASTEST_MPS).contains(&speed_mps)) {
+                continue;
+            }
+            let (sin, cos) = math::sin_cos(self.tracks.heading_rad[at]);
+            let along = velocity.dot(&Vector2::new(cos, sin)) / speed_mps;
+            let way_m = speed_mps * look_s;
+            if along > ALONG {
+                ahead_m += way_m;
+            } else if along < -ALONG {
+                back_m += way_m;
+                fast_s += if speed_mps > FAST_MPS { look_s } else { 0.0 };
+            }
+        }
+        back_m >= LEAST_BACK_M
+            && back_m >= LEAST_BACK_SHARE * (back_m + ahead_m)
+            && (fast_s >= LEAST_FAST_S || back_m >= FARTHEST_REVERSE_M)
+    }
+
+    fn turn(&mut self, agent: usize) {
+        let steps = self.at(agent, 0)..self.at(agent + 1, 0);
+        let first = steps.clone().find(|at| self.tracks.valid[*at]);
+        let turn_rad = if first.is_some_and(|at| self.tracks.heading_rad[at] > 0.0) { -PI } else { PI };
+        for at in steps.filter(|at| self.tracks.valid[*at]).collect::<Vec<_>>() {
+            self.tracks.heading_rad[at] += turn_rad;
+        }
+    }
+
+    fn odd_size(&self, agent: usize) -> Option<String> {
+        let found = &self.agents[agent];
+        let odd = found.kind == AgentKind::Vehicle && found.width_m > found.length_m.max(WIDEST_M);
+        odd.then(|| {
+            format!(
+                "{} is {:.2} m wide and {:.2} m long: sides swapped?",
+                found.id, found.width_m, found.length_m
+            )
+        })
+    }
+}
