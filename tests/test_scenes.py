@@ -13,6 +13,8 @@ import pytest
 import ccdiff_env
 from ccdiff_env import errors
 from ccdiff_env.scenes import Scene, SceneSet, cache_directory
+from ccdiff_env.scenes.embedded import VERSION as TOWN
+from ccdiff_env.scenes.embedded import unpack
 
 VERSION = "v1.0-tiny"
 START_US = 1_531_883_530_000_000
@@ -165,6 +167,22 @@ def test_set_is_a_sequence_with_names(scenes):
 def test_a_missing_map_is_warned_of(root):
     with pytest.warns(UserWarning, match="no map file"):
         ccdiff_env.load_nuscenes(root, VERSION, cache=False)
+
+
+def test_a_map_without_lanes_is_warned_of_from_the_cache_too(tmp_path):
+    """As map expansion 1.1 has it: no centre lines."""
+    unpack(tmp_path)
+    path = next((tmp_path / "maps" / "expansion").glob("*.json"))
+    town = json.loads(path.read_text())
+    for name in ("arcline_path_3", "connectivity", "lane_connector"):
+        town.pop(name)
+    path.write_text(json.dumps(town))
+    for hits in (0, 1):
+        with pytest.warns(UserWarning, match=r"1 of 1 scenes have a map without lanes \(left"):
+            found = ccdiff_env.load_nuscenes(
+                tmp_path, TOWN, scenes=["left-turn-00"], cache=tmp_path / "cache"
+            )
+        assert found.report.cache.hits == hits
 
 
 def test_report_can_be_read_tested_and_printed(scenes):

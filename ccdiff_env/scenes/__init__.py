@@ -355,6 +355,13 @@ def load_nuscenes(
             "maps/expansion, see docs/data.md",
             stacklevel=2,
         )
+    without = [scene.name for scene in loaded if scene.has_road and not scene.has_lanes]
+    if without:
+        warnings.warn(
+            f"{len(without)} of {len(loaded)} scenes have a map without lanes ({without[0]}, ...): "
+            "map expansions before version 1.3 have no centre lines, see docs/data.md",
+            stacklevel=2,
+        )
     if scenes is None and names is not None and '"missing":[]' not in report:
         warnings.warn(
             f"{version} has {len(loaded)} of the {len(names)} scenes of split {split!r} "
