@@ -91,6 +91,24 @@ fn bicycle_drives_the_circle_of_its_steering_angle() {
     assert!((f64::from(state.heading_rad) - turned).abs() < 1e-3);
 }
 
+/// Where on the long axis of a body, ahead of its centre, a turning step moves nothing sideways, metres.
+fn point_without_slip_m(model: &Dynamics, turning: f32) -> f32 {
+    let start = at_rest_or_moving(5.0);
+    let mut state = start;
+    model.step(&mut state, [0.0, turning, 0.0], 0.01, &car());
+    let turned = state.heading_rad - start.heading_rad;
+    let (sin, cos) = (0.5 * turned).sin_cos();
+    // sideways way of the centre, seen along the heading midway, over the turn
+    -(cos * state.y - sin * state.x) / turned
+}
+
+#[test]
+fn the_rear_axle_of_the_bicycle_and_the_centre_of_the_unicycle_move_along_the_heading() {
+    let [unicycle, bicycle, _] = models();
+    assert!(point_without_slip_m(&unicycle, 0.5).abs() < 0.03);
+    assert!((point_without_slip_m(&bicycle, 0.3) - -0.3 * 4.6).abs() < 0.01);
+}
+
 #[test]
 fn stationary_agents_of_every_model_stay_where_they_are() {
     for model in models() {
