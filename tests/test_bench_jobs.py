@@ -55,28 +55,35 @@ def alive(pid):
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_workers_end_with_the_run_that_was_killed(tmp_path):
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT], ids=["kill", "Ctrl-C"])
+def test_workers_end_with_the_run_that_was_ended(tmp_path, sent):
+    """At once, although jobs wait and none is done."""
     pids = tmp_path / "pids"
     pids.mkdir()
     code = f"""
 from pathlib import Path
 from ccdiff_env.bench.jobs import Job, _line, run_jobs
 if __name__ == "__main__":
-    jobs = [Job(str(x), "test_bench_jobs:sleepy", {{"folder": {str(pids)!r}}}) for x in (0, 1)]
+    jobs = [Job(str(x), "test_bench_jobs:sleepy", {{"folder": {str(pids)!r}}}) for x in range(6)]
     run_jobs(jobs, Path({str(tmp_path / "raw")!r}), workers=2, progress=False)
 """
     (tmp_path / "main.py").write_text(code, encoding="utf-8")
     path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
     run = subprocess.Popen(
-        [sys.executable, str(tmp_path / "main.py")], env={**os.environ, "PYTHONPATH": path}
+        [sys.executable, str(tmp_path / "main.py")],
+        env={**os.environ, "PYTHONPATH": path},
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     end = time.monotonic() + 60.0
     while len(list(pids.iterdir())) < 2 and time.monotonic() < end:
         time.sleep(0.1)
     workers = [int(file.name) for file in pids.iterdir()]
-    run.kill()
-    run.wait()
+    os.killpg(run.pid, sent) if sent is signal.SIGINT else run.kill()
+    said = run.communicate(timeout=10.0)[1].decode()
     assert len(workers) == 2
+    assert said.count("Traceback") == (sent is signal.SIGINT)
     while any(alive(pid) for pid in workers) and time.monotonic() < end:
         time.sleep(0.1)
     assert not any(alive(pid) for pid in workers)

@@ -8,16 +8,14 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
-from ccdiff_env.system.processes import end_with_parent
+from ccdiff_env.system.processes import results_of_processes
 
 __all__ = ["Job", "processor_seconds", "results", "run_jobs"]
 
@@ -135,11 +133,7 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
         for job in jobs:
             yield _run(job)
         return
-    # forked children may not enter worlds that hold threads
-    context = get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent) as pool:
-        for future in as_completed([pool.submit(_run, job) for job in jobs]):
-            yield future.result()
+    yield from results_of_processes(_run, jobs, workers)
 
 
 #: Figures of rows whose mean is shown while jobs are done, the first that there is.

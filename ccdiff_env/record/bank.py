@@ -13,8 +13,6 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
 from ccdiff_env.record.rollout import as_scene
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
-from ccdiff_env.system.processes import end_with_parent
+from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.worlds import Scenes, scene_set
 
 __all__ = ["load_bank", "record_bank"]
@@ -117,20 +115,10 @@ def record_bank(
             path = root / f"{first // PIECE:04d}-{draw}.scenes"
             if not path.exists():
                 some = [scene.to_bytes() for scene in chosen[first : first + PIECE]]
-                jobs.append((path, some, ego, criticality, seed + draw, f"{tag}-{draw}"))
-    if workers == 1:
-        for job in jobs:
-            _record(*job, avoidable_only)
-    else:
-        # forked children may not enter worlds that hold threads
-        pool = ProcessPoolExecutor(
-            workers, mp_context=get_context("spawn"), initializer=end_with_parent
-        )
-        with pool:
-            for future in as_completed(
-                [pool.submit(_record, *job, avoidable_only) for job in jobs]
-            ):
-                future.result()
+                who = ego, criticality, seed + draw, f"{tag}-{draw}", avoidable_only
+                jobs.append((path, some, *who))
+    for _ in map(_record, jobs) if workers == 1 else results_of_processes(_record, jobs, workers):
+        pass
     return load_bank(root)
 
 
@@ -155,16 +143,9 @@ def _settle(root: Path, settings: dict[str, Any]) -> None:
     write_aside(path, json.dumps(settings, indent=1))
 
 
-def _record(
-    path: Path,
-    packed: list[bytes],
-    ego: str,
-    criticality: float,
-    seed: int,
-    tag: str,
-    avoidable_only: bool,
-) -> None:
+def _record(job: tuple[Path, list[bytes], str, float, int, str, bool]) -> None:
     """Record one part and write its file."""
+    path, packed, ego, criticality, seed, tag, avoidable_only = job
     scenes = SceneSet([Scene.from_bytes(data) for data in packed])
     driver, seat = ego_driver(ego)
     who = driver if seat is None else seat.name
