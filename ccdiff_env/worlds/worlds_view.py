@@ -10,45 +10,64 @@ from ccdiff_env.worlds import Worlds
 
 __all__ = ["behind", "worlds_view"]
 
-#: What can be read, of each kind of object; a mapping says what its own parts show.
-_SCENE = dict.fromkeys(
-    ("name", "token", "dt", "location", "agent_ids", "agent_types", "sizes", "map_layers", "hash")
-)
-_NATIVE = dict.fromkeys(
+#: What can be read, of each kind of object; a mapping says what its own parts show, or what comes
+#: of a call. Nothing tells which scene it is, by which seed it is played, or who drives the others:
+#: so that nobody can look the episode up, or play it beforehand.
+_SCENE = dict.fromkeys(("dt", "location", "agent_types", "agent_categories", "sizes", "map_layers"))
+_CONFIG = dict.fromkeys(
     (
-        "action_bounds",
-        "action_width",
-        "begun",
-        "contacts",
-        "layout_json",
-        "metrics",
-        "num_actions",
-        "num_worlds",
-        "off_road",
-        "planner_actions",
-        "route",
-        "slot_agents",
-        "slot_alive",
-        "states",
-        "status",
+        "action",
+        "decision_steps",
+        "dt_s",
+        "history_steps",
+        "horizon_steps",
+        "num_slots",
+        "observation",
+        "on_collision",
+        "on_off_road",
+        "reward",
+        "speed_limit_mps",
+        "style",
+        "success_completion",
+        "terminate_at_goal",
     )
 )
+_STATUS = dict.fromkeys(("scene_idx", "step_idx", "elapsed_steps", "ego_idx"))
+_NATIVE: dict[str, Any] = {
+    **dict.fromkeys(
+        (
+            "action_bounds",
+            "action_width",
+            "begun",
+            "contacts",
+            "layout_json",
+            "num_actions",
+            "num_worlds",
+            "off_road",
+            "planner_actions",
+            "route",
+            "slot_agents",
+            "slot_alive",
+            "states",
+        )
+    ),
+    "status": _STATUS,
+}
 _WORLDS: dict[str, Any] = {
     **dict.fromkeys(
         (
             "action_space",
             "column_names",
             "columns",
-            "config",
             "layout",
             "metric_names",
             "num_slots",
             "num_worlds",
-            "observation",
             "observation_space",
             "observe",
         )
     ),
+    "config": _CONFIG,
     "native": _NATIVE,
     "scenes": _SCENE,
 }
@@ -71,6 +90,9 @@ class _View:
         found, parts = getattr(self._target, name), self._shown[name]
         return found if parts is None else _View(found, parts, f"{self._path}.{name}")
 
+    def __call__(self, *given: Any) -> _View:
+        return _View(self._target(*given), self._shown, f"{self._path}()")
+
     def __getitem__(self, index: Any) -> _View:
         return _View(self._target[index], self._shown, f"{self._path}[{index}]")
 
@@ -84,7 +106,10 @@ def behind(shown: Any) -> Any:
 
 
 def worlds_view(worlds: Worlds, who: str) -> Any:
-    """Return worlds that can only be read, without the log, snapshots and plans of others.
+    """Return worlds that can only be read, and show what a vehicle can know.
+
+    There is no log, snapshot or plan of others, no name, token or hash of a scene, no seed, and
+    nothing of who drives the others.
 
     It is a rule that is kept, not a wall: code that digs through private names gets through.
 
