@@ -20,11 +20,11 @@ from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.planner_report import comparison, over_seeds
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import package_digest, sha256_of, source_digest
+from ccdiff_env.bench.provenance import package_digest, sha256_of
 from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.bench.verify import verify
-from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.models import weight_files
 from ccdiff_env.policies import SHIPPED
 from ccdiff_env.worlds.worlds_view import worlds_view
@@ -139,22 +139,6 @@ def test_planners_can_be_added_to_a_run_and_typing_errors_leave_none(tmp_path, c
     for planners in ("idm", "replay,idm"):
         assert run(tmp_path / "run", "--planners", planners) == 0
     assert "anew" not in capsys.readouterr().err
-
-
-def test_a_planner_that_changes_while_it_is_played_is_refused(desk, monkeypatch):
-    monkeypatch.chdir(desk)
-    monkeypatch.syspath_prepend(str(desk))
-    (desk / "files.bin").write_bytes(b"1")
-    (desk / "reads.py").write_text("def act(obs):\n    return obs\nact.files = ['files.bin']\n")
-    first = source_digest("reads:act")
-    (desk / "files.bin").write_bytes(b"2")
-    with pytest.raises(ConfigError, match="reads:act has changed since it was imported"):
-        source_digest("reads:act")
-    (desk / "files.bin").write_bytes(b"1")
-    assert source_digest("reads:act") == first
-    (desk / "files.bin").unlink()
-    with pytest.raises(DatasetNotFoundError, match=r"files\.bin"):
-        source_digest("reads:act")
 
 
 class Idle:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
+import os
 import platform
+import site
 import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from importlib import metadata
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -158,8 +160,7 @@ def source_digest(name: str) -> str | None:
 
 def _of_module(name: str) -> str:
     target = named_object(name, "planner")
-    sources: dict[str, Path] = {}
-    _add_sources(name.partition(":")[0], name.partition(":")[0].partition(".")[0], sources)
+    sources = _sources(name.partition(":")[0])
     files = [Path(file) for file in getattr(target, "files", ())]
     given = (part.partition("=")[2] for part in name.partition("?")[2].split("&"))
     files += [Path(value) for value in given if value and Path(value).is_file()]
@@ -172,30 +173,69 @@ def _of_module(name: str) -> str:
     return digest
 
 
-def _add_sources(module: str, top: str, found: dict[str, Path]) -> None:
-    """Add the files of a module and of what it imports."""
+def _sources(module: str) -> dict[str, Path]:
+    """Return the files of a module and of what it imports from outside of installed packages.
+
+    Nothing is imported to find them: that would run what nobody asked for.
+    """
+    own = _spec(module.partition(".")[0])
+    installed = _installed(Path(own.origin) if own is not None and own.origin else None)
+    found: dict[str, Path] = {}
+    seen, waiting = {module}, [module]
+    while waiting:
+        name = waiting.pop()
+        spec = _spec(name)
+        path = Path(spec.origin or "") if spec is not None else Path()
+        foreign = name.partition(".")[0] != module.partition(".")[0]
+        if path.suffix != ".py" or not path.is_file():
+            continue
+        if foreign and any(folder in path.resolve().parents for folder in installed):
+            continue
+        found[name] = path
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        waiting += (new := set(_imports(path, package)) - seen)
+        seen |= new
+    return found
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    """Return where a module is, without importing the packages that it is in."""
+    spec: ModuleSpec | None = None
     try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, AttributeError, ValueError):
-        return
-    path = Path(spec.origin) if spec is not None and spec.origin else None
-    if module in found or path is None or path.suffix != ".py" or not path.is_file():
-        return
-    if module.partition(".")[0] != top and _is_installed(path):
-        return
-    found[module] = path
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    for used in _imports(path, package):
-        _add_sources(used, top, found)
+        for end in [i for i, letter in enumerate(f"{module}.") if letter == "."]:
+            folders = None if spec is None else list(spec.submodule_search_locations or [])
+            known = getattr(sys.modules.get(module[:end]), "__spec__", None)
+            spec = known or PathFinder.find_spec(module[:end], folders)
+            if spec is None:
+                return None
+    except Exception:  # of finders of others, and of packages without a file
+        return None
+    return spec
 
 
-def _is_installed(path: Path) -> bool:
-    folders = {sysconfig.get_path(n) for n in ("stdlib", "platstdlib", "purelib", "platlib")}
-    return _PACKAGE in path.parents or any(Path(folder) in path.parents for folder in folders)
+def _installed(own: Path | None) -> set[Path]:
+    """Folders of Python and of installed packages, those that .pth files name among them.
+
+    ``own`` is the file of a planner's package: its folder may be one that such a file names.
+    """
+    libraries = {sysconfig.get_path(n) for n in ("stdlib", "platstdlib", "purelib", "platlib")}
+    sites = {*site.getsitepackages(), site.getusersitepackages()}
+    named: set[Path] = set()
+    for folder in map(Path, sites | libraries):
+        for file in folder.glob("*.pth"):
+            lines = read_bytes(file).decode(errors="replace").splitlines()
+            named |= {folder / s for line in lines if (s := line.strip()) and s[0] != "#"}
+    beside = set() if own is None else set(own.resolve().parents)
+    named = {folder.resolve() for folder in named if os.path.isdir(folder)} - beside
+    return {Path(folder).resolve() for folder in sites | libraries} | named | {_PACKAGE}
 
 
 def _imports(path: Path, package: str) -> Iterator[str]:
-    for node in ast.walk(ast.parse(read_bytes(path), str(path))):
+    try:
+        tree = ast.parse(read_bytes(path), str(path))
+    except (OSError, RecursionError, SyntaxError, ValueError):  # such a file cannot be imported
+        return
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
