@@ -483,7 +483,10 @@ class VecWorld:
         """Let a world go on with the random numbers of another seed."""
 
     def digest(self, world_idx: int) -> int:
-        """Return a digest of everything that the future of a world depends on."""
+        """Return a digest of everything that the future of a world depends on.
+
+        Its place in the batch is part of it: digests are compared of one place.
+        """
 
     def begun(self, world_idx: int) -> bool:
         """Whether a world was ever reset."""

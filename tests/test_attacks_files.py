@@ -10,13 +10,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import planner_run
 import pytest
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Rollout, Scene, errors, policies
 from ccdiff_env.bench import scenario_sets
-from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.page import markdown_html
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.record.bank import load_bank, record_bank
@@ -152,32 +150,6 @@ def test_episodes_are_of_the_scene_that_the_manifest_names(made):
         manifest(made, swap).rollout("another")
     with pytest.raises(errors.DatasetError, match="two scenarios"):
         manifest(made, lambda fields: fields["scenarios"].append(fields["scenarios"][0]))
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda raw: raw["arguments"].update(source=None),
-        lambda raw: raw["arguments"].update(source={"embedded": "val"}),
-        lambda raw: raw["arguments"].update(seed="<script>"),
-        lambda raw: raw["arguments"].update(planner="a|b"),
-        lambda raw: raw["arguments"].update(planner="\x1b[2J"),
-        lambda raw: raw["arguments"].update(names=["other"]),
-        lambda raw: raw["arguments"].update(options={"horizon_steps": 5}),
-        lambda raw: raw.update(made_from=[]),
-        lambda raw: raw.update(function="os:system"),
-        lambda raw: raw["result"][0].update(score=float("nan")),
-        lambda raw: raw["result"][0].update(progress=1e308),
-        lambda raw: raw["result"][0].update(scene=[]),
-        lambda raw: raw["result"].pop(),
-    ],
-)
-def test_runs_of_others_in_a_leaderboard(tmp_path, change):
-    made = planner_run.raw("idm", "replay", [0.5, 0.7])
-    change(made)
-    folder = planner_run.write_run(tmp_path / "run", made)
-    with pytest.raises(errors.DatasetError, match=r"0\.json"):
-        write_leaderboard([folder], tmp_path / "page.html")
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,11 @@ import base64
 import copy
 import json
 import pickle
+import re
+import tracemalloc
 import zipfile
 
+import numpy as np
 import pytest
 
 from ccdiff_env import cli, errors
@@ -150,6 +153,17 @@ DAMAGES = {
         lambda members: members["run.json"].update(made_with={"processor": "a\nb"}), "processor",
     ),
     "settings of a list": (lambda members: members["run.json"].update(made_with=[3]), "damaged"),
+    "no source of scenes": (arguments(source=None), "source"),
+    "scenes of an older form": (arguments(source={"embedded": "val"}), "source"),
+    "a seed of text": (arguments(seed="<script>"), "seed"),
+    "options of its own": (arguments(options={"horizon_steps": 5}), "no result"),
+    "made from a list": (each(lambda e: e.update(made_from=[])), "made_from|version|scenes"),
+    "a function of others": (each(lambda e: e.update(function="os:system")), "no result"),
+    "a scene of a list": (rows(scene=[]), "scene"),
+    "one row less": (each(lambda e: e["result"].pop()), "scenes"),
+    "letters of tables": (arguments(planner="a|b"), "text"),
+    "names of others": (arguments(names=["other"]), "hashes"),
+    "a score that is no number": (rows(score=float("nan")), "NaN"),
     "a part as text": (rows(ttc="1.0"), "ttc"),
     "a part as a truth": (rows(ttc=True), "ttc"),
     "a part beyond 1": (rows(progress=1e308), "progress"),
@@ -205,12 +219,12 @@ def through_all_doors(path, page):
     return verify(record)
 
 
-@pytest.mark.parametrize("form", ["file", "folder"])
-@pytest.mark.parametrize("name", DAMAGES)
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [(n, "file") for n in DAMAGES] + [(n, "folder") for n in DAMAGES if n not in OF_FILES],
+)
 @pytest.mark.usefixtures("trap")
 def test_what_is_damaged_is_refused(tmp_path, members, name, form):
-    if form == "folder" and name in OF_FILES:
-        pytest.skip("a damage of files")
     changed = copy.deepcopy(members)
     damage, words = DAMAGES[name]
     damage(changed)
@@ -250,6 +264,81 @@ def test_traffic_of_ones_own_runs_where_it_is_asked_for(tmp_path, members, monke
         verify(Record.read(folder), own_code=True)
     with pytest.raises(errors.ConfigError, match="--own-code"):
         verify(Record.read(packed(tmp_path / "a.zip", changed)), own_code=True)
+
+
+# damaged and costly archives
+
+
+def bomb(text, count=1):
+    """Members beside the others, each of one text."""
+    return lambda file: [file.writestr(f"raw/{i}.json", text) for i in range(count)]
+
+
+def lying(file):
+    """A member of 128 MiB that says it has ten bytes."""
+    file.writestr("raw/x.json", bytes(128 << 20))
+    file.getinfo("raw/x.json").file_size = 10
+
+
+def twice(file):
+    with pytest.warns(UserWarning, match="Duplicate"):
+        file.writestr("run.json", "{}")
+
+
+@pytest.mark.parametrize(
+    ("add", "words"),
+    [
+        (bomb('{"a":[' + "[]," * (20 << 20) + "[]]}"), "values"),
+        (bomb('{"a":[' + "0," * (3 << 20) + "0]}", 3), "values"),
+        (bomb('{"a":"' + "x" * (65 << 20) + '"}'), "bytes"),
+        (bomb('{"a":"' + "x" * (60 << 20) + '"}', 5), "bytes"),
+        (bomb("{}", 100_001), "members"),
+        (bomb('{"a":' + "[" * 100_000), "nested"),
+        (bomb('{"a":1e999}'), "finite"),
+        (bomb(b"\xff\xfe"), "damaged"),
+        (lying, "damaged"),
+        (twice, "two members"),
+        (lambda file: file.writestr("raw/x.json", "{}", zipfile.ZIP_BZIP2), "neither stored"),
+        (lambda file: file.writestr("raw/x.json", "{}", zipfile.ZIP_LZMA), "neither stored"),
+    ],
+    ids=[
+        *("lists", "values", "member", "all", "members", "nested"),
+        *("1e999", "bytes", "lying", "twice", "bzip2", "lzma"),
+    ],
+)  # fmt: skip
+def test_what_is_small_and_large_inside_costs_little(tmp_path, members, add, words):
+    path = packed(tmp_path / "a.zip", members)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
+        add(file)
+    tracemalloc.start()
+    try:
+        with pytest.raises(errors.DatasetError, match=words):
+            Record.read(path)
+        assert tracemalloc.get_traced_memory()[1] < 400e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_archives_with_changed_bytes_are_refused_in_words(tmp_path, members):
+    path = packed(tmp_path / "a.zip", {k: v for k, v in members.items() if "idm" not in k})
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    said = []
+    for number in range(300):
+        damaged = bytearray(whole)
+        if number % 3 == 0:
+            del damaged[rng.integers(len(whole)) :]
+        else:  # heads at the end and before members, and anything between
+            heads = [m.start() for m in re.finditer(b"PK", whole)]
+            at = int(rng.choice(heads)) + int(rng.integers(46)) if number % 3 == 1 else None
+            at = int(rng.integers(len(whole))) if at is None else min(at, len(whole) - 1)
+            damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            Record.read(path)
+        except errors.DatasetError as error:
+            said.append(str(error))
+    assert len(said) > 200
+    assert all("a.zip" in text for text in said)
 
 
 # forged figures

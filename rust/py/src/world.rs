@@ -247,7 +247,8 @@ impl PyVecWorld {
         self.world.reseed(world_idx, seed).map_err(from_sim)
     }
 
-    /// Digest of everything that the future of a world depends on.
+    /// Digest of everything that the future of a world depends on, its place in the batch
+    /// included: digests are compared of one place.
     fn digest(&self, world_idx: usize) -> PyResult<u64> {
         self.home.check()?;
         self.world.digest(world_idx).map_err(from_sim)
