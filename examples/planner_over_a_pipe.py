@@ -1,0 +1,124 @@
+"""A planner in another language: a program that reads and writes lines of JSON.
+
+    python examples/planner_over_a_pipe.py --smoke
+
+Every line that it reads is one decision for all worlds, and it answers by one line, the actions
+``[[a, w], ...]`` in [-1, 1], or trajectories ``[[[x, y, heading], ...], ...]``:
+
+    {"dt_s": 0.1, "worlds": [{"ego": 0, "step": 3, "route": [[x, y], ...],
+     "position": [[x, y], ...], "heading": [...], "speed": [...],
+     "size": [[length, width, height], ...], "active": [...]}]}
+
+Arrays are over agents, in the scene's frame: metres, radians, m/s (docs/planners.md). A world whose
+episode has ended is ``null``. In this folder the whole benchmark takes a program by
+
+    ccdiff-env bench planners --planners "planner_over_a_pipe:Piped?command=./my_planner"
+
+The program below stands in for yours: it keeps its lane and two seconds to whoever is ahead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.planners import TRAFFIC, play
+from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
+
+
+class Piped:
+    """Asks a program, which is started with the worlds and ends with its input."""
+
+    def __init__(
+        self, worlds: Any, command: str = f"{sys.executable} {__file__} --program"
+    ) -> None:
+        self.worlds, self.command = worlds, command
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self.program = subprocess.Popen(shlex.split(command), **pipes)
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        worlds = [self.world(i) for i in range(self.worlds.num_worlds)]
+        line = json.dumps({"dt_s": self.worlds.config.dt_s, "worlds": worlds})
+        print(line, file=self.program.stdin, flush=True)
+        answer = self.program.stdout.readline()
+        if not answer:
+            raise RuntimeError(f"{self.command} has ended with {self.program.wait()}")
+        return np.array(json.loads(answer), np.float32)
+
+    def world(self, i: int) -> dict[str, Any] | None:
+        """What a program is told of a world."""
+        native = self.worlds.native
+        if not native.slot_alive(i)[0]:
+            return None
+        status, states = native.status(i), native.states(i)
+        route = native.route(i, 0)
+        return {
+            "ego": native.slot_agents(i)[0],
+            "step": status.elapsed_steps,
+            "route": [] if route is None else route[0].tolist(),
+            "size": self.worlds.scenes[status.scene_idx].sizes.tolist(),
+            **{n: states[n].tolist() for n in ("position", "heading", "speed", "active")},
+        }
+
+
+def program() -> None:
+    """What another language would do."""
+    for line in sys.stdin:
+        found = [
+            (0.0, 0.0) if world is None else act(world) for world in json.loads(line)["worlds"]
+        ]
+        print(json.dumps(found), flush=True)
+
+
+def act(world: dict[str, Any]) -> tuple[float, float]:
+    """The action of one world: an acceleration and a yaw rate."""
+    ego = world["ego"]
+    (x, y), heading, speed = (world[name][ego] for name in ("position", "heading", "speed"))
+
+    def seen(point: list[float]) -> tuple[float, float]:
+        """A point ahead and to the left of the ego."""
+        dx, dy = point[0] - x, point[1] - y
+        cos, sin = math.cos(heading), math.sin(heading)
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    reach = max(6.0, speed)
+    ahead, left = next((p for p in map(seen, world["route"]) if p[0] > reach), (reach, 0.0))
+    turn = 2.0 * left / (ahead**2 + left**2) * speed
+    gap = 1e3
+    for i, active in enumerate(world["active"]):
+        there = seen(world["position"][i])
+        if active and i != ego and there[0] > 0.0 and abs(there[1]) < 2.0:
+            gap = min(gap, there[0] - (world["size"][i][0] + world["size"][ego][0]) / 2)
+    wanted = min(10.0, max(gap - 2.0, 0.0) / 2.0)
+    acceleration = max(min(wanted - speed, 2.0), -8.0)
+    return acceleration / (4.0 if acceleration > 0.0 else 8.0), max(min(turn, 1.0), -1.0)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_scene_arguments(parser, "test")
+    parser.add_argument("--traffic", default="idm", choices=list(TRAFFIC))
+    parser.add_argument("--program", action="store_true", help="be the program")
+    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = arguments()
+    if args.program:
+        program()
+        return
+    scenes = scenes_from(args)
+    for row in play(scenes[:2] if args.smoke else scenes, Piped, TRAFFIC[args.traffic]):
+        print(f"{row['scene']:24s} score {row['score']:.2f}")
+
+
+if __name__ == "__main__":
+    main()
