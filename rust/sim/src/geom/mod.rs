@@ -17,6 +17,7 @@ pub use bitmap::Bitmap;
 pub(crate) use bitmap::visit_band;
 pub use boundary::Boundary;
 pub use obb::OrientedBox;
+pub(crate) use polygon::ring_edges;
 pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};
 pub use polyline::{Polyline, Projection};
 pub use pose::Pose2;

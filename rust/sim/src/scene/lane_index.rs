@@ -2,10 +2,10 @@
 //!
 //! Each cell lists every segment that can be the nearest one, in any direction or among those that agree with some
 //! heading, for some point of the cell. A query looks at its cell's list and nothing else. Lists are made when they are
-//! first asked for.
+//! first asked for. A second list of each cell holds the lanes whose surface reaches into it.
 
 use super::Map;
-use crate::geom::{Grid, Point2, Real, math};
+use crate::geom::{Grid, Point2, Real, math, ring_edges};
 use crate::simd_dispatch::simd_dispatch;
 use std::sync::OnceLock;
 
@@ -17,6 +17,8 @@ const MAX_CELLS: f64 = 40_000.0;
 const REACH_M: Real = 10.0;
 /// Points of a centre line that lie this near to the line through their neighbours are left out, metres.
 const SIMPLIFY_M: Real = 0.01;
+/// Half the width of lanes without a surface, metres: they are as wide as a usual lane of a city.
+const HALF_WIDTH_M: Real = 1.75;
 /// Headings are told apart in this many sectors when the lists are built.
 const NUM_SECTORS: usize = 8;
 /// Coordinates of what is nowhere near, metres.
@@ -51,13 +53,25 @@ struct Block {
 
 /// Finds the nearest lane centre line.
 ///
-/// Memory: 28 bytes a segment, 24 bytes a cell, and 24 bytes for each segment that matters in a cell in which somebody has
+/// Memory: 28 bytes a segment, 48 bytes a cell, and 24 bytes for each segment that matters in a cell in which somebody has
 /// been.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaneIndex {
     grid: Grid,
     segments: Vec<Segment>,
     cells: Vec<OnceLock<Box<[Block]>>>,
+    /// Number of the first segment of each lane, and that of all.
+    first_segment: Vec<u32>,
+    /// Surfaces by cell.
+    surfaces: Vec<OnceLock<Box<[Surface]>>>,
+}
+
+/// A lane whose surface reaches into a cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Surface {
+    lane_idx: u32,
+    /// It holds the whole cell.
+    whole: bool,
 }
 
 /// The nearest point of a lane's centre line.
@@ -100,9 +114,10 @@ pub struct NearLanes {
 impl LaneIndex {
     /// Index of a map's lanes; `None` when it has none.
     pub fn new(map: &Map) -> Option<Self> {
-        let mut segments = Vec::new();
+        let (mut segments, mut first_segment) = (Vec::new(), vec![0]);
         for (lane_idx, lane) in map.lanes.iter().enumerate() {
             add_segments(lane_idx as u32, &lane.centreline, &mut segments);
+            first_segment.push(segments.len() as u32);
         }
         let ends = |s: &Segment| [s.start, s.end()];
         let first = segments.first()?.start;
@@ -112,8 +127,70 @@ impl LaneIndex {
         let (min, max) =
             (Point2::new(min.x - REACH_M, min.y - REACH_M), Point2::new(max.x + REACH_M, max.y + REACH_M));
         let grid = Grid::new(min, max, CELL_M, MAX_CELLS);
-        let cells = (0..grid.num_columns * grid.num_rows).map(|_| OnceLock::new()).collect();
-        Some(Self { grid, segments, cells })
+        let num_cells = grid.num_columns * grid.num_rows;
+        let cells = (0..num_cells).map(|_| OnceLock::new()).collect();
+        let surfaces = (0..num_cells).map(|_| OnceLock::new()).collect();
+        Some(Self { grid, segments, cells, first_segment, surfaces })
+    }
+
+    /// Lanes and connectors whose surface holds a point, in the order of the map. A lane without a polygon is 3.5 m wide.
+    pub fn holding<'a>(&'a self, map: &'a Map, point: Point2) -> impl Iterator<Item = usize> + 'a {
+        let list =
+            self.grid.cell(point).map(|c| &**self.surfaces[c].get_or_init(|| self.surfaces_in(map, c)));
+        let holds = move |s: &&Surface| s.whole || self.holds(map, s.lane_idx as usize, point);
+        list.into_iter().flatten().filter(holds).map(|s| s.lane_idx as usize)
+    }
+
+    /// Whether a lane's surface holds a point.
+    pub fn holds(&self, map: &Map, lane_idx: usize, point: Point2) -> bool {
+        let surface = &map.lanes[lane_idx].polygon;
+        match surface.exterior.len() < 3 {
+            true => self.distance_sq(lane_idx, point) <= HALF_WIDTH_M * HALF_WIDTH_M,
+            false => surface.contains(point),
+        }
+    }
+
+    /// The nearest point of one lane's centre line to a pose given by its position, cosine and sine of its heading.
+    pub fn on_lane(&self, lane_idx: usize, point: Point2, cos: Real, sin: Real) -> Option<LaneHit> {
+        let with_distance = self.of_lane(lane_idx).iter().map(|s| (s.distance_sq(point), s));
+        let (distance_sq, nearest) = with_distance.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(nearest.hit(point, cos, sin, distance_sq))
+    }
+
+    fn of_lane(&self, lane_idx: usize) -> &[Segment] {
+        &self.segments[self.first_segment[lane_idx] as usize..self.first_segment[lane_idx + 1] as usize]
+    }
+
+    fn distance_sq(&self, lane_idx: usize, point: Point2) -> Real {
+        self.of_lane(lane_idx).iter().map(|s| s.distance_sq(point)).fold(Real::INFINITY, Real::min)
+    }
+
+    /// The lanes whose surfaces reach into a cell.
+    fn surfaces_in(&self, map: &Map, cell: usize) -> Box<[Surface]> {
+        let (centre, half_m) = self.middle(cell);
+        let meets = |lane_idx: usize| {
+            let polygon = &map.lanes[lane_idx].polygon;
+            if polygon.exterior.len() < 3 {
+                return (self.distance_sq(lane_idx, centre).sqrt() <= HALF_WIDTH_M + half_m, false);
+            }
+            let apart =
+                |(a, b): (Point2, Point2)| Segment::between(a, b).distance_sq(centre) > half_m * half_m;
+            let clear = polygon.rings().flat_map(ring_edges).all(apart);
+            let holds = polygon.contains(centre);
+            (!clear || holds, clear && holds)
+        };
+        let found = (0..map.lanes.len()).map(|i| (i, meets(i))).filter(|(_, (meets, _))| *meets);
+        found.map(|(i, (_, whole))| Surface { lane_idx: i as u32, whole }).collect()
+    }
+
+    /// The middle of a cell, and a bit more than half its diagonal, metres.
+    fn middle(&self, cell: usize) -> (Point2, Real) {
+        let (grid, cell_m) = (&self.grid, self.grid.cell_m);
+        let at = |index: usize| (index as Real + 0.5) * cell_m;
+        let (column, row) = (cell % grid.num_columns, cell / grid.num_columns);
+        // the margin covers rounding
+        let half_m = 0.5 * math::hypot(cell_m, cell_m) + 0.01;
+        (Point2::new(grid.min.x + at(column), grid.min.y + at(row)), half_m)
     }
 
     /// Nearest lane to a pose given by its position and the cosine and sine of its heading.
@@ -161,6 +238,7 @@ impl LaneIndex {
         let lists = self.cells.iter().filter_map(OnceLock::get);
         size_of_val(self.segments.as_slice())
             + size_of_val(self.cells.as_slice())
+            + size_of_val(self.surfaces.as_slice())
             + lists.map(|list| size_of_val::<[Block]>(list)).sum::<usize>()
     }
 
@@ -171,12 +249,7 @@ impl LaneIndex {
     /// nearest among those that agree with a heading only if that holds among the segments that agree with every heading
     /// of the heading's sector.
     fn list(&self, cell: usize) -> Box<[Block]> {
-        let (grid, cell_m) = (&self.grid, self.grid.cell_m);
-        let at = |index: usize| (index as Real + 0.5) * cell_m;
-        let centre =
-            Point2::new(grid.min.x + at(cell % grid.num_columns), grid.min.y + at(cell / grid.num_columns));
-        // the margin covers rounding
-        let half_m = 0.5 * math::hypot(cell_m, cell_m) + 0.01;
+        let (centre, half_m) = self.middle(cell);
         let farthest_m = REACH_M + 2.0 * half_m;
         let near: Vec<(u32, Real, usize)> = (0u32..)
             .zip(&self.segments)
@@ -258,6 +331,14 @@ simd_dispatch! {
 }
 
 impl Segment {
+    /// A segment of no lane.
+    fn between(start: Point2, end: Point2) -> Self {
+        let way = end - start;
+        let length_m = math::hypot(way.x, way.y);
+        let unit = if length_m > 0.0 { way / length_m } else { way };
+        Self { start, cos: unit.x, sin: unit.y, length_m, s_m: 0.0, s_per_m: 1.0, lane_idx: u32::MAX }
+    }
+
     fn end(&self) -> Point2 {
         Point2::new(self.start.x + self.cos * self.length_m, self.start.y + self.sin * self.length_m)
     }
