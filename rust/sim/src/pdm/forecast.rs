@@ -1,20 +1,28 @@
-//! Where the others will be: at constant velocity, with their headings, or as a network expects.
+//! Where the others will be: at constant speed along their headings, or as a network expects.
 
 use super::Scene;
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2};
+use crate::scene::AgentKind;
 use crate::state::Footprint;
 
 /// Seconds of the proposals.
 pub(super) const HORIZON_S: Real = 4.0;
 /// Seconds ahead at which the time to contact is looked at.
-pub(super) const AHEAD_S: [Real; 3] = [0.3, 0.6, 0.9];
+pub(super) const AHEAD_S: [Real; 4] = [0.0, 0.3, 0.6, 0.9];
+
+/// Who is no faster than this stands, m/s.
+pub(super) const STANDS_MPS: Real = 0.05;
 
 /// Another agent and its forecast.
 #[derive(Debug, Clone)]
 pub(super) struct Other {
     pub position: Point2,
-    pub velocity: Vector2,
+    /// Along its heading, forwards or backwards: that of boxes is noisier than their headings are.
+    velocity: Vector2,
     pub speed_mps: Real,
+    /// Greatest speed of the forecast.
+    pub most_mps: Real,
+    pub is_static: bool,
     cos: Real,
     sin: Real,
     pub footprint: Footprint,
@@ -33,7 +41,7 @@ pub(super) struct Beside {
     /// Half of what it takes along the line, and across it, metres.
     pub half_along_m: Real,
     pub half_across_m: Real,
-    /// Speed along the line, not below 0.
+    /// Speed along the line, below 0 if it comes the other way.
     pub speed_mps: Real,
 }
 
@@ -90,12 +98,12 @@ impl Other {
             lateral_m,
             half_along_m: along * f.half_length_m + across * f.half_width_m,
             half_across_m: across * f.half_length_m + along * f.half_width_m,
-            speed_mps: self.velocity_at(step).dot(&direction).max(0.0),
+            speed_mps: self.velocity_at(step).dot(&direction),
         }
     }
 }
 
-/// The others who can matter.
+/// The others who can matter: who touches the ego already is no matter of this plan.
 #[derive(Debug)]
 pub(super) struct Forecast {
     pub others: Vec<Other>,
@@ -110,15 +118,33 @@ impl Forecast {
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
         let mut others = Vec::new();
         for j in (0..states.len()).filter(|j| *j != ego && states.active[*j]) {
-            let (position, velocity) = (states.position(j), states.velocity(j));
-            let speed_mps = velocity.norm();
-            if (position - states.position(ego)).norm() >= own_m + speed_mps * (HORIZON_S + 1.0) {
+            let is_static = scene.prepared.kinds[j] == AgentKind::Static;
+            let position = states.position(j);
+            let speed_mps = if is_static { 0.0 } else { states.velocity(j).norm() };
+            let far_m = own_m + speed_mps * (HORIZON_S + 1.0);
+            if (position - states.position(ego)).norm() >= far_m || touches(scene, j) {
                 continue;
             }
             let (cos, sin, footprint) = (states.cos[j], states.sin[j], *scene.footprint(j));
+            let heading = Vector2::new(cos, sin);
+            let velocity = heading * speed_mps.copysign(states.velocity(j).dot(&heading));
             let (path, dt_s, beside) = (path(j).unwrap_or_default(), scene.dt_s, Vec::new());
-            let moves = speed_mps > 0.05 || path.len() > 1;
-            let mut other = Other { position, velocity, speed_mps, cos, sin, footprint, path, dt_s, beside };
+            let moves = speed_mps > STANDS_MPS || path.len() > 1;
+            let steps_m = path.windows(2).map(|pair| (pair[1].position - pair[0].position).norm());
+            let most_mps = steps_m.fold(speed_mps, |most, step_m| most.max(step_m / dt_s));
+            let mut other = Other {
+                position,
+                velocity,
+                speed_mps,
+                most_mps,
+                is_static,
+                cos,
+                sin,
+                footprint,
+                path,
+                dt_s,
+                beside,
+            };
             for t in 0..num_steps {
                 let next = match other.beside.last() {
                     Some(last) if !moves => *last,
@@ -130,4 +156,10 @@ impl Forecast {
         }
         Self { others, num_steps }
     }
+}
+
+/// Whether an agent touches the ego now.
+fn touches(scene: &Scene<'_>, agent_idx: usize) -> bool {
+    let at = |a: usize| scene.footprint(a).at(&scene.states.pose(a));
+    at(scene.ego).overlaps(&at(agent_idx))
 }

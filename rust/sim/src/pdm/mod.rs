@@ -2,9 +2,12 @@
 //!
 //! Dauner, Hallgarten, Geiger, Chitta: "Parting with Misconceptions about Learning-based Vehicle Motion Planning", CoRL 2023.
 
+mod comfort;
 mod forecast;
 mod proposals;
 mod score;
+#[cfg(test)]
+mod tests;
 
 use crate::dynamics::KinState;
 use crate::geom::{Pose2, Projection, Real};
@@ -44,7 +47,9 @@ impl<'a> Scene<'a> {
     /// Yaw rate of the ego now on its way to a distance from the centre line.
     pub(crate) fn yaw_rate(&self, offset_m: Real) -> Real {
         let state = self.present();
-        BesideLine::new(self.line, self.place.s_m, &state).yaw_rate(state.speed_mps, offset_m)
+        let before_radps = self.states.yaw_rate_radps[self.ego];
+        let beside = BesideLine::new(self.line, self.place.s_m, &state);
+        beside.yaw_rate(state.speed_mps, offset_m, before_radps, self.dt_s)
     }
 
     pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {
@@ -69,7 +74,7 @@ pub(crate) struct Plan {
 }
 
 /// The plan that is best in the mean over futures. `path` gives the poses of an agent from now on in a future, where a
-/// network expects any; else others drive on at constant velocity.
+/// network expects any; else others drive on at constant speed.
 pub(crate) fn plan(
     scene: &Scene<'_>,
     num_futures: usize,

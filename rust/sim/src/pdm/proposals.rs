@@ -9,22 +9,23 @@ use crate::stage::{CentreLine, Place};
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
-const OFFSETS_M: [Real; 3] = [0.0, 1.0, -1.0];
+const OFFSETS_M: [Real; 3] = [0.0, -1.0, 1.0];
 /// IDM of PDM-Closed.
 const IDM: IdmConfig = IdmConfig {
     headway_s: 1.5,
     min_gap_m: 1.0,
     acceleration_mps2: 1.5,
     deceleration_mps2: 3.0,
-    max_braking_mps2: 8.0,
-    exponent: 4.0,
+    max_braking_mps2: 3.0,
+    exponent: 10.0,
     anticipation_s: 0.0,
 };
-/// Largest change of acceleration that is comfortable, m/s³.
+/// Changes of acceleration and of yaw rate that the tracker makes, m/s³ and rad/s².
 const JERK_MPS3: Real = 8.0;
+const YAW_ACCELERATION_RADPS2: Real = 0.75;
 /// Lateral acceleration up to which the tracker steers, m/s², and its highest yaw rate, rad/s.
 const TURN_MPS2: Real = 4.5;
-const YAW_RATE_RADPS: Real = 1.0;
+const YAW_RATE_RADPS: Real = 0.9;
 
 /// One way to drive on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,10 +83,13 @@ impl BesideLine {
         Self { at, ahead_m, lateral_m, heading_error_rad }
     }
 
-    /// Yaw rate that leads to a distance from the line.
-    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real) -> Real {
+    /// Yaw rate that leads to a distance from the line, after a yaw rate in the step before.
+    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real, before_radps: Real, dt_s: Real) -> Real {
         let (curvature_1pm, lateral_m) = (self.at.curvature_1pm, self.lateral_m - offset_m);
-        steering(&UnicycleLimits::default(), speed_mps, curvature_1pm, self.heading_error_rad, lateral_m)
+        let limits = UnicycleLimits::default();
+        let wanted = steering(&limits, speed_mps, curvature_1pm, self.heading_error_rad, lateral_m);
+        let change = YAW_ACCELERATION_RADPS2 * dt_s;
+        wanted.clamp(before_radps - change, before_radps + change)
     }
 }
 
@@ -106,6 +110,7 @@ impl Proposal {
         let start_m = scene.place.s_m;
         let mut s_m = start_m;
         let mut last = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
+        let mut last_yaw_rate = scene.states.yaw_rate_radps[scene.ego];
         let direction = |state: &KinState| {
             let (sin, cos) = math::sin_cos(state.heading_rad);
             Vector2::new(cos, sin)
@@ -123,16 +128,15 @@ impl Proposal {
             let limit = beside.at.limit_mps.min(scene.speed_limit_mps);
             let wanted = (limit * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
             let leader = self.leader(forecast, t, s_m, own.half_length_m, own.half_width_m);
-            let hard = idm_towards(&IDM, speed, wanted, leader);
+            let wanted = idm_towards(&IDM, speed, wanted, leader);
             let change = JERK_MPS3 * dt_s;
-            let soft = hard.clamp(last - change, last + change);
-            let acceleration = if hard < -IDM.deceleration_mps2 { hard } else { soft };
-            let yaw_rate = beside.yaw_rate(speed, self.offset_m);
+            let acceleration = wanted.clamp(last - change, last + change);
+            let yaw_rate = beside.yaw_rate(speed, self.offset_m, last_yaw_rate, dt_s);
             let before = state;
             dynamics.step(&mut state, [acceleration, yaw_rate, 0.0], dt_s, own);
             s_m +=
                 0.5 * (before.speed_mps + state.speed_mps) * dt_s * math::sin_cos(beside.heading_error_rad).1;
-            last = acceleration;
+            (last, last_yaw_rate) = (acceleration, yaw_rate);
             out.states.push(state);
             out.directions.push(direction(&state));
             out.actions.push([acceleration, yaw_rate]);

@@ -1,39 +1,42 @@
 //! The score of proposals: what must not happen times a weighted mean of the rest, as nuPlan's closed loop.
 
-use super::forecast::{AHEAD_S, Forecast};
+use super::comfort::is_calm;
+use super::forecast::{AHEAD_S, Forecast, Other, STANDS_MPS};
 use super::proposals::{Proposal, Rollout};
 use super::{Plan, Scene};
-use crate::events::WRONG_WAY_CLEARANCE_M;
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
+use crate::scene::LaneKind;
 use std::cell::OnceCell;
 
-/// Who is slower than this stands, m/s.
-const STANDS_MPS: Real = 0.05;
+/// Egos slower than this have no time to contact, m/s.
+const MOVES_MPS: Real = 5e-3;
+/// Cosine of the angle round the heading in which others are ahead; round its opposite they are behind.
+const AHEAD_COS: Real = 0.866_025_4;
+/// The rear axle, from which these angles are measured, is this share of the length behind the centre.
+const REAR_AXLE_SHARE: Real = 0.34;
+/// Less progress than this is none, metres.
+const LEAST_PROGRESS_M: Real = 0.1;
+/// What is left of the score where static obstacles are hit.
+const STATIC: Real = 0.5;
 /// A box wider by this must stay on the road; by the second one, or it costs half, metres.
 const EDGE_M: Real = 0.05;
 const MARGIN_M: Real = 0.3;
-/// What is left of the score where a proposal goes against traffic.
-const WRONG_WAY: Real = 0.25;
+/// Metres against traffic that cost half of the score, and all of it.
+const AGAINST_M: [Real; 2] = [2.0, 6.0];
 /// Lanes farther than this say nothing, metres.
 const LANE_REACH_M: Real = 5.0;
-/// Cost of a metre beside the centre line: it settles ties.
-const OFFSET_PER_M: Real = 1e-4;
 /// An unavoidable contact within this time is braked for, s.
 const BRAKE_S: Real = 2.0;
 const BRAKE_MPS2: Real = -8.0;
 /// Braking below [`SLOW_MPS`] m/s.
 const SLOW_BRAKE_MPS2: Real = -4.05;
 const SLOW_MPS: Real = 5.0;
-/// Comfort: lowest and highest acceleration, highest lateral one (m/s²), jerk (m/s³).
-const COMFORT: (Real, Real, Real, Real) = (-4.05, 2.4, 4.89, 8.37);
 
 /// What the proposal does that is best in the mean over futures, or an emergency brake where most of them have a contact.
 /// Of equals the first. Proposals whose progress cannot make up for the best so far are not looked at.
 pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Forecast, Vec<Rollout>)]) -> Plan {
-    let futures: Vec<Future<'_>> = futures
-        .iter()
-        .map(|(forecast, rollouts)| Future::new(scene, forecast, proposals, rollouts))
-        .collect();
+    let futures: Vec<Future<'_>> =
+        futures.iter().map(|(forecast, rollouts)| Future::new(scene, forecast, rollouts)).collect();
     let mean =
         |of: &dyn Fn(&Future<'_>) -> Real| futures.iter().map(of).sum::<Real>() / futures.len() as Real;
     let mut order: Vec<(usize, Real)> = (0..proposals.len()).map(|i| (i, mean(&|f| f.bound(i)))).collect();
@@ -63,25 +66,17 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
 struct Future<'a> {
     scene: &'a Scene<'a>,
     forecast: &'a Forecast,
-    proposals: &'a [Proposal],
     rollouts: &'a [Rollout],
     parts: Vec<OnceCell<Parts>>,
-    /// Most progress of a rollout, and of one times its product, metres.
-    farthest_m: Real,
+    /// Most progress of a rollout times its product, metres.
     most_m: Real,
 }
 
 impl<'a> Future<'a> {
-    fn new(
-        scene: &'a Scene<'a>,
-        forecast: &'a Forecast,
-        proposals: &'a [Proposal],
-        rollouts: &'a [Rollout],
-    ) -> Self {
-        let parts = vec![OnceCell::new(); proposals.len()];
-        let farthest_m = rollouts.iter().map(|r| r.progress_m).fold(1.0, Real::max);
-        let mut found = Self { scene, forecast, proposals, rollouts, parts, farthest_m, most_m: 0.0 };
-        let mut order: Vec<usize> = (0..proposals.len()).collect();
+    fn new(scene: &'a Scene<'a>, forecast: &'a Forecast, rollouts: &'a [Rollout]) -> Self {
+        let parts = vec![OnceCell::new(); rollouts.len()];
+        let mut found = Self { scene, forecast, rollouts, parts, most_m: 0.0 };
+        let mut order: Vec<usize> = (0..rollouts.len()).collect();
         order.sort_by(|a, b| rollouts[*b].progress_m.total_cmp(&rollouts[*a].progress_m));
         for i in order {
             if rollouts[i].progress_m <= found.most_m {
@@ -93,37 +88,38 @@ impl<'a> Future<'a> {
     }
 
     fn parts(&self, i: usize) -> &Parts {
-        let make = || Parts::new(self.scene, self.forecast, &self.proposals[i], &self.rollouts[i]);
+        let make = || Parts::new(self.scene, self.forecast, &self.rollouts[i]);
         self.parts[i].get_or_init(make)
     }
 
-    /// Progress as a share of the most.
-    fn progress(&self, i: usize) -> Real {
-        let of_m = if self.most_m > 0.1 { self.most_m } else { self.farthest_m };
-        (self.rollouts[i].progress_m / of_m).clamp(0.0, 1.0)
+    /// Progress as a share of the most; all have made it where nobody gets on.
+    fn progress(&self, i: usize, product: Real) -> Real {
+        if self.most_m > LEAST_PROGRESS_M {
+            (product * self.rollouts[i].progress_m / self.most_m).clamp(0.0, 1.0)
+        } else {
+            1.0
+        }
     }
 
     fn mean(&self, i: usize, product: Real, is_close: bool, is_calm: bool) -> Real {
         let flag = |holds: bool| if holds { 1.0 } else { 0.0 };
-        product * (5.0 * self.progress(i) + 5.0 * flag(!is_close) + 2.0 * flag(is_calm)) / 12.0
+        product * (5.0 * self.progress(i, product) + 5.0 * flag(!is_close) + 2.0 * flag(is_calm)) / 12.0
     }
 
     /// What the score is at most.
     fn bound(&self, i: usize) -> Real {
-        self.mean(i, 1.0, false, true) - OFFSET_PER_M * self.proposals[i].offset_m.abs()
+        self.mean(i, 1.0, false, true)
     }
 
     fn score(&self, i: usize) -> Real {
         let (p, steps) = (self.parts(i), self.forecast.num_steps as Real);
-        let value = if p.product > 0.0 {
-            self.mean(i, p.product, p.close, p.calm)
-        } else {
-            // all proposals fail: the latest contact first
-            let contact = p.contact.map_or(steps, |t| t as Real) / steps;
-            let clear = if p.close { 0.0 } else { 1.0 };
-            1e-2 * contact - 5e-3 * p.off_road + 2e-3 * self.progress(i) + 1e-3 * clear - 0.1
-        };
-        value - OFFSET_PER_M * self.proposals[i].offset_m.abs()
+        if p.product > 0.0 {
+            return self.mean(i, p.product, p.close, p.calm);
+        }
+        // all proposals fail: the latest contact first
+        let contact = p.contact.map_or(steps, |t| t as Real) / steps;
+        let clear = if p.close { 0.0 } else { 1.0 };
+        1e-2 * contact - 5e-3 * p.off_road + 2e-3 * self.progress(i, 1.0) + 1e-3 * clear - 0.1
     }
 }
 
@@ -142,11 +138,12 @@ struct Parts {
 }
 
 impl Parts {
-    fn new(scene: &Scene<'_>, forecast: &Forecast, proposal: &Proposal, rollout: &Rollout) -> Self {
-        let (contact, close) = contacts(scene, forecast, proposal, rollout);
+    fn new(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout) -> Self {
+        let (left, contact, close) = contacts(scene, forecast, rollout);
         let (road, off_road) = road(scene, rollout);
-        let product = if contact.is_some() { 0.0 } else { road * direction(scene, rollout) };
-        Self { contact, close, off_road, calm: is_calm(scene, rollout), product }
+        let product = if left == 0.0 || road == 0.0 { 0.0 } else { left * road * direction(scene, rollout) };
+        let calm = is_calm(rollout, scene.states.acceleration_mps2[scene.ego], scene.dt_s);
+        Self { contact, close, off_road, calm, product }
     }
 }
 
@@ -156,68 +153,128 @@ fn box_at(scene: &Scene<'_>, centre: Point2, direction: Vector2) -> OrientedBox 
     OrientedBox { centre, cos: direction.x, sin: direction.y, half_length_m, half_width_m }
 }
 
-/// Step of the first contact at fault, and whether one is close at constant velocity.
-fn contacts(
+/// What contacts at fault leave of the score, the step of the first one, and whether one is close at constant speed.
+pub(super) fn contacts(
     scene: &Scene<'_>,
     forecast: &Forecast,
-    proposal: &Proposal,
     rollout: &Rollout,
-) -> (Option<usize>, bool) {
-    let own = scene.footprint(scene.ego);
-    let (mut contact, mut close) = (None::<usize>, false);
+) -> (Real, Option<usize>, bool) {
+    let (mut left, mut contact, mut close) = (1.0, None::<usize>, false);
+    let most_mps = rollout.states.iter().map(|state| state.speed_mps).fold(0.0, Real::max);
     for other in &forecast.others {
-        let near_sq = (own.radius_m + other.footprint.radius_m).powi(2);
-        let touches = |step: usize, ahead_s: Real| {
-            let (state, direction) = (&rollout.states[step], rollout.directions[step]);
-            let centre = Point2::new(state.x, state.y) + direction * (state.speed_mps * ahead_s);
-            let time_s = step as Real * scene.dt_s + ahead_s;
-            (centre - other.centre(time_s)).norm_squared() < near_sq
-                && box_at(scene, centre, direction).overlaps(&other.at(time_s))
-        };
-        // who touches already is no matter of this plan
-        if touches(0, 0.0) {
-            continue;
-        }
-        let first = (1..rollout.states.len()).find(|t| touches(*t, 0.0));
-        if let Some(t) = first.filter(|t| contact.is_none_or(|c| *t < c))
-            && at_fault(scene, proposal, rollout, t, other)
+        let meets = Meets { scene, rollout, other };
+        let near = meets.near_steps(most_mps + other.most_mps);
+        if let Some(t) = near.clone().find(|t| *t > 0 && meets.touch(*t, 0.0))
+            && is_at_fault(scene, rollout, t, other)
         {
-            contact = Some(t);
+            left = Real::min(left, if other.is_static { STATIC } else { 0.0 });
+            contact = Some(contact.map_or(t, |c| c.min(t)));
         }
-        for t in 0..first.unwrap_or(rollout.states.len()) {
-            if close {
-                break;
-            }
-            let (state, direction) = (&rollout.states[t], rollout.directions[t]);
-            let way = other.centre(t as Real * scene.dt_s) - Point2::new(state.x, state.y);
-            if state.speed_mps > STANDS_MPS && way.dot(&direction) > 0.0 {
-                close = AHEAD_S.iter().any(|ahead_s| touches(t, *ahead_s));
-            }
-        }
+        close = close || meets.is_close(near);
     }
-    (contact, close)
+    (left, contact, close)
 }
 
-/// Whether a contact is the ego's fault: with its front, with who stands, or beside the centre of its lane.
-fn at_fault(
-    scene: &Scene<'_>,
-    proposal: &Proposal,
-    rollout: &Rollout,
-    step: usize,
-    other: &super::forecast::Other,
-) -> bool {
-    let (state, direction, own) =
-        (&rollout.states[step], rollout.directions[step], scene.footprint(scene.ego));
+/// A rollout and another agent.
+struct Meets<'a> {
+    scene: &'a Scene<'a>,
+    rollout: &'a Rollout,
+    other: &'a Other,
+}
+
+impl Meets<'_> {
+    /// Whether both touch at a step, or would some time after it at the ego's constant speed.
+    fn touch(&self, step: usize, ahead_s: Real) -> bool {
+        let (state, direction) = (&self.rollout.states[step], self.rollout.directions[step]);
+        let centre = Point2::new(state.x, state.y) + direction * (state.speed_mps * ahead_s);
+        let time_s = step as Real * self.scene.dt_s + ahead_s;
+        let reach_m = self.scene.footprint(self.scene.ego).radius_m + self.other.footprint.radius_m;
+        (centre - self.other.centre(time_s)).norm_squared() < reach_m * reach_m
+            && box_at(self.scene, centre, direction).overlaps(&self.other.at(time_s))
+    }
+
+    /// Steps at which both may touch within [`AHEAD_S`], as they approach at most at some speed.
+    fn near_steps(&self, most_mps: Real) -> impl Iterator<Item = usize> + Clone {
+        let reach_m = self.scene.footprint(self.scene.ego).radius_m + self.other.footprint.radius_m;
+        let (states, dt_s) = (&self.rollout.states, self.scene.dt_s);
+        let near = move |from: usize| {
+            let mut t = from;
+            while let Some(state) = states.get(t) {
+                let way = self.other.centre(t as Real * dt_s) - Point2::new(state.x, state.y);
+                let clear_m = way.norm() - reach_m - most_mps * AHEAD_S[AHEAD_S.len() - 1] - 0.01;
+                if clear_m <= 0.0 {
+                    return Some(t);
+                }
+                // nearer by this much a step; where nobody moves, never
+                t = t.saturating_add(1 + (clear_m / (most_mps * dt_s)).min(1e6) as usize);
+            }
+            None
+        };
+        std::iter::successors(near(0), move |t| near(t + 1))
+    }
+
+    /// Whether a contact would come soon at constant speed: with who is ahead, or beside where the ego is not in one lane
+    /// alone. The first such contact with another who is elsewhere ends the matter.
+    fn is_close(&self, steps: impl Iterator<Item = usize>) -> bool {
+        let (scene, rollout) = (self.scene, self.rollout);
+        let mut moving = steps.filter(|t| rollout.states[*t].speed_mps >= MOVES_MPS);
+        let first = moving.find(|t| AHEAD_S.iter().any(|ahead_s| self.touch(*t, *ahead_s)));
+        first.is_some_and(|t| {
+            let cos = bearing_cos(scene, rollout, t, self.other.centre(t as Real * scene.dt_s));
+            cos > AHEAD_COS || cos >= -AHEAD_COS && is_between_lanes(scene, rollout, t, true)
+        })
+    }
+}
+
+/// Cosine of the angle between the heading and the way from the rear axle to a point.
+fn bearing_cos(scene: &Scene<'_>, rollout: &Rollout, step: usize, point: Point2) -> Real {
+    let (state, direction) = (&rollout.states[step], rollout.directions[step]);
+    let back_m = 2.0 * REAR_AXLE_SHARE * scene.footprint(scene.ego).half_length_m;
+    let way = point - (Point2::new(state.x, state.y) - direction * back_m);
+    way.dot(&direction) / way.norm().max(Real::MIN_POSITIVE)
+}
+
+/// Whether a contact is the ego's fault: with its front, with who stands, or at its side where it is not in one lane alone.
+fn is_at_fault(scene: &Scene<'_>, rollout: &Rollout, step: usize, other: &Other) -> bool {
+    let (state, direction) = (&rollout.states[step], rollout.directions[step]);
     let (centre, time_s) = (Point2::new(state.x, state.y), step as Real * scene.dt_s);
-    if state.speed_mps <= STANDS_MPS || (other.centre(time_s) - centre).dot(&direction) < -own.half_length_m {
+    if state.speed_mps <= STANDS_MPS {
         return false;
     }
-    let nose = OrientedBox {
-        centre: centre + direction * (own.half_length_m - 0.2),
-        half_length_m: 0.25,
+    if other.speed_mps <= STANDS_MPS {
+        return true;
+    }
+    if bearing_cos(scene, rollout, step, other.centre(time_s)) < -AHEAD_COS {
+        return false;
+    }
+    let front_m = scene.footprint(scene.ego).half_length_m;
+    let bumper = OrientedBox {
+        centre: centre + direction * front_m,
+        half_length_m: 0.0,
         ..box_at(scene, centre, direction)
     };
-    other.speed_mps < STANDS_MPS || proposal.offset_m != 0.0 || nose.overlaps(&other.at(time_s))
+    bumper.overlaps(&other.at(time_s)) || is_between_lanes(scene, rollout, step, false)
+}
+
+/// Whether the ego is in several lanes and in none of them whole, or off the road; or in an intersection, where that is
+/// asked for.
+fn is_between_lanes(scene: &Scene<'_>, rollout: &Rollout, step: usize, or_in_intersection: bool) -> bool {
+    let state = &rollout.states[step];
+    let centre = Point2::new(state.x, state.y);
+    let corners = box_at(scene, centre, rollout.directions[step]).corners();
+    if scene.prepared.road.as_ref().is_some_and(|road| !corners.iter().all(|c| road.contains(*c))) {
+        return true;
+    }
+    let Some(lanes) = &scene.prepared.lanes else { return false };
+    let map = &scene.prepared.scene.map;
+    if or_in_intersection && lanes.holding(map, centre).any(|i| map.lanes[i].kind == LaneKind::Connector) {
+        return true;
+    }
+    let mut held: Vec<usize> = corners.iter().flat_map(|c| lanes.holding(map, *c)).collect();
+    held.sort_unstable();
+    let whole = held.chunk_by(|a, b| a == b).any(|corners| corners.len() == 4);
+    held.dedup();
+    held.len() > 1 && !whole
 }
 
 /// What the road leaves of the score, and the share of steps off it; where a proposal starts off the road counts nothing.
@@ -247,32 +304,41 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
     (if near { 0.5 * left } else { left }, off as Real / rollout.states.len() as Real)
 }
 
-/// What driving direction leaves of the score: going against the only lane near costs, where it was right before.
-fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
-    let Some(lanes) = &scene.prepared.lanes else { return 1.0 };
-    let mut been_right = false;
-    for (state, direction) in rollout.states.iter().zip(&rollout.directions).step_by(2) {
-        let at = Point2::new(state.x, state.y);
-        let near = lanes.nearest_by_direction(at, direction.x, direction.y, LANE_REACH_M);
-        let wrong = near.any.is_some_and(|hit| !hit.agrees())
-            && near.agreeing.is_none_or(|hit| hit.distance_m > WRONG_WAY_CLEARANCE_M);
-        been_right |= !wrong;
-        if been_right && wrong {
-            return WRONG_WAY;
+/// What driving direction leaves of the score, by the longest way against traffic.
+pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
+    let (mut way_m, mut most_m) = (0.0, 0.0 as Real);
+    for (pair, direction) in rollout.states.windows(2).zip(&rollout.directions[1..]) {
+        let at = Point2::new(pair[1].x, pair[1].y);
+        way_m += (at - Point2::new(pair[0].x, pair[0].y)).norm();
+        if !is_against_traffic(scene, at, *direction) {
+            way_m = 0.0;
         }
+        most_m = most_m.max(way_m);
     }
-    1.0
+    if most_m < AGAINST_M[0] {
+        1.0
+    } else if most_m < AGAINST_M[1] {
+        0.5
+    } else {
+        0.0
+    }
 }
 
-fn is_calm(scene: &Scene<'_>, rollout: &Rollout) -> bool {
-    let (least, most, across, jerk) = COMFORT;
-    let mut last = scene.states.acceleration_mps2[scene.ego];
-    rollout.actions.iter().zip(&rollout.states).all(|([acceleration, yaw_rate], state)| {
-        let change = (acceleration - last).abs() / scene.dt_s;
-        last = *acceleration;
-        *acceleration > least
-            && *acceleration < most
-            && (yaw_rate * state.speed_mps).abs() < across
-            && change < jerk
-    })
+/// Whether the lanes that hold a point lead the other way; ways through intersections say nothing.
+fn is_against_traffic(scene: &Scene<'_>, at: Point2, direction: Vector2) -> bool {
+    let Some(lanes) = &scene.prepared.lanes else { return false };
+    let near = lanes.nearest_by_direction(at, direction.x, direction.y, LANE_REACH_M);
+    if near.any.is_none_or(|hit| hit.agrees()) {
+        return false;
+    }
+    let map = &scene.prepared.scene.map;
+    let mut opposed = false;
+    for lane_idx in lanes.holding(map, at) {
+        let agrees = lanes.on_lane(lane_idx, at, direction.x, direction.y).is_some_and(|hit| hit.agrees());
+        if agrees || map.lanes[lane_idx].kind == LaneKind::Connector {
+            return false;
+        }
+        opposed = true;
+    }
+    opposed
 }
