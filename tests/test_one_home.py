@@ -26,7 +26,7 @@ def test_limits_of_reward_and_of_pdm_are_those_of_the_score():
     limits = [COMFORT[name] for name in ("acceleration", "lateral_acceleration", "jerk")]
     assert numbers(file, "COMFORT_BOUNDS") == [bound for pair in limits for bound in pair]
     assert numbers(file, "LEAST_TTC_S") == [TTC_BOUND_S]
-    # PDM-Closed: braking, acceleration, sideways, jerk, and jerk ahead, which the score does not have
+    # PDM-Closed: braking, acceleration, sideways, jerk; and jerk ahead, which is its own
     expected = [*limits[0], limits[1][1], limits[2][1]]
     assert numbers("sim/src/pdm/comfort.rs", "COMFORT")[:4] == expected
 
