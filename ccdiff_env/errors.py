@@ -69,6 +69,10 @@ class ForkError(CcdiffError, RuntimeError):
     """A native object was used in a forked child process; use the spawn start method."""
 
 
+class ThreadError(CcdiffError, RuntimeError):
+    """Two threads use an environment at once; each needs one of its own."""
+
+
 class MissingFeatureError(CcdiffError, ImportError):
     """An optional dependency is not installed; the message names the install command."""
 

@@ -21,7 +21,12 @@ from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.worlds.curriculum import Curriculum, SceneWeights
 
-QUICK = {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 2}, "horizon_steps": 6}
+QUICK = {
+    "traffic": "ccdiff",
+    "ccdiff": {"denoising_steps": 2},
+    "horizon_steps": 6,
+    "terminate_at_goal": False,
+}
 
 
 @pytest.fixture(scope="module")

@@ -148,8 +148,18 @@ def test_networks_of_every_benchmark_run_where_they_are_told(
     assert 'device is "cuda:3" (torch: ' in capsys.readouterr().err
 
 
+def all_on_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute networks by torch on the processor, too: both round by the same kernels.
+
+    Own kernels beside torch are those of ``test_networks.py``; guidance makes more of rounding.
+    """
+    for module in (ccdiff_env.models, ccdiff_env.worlds):
+        monkeypatch.setattr(module, "needs_torch", lambda *_: True)
+
+
 @needs_no_gpu
-def test_plans_on_cuda_are_those_of_the_processor() -> None:
+def test_plans_on_cuda_are_those_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    all_on_torch(monkeypatch)
     scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
 
     def plans(device: str) -> Any:
@@ -174,7 +184,8 @@ def test_plans_on_cuda_are_those_of_the_processor() -> None:
 
 
 @needs_no_gpu
-def test_traffic_on_cuda_is_that_of_the_processor() -> None:
+def test_traffic_on_cuda_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    all_on_torch(monkeypatch)
     scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
 
     def observations(device: Any) -> np.ndarray:

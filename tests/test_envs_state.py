@@ -17,7 +17,13 @@ from test_envs import ID, assert_same_trace, same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, embedded_scenes
-from ccdiff_env.errors import ConfigError, ForkError, ResetNeededError, SnapshotError
+from ccdiff_env.errors import (
+    ConfigError,
+    ForkError,
+    ResetNeededError,
+    SnapshotError,
+    ThreadError,
+)
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +209,7 @@ def test_threads_that_share_an_environment_get_an_error_not_a_crash(scenes):
         for _ in range(30):
             try:
                 env.step(actions)
-            except RuntimeError as error:
+            except ThreadError as error:
                 seen.append(error)
 
     threads = [threading.Thread(target=work) for _ in range(3)]
@@ -211,7 +217,7 @@ def test_threads_that_share_an_environment_get_an_error_not_a_crash(scenes):
         thread.start()
     for thread in threads:
         thread.join()
-    assert all("borrowed" in str(error) for error in seen)
+    assert all("environment of its own" in str(error) for error in seen)
     env.step(actions)
 
 
@@ -223,3 +229,48 @@ def test_environments_go_when_nobody_holds_them(scenes):
     del env
     gc.collect()
     assert trace() is None
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scenes):
+    env = ccdiff_env.make_vec(
+        5, scenes=scenes, traffic="idm", autoreset_mode=mode, horizon_steps=12, info="end"
+    )
+    early = make(env)
+    env.set_scene_weights(np.arange(1.0, len(scenes) + 1.0))
+    obs, _ = env.reset(seed=4)
+    assert not same(early.reset(seed=4)[0], obs)  # by weights
+    assert early.worlds.scene_weights is None
+    rng = np.random.default_rng(0)
+
+    def step(one, action):
+        found = one.step(action)
+        ended = found[2] | found[3]
+        if mode == "disabled" and ended.any():
+            return *found, one.reset(options={"reset_mask": ended})[0]
+        return found
+
+    for _ in range(30):
+        twin = make(env)
+        assert twin.action_space.sample().tolist() == env.action_space.sample().tolist()
+        for _ in range(2):
+            action = rng.uniform(-1, 1, (5, 2)).astype(np.float32)
+            mine, theirs = step(env, action), step(twin, action)
+            assert all(same(a, b) for a, b in zip(mine[:4], theirs[:4], strict=True))
+            assert same(mine[-1], theirs[-1]) if mode == "disabled" else True
+        native = [one.worlds.native for one in (env, twin)]
+        assert [native[0].digest(i) for i in range(5)] == [native[1].digest(i) for i in range(5)]
+    assert same(make(env).reset()[0], env.reset()[0])
+
+
+def test_what_cannot_be_copied_says_what_to_do(scenes):
+    for env in (
+        ccdiff_env.AgentVectorEnv(2, scenes=scenes, agents=2),
+        ccdiff_env.AdversarySelectionEnv(scenes=scenes),
+        ccdiff_env.AdversarySelectionVectorEnv(2, scenes=scenes),
+        EgoEnv(scenes=scenes).worlds,
+    ):
+        for make in (copy.deepcopy, pickle.dumps):
+            with pytest.raises(ConfigError, match="make another one"):
+                make(env)

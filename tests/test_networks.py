@@ -1,4 +1,11 @@
-"""Networks on own kernels: those of torch but for rounding, one set of bits, no torch."""
+"""Networks on own kernels: those of torch but for rounding, one set of bits, no torch.
+
+Torch rounds by processor, and every denoising step or gradient makes more of it. What rounding can
+explain is measured by our own kernels, whose bits are the same on every machine: a sum of n
+products in any order is the exact sum of products whose factors are moved by at most n u, u = 2^-24
+(Higham, Accuracy and Stability of Numerical Algorithms, section 3.1). So the plans of networks
+whose weights are moved by that much, up or down, say how far plans of one network may lie apart.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +35,10 @@ SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"
 DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]
 DRIVEN = sorted({name.split("_")[0] for name in NAMES})
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
+#: Unit of rounding of float32, and terms of the sums of a network: its width.
+UNIT, TERMS = 2.0**-24, 64
+#: Parts of plans that are compared, and how many of their last columns.
+PARTS = {"states": 2, "actions": 2, "attention": None}
 
 
 def plans(model, name, *, found=None, samples=1, weight=1.0, steps=5, guidance=None, guided=None):
@@ -56,6 +67,73 @@ def own(name: str):
     return _native.load_network(FILES[name])
 
 
+def written(path: Path, name: str, change, numbers=None) -> str:
+    """A copy of shipped weights with another header of its tensors, or other numbers."""
+    data = Path(FILES[name]).read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header, body = json.loads(data[8 : 8 + size]), data[8 + size :]
+    # the checksum is of names and values; without it the file is an older one
+    own_header = json.loads(header["__metadata__"]["ccdiff_env"])
+    own_header.pop("checksum", None)
+    change(header, own_header)
+    header["__metadata__"]["ccdiff_env"] = json.dumps(own_header)
+    text = json.dumps(header).encode()
+    body = body if numbers is None else numbers(np.frombuffer(body, np.float32)).tobytes()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + body)
+    return os.fspath(path)
+
+
+def moved(tmp_path: Path, name: str):
+    """Networks with every weight moved by what rounding of its sums can explain, up or down."""
+    for seed in range(3):
+        signs = np.random.default_rng(seed)
+
+        def numbers(weights, signs=signs):
+            factors = 1.0 + TERMS * UNIT * signs.choice([-1.0, 1.0], weights.shape)
+            return (weights * factors).astype(np.float32)
+
+        path = written(tmp_path / f"{seed}.safetensors", name, lambda *_: None, numbers)
+        yield _native.load_network(path)
+
+
+def farthest(some, others) -> dict[str, float]:
+    """Greatest difference of each part of two lists of plans."""
+    found = dict.fromkeys(PARTS, 0.0)
+    for a, b in zip(some, others, strict=True):
+        assert a["agents"].tolist() == b["agents"].tolist()
+        for part, columns in PARTS.items():
+            if a[part] is None:
+                assert b[part] is None
+                continue
+            away = np.abs(a[part][..., :columns] - b[part][..., :columns])
+            found[part] = max(found[part], float(away.max()))
+    return found
+
+
+def explained(tmp_path: Path, name: str, ours, **options) -> dict[str, float]:
+    """How far plans of the network may lie from ours by rounding.
+
+    Places are sums of T steps besides, each of which rounds them.
+    """
+    found = dict.fromkeys(PARTS, 0.0)
+    for model in moved(tmp_path, name):
+        away = farthest(plans(model, name, **options), ours)
+        found = {part: max(found[part], away[part]) for part in PARTS}
+    for part, columns in PARTS.items():
+        sizes = [np.abs(p[part][..., :columns]).max() for p in ours if p[part] is not None]
+        steps = max(plan["states"].shape[-2] for plan in ours)
+        found[part] += steps * UNIT * max(sizes, default=0.0)
+    return found
+
+
+def expect_rounding(tmp_path: Path, name: str, ours, theirs, *, little=0.02, **options) -> None:
+    """Expect plans to differ by no more than rounding can explain, which is less than so many m."""
+    bound, away = explained(tmp_path, name, ours, **options), farthest(theirs, ours)
+    for part, most in bound.items():
+        assert away[part] <= most, (part, away, bound)
+    assert bound["states"] < little, bound
+
+
 @pytest.mark.parametrize(
     ("name", "samples", "weight", "steps"),
     [
@@ -66,7 +144,7 @@ def own(name: str):
         if draw[-1] or (name in DIFFUSIONS and "one_step" not in name)
     ],
 )
-def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps):
+def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps, tmp_path):
     require_networks()
     from ccdiff_env import _models
 
@@ -75,39 +153,28 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
     ours = own(name)
     assert (ours.header, ours.num_parameters) == (torch.header, torch.num_parameters)
     options = {"samples": samples, "weight": weight, "steps": steps}
-    many = 0
-    for a, b in zip(plans(ours, name, **options), plans(torch, name, **options), strict=True):
-        assert a["agents"].tolist() == b["agents"].tolist()
-        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 2e-4
-        np.testing.assert_allclose(a["actions"], b["actions"], atol=1e-4)
-        if name not in SCENE_DIFFUSIONS:
-            assert a["attention"] is None
-            assert b["attention"] is None
-            continue
-        np.testing.assert_allclose(a["attention"], b["attention"], atol=1e-5)
-        many = max(many, (b["attention"] > 0.01).sum(1).max())
+    found = plans(ours, name, **options)
+    expect_rounding(tmp_path, name, found, plans(torch, name, **options), **options)
+    seen = [plan["attention"] for plan in found]
     # somebody sees several others
-    assert many > 1 or name not in SCENE_DIFFUSIONS
+    assert (name in SCENE_DIFFUSIONS) == all(one is not None for one in seen)
+    assert name not in SCENE_DIFFUSIONS or max((one > 0.01).sum(1).max() for one in seen) > 1
 
 
 @pytest.mark.nuscenes
 @pytest.mark.parametrize("name", NAMES)
-def test_so_they_are_on_real_scenes(name, data_root):
+def test_so_they_are_on_real_scenes(name, data_root, tmp_path):
     require_networks()
     from ccdiff_env import _models
 
     scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
     torch = _models.load_network(FILES[name], "cpu")
-    farthest = 0.0
-    for a, b in zip(
-        *(plans(model, name, found=scenes) for model in (own(name), torch)), strict=True
-    ):
-        farthest = max(farthest, np.abs(a["states"][..., :2] - b["states"][..., :2]).max())
-    assert 0.0 < farthest < 2e-4
+    ours, theirs = (plans(model, name, found=scenes) for model in (own(name), torch))
+    expect_rounding(tmp_path, name, ours, theirs, found=scenes)
 
 
 @pytest.mark.parametrize("name", ["trafficsim_fast", "strive_fast"])
-def test_latents_descend_by_the_gradients_of_torch(name):
+def test_latents_descend_by_the_gradients_of_torch(name, tmp_path):
     require_networks()
     from ccdiff_env import _models
 
@@ -117,11 +184,11 @@ def test_latents_descend_by_the_gradients_of_torch(name):
         "guidance": json.dumps(guidance_preset("rl")),
         "guided": [plan["agents"][1:3].tolist() for plan in free],
     }
-    moved = 0.0
-    for a, b, c in zip(*(plans(model, name, **guided) for model in models), free, strict=True):
-        assert np.abs(a["states"][..., :2] - b["states"][..., :2]).max() < 2e-4
-        moved = max(moved, np.abs(a["states"][..., :2] - c["states"][..., :2]).max())
-    assert moved > 3.0
+    ours, theirs = (plans(model, name, **guided) for model in models)
+    effect = farthest(ours, free)["states"]
+    assert effect > 3.0
+    # the first step of Adam goes by the signs of gradients, some of which are nearly 0
+    expect_rounding(tmp_path, name, ours, theirs, little=0.1 * effect, **guided)
 
 
 def digest(found) -> str:
@@ -175,18 +242,7 @@ def test_the_narrowest_vectors_have_the_same_plans_and_episodes():
 
 def changed(tmp_path: Path, change) -> str:
     """A copy of shipped weights with another header of its tensors."""
-    data = shipped_weights().read_bytes()
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
-    # the checksum is of names and values; without it the file is an older one
-    own_header = json.loads(header["__metadata__"]["ccdiff_env"])
-    own_header.pop("checksum", None)
-    change(header, own_header)
-    header["__metadata__"]["ccdiff_env"] = json.dumps(own_header)
-    text = json.dumps(header).encode()
-    path = tmp_path / "weights.safetensors"
-    path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size :])
-    return os.fspath(path)
+    return written(tmp_path / "weights.safetensors", shipped_weights().stem, change)
 
 
 def test_what_own_kernels_lack_is_named(tmp_path):

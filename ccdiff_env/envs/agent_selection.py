@@ -73,7 +73,7 @@ class AgentSelection:
         count = _count("agents", agents, "all")
         if count is not None:
             _expect_most("agents", count, min(_most_vehicles(scenes), MAX_SLOTS))
-        elif agents != "all":
+        elif not isinstance(agents, (str, int)):
             _expect_known("agents", agents, {one for scene in scenes for one in scene.agent_ids})
             _expect_most("agents", len(agents), MAX_SLOTS)
         ids = []

@@ -20,14 +20,13 @@ from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import (
-    FollowsTraining,
     Scenes,
     StepArrays,
     Worlds,
     scene_set,
     world_config,
 )
-from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.spaces import FORMS, Form
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.envs.vector import InfoLevel, check_choices
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.worlds import (
-    FollowsTraining,
     Scenes,
     StepArrays,
     Worlds,
@@ -28,7 +27,7 @@ from ccdiff_env.worlds import (
     scene_set,
     world_config,
 )
-from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
 
@@ -383,16 +382,15 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             **self._kept,
             "snapshot": self.snapshot(),
             "seeded": self._seeded,
-            "progress": self.worlds.curriculum and self.worlds.curriculum.progress,
+            "training": self._training(),
             "spaces": (self._observation_spaces, self._action_spaces),
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Rebuild the environment."""
-        extra = ("snapshot", "seeded", "progress", "spaces")
+        extra = ("snapshot", "seeded", "training", "spaces")
         MultiAgentEnv.__init__(self, **{k: v for k, v in state.items() if k not in extra})
-        if state["progress"] is not None:
-            self.set_progress(state["progress"])
+        self._follow(state["training"])
         self.restore(state["snapshot"])
         self._seeded = state["seeded"]
         self._observation_spaces, self._action_spaces = state["spaces"]

@@ -20,14 +20,13 @@ from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.worlds import (
-    FollowsTraining,
     Scenes,
     Worlds,
     normalize_seed,
     scene_set,
     world_config,
 )
-from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
 
@@ -338,7 +337,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             "render_mode": self.render_mode,
             "render_options": self._render_options,
             "criticality": self._criticality,
-            "progress": self.worlds.curriculum and self.worlds.curriculum.progress,
+            "training": self._training(),
             "snapshot": self.snapshot(),
             "seeded": self._seeded,
             "np_random": self._np_random,
@@ -360,8 +359,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         )
         options: EgoKeywords = {} if state["driver"] is None else {"driver": state["driver"]}
         EgoEnv.__init__(self, **{key: state[key] for key in keys}, **options)
-        if state["progress"] is not None:
-            self.set_progress(state["progress"])
+        self._follow(state["training"])
         self.restore(state["snapshot"])
         self._seeded = state["seeded"]
         self._np_random, self._np_random_seed = state["np_random"], state["np_random_seed"]

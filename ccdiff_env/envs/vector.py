@@ -20,14 +20,13 @@ from ccdiff_env.policies.planners import seated
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import (
-    FollowsTraining,
     Scenes,
     StepArrays,
     Worlds,
     scene_set,
     world_config,
 )
-from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
 
@@ -40,6 +39,19 @@ F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 InfoLevel = Literal["full", "end", "none"]
+
+#: What a copy has besides: who has begun, generators, spaces with theirs.
+_OWN = (
+    "_begun",
+    "_seeded",
+    "_np_random",
+    "_np_random_seed",
+    "spec",
+    "single_observation_space",
+    "single_action_space",
+    "observation_space",
+    "action_space",
+)
 
 _AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",
@@ -124,9 +136,10 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     its next scene is E further on: together the worlds play each scene once.
     ``reset(options={"scene": ...})`` chooses scenes by name or index, one for all worlds or a list
     with one entry per world (``None``: no choice); so do ``ego`` and ``start``, where egos are
-    drawn.
+    drawn. Environments can be pickled and deep-copied in the middle of episodes.
     """
 
+    worlds: Worlds
     reset_option_names = EGO_OPTIONS
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
@@ -147,11 +160,21 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         **options: Unpack[EgoKeywords],
     ) -> None:
         mode = _mode(autoreset_mode)
+        self._made = {
+            "observation": observation,
+            "info": info,
+            "copy": copy,
+            "num_threads": num_threads,
+            "render_mode": render_mode,
+            "render_options": render_options,
+            "criticality": criticality,
+        }
         check_choices(observation, info, FORMS)
         check_ego(options, config)
         check_render_mode(render_mode, ("rgb_array",))
         self._render_options = checked_render_options(render_options)
         chosen = scene_set(scenes)
+        self._driver = options.get("driver")
         self._seat, config, given = seated(options, config, chosen[0].dt)
         resolved = world_config(chosen, config, given, observation).with_options(
             autoreset=_AUTORESET[mode]
@@ -422,3 +445,34 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             self._seat.reset([world_idx])
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds."""
+        native = self.worlds.native
+        return {
+            **self._made,
+            "num_envs": self.num_envs,
+            "scenes": self.worlds.scenes,
+            "config": self.config,
+            "autoreset_mode": self.autoreset_mode,
+            "driver": None if self._seat is None else self._driver,
+            "training": self._training(),
+            "snapshots": [native.snapshot(i) for i in range(self.num_envs)],
+            "own": {name: vars(self)[name] for name in _OWN if name in vars(self)},
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Rebuild the environment."""
+        driver, training, snapshots, own = (
+            state.pop(name) for name in ("driver", "training", "snapshots", "own")
+        )
+        EgoVectorEnv.__init__(self, **state, **({} if driver is None else {"driver": driver}))
+        self._follow(training)
+        for i, snapshot in enumerate(snapshots):
+            self.worlds.native.restore(i, snapshot)
+        vars(self).update(own)
+        if self._seat is not None and self.begun:
+            self._seat.reset(np.flatnonzero(self._begun))
+        if self._kept is not None:
+            for i in np.flatnonzero(self._begun):
+                self._keep(self._kept, int(i))

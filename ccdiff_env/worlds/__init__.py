@@ -219,6 +219,15 @@ class Worlds:
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
         #: Arrays of the newest reset or step.
         self.last: StepArrays | None = None
+        #: Weights by which scenes are drawn, where there are any.
+        self.scene_weights: list[float] | None = None
+
+    def __reduce__(self) -> Any:
+        """Refuse copies, but for those that environments make."""
+        raise ConfigError(
+            "worlds cannot be pickled or copied: do so with their environment, or make another one "
+            "and restore(env.snapshot())"
+        )
 
     def set_autoreset(self, mode: Autoreset) -> None:
         """Choose when ended worlds begin anew, before the first reset."""
@@ -413,6 +422,7 @@ class Worlds:
                 )
             weights = weights.tolist()
         self.native.set_scene_weights(weights)
+        self.scene_weights = weights
 
     def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
         """Return what ``info`` says about a new episode: scene, its token, seed, episode.
@@ -471,41 +481,6 @@ class Worlds:
         bev = None if raster is None else np.empty((self.num_slots, *raster), np.uint8)
         self.native.observe(world_idx, rows, bev)
         return rows, bev
-
-
-class FollowsTraining:
-    """What can be changed in every environment while an ego learns in it."""
-
-    worlds: Worlds
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
-        """
-        self.worlds.set_progress(progress)
-
-    def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
-        """Draw the scenes of episodes that begin later by weights, all alike for ``None``.
-
-        Parameters
-        ----------
-        weights
-            One for each scene [S], none negative; see
-            :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes went.
-
-        Raises
-        ------
-        ConfigError
-            If weights are no numbers, negative, not finite or all zero, or scenes are played in
-            their order.
-        ShapeError
-            If their number is another one than that of the scenes.
-        """
-        self.worlds.set_scene_weights(weights)
 
 
 def network_policies(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic.options import check
 
-__all__ = ["Criticality", "Curriculum", "SceneWeights"]
+__all__ = ["Criticality", "Curriculum", "FollowsTraining", "SceneWeights"]
 
 #: A strength of the guidance, a range to draw it from, or shares of episodes by strength or range.
 Strength: TypeAlias = float | tuple[float, float] | Mapping[float | tuple[float, float], float]
@@ -174,3 +174,51 @@ class SceneWeights:
             )
         for scene, fails in zip(indices, bad, strict=True):
             self._failed[scene] += self._rate * (fails - self._failed[scene])
+
+
+class FollowsTraining:
+    """What can be changed in every environment while an ego learns in it."""
+
+    worlds: Any
+
+    def _training(self) -> tuple[float | None, list[float] | None]:
+        """Return what a copy follows: progress, and weights of scenes."""
+        curriculum = self.worlds.curriculum
+        progress = None if curriculum is None else curriculum.progress
+        return progress, self.worlds.scene_weights
+
+    def _follow(self, training: tuple[float | None, list[float] | None]) -> None:
+        """Follow what :meth:`_training` returned."""
+        progress, weights = training
+        if progress is not None:
+            self.set_progress(progress)
+        self.set_scene_weights(weights)
+
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
+
+        Raises
+        ------
+        ConfigError
+            If there is no curriculum, or the number is out of range.
+        """
+        self.worlds.set_progress(progress)
+
+    def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
+        """Draw the scenes of episodes that begin later by weights, all alike for ``None``.
+
+        Parameters
+        ----------
+        weights
+            One for each scene [S], none negative; see
+            :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes went.
+
+        Raises
+        ------
+        ConfigError
+            If weights are no numbers, negative, not finite or all zero, or scenes are played in
+            their order.
+        ShapeError
+            If their number is another one than that of the scenes.
+        """
+        self.worlds.set_scene_weights(weights)

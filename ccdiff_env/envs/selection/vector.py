@@ -20,7 +20,7 @@ from ccdiff_env.envs.selection.batch import SelectionBatch
 from ccdiff_env.envs.selection.episode import INFO_COLUMNS
 from ccdiff_env.envs.selection.options import ActionMode, SelectionReward
 from ccdiff_env.envs.selection.single import selection_reward
-from ccdiff_env.errors import ShapeError
+from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.policies.planners import Ego
 from ccdiff_env.worlds import Scenes
 
@@ -216,3 +216,7 @@ class AdversarySelectionVectorEnv(AsVector):
             If the ego is a policy.
         """
         return self._batch.fork_gaps(steps)
+
+    def __reduce__(self) -> Any:
+        """Refuse copies: the ego's planner is any function."""
+        raise ConfigError("AdversarySelection environments cannot be pickled; make another one")

@@ -19,6 +19,7 @@ pub mod py {
     pyo3::import_exception!(ccdiff_env.errors, SceneError);
     pyo3::import_exception!(ccdiff_env.errors, ShapeError);
     pyo3::import_exception!(ccdiff_env.errors, SnapshotError);
+    pyo3::import_exception!(ccdiff_env.errors, ThreadError);
     pyo3::import_exception!(ccdiff_env.errors, UnknownNameError);
 }
 

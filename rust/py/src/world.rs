@@ -9,7 +9,7 @@ use crate::schemas::to_json;
 use crate::step_arrays::{Outputs, elements, typed, writable};
 use crate::world_plans;
 use crate::world_state;
-use ccdiff_bridge::errors::from_sim;
+use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
@@ -19,7 +19,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyCapsule, PyDict, PyTuple};
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -30,12 +30,17 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 /// Ego (index), start (step) and style (factors by name) of an episode, where they are asked for.
 type WantedEpisode = (Option<usize>, Option<usize>, BTreeMap<String, f32>);
 
-/// Worlds that play scenes. One thread at a time: a second one gets `RuntimeError`.
-#[pyclass(name = "VecWorld", module = "ccdiff_env._native")]
+/// Worlds that play scenes. One thread at a time: a second one gets `ThreadError`.
+#[pyclass(frozen, name = "VecWorld", module = "ccdiff_env._native")]
 pub(crate) struct PyVecWorld {
+    home: ProcessGuard,
+    held: Mutex<Held>,
+}
+
+/// What one thread at a time works with.
+struct Held {
     world: VecWorld,
     trails: Option<Trails>,
-    home: ProcessGuard,
     /// Actions of the present step.
     actions: Vec<f32>,
     /// The arrays that a reset or step writes.
@@ -62,6 +67,26 @@ pub(crate) struct PyWorldStatus {
 }
 
 impl PyVecWorld {
+    /// The worlds, for the calling thread alone.
+    fn lock(&self) -> PyResult<MutexGuard<'_, Held>> {
+        match self.held.try_lock() {
+            Ok(held) => Ok(held),
+            Err(TryLockError::Poisoned(held)) => Ok(held.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(py::ThreadError::new_err(
+                "another thread is at work in these worlds: give each thread an environment of its own, such as a \
+                 copy, or take turns with a threading.Lock",
+            )),
+        }
+    }
+
+    /// The same in the process in which the worlds were made.
+    fn here(&self) -> PyResult<MutexGuard<'_, Held>> {
+        self.home.check()?;
+        self.lock()
+    }
+}
+
+impl Held {
     /// Tells the worlds whether observations go where they went in the last call. The array is held, so that no other
     /// one takes its place.
     fn keep_rows(&mut self, out: &Bound<'_, PyTuple>) -> PyResult<()> {
@@ -99,21 +124,22 @@ impl PyVecWorld {
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         let arrays = world.extent().arrays(num_worlds);
-        Ok(Self { world, trails, home: ProcessGuard::here(), actions: Vec::new(), arrays, rows: None })
+        let held = Held { world, trails, actions: Vec::new(), arrays, rows: None };
+        Ok(Self { home: ProcessGuard::here(), held: Mutex::new(held) })
     }
 
     /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
-    fn set_scene_weights(&mut self, weights: Option<Vec<f64>>) -> PyResult<()> {
-        self.home.check()?;
-        self.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
+    fn set_scene_weights(&self, weights: Option<Vec<f64>>) -> PyResult<()> {
+        let mut me = self.here()?;
+        me.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
     }
 
     /// Takes the autoreset mode of a configuration (JSON), before the first reset.
-    fn set_autoreset(&mut self, config: &str) -> PyResult<()> {
-        self.home.check()?;
+    fn set_autoreset(&self, config: &str) -> PyResult<()> {
+        let mut me = self.here()?;
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
-        self.world.set_autoreset(config.autoreset).map_err(from_sim)?;
-        self.arrays = self.world.extent().arrays(self.world.num_worlds());
+        me.world.set_autoreset(config.autoreset).map_err(from_sim)?;
+        me.arrays = me.world.extent().arrays(me.world.num_worlds());
         Ok(())
     }
 
@@ -121,7 +147,7 @@ impl PyVecWorld {
     /// (indices), starts (steps) and styles (factors by name).
     #[pyo3(signature = (seeds, scenes, mask, out, wanted=Vec::new()))]
     fn reset<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         seeds: Vec<Option<u64>>,
         scenes: Vec<Option<usize>>,
@@ -129,18 +155,19 @@ impl PyVecWorld {
         out: &Bound<'py, PyTuple>,
         wanted: Vec<WantedEpisode>,
     ) -> PyResult<()> {
-        self.home.check()?;
-        let mut outputs = Outputs::check(out, &self.arrays)?;
-        self.keep_rows(out)?;
+        let mut me = self.here()?;
+        let me = &mut *me;
+        let mut outputs = Outputs::check(out, &me.arrays)?;
+        me.keep_rows(out)?;
         let buffers = outputs.buffers()?;
-        let world = &mut self.world;
+        let world = &mut me.world;
         let wanted: Vec<_> =
             wanted.into_iter().map(|(ego, start, style)| Wanted { ego, start, style }).collect();
         let request = ResetRequest { seeds: &seeds, scenes: &scenes, wanted: &wanted, mask: mask.as_deref() };
         enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
-        if let Some(trails) = &mut self.trails {
-            for i in (0..self.world.num_worlds()).filter(|i| mask.as_ref().is_none_or(|m| m[*i])) {
-                trails.restart(&self.world, i).map_err(from_sim)?;
+        if let Some(trails) = &mut me.trails {
+            for i in (0..me.world.num_worlds()).filter(|i| mask.as_ref().is_none_or(|m| m[*i])) {
+                trails.restart(&me.world, i).map_err(from_sim)?;
             }
         }
         Ok(())
@@ -149,28 +176,29 @@ impl PyVecWorld {
     /// One step of all worlds, or of those of `active` [E]; actions [E, C, W] float32.
     #[pyo3(signature = (actions, out, active=None))]
     fn step<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         actions: &Bound<'py, PyAny>,
         out: &Bound<'py, PyTuple>,
         active: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
-        self.home.check()?;
-        let shape = [self.world.num_worlds(), self.world.config().num_slots, self.world.decoder().width()];
+        let mut me = self.here()?;
+        let me = &mut *me;
+        let shape = [me.world.num_worlds(), me.world.config().num_slots, me.world.decoder().width()];
         // copied, so that nobody changes them while the GIL is released
-        self.actions.clear();
-        self.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
+        me.actions.clear();
+        me.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let active = match active {
             Some(mask) => Some(flags(&typed::<bool>("active", mask, &shape[..1])?.try_readonly()?)?),
             None => None,
         };
         let active = active.as_deref();
-        let mut outputs = Outputs::check(out, &self.arrays)?;
-        self.keep_rows(out)?;
-        let (world, actions, buffers) = (&mut self.world, &self.actions, outputs.buffers()?);
+        let mut outputs = Outputs::check(out, &me.arrays)?;
+        me.keep_rows(out)?;
+        let (world, actions, buffers) = (&mut me.world, &me.actions, outputs.buffers()?);
         enter(py, || world.step(actions, active, buffers).map_err(from_sim))?;
-        if let Some(trails) = &mut self.trails {
-            trails.follow(&self.world, active, elements(&mut outputs.was_reset)?).map_err(from_sim)?;
+        if let Some(trails) = &mut me.trails {
+            trails.follow(&me.world, active, elements(&mut outputs.was_reset)?).map_err(from_sim)?;
         }
         Ok(())
     }
@@ -178,143 +206,150 @@ impl PyVecWorld {
     /// Writes the present observations [C, D] and rasters [C, P, S, S] of one world.
     #[pyo3(signature = (world_idx, obs, bev=None))]
     fn observe<'py>(
-        &mut self,
+        &self,
         world_idx: usize,
         obs: &Bound<'py, PyAny>,
         bev: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<()> {
-        self.home.check()?;
-        let shape = [self.world.config().num_slots, self.world.layout().size];
+        let mut me = self.here()?;
+        let shape = [me.world.config().num_slots, me.world.layout().size];
         let mut obs = writable::<f32>("obs", obs, &shape)?;
-        let raster = self.world.extent().raster;
+        let raster = me.world.extent().raster;
         let shape = [shape[0], raster[0], raster[1], raster[2]];
         let mut bev = bev.map(|a| writable::<u8>("bev", a, &shape)).transpose()?;
-        self.world.observe(world_idx, obs.as_slice_mut()?, elements(&mut bev)?).map_err(from_sim)
+        me.world.observe(world_idx, obs.as_slice_mut()?, elements(&mut bev)?).map_err(from_sim)
     }
 
     /// The schema of the observation row as JSON.
     #[getter]
     fn layout_json(&self) -> PyResult<String> {
-        to_json(self.world.layout())
+        let me = self.lock()?;
+        to_json(me.world.layout())
     }
 
     #[getter]
-    fn num_worlds(&self) -> usize {
-        self.world.num_worlds()
+    fn num_worlds(&self) -> PyResult<usize> {
+        Ok(self.lock()?.world.num_worlds())
     }
 
     /// Numbers per action.
     #[getter]
-    fn action_width(&self) -> usize {
-        self.world.decoder().width()
+    fn action_width(&self) -> PyResult<usize> {
+        Ok(self.lock()?.world.decoder().width())
     }
 
     /// Number of discrete actions, `None` for continuous ones.
     #[getter]
-    fn num_actions(&self) -> Option<usize> {
-        self.world.decoder().num_actions()
+    fn num_actions(&self) -> PyResult<Option<usize>> {
+        Ok(self.lock()?.world.decoder().num_actions())
     }
 
     /// Names and units of the physical quantities of an action, and their values at -1 and +1.
     #[getter]
-    fn action_bounds(&self) -> Vec<(&'static str, f32, f32)> {
-        let decoder = self.world.decoder();
+    fn action_bounds(&self) -> PyResult<Vec<(&'static str, f32, f32)>> {
+        let me = self.lock()?;
+        let decoder = me.world.decoder();
         let (low, high) = decoder.physical_bounds();
         let names = decoder.dynamics().columns().iter();
-        names.zip(low.into_iter().zip(high)).map(|(name, (low, high))| (*name, low, high)).collect()
+        Ok(names.zip(low.into_iter().zip(high)).map(|(name, (low, high))| (*name, low, high)).collect())
     }
 
     /// Everything that the future of a world depends on.
     fn snapshot<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyBytes>> {
-        self.home.check()?;
-        Ok(PyBytes::new(py, &self.world.snapshot(world_idx).map_err(from_sim)?))
+        let me = self.here()?;
+        Ok(PyBytes::new(py, &me.world.snapshot(world_idx).map_err(from_sim)?))
     }
 
     /// Puts a world into the state of a snapshot.
-    fn restore(&mut self, py: Python<'_>, world_idx: usize, snapshot: &[u8]) -> PyResult<()> {
-        self.home.check()?;
-        let world = &mut self.world;
+    fn restore(&self, py: Python<'_>, world_idx: usize, snapshot: &[u8]) -> PyResult<()> {
+        let mut me = self.here()?;
+        let me = &mut *me;
+        let world = &mut me.world;
         enter(py, || world.restore(world_idx, snapshot).map_err(from_sim))?;
-        if let Some(trails) = &mut self.trails {
+        if let Some(trails) = &mut me.trails {
             trails.forget(world_idx);
         }
         Ok(())
     }
 
     /// Lets a world go on with the random numbers of another seed.
-    fn reseed(&mut self, world_idx: usize, seed: u64) -> PyResult<()> {
-        self.home.check()?;
-        self.world.reseed(world_idx, seed).map_err(from_sim)
+    fn reseed(&self, world_idx: usize, seed: u64) -> PyResult<()> {
+        let mut me = self.here()?;
+        me.world.reseed(world_idx, seed).map_err(from_sim)
     }
 
     /// Digest of everything that the future of a world depends on, its place in the batch
     /// included: digests are compared of one place.
     fn digest(&self, world_idx: usize) -> PyResult<u64> {
-        self.home.check()?;
-        self.world.digest(world_idx).map_err(from_sim)
+        let me = self.here()?;
+        me.world.digest(world_idx).map_err(from_sim)
     }
 
     /// Whether a world was ever reset.
-    fn begun(&self, world_idx: usize) -> bool {
-        self.world.status(world_idx).is_ok()
+    fn begun(&self, world_idx: usize) -> PyResult<bool> {
+        Ok(self.lock()?.world.status(world_idx).is_ok())
     }
 
     /// Where a world is.
     fn status(&self, world_idx: usize) -> PyResult<PyWorldStatus> {
-        let s = self.world.status(world_idx).map_err(from_sim)?;
+        let me = self.lock()?;
+        let s = me.world.status(world_idx).map_err(from_sim)?;
         Ok(PyWorldStatus {
             scene_idx: s.scene_idx,
             seed: s.seed,
             episode: s.episode,
             step_idx: s.step_idx,
             elapsed_steps: s.elapsed_steps,
-            ego_idx: self.world.ego(world_idx).map_err(from_sim)?,
+            ego_idx: me.world.ego(world_idx).map_err(from_sim)?,
         })
     }
 
     /// Name, dtype and shape of the arrays that a reset or step writes; no shape where there is no such array.
-    fn step_arrays(&self) -> Vec<(&'static str, &'static str, Vec<usize>)> {
-        self.arrays.iter().map(|a| (a.name, a.dtype, a.shape.clone())).collect()
+    fn step_arrays(&self) -> PyResult<Vec<(&'static str, &'static str, Vec<usize>)>> {
+        Ok(self.lock()?.arrays.iter().map(|a| (a.name, a.dtype, a.shape.clone())).collect())
     }
 
     /// Present states of the agents as new arrays; entries of agents that are not active are zero.
     fn states<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyDict>> {
-        world_state::states(py, &self.world.status(world_idx).map_err(from_sim)?)
+        let me = self.lock()?;
+        world_state::states(py, &me.world.status(world_idx).map_err(from_sim)?)
     }
 
     /// Metrics [N, C, K] of the last episodes that ended in some worlds.
     fn ended_metrics<'py>(&self, py: Python<'py>, worlds: Vec<usize>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let me = self.lock()?;
         let mut flat = Vec::new();
         for world_idx in &worlds {
-            flat.extend(self.world.ended_metrics(*world_idx).map_err(from_sim)?.iter().flatten());
+            flat.extend(me.world.ended_metrics(*world_idx).map_err(from_sim)?.iter().flatten());
         }
-        let shape = [worlds.len(), self.world.config().num_slots, NUM_METRICS];
+        let shape = [worlds.len(), me.world.config().num_slots, NUM_METRICS];
         PyArray1::from_vec(py, flat).reshape(shape)
     }
 
     /// Metrics [C, K] of a world's present episode so far.
     fn metrics<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let metrics = self.world.metrics(world_idx).map_err(from_sim)?;
+        let me = self.lock()?;
+        let metrics = me.world.metrics(world_idx).map_err(from_sim)?;
         let shape = [metrics.len(), NUM_METRICS];
         PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
     }
 
     /// Puts a driver into vehicles of a world.
-    fn assign(&mut self, world_idx: usize, agents: Vec<usize>, driver: &str) -> PyResult<()> {
-        self.home.check()?;
-        self.world.assign(world_idx, &agents, driver).map_err(from_sim)
+    fn assign(&self, world_idx: usize, agents: Vec<usize>, driver: &str) -> PyResult<()> {
+        let mut me = self.here()?;
+        me.world.assign(world_idx, &agents, driver).map_err(from_sim)
     }
 
     /// What is asked of a world's next plans: agents to be guided, strength of the guidance.
     #[pyo3(signature = (world_idx, *, guided, criticality))]
     fn override_plan(
-        &mut self,
+        &self,
         world_idx: usize,
         guided: Option<Vec<usize>>,
         criticality: Option<f32>,
     ) -> PyResult<()> {
-        self.home.check()?;
-        self.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
+        let mut me = self.here()?;
+        me.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
     }
 
     /// The plan of a policy (the first that plans, by default) that a world follows as a dictionary of new arrays;
@@ -326,38 +361,42 @@ impl PyVecWorld {
         world_idx: usize,
         driver: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyDict>>> {
-        self.home.check()?;
-        let plan = self.world.explain(world_idx, driver).map_err(from_sim)?;
+        let me = self.here()?;
+        let plan = me.world.explain(world_idx, driver).map_err(from_sim)?;
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
     /// Name of the driver of each agent.
-    fn drivers(&self, world_idx: usize) -> PyResult<Vec<&str>> {
-        let status = self.world.status(world_idx).map_err(from_sim)?;
-        Ok(status.drivers.iter().map(|d| self.world.driver_name(*d).0).collect())
+    fn drivers(&self, world_idx: usize) -> PyResult<Vec<String>> {
+        let me = self.lock()?;
+        let status = me.world.status(world_idx).map_err(from_sim)?;
+        Ok(status.drivers.iter().map(|d| me.world.driver_name(*d).0.to_owned()).collect())
     }
 
     /// Names of the policies of this batch, each with its kind.
     #[getter]
-    fn policies(&self) -> Vec<(&str, &str)> {
-        self.world.policies().collect()
+    fn policies(&self) -> PyResult<Vec<(String, String)>> {
+        let me = self.lock()?;
+        Ok(me.world.policies().map(|(name, kind)| (name.to_owned(), kind.to_owned())).collect())
     }
 
     /// Names of the policies that plan.
     #[getter]
-    fn planners(&self) -> Vec<&str> {
-        self.world.planner_names().collect()
+    fn planners(&self) -> PyResult<Vec<String>> {
+        Ok(self.lock()?.world.planner_names().map(str::to_owned).collect())
     }
 
     /// Agent of each slot.
     fn slot_agents(&self, world_idx: usize) -> PyResult<Vec<Option<usize>>> {
-        self.world.slot_agents(world_idx).map_err(from_sim)
+        let me = self.lock()?;
+        me.world.slot_agents(world_idx).map_err(from_sim)
     }
 
     /// What was drawn for each slot: factors by name, steps of delay, and factors of weights as `style`.
     fn drawn<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        let style = &self.world.config().style;
-        let slots = self.world.drawn(world_idx).map_err(from_sim)?;
+        let me = self.lock()?;
+        let style = &me.world.config().style;
+        let slots = me.world.drawn(world_idx).map_err(from_sim)?;
         let dict = |drawn: &Drawn| {
             let factors =
                 COMPONENTS.into_iter().zip(drawn.style).filter(|(name, _)| style.contains_key(*name));
@@ -374,7 +413,8 @@ impl PyVecWorld {
 
     /// Whether each slot's agent goes on.
     fn slot_alive(&self, world_idx: usize) -> PyResult<Vec<bool>> {
-        self.world.slot_alive(world_idx).map_err(from_sim)
+        let me = self.lock()?;
+        me.world.slot_alive(world_idx).map_err(from_sim)
     }
 
     /// Route [P, 2] of a slot's agent and its goal [2].
@@ -384,7 +424,8 @@ impl PyVecWorld {
         world_idx: usize,
         slot_idx: usize,
     ) -> PyResult<world_state::Route<'py>> {
-        world_state::route(py, self.world.slot_route(world_idx, slot_idx).map_err(from_sim)?)
+        let me = self.lock()?;
+        world_state::route(py, me.world.slot_route(world_idx, slot_idx).map_err(from_sim)?)
     }
 
     /// Actions [E, W] of a planner in the first slots; zeros in worlds that are not `active` [E].
@@ -395,23 +436,26 @@ impl PyVecWorld {
         planner: &mut PyPlanner,
         active: Option<Vec<bool>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        self.home.check()?;
-        planner.actions(py, &self.world, active)
+        let me = self.here()?;
+        planner.actions(py, &me.world, active)
     }
 
     /// Pairs of agents that touch: (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
     fn contacts(&self, world_idx: usize) -> PyResult<Vec<world_state::ContactRow>> {
-        Ok(world_state::contacts(&self.world.contacts(world_idx).map_err(from_sim)?))
+        let me = self.lock()?;
+        Ok(world_state::contacts(&me.world.contacts(world_idx).map_err(from_sim)?))
     }
 
     /// Agents with a corner, and with the centre, off the road [A] each.
     fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<world_state::OffRoadArrays<'py>> {
-        Ok(world_state::off_road(py, &self.world.off_road(world_idx).map_err(from_sim)?))
+        let me = self.lock()?;
+        Ok(world_state::off_road(py, &me.world.off_road(world_idx).map_err(from_sim)?))
     }
 
     /// Metres by which the farthest corner of each slot's agent is off the road.
     fn off_road_m(&self, world_idx: usize) -> PyResult<Vec<f32>> {
-        self.world.off_road_m(world_idx).map_err(from_sim)
+        let me = self.lock()?;
+        me.world.off_road_m(world_idx).map_err(from_sim)
     }
 
     /// Metrics of the last step for some agents: how many were there before and after it, the share of them off the road,
@@ -422,7 +466,8 @@ impl PyVecWorld {
         world_idx: usize,
         agents: Vec<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        world_state::step_metrics(py, &self.world.step_metrics(world_idx, &agents).map_err(from_sim)?)
+        let me = self.lock()?;
+        world_state::step_metrics(py, &me.world.step_metrics(world_idx, &agents).map_err(from_sim)?)
     }
 
     /// What an adversary policy sees, as arrays by name.
@@ -434,14 +479,16 @@ impl PyVecWorld {
         before: Vec<usize>,
         num_rows: usize,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let found = self.world.candidates(world_idx, &rows, &before, num_rows).map_err(from_sim)?;
+        let me = self.lock()?;
+        let found = me.world.candidates(world_idx, &rows, &before, num_rows).map_err(from_sim)?;
         world_state::candidates(py, found, num_rows + 1)
     }
 
     /// Actions [C, W] that bring each slot's agent towards its next logged state.
     fn expert_actions<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let actions = self.world.expert_actions(world_idx).map_err(from_sim)?;
-        world_state::actions(py, &actions, self.world.decoder().width())
+        let me = self.lock()?;
+        let actions = me.world.expert_actions(world_idx).map_err(from_sim)?;
+        world_state::actions(py, &actions, me.world.decoder().width())
     }
 
     /// Image [H, W, 3] of a world.
@@ -459,15 +506,15 @@ impl PyVecWorld {
         labels: bool,
         theme: &str,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        self.home.check()?;
+        let me = self.here()?;
         let theme = theme_of(theme)?;
-        let scene_idx = self.world.status(world_idx).map_err(from_sim)?.scene_idx;
-        let scene = self.world.scene(scene_idx).map_err(from_sim)?;
+        let scene_idx = me.world.status(world_idx).map_err(from_sim)?.scene_idx;
+        let scene = me.world.scene(scene_idx).map_err(from_sim)?;
         let centre = centre.map(|centre| centre_of(scene, centre)).transpose()?;
         let (width, height) = pixels(size)?;
         let view = WorldView { centre, span_m, width, height, heading_up, route, labels, theme };
-        let trail = self.trails.as_ref().filter(|_| trails).and_then(|t| t.of(world_idx));
-        let image = WorldImage::new(&self.world, world_idx, trail, view, drivers::look).map_err(from_sim)?;
+        let trail = me.trails.as_ref().filter(|_| trails).and_then(|t| t.of(world_idx));
+        let image = WorldImage::new(&me.world, world_idx, trail, view, drivers::look).map_err(from_sim)?;
         let layers = layers_of(&scene.map)?;
         to_array(py, py.detach(|| image.render(&layers)).map_err(from_render)?)
     }

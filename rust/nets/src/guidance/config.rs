@@ -52,6 +52,9 @@ choices! {
     }
 }
 
+/// Most terms of a loss.
+const MOST_OBJECTIVES: usize = 32;
+
 /// The tables of guidance.
 pub const TABLES: &[&Table] = &[
     &GuidanceConfig::TABLE,
@@ -73,7 +76,7 @@ options! {
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct GuidanceConfig {
-        /// Terms of the loss, Σ w · mean: a negative weight on a collision loss seeks collisions.
+        /// Terms of the loss, at most 32, Σ w · mean: a negative weight on a collision loss seeks collisions.
         objectives: Vec<Objective> = vec![
             Objective::AgentCollision(AgentCollision::default()),
             Objective::MapCollision(MapCollision::default()),
@@ -174,6 +177,10 @@ impl GuidanceConfig {
     /// [`ModelError::Config`] names the field.
     pub fn validated(self) -> Result<Self> {
         options::check("guidance", &self)?;
+        if self.objectives.len() > MOST_OBJECTIVES {
+            let (field, got) = ("guidance.objectives", format!("{} objectives", self.objectives.len()));
+            return Err(ModelError::Config { field, got, expected: "at most 32" });
+        }
         Ok(self)
     }
 }
@@ -221,6 +228,10 @@ mod tests {
                     ..released()
                 },
                 "guidance.objectives[0].reach_m",
+            ),
+            (
+                GuidanceConfig { objectives: vec![Objective::Goal(Goal::default()); 33], ..released() },
+                "guidance.objectives is 33 objectives",
             ),
         ] {
             assert!(config.validated().unwrap_err().to_string().contains(field), "{field}");

@@ -101,8 +101,6 @@ fn flag(is: bool) -> Real {
     if is { 1.0 } else { 0.0 }
 }
 
-/// Weights of rewards.
-
 macro_rules! columns {
     (
         rewards {$(
