@@ -186,7 +186,7 @@ fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> f32 {
     let (cos, sin) = (heading.x.abs(), heading.y.abs());
     let half_length = 0.5 * (window.length_m[i] + cos * window.length_m[j] + sin * window.width_m[j]);
     let half_width = 0.5 * (window.width_m[i] + sin * window.length_m[j] + cos * window.width_m[j]);
-    if offset.x <= 0.0 || offset.y.abs() > half_width + CORRIDOR_MARGIN_M {
+    if offset.x <= 0.0 || offset.y.abs() > half_width + CORRIDOR_MARGIN_M || window.is_apart(i, j) {
         return f32::INFINITY;
     }
     let speed = window.speed_mps[i * window.num_steps + step];

@@ -67,6 +67,16 @@ impl Logged<'_> {
         let guides = guided.is_some();
         let roads: Vec<Option<Region>> =
             self.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
+        let level = |scene: &Scene, agent: usize, step: usize| {
+            Region::new(&scene.map.on_level(scene.tracks.elevation_m[scene.at(agent, step)]).drivable_area)
+        };
+        let of_levels = |(scene, step): (&Arc<Scene>, &usize)| -> Vec<Option<Region>> {
+            let agents = if guides && scene.has_levels() { vehicles(scene) } else { Vec::new() };
+            agents.iter().map(|a| level(scene, *a, *step)).collect()
+        };
+        let of_levels: Vec<_> = self.scenes.iter().zip(self.steps).map(of_levels).collect();
+        let of_levels: Vec<Vec<_>> =
+            of_levels.iter().map(|roads| roads.iter().map(Option::as_ref).collect()).collect();
         let worlds: Vec<PlanInput<'_>> = windows
             .iter()
             .enumerate()
@@ -76,6 +86,7 @@ impl Logged<'_> {
                 seed: self.seeds[k],
                 guide: guided.as_ref().map(|flags| WorldGuidance {
                     road: roads[k].as_ref(),
+                    roads: (!of_levels[k].is_empty()).then_some(of_levels[k].as_slice()),
                     collision_targets: collision_targets.as_ref().map(|p| p[k].as_slice()),
                     ..WorldGuidance::new(&flags[k])
                 }),

@@ -55,6 +55,7 @@ fn history<'a>(
         length_m: length.as_slice()?,
         width_m: width.as_slice()?,
         valid,
+        apart: &[],
     })
     .map_err(from_sim)
 }
@@ -96,7 +97,7 @@ fn causal_distance<'py>(
     let (zeros, sizes) = (vec![0.0; x.len()], vec![0.0; num_agents]);
     let (x_m, y_m) = (x.as_slice()?, y.as_slice()?);
     let (heading_rad, speed_mps, length_m, width_m) = (&zeros[..], &zeros[..], &sizes[..], &sizes[..]);
-    let frame = AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &valid };
+    let frame = AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &valid, apart: &[] };
     let history = AgentHistory::new(frame).map_err(from_sim)?;
     let out = history.distance_m().map_err(from_sim)?;
     PyArray1::from_vec(py, out).reshape([x.shape()[0], num_agents, num_agents])

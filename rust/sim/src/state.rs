@@ -1,6 +1,7 @@
 //! States of the agents of one running world, structure of arrays, and their footprints.
 
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2, math};
+use crate::scene::LEVEL_M;
 use serde::{Deserialize, Serialize};
 
 /// Size of an agent, constant over an episode.
@@ -34,6 +35,23 @@ impl Footprint {
     }
 }
 
+/// How high an agent is.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Height {
+    /// Elevation of the ground below it, metres.
+    pub elevation_m: Real,
+    /// Slope of its road along its heading, metres up per metre ahead.
+    pub grade: Real,
+}
+
+impl Height {
+    /// Elevation of its road where that goes on straight, at a place seen from an agent's pose.
+    fn at(&self, from: &Pose2, place: Point2) -> Real {
+        let d = place - from.position;
+        self.elevation_m + self.grade * (d.x * from.cos + d.y * from.sin)
+    }
+}
+
 /// States of A agents at one step. All arrays have length A. Entries of agents that are not `active` are stale.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct AgentStates {
@@ -59,6 +77,9 @@ pub struct AgentStates {
     pub yaw_rate_radps: Vec<Real>,
     /// Whether the agent is in the world.
     pub active: Vec<bool>,
+    /// How high each agent is, where the scene has levels; else empty.
+    #[serde(skip)]
+    pub heights: Vec<Height>,
 }
 
 impl AgentStates {
@@ -77,6 +98,7 @@ impl AgentStates {
             acceleration_mps2: zeros(),
             yaw_rate_radps: zeros(),
             active: vec![false; num_agents],
+            heights: Vec::new(),
         }
     }
 
@@ -100,6 +122,36 @@ impl AgentStates {
         }
         self.active.clear();
         self.active.resize(num_agents, false);
+        self.heights.clear();
+    }
+
+    /// Elevation of an agent, metres, in a scene with levels.
+    #[inline]
+    pub fn elevation_m(&self, agent_idx: usize) -> Option<Real> {
+        self.heights.get(agent_idx).map(|height| height.elevation_m)
+    }
+
+    /// Whether two agents can have to do with each other: everybody in a flat scene, and those on one level in others.
+    ///
+    /// They are on one level where they are at most [`LEVEL_M`] higher or lower than each other, or than the road of
+    /// either would be at the other's place if it went on straight: who drives far ahead up a ramp is on one's own road.
+    #[inline]
+    pub fn same_level(&self, i: usize, j: usize) -> bool {
+        self.heights.is_empty() || self.are_level(i, j)
+    }
+
+    /// Which pairs of some agents are on different levels, [M, M]; empty in a flat scene.
+    pub fn apart(&self, agents: &[usize]) -> Vec<bool> {
+        let with = |i: usize| agents.iter().map(move |j| !self.same_level(i, *j));
+        if self.heights.is_empty() { Vec::new() } else { agents.iter().flat_map(|i| with(*i)).collect() }
+    }
+
+    fn are_level(&self, i: usize, j: usize) -> bool {
+        let ([a, b], [p, q]) = ([i, j].map(|k| self.heights[k]), [i, j].map(|k| self.pose(k)));
+        let near = |x: Real, y: Real| (x - y).abs() <= LEVEL_M;
+        near(a.elevation_m, b.elevation_m)
+            || near(a.at(&p, q.position), b.elevation_m)
+            || near(b.at(&q, p.position), a.elevation_m)
     }
 
     /// Number of agents A.

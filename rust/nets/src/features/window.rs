@@ -4,7 +4,7 @@ use crate::error::{ModelError, Result};
 use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::stage::{History, Route};
+use ccdiff_sim::stage::{History, Route, apart_in_log};
 
 /// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -31,6 +31,8 @@ pub struct Window {
     pub noise_seed: Vec<u64>,
     /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
     pub ttc_s: Vec<f32>,
+    /// Which pairs of agents are on different levels now, [A, A]; empty: none.
+    pub apart: Vec<bool>,
     /// Places ahead on each agent's route, scene frame, [A]\[P\], see [`route_ahead`]; empty for an agent whose route is
     /// not told, and empty as a whole where nobody's is.
     pub routes: Vec<Vec<Point2>>,
@@ -47,7 +49,9 @@ pub fn route_ahead(route: &Route, s_m: f32, points_m: &[f32]) -> Vec<Point2> {
 impl Window {
     /// The window of some agents of a scene that ends at a step; steps before the scene's start are not valid.
     pub fn from_scene(scene: &Scene, step_idx: usize, agents: &[usize], num_steps: usize) -> Self {
-        Self::from_history(&History::from_log(scene, step_idx, num_steps), scene, agents, num_steps)
+        let history = History::from_log(scene, step_idx, num_steps);
+        let apart = apart_in_log(scene, step_idx, agents);
+        Self { apart, ..Self::from_history(&history, scene, agents, num_steps) }
     }
 
     /// The last `num_steps` states of some agents of a scene, of a history that has so many at least.
@@ -90,6 +94,7 @@ impl Window {
             ("window first_action", self.first_action.len().max(agents), agents),
             ("window noise_seed", self.noise_seed.len().max(agents), agents),
             ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
+            ("window apart", self.apart.len().max(agents * agents), agents * agents),
             ("window routes", self.routes.len().max(agents), agents),
         ] {
             if got != expected {
@@ -151,7 +156,13 @@ impl Window {
             half_width_m: 0.5 * self.width_m[a],
         };
         let own = body(agent);
-        (0..self.num_agents()).any(|a| a != agent && self.is_valid(a, now) && body(a).overlaps(&own))
+        let meets = |a: usize| a != agent && self.is_valid(a, now) && !self.is_apart(agent, a);
+        (0..self.num_agents()).any(|a| meets(a) && body(a).overlaps(&own))
+    }
+
+    /// Whether two agents are on different levels.
+    pub fn is_apart(&self, i: usize, j: usize) -> bool {
+        self.apart.get(i * self.num_agents() + j).copied().unwrap_or(false)
     }
 
     pub(crate) fn velocity(&self, agent: usize, step: usize) -> Vector2 {
@@ -192,6 +203,7 @@ struct Columns {
     length: Vec<f32>,
     width: Vec<f32>,
     valid: Vec<bool>,
+    apart: Vec<bool>,
 }
 
 impl Columns {
@@ -205,6 +217,10 @@ impl Columns {
             length: agents.iter().map(|a| window.length_m[*a]).collect(),
             width: agents.iter().map(|a| window.width_m[*a]).collect(),
             valid: agents.iter().map(|a| window.is_valid(*a, step)).collect(),
+            apart: match window.apart.is_empty() {
+                true => Vec::new(),
+                false => agents.iter().flat_map(|i| agents.iter().map(|j| window.is_apart(*i, *j))).collect(),
+            },
         }
     }
 
@@ -217,6 +233,7 @@ impl Columns {
             length_m: &self.length,
             width_m: &self.width,
             valid: &self.valid,
+            apart: &self.apart,
         };
         Ok(frame.checked()?)
     }

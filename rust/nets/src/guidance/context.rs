@@ -17,6 +17,8 @@ pub struct WorldGuidance<'a> {
     pub guidance_scale: f32,
     /// Where vehicles may drive; map collision is zero without.
     pub road: Option<&'a Region>,
+    /// The road of each agent's own level, [A], in place of `road`.
+    pub roads: Option<&'a [Option<&'a Region>]>,
     /// If given, only contacts with one of these agents count, [A]: such as the ego.
     pub collision_targets: Option<&'a [bool]>,
     /// Wanted positions, scene frame, [A].
@@ -36,6 +38,7 @@ impl<'a> WorldGuidance<'a> {
             guided,
             guidance_scale: 1.0,
             road: None,
+            roads: None,
             collision_targets: None,
             goals: None,
             target_speeds_mps: None,
@@ -70,6 +73,10 @@ pub struct GuidanceContext<'a> {
     pub partner: Vec<bool>,
     /// Where vehicles may drive.
     pub road: Option<&'a Region>,
+    /// The same for each agent, [M]; empty where it is one for all.
+    pub roads: Vec<Option<&'a Region>>,
+    /// Which pairs of agents are on different levels, [M, M]; empty: none.
+    pub apart: Vec<bool>,
     /// Wanted positions, scene frame, [M].
     pub goals: Vec<Option<Point2>>,
     /// Wanted speeds, [M].
@@ -96,6 +103,7 @@ impl<'a> GuidanceContext<'a> {
         let expected = window.num_agents();
         for (what, got) in [
             ("guide guided", Some(guide.guided.len())),
+            ("guide roads", guide.roads.map(<[_]>::len)),
             ("guide collision_targets", guide.collision_targets.map(<[_]>::len)),
             ("guide goals", guide.goals.map(<[_]>::len)),
             ("guide target_speeds_mps", guide.target_speeds_mps.map(<[_]>::len)),
@@ -119,6 +127,11 @@ impl<'a> GuidanceContext<'a> {
             guidance_scale: guide.guidance_scale,
             partner: rows.iter().map(|a| guide.collision_targets.is_none_or(|p| p[*a])).collect(),
             road: guide.road,
+            roads: guide.roads.map_or_else(Vec::new, |roads| rows.iter().map(|a| roads[*a]).collect()),
+            apart: match window.apart.is_empty() {
+                true => Vec::new(),
+                false => rows.iter().flat_map(|i| rows.iter().map(|j| window.is_apart(*i, *j))).collect(),
+            },
             goals: rows.iter().map(|a| guide.goals.and_then(|g| g[*a]).filter(finite)).collect(),
             target_speed_mps: rows
                 .iter()
@@ -132,6 +145,11 @@ impl<'a> GuidanceContext<'a> {
     /// Number of agents M.
     pub fn num_agents(&self) -> usize {
         self.poses.len()
+    }
+
+    /// Whether two agents are on different levels.
+    pub fn is_apart(&self, i: usize, j: usize) -> bool {
+        self.apart.get(i * self.num_agents() + j).copied().unwrap_or(false)
     }
 }
 

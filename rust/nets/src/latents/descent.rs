@@ -124,6 +124,8 @@ mod tests {
             guidance_scale: 1.0,
             partner: vec![true; 2],
             road: None,
+            roads: Vec::new(),
+            apart: Vec::new(),
             goals: vec![None; 2],
             target_speed_mps: vec![None; 2],
             speed_limit_mps: None,

@@ -107,6 +107,7 @@ impl PlannedAgents {
             ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
         })?;
         let window = Window::from_history(history, &world.scene.scene, &agents, num_steps);
+        let window = Window { apart: states.apart(&agents), ..window };
         Ok(Self { agents, controlled_by_policy, window })
     }
 
@@ -116,7 +117,7 @@ impl PlannedAgents {
         let row = self.agents.iter().position(|a| *a == agent_idx)?;
         let pose = window.pose(row, now);
         let others = (0..self.agents.len())
-            .filter(|r| *r != row && collision_targets[*r])
+            .filter(|r| *r != row && collision_targets[*r] && !window.is_apart(row, *r))
             .map(|r| window.pose(r, now));
         let distance = |other: &Pose2| (other.position - pose.position).norm();
         let target = others.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;

@@ -10,7 +10,7 @@ use crate::noise::Noise;
 use crate::raster::MapBitmap;
 use crate::sampler::SampleOptions;
 use crate::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
-use ccdiff_sim::geom::{Real, Vector2};
+use ccdiff_sim::geom::{Real, Region, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::scene::Scene;
 use rayon::prelude::*;
@@ -23,6 +23,8 @@ struct PreparedRequest<'a> {
     memory: Memory,
     planned: PlannedAgents,
     bitmap: Option<Arc<MapBitmap>>,
+    /// The road of each planned agent's level, where the scene has levels.
+    roads: Vec<Option<&'a Region>>,
     /// Agents of the scene that may be guided, by falling importance.
     ranking: Vec<usize>,
     /// Agents of the scene that are singled out.
@@ -120,11 +122,14 @@ impl PlannedTraffic {
         };
         let collision_targets = planned.agents.iter().map(counts).collect();
         let (guided, criticality) = (vec![false; planned.agents.len()], 0.0);
+        let road_of = |a: &usize| Some(world.scene.at(Some(world.states.elevation_m(*a)?)).road.as_ref());
+        let roads = planned.agents.iter().filter_map(road_of).collect();
         Ok(PreparedRequest {
             request,
             memory,
             planned,
             bitmap,
+            roads,
             ranking: Vec::new(),
             chosen: Vec::new(),
             criticality,
@@ -333,6 +338,7 @@ fn view_of<'a>(
         guide: options.guidance.is_some().then(|| WorldGuidance {
             guidance_scale: *guidance_scale,
             road: world.scene.road.as_ref(),
+            roads: (!due.roads.is_empty()).then_some(due.roads.as_slice()),
             collision_targets: due.is_guided().then_some(&due.collision_targets),
             speed_limit_mps: Some(world.speed_limit_mps),
             starts: tokens && !due.is_guided(),

@@ -35,9 +35,10 @@ pub(super) struct PlannedPoses<'a> {
 pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool {
     let (states, scene) = (world.states, world.scene);
     let egos = (0..states.len()).filter(|a| states.active[*a] && is_ego(world, *a));
-    let others: Vec<(Footprint, &[Real])> =
-        plans.iter().map(|p| (scene.footprints[p.agent_idx], p.poses)).collect();
     let has_way_out = |ego: usize| {
+        let others = plans.iter().filter(|p| states.same_level(ego, p.agent_idx));
+        let others: Vec<(Footprint, &[Real])> =
+            others.map(|p| (scene.footprints[p.agent_idx], p.poses)).collect();
         let route = &scene.routes[ego].path;
         let at = route.project_near(states.position(ego), world.route_s_m[ego], 10.0);
         let start = Start {

@@ -40,6 +40,8 @@ pub struct AgentFrame<'a> {
     pub width_m: &'a [Real],
     /// Who is there.
     pub valid: &'a [bool],
+    /// Pairs [M, M] on different levels, between which there is neither contact nor distance; empty: none.
+    pub apart: &'a [bool],
 }
 
 fn check(what: &'static str, got: usize, expected: usize) -> Result<()> {
@@ -59,7 +61,18 @@ impl AgentFrame<'_> {
         check("length of the agents", self.length_m.len(), num_agents)?;
         check("width of the agents", self.width_m.len(), num_agents)?;
         check("validity of the agents", self.valid.len(), num_agents)?;
+        self.check_levels(num_agents)?;
         Ok(self)
+    }
+
+    fn check_levels(&self, num_agents: usize) -> Result<()> {
+        let pairs = num_agents * num_agents;
+        check("levels of the agents", self.apart.len(), if self.apart.is_empty() { 0 } else { pairs })
+    }
+
+    /// Writes what holds of pairs on different levels into a matrix [M, M].
+    fn part_levels(&self, none: Real, out: &mut [Real]) {
+        out.iter_mut().zip(self.apart).filter(|(_, apart)| **apart).for_each(|(v, _)| *v = none);
     }
 
     /// Number of agents M.
@@ -117,6 +130,7 @@ impl AgentFrame<'_> {
                 out[j * num_agents + i] = t_s;
             }
         }
+        self.part_levels(TTC_CAP_S, out);
     }
 
     fn ttc_released_s(&self, frame_heading_rad: &[Real], out: &mut [Real]) {
@@ -141,6 +155,7 @@ impl AgentFrame<'_> {
                 out[i * num_agents + j] = t_s.clamp(0.0, TTC_CAP_S);
             }
         }
+        self.part_levels(TTC_CAP_S, out);
     }
 
     /// Distances [M] of all centres from an agent's, metres, whoever is there.
@@ -163,6 +178,7 @@ impl AgentFrame<'_> {
                 out[i * num_agents + j] = if both { apart_m() } else { Real::INFINITY };
             }
         }
+        self.part_levels(Real::INFINITY, out);
         Ok(())
     }
 }
@@ -203,6 +219,7 @@ impl<'a> AgentHistory<'a> {
         check("heading of the history", all.heading_rad.len(), total)?;
         check("speed of the history", all.speed_mps.len(), total)?;
         check("validity of the history", all.valid.len(), total)?;
+        all.check_levels(num_agents)?;
         Ok(Self(all))
     }
 
@@ -229,6 +246,7 @@ impl<'a> AgentHistory<'a> {
                 length_m: all.length_m,
                 width_m: all.width_m,
                 valid: &all.valid[row],
+                apart: all.apart,
             }
         })
     }
@@ -272,7 +290,16 @@ mod tests {
     /// A frame of (x, y, heading, speed), length and width, everybody there.
     fn frame<'a>(state: [&'a [f32]; 4], size: [&'a [f32]; 2]) -> AgentFrame<'a> {
         let ([x_m, y_m, heading_rad, speed_mps], [length_m, width_m]) = (state, size);
-        AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &[true; 3][..x_m.len()] }
+        AgentFrame {
+            x_m,
+            y_m,
+            heading_rad,
+            speed_mps,
+            length_m,
+            width_m,
+            valid: &[true; 3][..x_m.len()],
+            apart: &[],
+        }
     }
 
     #[test]

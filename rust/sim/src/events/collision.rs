@@ -1,6 +1,6 @@
 //! Contacts between agents.
 //!
-//! A contact is an overlap of two boxes, touching included. Candidates come from circle tests of all pairs while
+//! A contact is an overlap of two boxes of one level, touching included. Candidates come from circle tests of all pairs while
 //! there are few agents and from sorting along x when there are many; both give the same pairs.
 
 use crate::geom::{OrientedBox, Real};
@@ -297,7 +297,9 @@ fn push_if_in_contact(
     if kinds[i] == AgentKind::Static && kinds[j] == AgentKind::Static {
         return;
     }
-    if states.oriented_box(i, &footprints[i]).overlaps(&states.oriented_box(j, &footprints[j])) {
+    if states.oriented_box(i, &footprints[i]).overlaps(&states.oriented_box(j, &footprints[j]))
+        && states.same_level(i, j)
+    {
         pairs.push((a, b));
     }
 }

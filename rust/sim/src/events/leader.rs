@@ -52,7 +52,9 @@ pub fn leader(
         // where the agent can matter: round the window, as far as it comes while it is anticipated
         let travel = states.speed_mps[j].abs() * anticipation_s;
         let margin = own.half_width_m + footprint.radius_m + CLEARANCE_M + travel;
-        if (*x < x0 - margin) | (*x > x1 + margin) | (*y < y0 - margin) | (*y > y1 + margin) {
+        if (*x < x0 - margin) | (*x > x1 + margin) | (*y < y0 - margin) | (*y > y1 + margin)
+            || !states.same_level(agent_idx, j)
+        {
             continue;
         }
         let crossing = (states.cos[j] * pose.cos + states.sin[j] * pose.sin).abs() < 0.8;

@@ -153,7 +153,8 @@ simd_dispatch! {
     }
 }
 
-/// First time at which two agents touch when both keep their velocities, seconds; `None` beyond the horizon.
+/// First time at which two agents touch when both keep their velocities, seconds; `None` beyond the horizon and between
+/// levels.
 ///
 /// The circles round the boxes are asked first: most pairs never come near.
 #[inline]
@@ -175,6 +176,9 @@ pub fn time_to_contact(
         if dw >= 0.0 || discriminant < 0.0 || -dw - discriminant.sqrt() > horizon_s * ww {
             return None;
         }
+    }
+    if !states.same_level(i, j) {
+        return None;
     }
     let (a, b) = (states.oriented_box(i, &footprints[i]), states.oriented_box(j, &footprints[j]));
     a.time_to_contact(states.velocity(i), &b, states.velocity(j), horizon_s)

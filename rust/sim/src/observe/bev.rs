@@ -64,16 +64,17 @@ impl BevConfig {
         BEV_CHANNELS.len() * self.size_px * self.size_px
     }
 
-    /// What does not move on a map.
-    pub(crate) fn ground(&self, map: &Map) -> Bitmap {
+    /// What does not move on a map; of lanes what is on the level of an elevation.
+    pub(crate) fn ground(&self, map: &Map, elevation_m: Option<Real>) -> Bitmap {
         let lane_areas = map.lanes.iter().map(|l| &l.polygon);
         let areas: Vec<_> = if map.drivable_area.is_empty() {
             lane_areas.collect()
         } else {
             map.drivable_area.iter().collect()
         };
-        let dividers = || map.road_dividers.iter().chain(&map.lane_dividers);
-        let centrelines = || map.lanes.iter().map(|l| &l.centreline);
+        let dividers = || map.road_dividers.iter().chain(&map.lane_dividers).map(Vec::as_slice);
+        let centrelines =
+            || map.lanes.iter().flat_map(|l| l.on_level(elevation_m).map(|run| &l.centreline[run]));
         let points = areas.iter().flat_map(|p| &p.exterior).chain(dividers().chain(centrelines()).flatten());
         let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
         let (min, max) = points.fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
@@ -111,7 +112,10 @@ impl BevConfig {
         let (route, out) = out.split_at_mut(plane);
         self.draw_route(view, &frame, route);
         let (agents, ego) = out.split_at_mut(plane);
-        for j in (0..view.states.len()).filter(|j| *j != view.agent_idx && view.states.active[*j]) {
+        let is_seen = |j: &usize| {
+            *j != view.agent_idx && view.states.active[*j] && view.states.same_level(view.agent_idx, *j)
+        };
+        for j in (0..view.states.len()).filter(is_seen) {
             self.draw_box(view, &frame, j, agents);
         }
         self.draw_box(view, &frame, view.agent_idx, ego);

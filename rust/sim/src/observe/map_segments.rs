@@ -1,7 +1,7 @@
 //! The map as short straight segments, and the nearest of them for every place.
 
 use super::frame::F32x8;
-use crate::geom::{Point2, Polygon, Real, Vector2, math};
+use crate::geom::{Point2, Polygon, Real, Region, Vector2, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -11,6 +11,8 @@ const PIECE_M: Real = 5.01;
 const MIN_COS: Real = 0.94;
 /// Points nearer than this are one, metres.
 const MIN_STEP_M: Real = 1e-3;
+/// The two sides of an edge are looked at this far from it, metres.
+const ASIDE_M: Real = 0.05;
 /// Side of a cell, metres; larger on maps that would need more than [`MAX_CELLS`].
 const CELL_M: Real = 4.0;
 /// Most cells of a map.
@@ -115,26 +117,36 @@ impl MapSegments {
     /// Edges of areas that lie on the bounding box of all areas and dividers are left out: there the map was cut out,
     /// nothing ends. (Lanes are kept whole by the loaders, so they do not count.)
     pub fn new(map: &Map) -> Self {
+        Self::on_level(map, map, None, None)
+    }
+
+    /// Cuts the lines of the part of a map that is on the level of an elevation, see [`Map::on_level`]. Edges of the drivable
+    /// area with its `road` on both sides are where levels join, and are left out.
+    pub(crate) fn on_level(map: &Map, part: &Map, elevation_m: Option<Real>, road: Option<&Region>) -> Self {
         let mut segments = Self::default();
-        for lane in &map.lanes {
+        for lane in &part.lanes {
             let kind =
                 if lane.kind == LaneKind::Connector { SegmentKind::Connector } else { SegmentKind::Lane };
-            segments.add_line(&lane.centreline, kind);
+            for run in lane.on_level(elevation_m) {
+                segments.add_line(&lane.centreline[run], kind);
+            }
         }
         for (lines, kind) in
-            [(&map.road_dividers, SegmentKind::RoadDivider), (&map.lane_dividers, SegmentKind::LaneDivider)]
+            [(&part.road_dividers, SegmentKind::RoadDivider), (&part.lane_dividers, SegmentKind::LaneDivider)]
         {
             for line in lines {
                 segments.add_line(line, kind);
             }
         }
-        let cut = Cut::of(map);
+        let whole = Cut::of(map);
         for (polygons, kind) in [
-            (&map.drivable_area, SegmentKind::RoadEdge),
-            (&map.ped_crossings, SegmentKind::Crossing),
-            (&map.stop_lines, SegmentKind::StopLine),
-            (&map.walkways, SegmentKind::Walkway),
+            (&part.drivable_area, SegmentKind::RoadEdge),
+            (&part.ped_crossings, SegmentKind::Crossing),
+            (&part.stop_lines, SegmentKind::StopLine),
+            (&part.walkways, SegmentKind::Walkway),
         ] {
+            let road = road.filter(|_| elevation_m.is_some() && kind == SegmentKind::RoadEdge);
+            let cut = Cut { road, ..whole };
             for ring in polygons.iter().flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes)) {
                 segments.add_ring(ring, &cut, kind);
             }
@@ -261,7 +273,7 @@ impl MapSegments {
     }
 
     /// Adds a ring, but for its edges on the cut.
-    fn add_ring(&mut self, ring: &[Point2], cut: &Cut, kind: SegmentKind) {
+    fn add_ring(&mut self, ring: &[Point2], cut: &Cut<'_>, kind: SegmentKind) {
         let Some(last) = ring.last() else { return };
         let mut run = vec![*last];
         let mut previous = *last;
@@ -299,19 +311,22 @@ fn bounds(points: impl Iterator<Item = Point2>) -> (Point2, Point2) {
 }
 
 /// The rectangle that the map was cut out with.
-struct Cut {
+#[derive(Clone, Copy)]
+struct Cut<'a> {
     low: Point2,
     high: Point2,
+    /// Edges with this on both sides end nothing either.
+    road: Option<&'a Region>,
 }
 
-impl Cut {
+impl Cut<'_> {
     fn of(map: &Map) -> Self {
         let areas: [&[Polygon]; 5] =
             [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.stop_lines, &map.carpark_areas];
         let of_areas = areas.into_iter().flatten().flat_map(|p| &p.exterior);
         let of_lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
         let (low, high) = bounds(of_areas.chain(of_lines).copied());
-        Self { low, high }
+        Self { low, high, road: None }
     }
 
     /// Whether an edge lies on one side of the rectangle.
@@ -321,6 +336,11 @@ impl Cut {
             || both(a.x, b.x, self.high.x)
             || both(a.y, b.y, self.low.y)
             || both(a.y, b.y, self.high.y)
+            || self.road.is_some_and(|road| {
+                let (middle, way) = (nalgebra::center(a, b), b - a);
+                let aside = Vector2::new(-way.y, way.x) * (ASIDE_M / way.norm().max(MIN_STEP_M));
+                road.contains(middle + aside) && road.contains(middle - aside)
+            })
     }
 }
 

@@ -28,6 +28,7 @@ pub(super) struct NearestAgents {
     most: usize,
     radius_m: Real,
     /// Agents, and their places: whole blocks, with infinite places of those that are not there, then whatever else.
+    num_listed: usize,
     num_padded: usize,
     agents: Vec<u32>,
     x: Vec<Real>,
@@ -52,6 +53,7 @@ impl NearestAgents {
         Self {
             most,
             radius_m,
+            num_listed: 0,
             num_padded: 0,
             agents: Vec::new(),
             x: Vec::new(),
@@ -83,7 +85,7 @@ impl NearestAgents {
             *at = n as u32;
             n += usize::from(*active | !leaves_out);
         }
-        self.num_padded = n.next_multiple_of(BLOCK);
+        (self.num_listed, self.num_padded) = (n, n.next_multiple_of(BLOCK));
         x[n..self.num_padded].fill(Real::INFINITY);
         self.near.resize(room, 0);
         self.near_sq.resize(room, 0.0);
@@ -91,8 +93,15 @@ impl NearestAgents {
         self.farthest_m.resize(num_agents, Real::INFINITY);
     }
 
-    /// Active agents other than `agent_idx` within the distance, nearest first, ties by index.
+    /// Active agents of its level other than `agent_idx` within the distance, nearest first, ties by index.
     pub(super) fn find(&mut self, states: &AgentStates, agent_idx: usize) -> &[u32] {
+        if !states.heights.is_empty() {
+            for (x, other) in self.x[..self.num_listed].iter_mut().zip(&self.agents) {
+                let other = *other as usize;
+                let is_seen = states.active[other] && states.same_level(agent_idx, other);
+                *x = if is_seen { states.x[other] } else { Real::INFINITY };
+            }
+        }
         let reach_sq = self.radius_m * self.radius_m;
         let guess_m = self.farthest_m[agent_idx] + MARGIN_M;
         let mut limit_sq = if guess_m < self.radius_m { guess_m * guess_m } else { reach_sq };

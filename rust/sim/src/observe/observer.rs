@@ -79,6 +79,9 @@ impl Observer {
         let (agents_mask, rest) = rest.split_at_mut(mask(agents_size, num_neighbors));
         self.agents.write(view, &frame, out, agents_mask);
         let (out, rest) = rest.split_at_mut(map_size);
+        if !view.states.heights.is_empty() {
+            self.map.enter(view.segments);
+        }
         self.map.write(view.segments, &frame, out, &mut rest[..mask(map_size, num_segments)]);
     }
 }

@@ -117,7 +117,8 @@ impl Forecast {
         let num_steps = (HORIZON_S / scene.dt_s).round().clamp(1.0, 400.0) as usize;
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
         let mut others = Vec::new();
-        for j in (0..states.len()).filter(|j| *j != ego && states.active[*j]) {
+        let matters = |j: &usize| *j != ego && states.active[*j] && states.same_level(ego, *j);
+        for j in (0..states.len()).filter(matters) {
             let is_static = scene.prepared.kinds[j] == AgentKind::Static;
             let position = states.position(j);
             let speed_mps = if is_static { 0.0 } else { states.velocity(j).norm() };

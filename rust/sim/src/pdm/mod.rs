@@ -10,8 +10,8 @@ mod score;
 mod tests;
 
 use crate::dynamics::KinState;
-use crate::geom::{Pose2, Projection, Real};
-use crate::stage::{CentreLine, PreparedScene};
+use crate::geom::{Point2, Pose2, Projection, Real};
+use crate::stage::{CentreLine, Ground, PreparedScene};
 use crate::state::{AgentStates, Footprint};
 use forecast::Forecast;
 use proposals::{BesideLine, Proposal, Rollout};
@@ -50,6 +50,16 @@ impl<'a> Scene<'a> {
         let before_radps = self.states.yaw_rate_radps[self.ego];
         let beside = BesideLine::new(self.line, self.place.s_m, &state);
         beside.yaw_rate(state.speed_mps, offset_m, before_radps, self.dt_s)
+    }
+
+    /// The ground of the ego's road where it passes a place.
+    pub(crate) fn ground(&self, place: Point2) -> &Ground {
+        let route = &self.prepared.routes[self.ego];
+        let elevation_m = self.states.elevation_m(self.ego).and_then(|own_m| {
+            let there = route.height(route.path.project(place).s_m);
+            there.map_or(Some(own_m), |there| Some(there.elevation_m))
+        });
+        self.prepared.at(elevation_m)
     }
 
     pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {

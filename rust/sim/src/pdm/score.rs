@@ -262,10 +262,11 @@ fn is_between_lanes(scene: &Scene<'_>, rollout: &Rollout, step: usize, or_in_int
     let state = &rollout.states[step];
     let centre = Point2::new(state.x, state.y);
     let corners = box_at(scene, centre, rollout.directions[step]).corners();
-    if scene.prepared.road.as_ref().is_some_and(|road| !corners.iter().all(|c| road.contains(*c))) {
+    let ground = scene.ground(centre);
+    if ground.road.as_ref().is_some_and(|road| !corners.iter().all(|c| road.contains(*c))) {
         return true;
     }
-    let Some(lanes) = &scene.prepared.lanes else { return false };
+    let Some(lanes) = &ground.lanes else { return false };
     let map = &scene.prepared.scene.map;
     if or_in_intersection && lanes.holding(map, centre).any(|i| map.lanes[i].kind == LaneKind::Connector) {
         return true;
@@ -279,11 +280,14 @@ fn is_between_lanes(scene: &Scene<'_>, rollout: &Rollout, step: usize, or_in_int
 
 /// What the road leaves of the score, and the share of steps off it; where a proposal starts off the road counts nothing.
 fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
-    let Some(region) = &scene.prepared.road else { return (1.0, 0.0) };
+    if scene.prepared.road.is_none() {
+        return (1.0, 0.0);
+    }
     let own = scene.footprint(scene.ego);
     let (mut been_on, mut been_inside, mut off, mut near) = (false, false, 0usize, false);
     for (state, direction) in rollout.states.iter().zip(&rollout.directions) {
         let centre = Point2::new(state.x, state.y);
+        let Some(region) = &scene.ground(centre).road else { continue };
         if region.holds_square(centre, own.radius_m + 1.5 * MARGIN_M) {
             (been_on, been_inside) = (true, true);
             continue;
@@ -326,7 +330,7 @@ pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
 
 /// Whether the lanes that hold a point lead the other way; ways through intersections say nothing.
 fn is_against_traffic(scene: &Scene<'_>, at: Point2, direction: Vector2) -> bool {
-    let Some(lanes) = &scene.prepared.lanes else { return false };
+    let Some(lanes) = &scene.ground(at).lanes else { return false };
     let near = lanes.nearest_by_direction(at, direction.x, direction.y, LANE_REACH_M);
     if near.any.is_none_or(|hit| hit.agrees()) {
         return false;

@@ -93,14 +93,15 @@ impl Egos {
     fn decide(&mut self, world: &WorldView<'_>, a: usize, before: [Real; REMEMBERED], plan: &mut PlanState) {
         let (states, scene) = (world.states, world.scene);
         let (place, s_m) = (place_on_route(states, scene, a, world.route_s_m[a]), world.route_s_m[a]);
-        let off = scene.road.as_ref().map(|road| off_road(states, a, &scene.footprints[a], road).corner);
+        let ground = scene.at(states.elevation_m(a));
+        let off = ground.road.as_ref().map(|road| off_road(states, a, &scene.footprints[a], road).corner);
         let has_been_on_road = before[2] > 0.0 || off == Some(false);
         let route = &scene.routes[a].path;
         let view = View {
             states,
             footprints: &scene.footprints,
             kinds: &scene.kinds,
-            segments: &scene.segments,
+            segments: &ground.segments,
             route,
             route_s_m: s_m,
             agent_idx: a,

@@ -101,7 +101,7 @@ impl TrafficPolicy for SocialForce {
         let radius = |a: usize| scene.footprints[a].half_length_m.max(scene.footprints[a].half_width_m);
         for other in (0..states.len()).filter(|a| *a != agent_idx && states.active[*a]) {
             let offset = here - states.position(other).coords;
-            if offset.norm_squared() > FARTHEST_M * FARTHEST_M {
+            if offset.norm_squared() > FARTHEST_M * FARTHEST_M || !states.same_level(agent_idx, other) {
                 continue;
             }
             match scene.kinds[other] {

@@ -114,9 +114,16 @@ pub struct NearLanes {
 impl LaneIndex {
     /// Index of a map's lanes; `None` when it has none.
     pub fn new(map: &Map) -> Option<Self> {
+        Self::on_level(map, None)
+    }
+
+    /// Index of the lanes that are on the level of an elevation; of all lanes without one.
+    pub fn on_level(map: &Map, elevation_m: Option<Real>) -> Option<Self> {
         let (mut segments, mut first_segment) = (Vec::new(), vec![0]);
         for (lane_idx, lane) in map.lanes.iter().enumerate() {
-            add_segments(lane_idx as u32, &lane.centreline, &mut segments);
+            let runs = lane.on_level(elevation_m).filter(|run| run.len() > 1);
+            let runs = runs.map(|run| (run.start, run.end - 1)).collect();
+            add_segments(lane_idx as u32, &lane.centreline, runs, &mut segments);
             first_segment.push(segments.len() as u32);
         }
         let ends = |s: &Segment| [s.start, s.end()];
@@ -169,6 +176,9 @@ impl LaneIndex {
     fn surfaces_in(&self, map: &Map, cell: usize) -> Box<[Surface]> {
         let (centre, half_m) = self.middle(cell);
         let meets = |lane_idx: usize| {
+            if self.of_lane(lane_idx).is_empty() {
+                return (false, false); // of another level
+            }
             let polygon = &map.lanes[lane_idx].polygon;
             if polygon.exterior.len() < 3 {
                 return (self.distance_sq(lane_idx, centre).sqrt() <= HALF_WIDTH_M + half_m, false);
@@ -376,15 +386,16 @@ impl Segment {
     }
 }
 
-/// Appends the segments of a centre line, straight runs merged (Douglas and Peucker 1973).
-fn add_segments(lane_idx: u32, points: &[Point2], segments: &mut Vec<Segment>) {
+/// Appends the segments of runs of a centre line, straight ones merged (Douglas and Peucker 1973).
+fn add_segments(
+    lane_idx: u32,
+    points: &[Point2],
+    mut runs: Vec<(usize, usize)>,
+    segments: &mut Vec<Segment>,
+) {
     let mut s_m = vec![0.0_f64; points.len()];
     for i in 1..points.len() {
         s_m[i] = s_m[i - 1] + f64::from((points[i] - points[i - 1]).norm());
-    }
-    let mut runs = Vec::new();
-    if points.len() > 1 {
-        runs.push((0, points.len() - 1));
     }
     while let Some((from, to)) = runs.pop() {
         let chord = points[to] - points[from];

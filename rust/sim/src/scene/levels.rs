@@ -32,6 +32,22 @@ impl Lane {
     }
 }
 
+impl Lane {
+    /// Elevation of the centre line at an arc length, clamped to its ends, metres; `None` where it is not known.
+    pub(crate) fn height(&self, s_m: Real) -> Option<Real> {
+        let mut last = *self.elevation_m.first()?;
+        let mut left_m = s_m;
+        for (ends, z) in self.centreline.windows(2).zip(&self.elevation_m[1..]) {
+            let length_m = (ends[1] - ends[0]).norm();
+            if left_m < length_m {
+                return Some(last + (z - last) * (left_m / length_m).max(0.0));
+            }
+            (left_m, last) = (left_m - length_m, *z);
+        }
+        Some(last)
+    }
+}
+
 impl Map {
     /// The map without the parts of areas and lines that belong to other levels than that of an elevation. Lanes are all
     /// there, see [`Lane::elevation_m`]; those of other levels have no surface.

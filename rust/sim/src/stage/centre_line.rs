@@ -1,7 +1,8 @@
 //! The line to drive along: the lanes that the route goes by, joined through the lane graph.
 
 use crate::geom::{Point2, Polyline, Projection, Real, Vector2, math};
-use crate::scene::Map;
+use crate::scene::{LEVEL_M, Map};
+use crate::stage::route::Route;
 
 /// Spacing of what is tabulated along the line, metres.
 const STEP_M: Real = 0.5;
@@ -54,8 +55,9 @@ struct Candidate {
 
 impl CentreLine {
     /// The line along a route.
-    pub fn new(map: &Map, route: &Polyline) -> Self {
-        let chosen = lanes_along(map, route);
+    pub fn new(map: &Map, of_agent: &Route) -> Self {
+        let route = &of_agent.path;
+        let chosen = lanes_along(map, of_agent);
         let (laterals, limits): (Vec<Real>, Vec<Real>) = chosen
             .iter()
             .map(|c| {
@@ -115,7 +117,8 @@ impl CentreLine {
 
 /// The lanes that the samples of a route lie on: nearest to it, and each the same as the last one or one that follows it
 /// (the best path through all samples).
-fn lanes_along(map: &Map, route: &Polyline) -> Vec<Candidate> {
+fn lanes_along(map: &Map, of_agent: &Route) -> Vec<Candidate> {
+    let route = &of_agent.path;
     let samples = (route.length_m() / LOOK_M).ceil() as usize + 1;
     let lines: Vec<_> = map.lanes.iter().map(|lane| Polyline::new(lane.centreline.clone())).collect();
     let boxes: Vec<_> = lines.iter().map(|line| line.as_ref().map(bounds)).collect();
@@ -134,6 +137,10 @@ fn lanes_along(map: &Map, route: &Polyline) -> Vec<Candidate> {
             let found = line.project(p);
             let there = line.at(found.s_m);
             if found.distance_m > REACH_M || there.cos * at.cos + there.sin * at.sin < AGREE_COS {
+                continue;
+            }
+            let level = of_agent.height(k as Real * LOOK_M).zip(map.lanes[lane].height(found.s_m));
+            if level.is_some_and(|(own, z)| (own.elevation_m - z).abs() > LEVEL_M) {
                 continue;
             }
             let offset = there.position - p;

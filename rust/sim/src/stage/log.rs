@@ -4,13 +4,17 @@ use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::scene::Scene;
 use crate::simd_dispatch::simd_dispatch;
 use crate::stage::route::Route;
-use crate::state::AgentStates;
+use crate::state::{AgentStates, Height};
 use std::sync::OnceLock;
 
 /// Columns of [`AgentStates`] that a log has: x, y, heading, cosine, sine, speed, velocity x and y.
 const NUM_COLUMNS: usize = 8;
 const HEADING: usize = 2;
 const SPEED: usize = 5;
+/// Slopes are taken over this at least to either side, metres, within so many steps, and are at most so steep.
+const GRADE_M: Real = 5.0;
+const GRADE_STEPS: usize = 100;
+pub(super) const STEEPEST: Real = 0.3;
 
 /// Logged states of A agents at T steps, each column [T, A].
 ///
@@ -20,6 +24,8 @@ pub(crate) struct Log {
     num_agents: usize,
     columns: [Vec<Real>; NUM_COLUMNS],
     valid: Vec<bool>,
+    /// How high the agents are [T, A], in scenes with levels.
+    heights: Vec<Height>,
     /// The step after the last logged one of each agent.
     end_step: Vec<usize>,
     /// Positions along the route [T] of each agent, made when they are first asked for.
@@ -48,6 +54,7 @@ impl Log {
             num_agents,
             columns: [x, y, heading_rad, cos, sin, speed_mps, velocity_x_mps, velocity_y_mps],
             valid: states.active,
+            heights: heights(scene),
             end_step,
             route_s_m: (0..num_agents).map(|_| OnceLock::new()).collect(),
         }
@@ -107,6 +114,12 @@ impl Log {
         Some((Pose2 { position: [x, y].into(), heading_rad, cos, sin }, Vector2::new(vx, vy)))
     }
 
+    /// How high an agent is at a step, in scenes with levels; where it is not logged it means nothing.
+    #[inline]
+    pub(crate) fn height(&self, agent_idx: usize, step_idx: usize) -> Option<Height> {
+        self.heights.get(step_idx * self.num_agents + agent_idx).copied()
+    }
+
     /// Position of an agent at a step; `None` where it is not logged.
     #[inline]
     pub(crate) fn position(&self, agent_idx: usize, step_idx: usize) -> Option<Point2> {
@@ -155,7 +168,53 @@ impl Log {
             &mut s.velocity_y_mps,
         ];
         take(&log, goes, columns);
+        if let Some(heights) = self.heights.get(here) {
+            for ((to, from), goes) in s.heights.iter_mut().zip(heights).zip(&*goes) {
+                *to = if *goes == 0 { *to } else { *from };
+            }
+        }
     }
+}
+
+/// How high agents are at all steps [T, A]; nothing where the scene is flat.
+fn heights(scene: &Scene) -> Vec<Height> {
+    let steps = if scene.has_levels() { scene.num_steps } else { 0 };
+    (0..steps).flat_map(|t| (0..scene.num_agents()).map(move |a| height(scene, a, t))).collect()
+}
+
+/// How high an agent is logged at a step of a scene with levels; where it is not logged it means nothing.
+fn height(scene: &Scene, agent_idx: usize, step_idx: usize) -> Height {
+    if !scene.is_valid(agent_idx, step_idx) {
+        return Height::default();
+    }
+    let (tracks, at) = (&scene.tracks, scene.at(agent_idx, step_idx));
+    // the slope from the last place some way back to the next one some way ahead
+    let is_far = |k: &usize| (tracks.position[*k] - tracks.position[at]).norm() >= GRADE_M;
+    let there = |k: &usize| tracks.valid[*k];
+    let before = (scene.at(agent_idx, 0)..at).rev().take(GRADE_STEPS).take_while(there).find(is_far);
+    let after = (at + 1..scene.at(agent_idx + 1, 0)).take(GRADE_STEPS).take_while(there).find(is_far);
+    let [from, to] = [before.unwrap_or(at), after.unwrap_or(at)];
+    let way = tracks.position[to] - tracks.position[from];
+    let (sin, cos) = math::sin_cos(tracks.heading_rad[at]);
+    let ahead_m = way.x * cos + way.y * sin;
+    let rise_m = tracks.elevation_m[to] - tracks.elevation_m[from];
+    let grade = if ahead_m.abs() >= GRADE_M { rise_m / ahead_m } else { 0.0 };
+    Height { elevation_m: tracks.elevation_m[at], grade: grade.clamp(-STEEPEST, STEEPEST) }
+}
+
+/// Which pairs of some agents are on different levels where they are logged at a step, [M, M]; empty in a flat scene.
+pub fn apart_in_log(scene: &Scene, step_idx: usize, agents: &[usize]) -> Vec<bool> {
+    if !scene.has_levels() {
+        return Vec::new();
+    }
+    let mut states = AgentStates::new(scene.num_agents());
+    for a in (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx)) {
+        let (p, heading_rad) = (scene.at(a, step_idx), scene.tracks.heading_rad[scene.at(a, step_idx)]);
+        let p = scene.tracks.position[p];
+        states.set_pose(a, Pose2::new(p.x, p.y, heading_rad), Vector2::zeros());
+    }
+    states.heights = (0..scene.num_agents()).map(|a| height(scene, a, step_idx)).collect();
+    states.apart(agents)
 }
 
 /// A number, or another one where all bits of a mask are set.

@@ -1,12 +1,15 @@
 //! What worlds of a scene stand on: the scene made ready, its routes and log, and what agents did last.
 
 mod centre_line;
+mod ground;
 mod history;
 mod log;
 mod prepared;
 mod route;
 
 pub use centre_line::{CentreLine, Place};
+pub use ground::Ground;
 pub use history::{History, PastState};
+pub use log::apart_in_log;
 pub use prepared::{PreparedScene, Stage};
 pub use route::Route;

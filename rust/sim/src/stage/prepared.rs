@@ -1,14 +1,18 @@
 //! A scene with everything a world derives from it once: indices, footprints, routes. Shared by all worlds.
 
-use crate::geom::{Bitmap, Boundary, Polygon, Real, Region};
-use crate::observe::{BevConfig, MapSegments};
-use crate::scene::{AgentKind, LaneIndex, Map, Scene};
+use crate::geom::{Pose2, Real};
+use crate::observe::BevConfig;
+use crate::scene::{AgentKind, LEVEL_M, Scene};
 use crate::stage::centre_line::CentreLine;
-use crate::stage::log::Log;
+use crate::stage::ground::{Ground, Grounds};
+use crate::stage::log::{Log, STEEPEST};
 use crate::stage::route::Route;
-use crate::state::Footprint;
+use crate::state::{Footprint, Height};
 use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
+
+/// An agent this near to its route is on the route's ground, metres.
+const ON_ROUTE_M: Real = 4.0;
 
 /// A scene made ready to be stepped.
 #[derive(Debug)]
@@ -27,6 +31,16 @@ impl Deref for PreparedScene {
     }
 }
 
+impl Deref for Stage {
+    type Target = Ground;
+
+    /// The ground as a whole, whatever level anybody is on.
+    #[inline]
+    fn deref(&self) -> &Ground {
+        &self.grounds.whole
+    }
+}
+
 /// What a scene is made ready with, whatever the sizes of its agents.
 #[derive(Debug)]
 pub struct Stage {
@@ -34,23 +48,13 @@ pub struct Stage {
     pub scene: Arc<Scene>,
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
-    /// Where vehicles may drive: the drivable area, else the lanes' polygons; `None` where the map has neither, and
-    /// then nothing is ever off the road.
-    pub road: Option<Region>,
-    /// Edge of the road, made when somebody asks for distances to it.
-    pub(crate) road_edge: OnceLock<Boundary>,
-    /// Nearest-lane index; `None` without lanes.
-    pub lanes: Option<LaneIndex>,
+    grounds: Grounds,
     /// Route of each agent.
     pub routes: Vec<Route>,
     /// Centre line along the route of each agent, made when it is first asked for.
     centre_lines: Vec<OnceLock<CentreLine>>,
     /// The log step by step.
     pub(crate) log: Log,
-    /// Map segments for observations.
-    pub segments: MapSegments,
-    /// What does not move in bird's-eye rasters; `None` without rasters.
-    pub(crate) ground: Option<Bitmap>,
     /// Steps at which the logs of vehicles leave the road, made when they are first asked for.
     road_exits: OnceLock<Vec<Vec<usize>>>,
 }
@@ -58,19 +62,14 @@ pub struct Stage {
 impl PreparedScene {
     /// Derives everything from a scene; the ground for rasters where there are some.
     pub fn new(scene: Arc<Scene>, bev: Option<&BevConfig>) -> Self {
-        let map = &scene.map;
-        let lanes = LaneIndex::new(map);
-        let routes = Route::of_all(&scene, lanes.as_ref());
+        let grounds = Grounds::new(&scene, bev);
+        let routes = Route::of_all(&scene, grounds.whole.lanes.as_ref());
         let footprints = scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect();
         let stage = Stage {
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
-            segments: MapSegments::new(map),
-            ground: bev.map(|bev| bev.ground(map)),
+            grounds,
             road_exits: OnceLock::new(),
-            road: Region::new(&Self::road_polygons(map)),
-            road_edge: OnceLock::new(),
-            lanes,
             centre_lines: routes.iter().map(|_| OnceLock::new()).collect(),
             routes,
             scene,
@@ -88,13 +87,43 @@ impl PreparedScene {
         Self { footprints, stage: Arc::clone(&self.stage) }
     }
 
+    /// The ground of the level of an elevation, metres; the whole one without an elevation.
+    #[inline]
+    pub fn at(&self, elevation_m: Option<Real>) -> &Ground {
+        self.grounds.at(&self.scene.map, elevation_m)
+    }
+
+    /// How high an agent is that was at a height a step ago: as its route at an arc length, where it is near that, else as
+    /// the nearest lane of its level, else as before.
+    pub(crate) fn height(&self, agent_idx: usize, pose: &Pose2, s_m: Real, before: Height) -> Height {
+        let route = &self.routes[agent_idx];
+        let is_near = |height: &Height| {
+            (height.elevation_m - before.elevation_m).abs() <= LEVEL_M
+                && (route.path.at(s_m).position - pose.position).norm() <= ON_ROUTE_M
+        };
+        let of_lane = || {
+            let lanes = self.at(Some(before.elevation_m)).lanes.as_ref()?;
+            let hit = lanes.nearest(pose.position, pose.cos, pose.sin, lanes.reach_m())?;
+            let [here, ahead] =
+                [0.0, 1.0].map(|m| self.scene.map.lanes[hit.lane_idx as usize].height(hit.s_m + m));
+            let grade = if hit.agrees() { ahead? - here? } else { here? - ahead? };
+            Some(Height { elevation_m: here?, grade: grade.clamp(-STEEPEST, STEEPEST) })
+        };
+        let still = Height { grade: 0.0, ..before };
+        route.height(s_m).filter(is_near).or_else(of_lane).unwrap_or(still)
+    }
+
     /// Whether the log of a vehicle leaves the road after a step, at another one at the latest.
     pub(crate) fn leaves_road(&self, agent_idx: usize, from: usize, to: usize) -> bool {
-        let Some(road) = &self.road else { return false };
+        if self.road.is_none() {
+            return false;
+        }
         let exits = |a: usize| {
             let mut was_on = false;
             let leaves = |t: &usize| {
                 let Some((pose, _)) = self.log.at(a, *t) else { return false };
+                let height = self.log.height(a, *t).map(|height| height.elevation_m);
+                let Some(road) = &self.at(height).road else { return false };
                 let on = road.holds_square(pose.position, self.footprints[a].radius_m)
                     || self.footprints[a].at(&pose).corners().iter().all(|c| road.contains(*c));
                 std::mem::replace(&mut was_on, on) && !on
@@ -110,16 +139,8 @@ impl PreparedScene {
 
     /// Centre line of the lanes along an agent's route.
     pub fn centre_line(&self, agent_idx: usize) -> &CentreLine {
-        let make = || CentreLine::new(&self.scene.map, &self.routes[agent_idx].path);
+        let make = || CentreLine::new(&self.scene.map, &self.routes[agent_idx]);
         self.centre_lines[agent_idx].get_or_init(make)
-    }
-
-    /// Where vehicles may drive, as polygons.
-    pub(crate) fn road_polygons(map: &Map) -> Vec<Polygon> {
-        match map.drivable_area.is_empty() {
-            true => map.lanes.iter().map(|l| l.polygon.clone()).collect(),
-            false => map.drivable_area.clone(),
-        }
     }
 
     /// Position along its route of an agent at a step, metres; where it is not logged, that of the step logged before.

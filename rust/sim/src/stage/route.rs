@@ -2,9 +2,12 @@
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
 use crate::scene::{LaneIndex, Map, Scene, follow};
+use crate::state::Height;
 
 /// Distance between samples of a route, metres.
 const SPACING_M: Real = 1.0;
+/// Slopes are taken over this to either side, metres.
+const GRADE_M: Real = 5.0;
 /// Logged positions closer than this to the last kept one are jitter, metres.
 const MIN_STEP_M: Real = 0.5;
 /// How far a route goes on past the end of the log, metres.
@@ -25,6 +28,8 @@ const PARKED_REACH_M: Real = 1.0;
 pub struct Route {
     /// The path, from the first logged position on, sampled about every metre.
     pub path: Polyline,
+    /// Elevation at each metre; empty where the scene is flat.
+    elevation_m: Vec<Real>,
     /// Greatest speed the curves at and ahead of each metre allow, m/s.
     curve_speed_mps: Vec<Real>,
     /// Greatest logged speed, m/s.
@@ -45,6 +50,7 @@ impl Route {
     pub fn new(scene: &Scene, agent_idx: usize, lanes: Option<&LaneIndex>) -> Self {
         let steps = (0..scene.num_steps).filter(|t| scene.is_valid(agent_idx, *t));
         let mut points: Vec<Point2> = Vec::new();
+        let mut heights: Vec<Real> = Vec::new();
         let mut pose = Pose2::new(0.0, 0.0, 0.0);
         let (mut logged_speed_mps, mut logged_reach_m): (Real, Real) = (0.0, 0.0);
         for t in steps {
@@ -52,23 +58,44 @@ impl Route {
             let p = scene.tracks.position[at];
             logged_speed_mps = logged_speed_mps.max(scene.tracks.velocity[at].norm());
             pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
+            let height = scene.tracks.elevation_m.get(at);
             match points.last() {
-                None => points.push(p),
+                None => {
+                    points.push(p);
+                    heights.extend(height);
+                }
                 Some(last) => {
                     let step = p - last;
                     logged_reach_m = logged_reach_m.max((p - points[0]).norm());
                     // what is driven backwards is not part of the route
                     if step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0 {
                         points.push(p);
+                        heights.extend(height);
                     }
                 }
             }
         }
-        let on_lanes = extend(&mut points, pose, &scene.map, lanes);
+        let level = heights.last().and_then(|z| LaneIndex::on_level(&scene.map, Some(*z)));
+        let lanes = if scene.has_levels() { level.as_ref() } else { lanes };
+        let on_lanes = extend(&mut points, &mut heights, pose, &scene.map, lanes);
+        let elevation_m = by_metre(&points, &heights);
         let straight = || Polyline::straight(&pose, EXTENSION_M);
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
-        Self { path, curve_speed_mps, logged_speed_mps, logged_reach_m, on_lanes }
+        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, on_lanes }
+    }
+
+    /// How high the route is at a position and how steep over the metres round it, in a scene with levels.
+    pub(crate) fn height(&self, s_m: Real) -> Option<Height> {
+        let last = self.elevation_m.len().checked_sub(1)?;
+        let at = |s_m: Real| {
+            let s = (s_m / SPACING_M).clamp(0.0, last as Real);
+            let i = (s as usize).min(last.saturating_sub(1));
+            let (a, b) = (self.elevation_m[i], self.elevation_m[(i + 1).min(last)]);
+            a + (b - a) * (s - i as Real)
+        };
+        let grade = (at(s_m + GRADE_M) - at(s_m - GRADE_M)) / (2.0 * GRADE_M);
+        Some(Height { elevation_m: at(s_m), grade })
     }
 
     /// Position along the route of an agent at a point that was at a position and has moved by a distance, metres. Where a
@@ -92,14 +119,24 @@ impl Route {
 }
 
 /// Appends the lanes that follow the last pose, else a straight line; tells whether lanes were found.
-fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneIndex>) -> bool {
+fn extend(
+    points: &mut Vec<Point2>,
+    heights: &mut Vec<Real>,
+    pose: Pose2,
+    map: &Map,
+    lanes: Option<&LaneIndex>,
+) -> bool {
+    let last = heights.last().copied();
     let hit = lanes.and_then(|l| l.nearest(pose.position, pose.cos, pose.sin, 3.0));
     let hit = hit.filter(|h| h.heading_error_rad().abs() < 0.6);
     let Some(hit) = hit else {
         points.push(pose.to_outer(Point2::new(EXTENSION_M, 0.0)));
         return false;
     };
-    let left_m = follow(map, hit.lane_idx, hit.s_m + 4.0, EXTENSION_M, points);
+    let left_m = follow(map, hit.lane_idx, hit.s_m + 4.0, EXTENSION_M, |point, height| {
+        points.push(point);
+        heights.extend(last.map(|last| height.unwrap_or(last)));
+    });
     if left_m > 0.0 && points.len() >= 2 {
         let (a, b) = (points[points.len() - 2], points[points.len() - 1]);
         let d = b - a;
@@ -108,6 +145,22 @@ fn extend(points: &mut Vec<Point2>, pose: Pose2, map: &Map, lanes: Option<&LaneI
         }
     }
     true
+}
+
+/// Heights of points at each metre along them, the last one beyond those that have none; nothing without heights.
+fn by_metre(points: &[Point2], heights: &[Real]) -> Vec<Real> {
+    let Some(first) = heights.first() else { return Vec::new() };
+    let (mut out, mut s_m) = (vec![*first], 0.0);
+    for (i, ends) in points.windows(2).enumerate() {
+        let length_m = (ends[1] - ends[0]).norm();
+        let [from, to] = [i, i + 1].map(|i| heights[i.min(heights.len() - 1)]);
+        while out.len() as Real * SPACING_M <= s_m + length_m {
+            let share = (out.len() as Real * SPACING_M - s_m) / length_m;
+            out.push(from + (to - from) * share);
+        }
+        s_m += length_m;
+    }
+    out
 }
 
 fn resampled(path: &Polyline) -> Polyline {

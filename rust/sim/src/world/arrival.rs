@@ -7,7 +7,7 @@
 
 use crate::geom::Real;
 use crate::policy::Driver;
-use crate::scene::AgentKind;
+use crate::scene::{AgentKind, LEVEL_M};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Episode;
@@ -45,11 +45,14 @@ pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfi
     }
 }
 
-/// Whether the box of an agent at its logged place overlaps that of another one where it is.
+/// Whether the box of an agent at its logged place overlaps that of another one of its level where it is.
 fn overlaps(e: &Episode, scene: &PreparedScene, a: usize, j: usize) -> bool {
     let Some((pose, _)) = scene.log.at(a, e.step_idx) else { return false };
+    let heights = scene.log.height(a, e.step_idx).zip(e.states.elevation_m(j));
+    let is_apart = heights.is_some_and(|(own, other)| (own.elevation_m - other).abs() > LEVEL_M);
     let reach_m = scene.footprints[j].radius_m + scene.footprints[a].radius_m;
-    (e.states.position(j) - pose.position).norm_squared() <= reach_m * reach_m
+    !is_apart
+        && (e.states.position(j) - pose.position).norm_squared() <= reach_m * reach_m
         && scene.footprints[a].at(&pose).overlaps(&e.states.oriented_box(j, &scene.footprints[j]))
 }
 

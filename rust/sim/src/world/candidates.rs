@@ -134,7 +134,7 @@ impl VecWorld {
         let (k, n) = (chosen.len(), num_rows + 1);
         let seen: Vec<State> = chosen.iter().map(|a| State::of(status.states, *a)).collect();
         let footprints: Vec<Footprint> = chosen.iter().map(|a| world.scene.footprints[*a]).collect();
-        let (ttc_s, distance_m) = pairs(&seen, &footprints)?;
+        let (ttc_s, distance_m) = pairs(&seen, &footprints, &status.states.apart(&chosen))?;
         let graph = CausalGraph::from_measures(k, &ttc_s, &distance_m, GraphThresholds::default())?;
 
         let mut agents = vec![0.0; n * CANDIDATE_FEATURES.len()];
@@ -196,7 +196,7 @@ fn turned(pose: &Pose2, v: Vector2) -> Vector2 {
 }
 
 /// Times to contact and distances of all pairs [K, K].
-fn pairs(seen: &[State], footprints: &[Footprint]) -> Result<(Vec<Real>, Vec<Real>)> {
+fn pairs(seen: &[State], footprints: &[Footprint], apart: &[bool]) -> Result<(Vec<Real>, Vec<Real>)> {
     let of = |value: &dyn Fn(&State) -> Real| seen.iter().map(value).collect::<Vec<Real>>();
     let size = |value: &dyn Fn(&Footprint) -> Real| footprints.iter().map(value).collect::<Vec<Real>>();
     let heading = of(&|s| s.pose.heading_rad);
@@ -208,6 +208,7 @@ fn pairs(seen: &[State], footprints: &[Footprint]) -> Result<(Vec<Real>, Vec<Rea
         length_m: &size(&|b| 2.0 * b.half_length_m),
         width_m: &size(&|b| 2.0 * b.half_width_m),
         valid: &vec![true; seen.len()],
+        apart,
     };
     let frame = frame.checked()?;
     let mut ttc_s = vec![0.0; seen.len() * seen.len()];

@@ -7,7 +7,7 @@ use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
 use crate::stage::PreparedScene;
-use crate::state::AgentStates;
+use crate::state::{AgentStates, Height};
 use crate::world::config::{Controlled, WorldConfig};
 use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
@@ -140,6 +140,9 @@ impl Episode {
         self.step_idx = start.step_idx;
         self.elapsed_steps = 0;
         self.states.clear_for(num_agents);
+        if log.has_levels() {
+            self.states.heights.resize(num_agents, Height::default());
+        }
         self.route_s_m.clear();
         self.route_s_m.resize(num_agents, 0.0);
         self.entered.clear();
@@ -181,6 +184,9 @@ impl Episode {
         self.states.acceleration_mps2[agent_idx] = acceleration;
         self.states.yaw_rate_radps[agent_idx] = yaw_rate;
         self.states.active[agent_idx] = true;
+        if let Some(height) = scene.log.height(agent_idx, self.step_idx) {
+            self.states.heights[agent_idx] = height;
+        }
         self.entered[agent_idx] = true;
         self.route_s_m[agent_idx] = scene.logged_s_m(agent_idx, self.step_idx);
     }
@@ -340,6 +346,8 @@ impl Episode {
             && self.step_idx < MOST_STEPS
             && self.number < u64::MAX
             && s.active.len() == n
+            && s.heights.len() == if scene.scene.has_levels() { n } else { 0 }
+            && s.heights.iter().all(|h| is_sound(h.elevation_m) && is_sound(h.grade))
             && self.drivers.len() == n
             && self.drivers.iter().all(|d| policies.has(*d))
             && self.entered.len() == n

@@ -294,7 +294,7 @@ impl VecWorld {
     pub fn off_road(&self, world_idx: usize) -> Result<Vec<OffRoad>> {
         let world = self.begun(world_idx)?;
         let (states, scene) = (&world.episode.states, &world.scene);
-        let fact = |a: usize| match &scene.road {
+        let fact = |a: usize| match &scene.at(states.elevation_m(a)).road {
             Some(road) if states.active[a] => off_road(states, a, &scene.footprints[a], road),
             _ => OffRoad::default(),
         };
@@ -310,7 +310,8 @@ impl VecWorld {
         let (states, scene) = (&world.episode.states, &world.scene);
         let off_m = |a: usize| {
             let corners = states.oriented_box(a, &scene.footprints[a]).corners();
-            corners.iter().filter_map(|c| scene.road_distance_m(*c)).map(|d| -d).fold(0.0, Real::max)
+            let of_level = |c: &Point2| scene.road_distance_of_level_m(*c, states.elevation_m(a));
+            corners.iter().filter_map(of_level).map(|d| -d).fold(0.0, Real::max)
         };
         Ok(world.episode.slots.iter().map(|s| s.agent_idx.map_or(0.0, off_m)).collect())
     }

@@ -1,6 +1,6 @@
 //! What the map of a scene says of a place, asked from outside.
 
-use crate::geom::{Boundary, Point2, Polyline, Pose2, Real, Vector2};
+use crate::geom::{Point2, Polyline, Pose2, Real, Vector2};
 use crate::observe::{Segment, SegmentKind};
 use crate::scene::{LaneHit, follow};
 use crate::stage::PreparedScene;
@@ -78,10 +78,12 @@ impl PreparedScene {
     ///
     /// The road ends where the map was cut out.
     pub fn road_distance_m(&self, point: Point2) -> Option<Real> {
-        let road = self.road.as_ref()?;
-        let edge = self.road_edge.get_or_init(|| Boundary::new(&Self::road_polygons(&self.scene.map), road));
-        let distance_m = edge.distance_m(point);
-        Some(if road.contains(point) { distance_m } else { -distance_m })
+        self.road_distance_of_level_m(point, None)
+    }
+
+    /// The same of the road of an elevation's level.
+    pub(crate) fn road_distance_of_level_m(&self, point: Point2, elevation_m: Option<Real>) -> Option<Real> {
+        self.at(elevation_m).road_distance_m(&self.scene.map, point)
     }
 
     /// The nearest lane that leads where a pose heads, to 90 degrees, and the way along it; `None` without one in reach (at
@@ -93,7 +95,7 @@ impl PreparedScene {
         let start = Polyline::new(centreline.clone()).map(|line| line.at(lane.s_m).position);
         let mut points: Vec<Point2> = start.into_iter().collect();
         // not the point of the lane that is there already
-        follow(&self.scene.map, lane.lane_idx, lane.s_m + 0.1, length_m, &mut points);
+        follow(&self.scene.map, lane.lane_idx, lane.s_m + 0.1, length_m, |point, _| points.push(point));
         Some(LaneAhead { lane, path: Polyline::new(points) })
     }
 }

@@ -81,6 +81,9 @@ impl World {
             if e.states.active[a] && follows_route {
                 let moved_m = e.states.velocity(a).norm() * config.dt_s;
                 e.route_s_m[a] = self.scene.routes[a].advance(e.states.position(a), e.route_s_m[a], moved_m);
+                if let Some(before) = e.states.heights.get(a).copied() {
+                    e.states.heights[a] = self.scene.height(a, &e.states.pose(a), e.route_s_m[a], before);
+                }
             }
         }
         arrival::let_in(e, &self.scene, config);

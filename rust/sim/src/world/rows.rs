@@ -69,7 +69,7 @@ impl World {
                 states: &e.states,
                 footprints: &self.scene.footprints,
                 kinds: &self.scene.kinds,
-                segments: &self.scene.segments,
+                segments: &self.scene.at(e.states.elevation_m(a)).segments,
                 route,
                 route_s_m: e.route_s_m[a],
                 agent_idx: a,
@@ -84,7 +84,9 @@ impl World {
                 let mut rng = Rng::new(e.noise_seed()).split(c as u64);
                 self.observer.disturb(row, || config.randomization.noise * rng.normal());
             }
-            if let (Some(bev), Some(ground)) = (&config.observation.bev, &self.scene.ground) {
+            if let (Some(bev), Some(ground)) =
+                (&config.observation.bev, &self.scene.at(e.states.elevation_m(a)).raster)
+            {
                 bev.draw(&view, ground, raster);
             }
         }

@@ -1,6 +1,7 @@
 //! Snapshots of running worlds, bit for bit, and digests of their states.
 
 use crate::error::{Result, SimError};
+use crate::state::Height;
 use crate::world::VecWorld;
 use crate::world::episode::Episode;
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,7 @@ struct Snapshot {
     config: String,
     scene: String,
     episode: Episode,
+    heights: Vec<Height>,
 }
 
 fn damaged(e: postcard::Error) -> SimError {
@@ -40,6 +42,7 @@ impl VecWorld {
             config: self.config_fingerprint().to_string(),
             scene: self.scene_name(world.episode.scene_idx).to_owned(),
             episode: world.episode.clone(),
+            heights: world.episode.states.heights.clone(),
         };
         postcard::to_stdvec(&snapshot).map_err(damaged)
     }
@@ -61,7 +64,8 @@ impl VecWorld {
         if let Some(name) = then.map_or(Some("fingerprint".into()), |then| different(&then, &now)) {
             return refuse(format!("taken under another configuration: another {name}"));
         }
-        let episode = snapshot.episode;
+        let mut episode = snapshot.episode;
+        episode.states.heights = snapshot.heights;
         let name =
             (episode.scene_idx < self.num_scenes()).then(|| self.scene_name(episode.scene_idx).to_owned());
         if name.as_deref() != Some(&snapshot.scene) {
@@ -100,7 +104,11 @@ impl VecWorld {
     /// # Errors
     /// [`SimError::Unknown`] for a world that does not exist.
     pub fn digest(&self, world_idx: usize) -> Result<u64> {
-        let bytes = postcard::to_stdvec(&self.world(world_idx)?.episode).map_err(damaged)?;
+        let episode = &self.world(world_idx)?.episode;
+        let mut bytes = postcard::to_stdvec(episode).map_err(damaged)?;
+        if !episode.states.heights.is_empty() {
+            bytes.extend(postcard::to_stdvec(&episode.states.heights).map_err(damaged)?);
+        }
         Ok(bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)))
     }
 }

@@ -30,7 +30,8 @@ pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usi
     let d = pose.position - on_route.position;
     let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
     let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
-    let lane = scene.lanes.as_ref().map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
+    let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
+    let lane = lanes.map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
     OnRoute {
         distance_m: d.y * on_route.cos - d.x * on_route.sin,
         heading_error_rad: math::atan2(sin, cos),
@@ -55,7 +56,7 @@ pub(crate) fn road_and_lane(
     slot.lane_distance_m = place.lane_distance_m;
     slot.wrong_way = place.wrong_way;
     slot.speed_limit_mps = place.speed_limit_mps.unwrap_or(config.speed_limit_mps);
-    if let Some(road) = &scene.road {
+    if let Some(road) = &scene.at(states.elevation_m(a)).road {
         let off = off_road(states, a, &scene.footprints[a], road);
         slot.has_been_on_road |= !off.corner;
         slot.off_road = off.corner && slot.has_been_on_road;

@@ -112,7 +112,7 @@ pub(super) fn for_pairs(
         for j in i + 1..m {
             let moves = (context.moving[i], context.moving[j]);
             let counts = context.partner[i] || context.partner[j];
-            if counts && (wanted[i] || wanted[j]) && (moves.0 || moves.1) {
+            if counts && (wanted[i] || wanted[j]) && (moves.0 || moves.1) && !context.is_apart(i, j) {
                 visit((i, j), moves);
             }
         }

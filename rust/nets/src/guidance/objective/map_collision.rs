@@ -119,8 +119,8 @@ impl Grid {
 
 impl MapCollision {
     pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let Some(road) = context.road else { return };
         for agent in (0..context.num_agents()).filter(|a| out.wanted[*a] && context.moving[*a]) {
+            let Some(road) = context.roads.get(agent).copied().unwrap_or(context.road) else { continue };
             let grid = Grid::new(context.length_m[agent], context.width_m[agent]);
             for t in 0..plan.num_steps {
                 let at = agent * plan.num_steps + t;

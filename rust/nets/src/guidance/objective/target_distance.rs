@@ -49,7 +49,11 @@ impl TargetDistance {
                     let distance_m = (offset_m.0 * offset_m.0 + offset_m.1 * offset_m.1).sqrt();
                     (Reach { at, agent, offset_m, distance_m }, ahead_m >= 0.0)
                 };
-                targets.iter().map(to).min_by(|(a, _), (b, _)| a.distance_m.total_cmp(&b.distance_m))
+                targets
+                    .iter()
+                    .filter(|target| !context.is_apart(agent, **target))
+                    .map(to)
+                    .min_by(|(a, _), (b, _)| a.distance_m.total_cmp(&b.distance_m))
             });
             let of_agent: Vec<(Reach, bool)> = of_agent.collect();
             if of_agent.iter().any(|(_, ahead)| *ahead) {
