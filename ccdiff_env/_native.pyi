@@ -95,7 +95,14 @@ def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
 @final
 class Trajectories:
     def __new__(
-        cls, dt_s: float, x: F32, y: F32, heading: F32, valid: Bool, size: F32
+        cls,
+        dt_s: float,
+        x: F32,
+        y: F32,
+        heading: F32,
+        valid: Bool,
+        size: F32,
+        elevation_m: F32 | None = None,
     ) -> Trajectories: ...
     def collisions(
         self, controlled: Bool, log: Trajectories | None
@@ -110,6 +117,7 @@ class Trajectories:
     def off_road(
         self,
         drivable: list[tuple[list[list[float]], list[list[list[float]]]]],
+        elevations: list[list[float]],
         counted: Bool,
         replan_steps: int,
     ) -> tuple[Bool, Bool, list[float]]: ...

@@ -80,7 +80,14 @@ def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
     position, heading, valid = (
         tracks[name][agents, steps] for name in ("position", "heading", "valid")
     )
-    return Motion(position, heading, scene.sizes[agents][:, :2], valid, dt_s=scene.dt)
+    return Motion(
+        position,
+        heading,
+        scene.sizes[agents][:, :2],
+        valid,
+        dt_s=scene.dt,
+        elevation_m=tracks["elevation_m"][agents, steps] if "elevation_m" in tracks else None,
+    )
 
 
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:
@@ -92,7 +99,8 @@ def off_road(scene: Scene, motion: Motion, replan_steps: int = 5) -> OffRoad | N
     """Test a motion against the drivable area; ``None`` where the scene has no road."""
     if not scene.has_road:
         return None
-    return motion.off_road(drivable(scene), replan_steps=replan_steps)
+    heights = scene.map_layers().get("elevation_m", {}).get("drivable_area")
+    return motion.off_road(drivable(scene), replan_steps=replan_steps, elevation_m=heights)
 
 
 def features(episode: Episode) -> dict[str, Any]:

@@ -134,7 +134,15 @@ def _at(driven_m: F64, way_m: F64, path: Path3) -> Path3:
 def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
     x, y, heading = (values[None] for values in path)
     size, there = scene.sizes[ego : ego + 1, :2], np.ones(x.shape, bool)
-    motion = Motion(np.stack([x, y], axis=-1), heading, size, there, dt_s=scene.dt)
+    heights = scene.tracks().get("elevation_m")
+    motion = Motion(
+        np.stack([x, y], axis=-1),
+        heading,
+        size,
+        there,
+        dt_s=scene.dt,
+        elevation_m=None if heights is None else heights[ego : ego + 1, -x.size :],
+    )
     road = off_road(scene, motion)
     return np.zeros(x.size, bool) if road is None else road.centroid[0]
 
@@ -204,6 +212,7 @@ def _row(scene: Scene, rollout: Rollout) -> dict[str, Any]:
         scene.sizes[vehicles][:, :2],
         rollout.valid[vehicles],
         dt_s=rollout.dt_s,
+        elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[vehicles],
     )
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     new = motion.collisions(log=logged(scene, vehicles, steps)).matrix("new")

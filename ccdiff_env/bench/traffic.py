@@ -304,7 +304,8 @@ def _episode(
     agents = _vehicles(scene)
     stacked = {
         name: np.stack([s[name] for s in states], axis=1)[agents]
-        for name in ("position", "heading", "active")
+        for name in ("position", "heading", "active", "elevation_m")
+        if name in states[0]
     }
     return Episode(
         scene=scene,
@@ -319,6 +320,7 @@ def _episode(
             scene.sizes[agents][:, :2],
             stacked["active"],
             dt_s=scene.dt,
+            elevation_m=stacked.get("elevation_m"),
         ),
         log=logged(scene, agents, slice(START_STEP, START_STEP + len(states))),
         position=stacked["position"],

@@ -108,6 +108,8 @@ class Motion:
     size : [A, 2], length and width, metres.
     valid : bool [A, T], optional.
     dt_s : time between steps, seconds.
+    elevation_m : [A, T], metres, of the ground below the agents in scenes with levels: who is more
+        than 2.5 m higher or lower is out of reach.
 
     Raises
     ------
@@ -136,6 +138,7 @@ class Motion:
         valid: npt.ArrayLike | None = None,
         *,
         dt_s: float = 0.1,
+        elevation_m: npt.ArrayLike | None = None,
     ) -> None:
         points = np.asarray(position, dtype=np.float32)
         if points.ndim != 3 or points.shape[-1] != 2:
@@ -160,6 +163,7 @@ class Motion:
             headings,
             np.ascontiguousarray(there),
             sizes,
+            None if elevation_m is None else _states("elevation_m", elevation_m, shape),
         )
 
     def _mask(self, name: str, mask: npt.ArrayLike | None, default: bool) -> npt.NDArray[np.bool_]:
@@ -198,6 +202,7 @@ class Motion:
         *,
         counted: npt.ArrayLike | None = None,
         replan_steps: int = 5,
+        elevation_m: npt.ArrayLike | None = None,
     ) -> OffRoad:
         """Test every agent at every step against the drivable area.
 
@@ -207,6 +212,8 @@ class Motion:
             it.
         counted : bool [A], agents that the rates count; all if absent.
         replan_steps : steps between plans, for the rate of the reference implementation.
+        elevation_m : [N, 2], metres, least and greatest elevation of each polygon in scenes with
+            levels: agents are on the road of their own level.
         """
 
         def ring(points: npt.ArrayLike) -> list[list[float]]:
@@ -217,8 +224,10 @@ class Motion:
             return rows
 
         polygons = [(ring(outer), [ring(hole) for hole in holes]) for outer, holes in drivable]
+        shape = (len(polygons), 2)
+        heights = [] if elevation_m is None else _states("elevation_m", elevation_m, shape).tolist()
         centroid, box, rates = self._native.off_road(
-            polygons, self._mask("counted", counted, True), replan_steps
+            polygons, heights, self._mask("counted", counted, True), replan_steps
         )
         return OffRoad(centroid, box, *rates)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Recorder"]
 
-_STATES = ("position", "heading", "velocity", "active")
+_STATES = ("position", "heading", "velocity", "active", "elevation_m")
 
 
 class HasWorlds(Protocol):
@@ -175,7 +175,7 @@ class Recorder:
 
     def _keep(self) -> None:
         states = self._worlds.native.states(self._world_idx)
-        self._states.append({name: states[name] for name in _STATES})  # type: ignore[literal-required]
+        self._states.append({**states})
 
     def _keep_plan(self, driver: str) -> None:
         plan = self._worlds.explain(self._world_idx, driver)
@@ -227,7 +227,11 @@ class Recorder:
             raise ResetNeededError(
                 "recorder: no step is recorded; call its step() after each of the environment"
             )
-        stacked = {name: np.stack([s[name] for s in self._states], axis=1) for name in _STATES}
+        stacked = {
+            name: np.stack([s[name] for s in self._states], axis=1)
+            for name in _STATES
+            if name in self._states[0]
+        }
         columns = np.array(self._columns, np.float32).reshape(len(self._states) - 1, -1)
         names = self._worlds.column_names if columns.size else ()
         config = self._worlds.config
@@ -242,6 +246,7 @@ class Recorder:
             heading=stacked["heading"],
             velocity=stacked["velocity"],
             valid=stacked["active"],
+            elevation_m=stacked.get("elevation_m"),
             drivers=np.array([drivers.index(name) for name in self._drivers], np.int64),
             driver_table=table,
             events=tuple(self._events),

@@ -104,6 +104,8 @@ class Rollout:
         sample pose h is at ``made_at + h + 1``. Empty where it makes none.
     meta
         Seed, configuration, traffic, planner, source: what JSON can hold.
+    elevation_m
+        Elevation of the ground below each agent [A, T], metres, in a scene with levels.
     """
 
     scene: Scene
@@ -120,6 +122,7 @@ class Rollout:
     info: Mapping[str, F32] = field(default_factory=dict)
     plans: tuple[TrafficPlan, ...] = ()
     meta: Mapping[str, Any] = field(default_factory=dict)
+    elevation_m: F32 | None = None
 
     def __post_init__(self) -> None:
         if self.agent_ids != tuple(self.scene.agent_ids):
@@ -137,8 +140,12 @@ class Rollout:
             expect_shape(name, getattr(self, name), shape)
         for name, values in self.info.items():
             expect_shape(f"info[{name!r}]", values, (t - 1,))
-        there = self.valid
-        for name in ("position", "heading", "velocity"):
+        there, levels = self.valid, self.elevation_m is not None
+        if levels:
+            expect_shape("elevation_m", self.elevation_m, (a, t))
+        if levels != ("elevation_m" in self.scene.tracks()):
+            raise DatasetError("elevation_m is wanted in scenes with levels, and only there")
+        for name in ("position", "heading", "velocity", *(["elevation_m"] if levels else ())):
             if not np.isfinite(getattr(self, name)[there]).all():
                 raise DatasetError(f"{name} is not finite where valid")
         if not (1e-3 <= self.dt_s <= 10.0 and math.isclose(self.dt_s, self.scene.dt, rel_tol=1e-5)):
@@ -213,6 +220,9 @@ class Rollout:
             "velocity": np.concatenate([log["velocity"][:, before], self.velocity], axis=1),
             "valid": valid,
         }
+        if self.elevation_m is not None:
+            heights = [log["elevation_m"][:, before], self.elevation_m]
+            tracks["elevation_m"] = np.concatenate(heights, axis=1)
         return with_tracks(
             self.scene,
             tracks,
@@ -238,6 +248,8 @@ class Rollout:
             name: getattr(self, name)
             for name in ("position", "heading", "velocity", "valid", "drivers")
         }
+        if self.elevation_m is not None:
+            arrays["elevation_m"] = self.elevation_m
         arrays["scene"] = np.frombuffer(self.scene.to_bytes(), np.uint8)
         for name, values in self.info.items():
             arrays[f"info/{name}"] = values
@@ -315,6 +327,9 @@ class Rollout:
             },
             plans=plans,
             meta=head["meta"],
+            elevation_m=(
+                _typed(arrays, "elevation_m", np.float32) if "elevation_m" in arrays else None
+            ),
         )
 
 
@@ -381,7 +396,8 @@ def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
     tracks = dict[str, Any](rollout.scene.tracks())
     shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
     changed: dict[str, Any] = {}
-    for part in ("position", "heading", "velocity", "valid"):
+    heights = () if rollout.elevation_m is None else ("elevation_m",)
+    for part in ("position", "heading", "velocity", "valid", *heights):
         recorded = getattr(rollout, part)
         changed[part] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
         changed[part][:, : rollout.num_steps] = recorded

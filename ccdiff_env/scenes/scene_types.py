@@ -82,7 +82,12 @@ class TrackArrays(_TrackHeights):
     """Whether the agent is present [A, T]."""
 
 
-class StateArrays(TypedDict):
+class _StateHeights(TypedDict, total=False):
+    elevation_m: F32
+    """Elevation of the ground below [A], metres; only in scenes with levels."""
+
+
+class StateArrays(_StateHeights):
     """Present states of A agents of a running world, in the scene frame; zero where not active."""
 
     position: F32

@@ -265,8 +265,11 @@ def _outside(rollout: Rollout, steps: slice) -> npt.NDArray[np.bool_]:
         rollout.scene.sizes[:, :2],
         np.ascontiguousarray(tracks["valid"][:, steps]),
         dt_s=rollout.dt_s,
+        elevation_m=tracks["elevation_m"][:, steps] if "elevation_m" in tracks else None,
     )
     if not rollout.scene.has_road:
         return np.zeros(rollout.valid.shape, bool)
-    areas = rollout.scene.map_layers()["drivable_area"]
-    return np.asarray(log.off_road([(a["exterior"], a["holes"]) for a in areas]).box, dtype=bool)
+    layers = rollout.scene.map_layers()
+    areas = [(area["exterior"], area["holes"]) for area in layers["drivable_area"]]
+    heights = layers.get("elevation_m", {}).get("drivable_area")
+    return np.asarray(log.off_road(areas, elevation_m=heights).box, dtype=bool)

@@ -9,12 +9,17 @@ use ccdiff_sim::metrics::{
     Trajectories, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
     off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
 };
+use ccdiff_sim::scene::{Elevations, Map};
 use ccdiff_sim::state::Footprint;
 use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Roads are made for elevations this far apart, metres.
+const SLOT_M: f32 = 0.5;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -42,11 +47,13 @@ pub(crate) struct NativeMotion {
     heading_rad: Vec<f32>,
     valid: Vec<bool>,
     footprints: Vec<Footprint>,
+    elevation_m: Vec<f32>,
 }
 
 impl NativeMotion {
     fn view(&self) -> Result<Trajectories<'_>, SimError> {
-        Trajectories::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.footprints)
+        Trajectories::new(self.dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.footprints)?
+            .with_elevations(&self.elevation_m)
     }
 }
 
@@ -61,6 +68,7 @@ type OffRoadParts<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>
 #[pymethods]
 impl NativeMotion {
     #[new]
+    #[pyo3(signature = (dt_s, x, y, heading, valid, size, elevation_m=None))]
     fn new(
         dt_s: f32,
         x: PyF32<'_>,
@@ -68,6 +76,7 @@ impl NativeMotion {
         heading: PyF32<'_>,
         valid: PyReadonlyArray2<'_, bool>,
         size: PyF32<'_>,
+        elevation_m: Option<PyF32<'_>>,
     ) -> PyResult<Self> {
         let footprints = match size.shape() {
             [_, 2] => size.as_slice()?.chunks_exact(2).map(|s| Footprint::new(s[0], s[1])).collect(),
@@ -81,6 +90,10 @@ impl NativeMotion {
             heading_rad: heading.as_slice()?.to_vec(),
             valid: flags(&valid)?,
             footprints,
+            elevation_m: match &elevation_m {
+                Some(array) => array.as_slice()?.to_vec(),
+                None => Vec::new(),
+            },
         };
         motion.view().map_err(from_sim)?;
         Ok(motion)
@@ -115,6 +128,7 @@ impl NativeMotion {
         &self,
         py: Python<'py>,
         drivable: Vec<Rings>,
+        elevations: Vec<[f32; 2]>,
         counted: PyReadonlyArray1<'_, bool>,
         replan_steps: usize,
     ) -> PyResult<OffRoadParts<'py>> {
@@ -129,7 +143,22 @@ impl NativeMotion {
         let region = Region::new(&polygons)
             .ok_or_else(|| ShapeError::new_err("drivable has no polygon of three or more finite points"))?;
         let motion = self.view().map_err(from_sim)?;
-        let report = off_road_report(&motion, &region, &flags(&counted)?, replan_steps);
+        let known = elevations.len() == polygons.len() && !self.elevation_m.is_empty();
+        let map = Map {
+            drivable_area: polygons,
+            elevation_m: Elevations { drivable_area: elevations, ..Elevations::default() },
+            ..Map::default()
+        };
+        let slot = |z: f32| (z / SLOT_M).floor() as i64;
+        let slots = self.elevation_m.iter().zip(&self.valid).filter(|(_, valid)| **valid && known);
+        let slots: BTreeSet<i64> = slots.map(|(z, _)| slot(*z)).collect();
+        let of_slot = |k: i64| Region::new(&map.on_level((k as f32 + 0.5) * SLOT_M).drivable_area);
+        let levels: BTreeMap<i64, Option<Region>> = slots.into_iter().map(|k| (k, of_slot(k))).collect();
+        let region_of = |elevation_m: Option<f32>| match elevation_m.filter(|_| known) {
+            Some(z) => levels.get(&slot(z)).and_then(Option::as_ref),
+            None => Some(&region),
+        };
+        let report = off_road_report(&motion, region_of, &flags(&counted)?, replan_steps);
         let shape = [self.footprints.len(), self.num_steps];
         let centroid = report.flags.iter().map(|f| f.centroid).collect();
         let corner = report.flags.iter().map(|f| f.corner).collect();

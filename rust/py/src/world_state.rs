@@ -33,6 +33,10 @@ pub(crate) fn states<'py>(py: Python<'py>, status: &WorldStatus<'_>) -> PyResult
     dict.set_item("acceleration", PyArray1::from_vec(py, shown(&s.acceleration_mps2)))?;
     dict.set_item("yaw_rate", PyArray1::from_vec(py, shown(&s.yaw_rate_radps)))?;
     dict.set_item("active", PyArray1::from_slice(py, &s.active))?;
+    if !s.heights.is_empty() {
+        let elevation_m: Vec<f32> = s.heights.iter().map(|height| height.elevation_m).collect();
+        dict.set_item("elevation_m", PyArray1::from_vec(py, shown(&elevation_m)))?;
+    }
     Ok(dict)
 }
 

@@ -2,7 +2,12 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Pose2, Real, Vector2};
-use crate::state::{AgentStates, Footprint};
+use crate::scene::LEVEL_M;
+use crate::state::{AgentStates, Footprint, Height};
+
+/// Slopes are told of steps of this length at least, metres, and are at most so steep.
+const LEAST_WAY_M: Real = 0.2;
+const STEEPEST: Real = 0.3;
 
 /// States of A agents over T steps, row-major [A, T]: agent a at step t is entry `a * T + t`.
 ///
@@ -16,6 +21,7 @@ pub struct Trajectories<'a> {
     heading_rad: &'a [Real],
     valid: &'a [bool],
     footprints: &'a [Footprint],
+    elevation_m: &'a [Real],
 }
 
 impl<'a> Trajectories<'a> {
@@ -58,7 +64,48 @@ impl<'a> Trajectories<'a> {
                 expected: "finite states wherever an agent is valid".into(),
             });
         }
-        Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, footprints })
+        Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, footprints, elevation_m: &[] })
+    }
+
+    /// The same with the elevations of the ground below the agents [A * T], metres: who is on another level is out of
+    /// reach. None, where there are none.
+    ///
+    /// # Errors
+    /// [`SimError::Length`] where their number differs, [`SimError::Config`] for one of a valid state that is not finite.
+    pub fn with_elevations(self, elevation_m: &'a [Real]) -> Result<Self> {
+        if elevation_m.is_empty() {
+            return Ok(self);
+        }
+        if elevation_m.len() != self.valid.len() {
+            let (got, expected) = (elevation_m.len(), self.valid.len());
+            return Err(SimError::Length { what: "elevations", got, expected });
+        }
+        let states = elevation_m.iter().zip(self.valid);
+        if let Some((z, _)) = states.into_iter().find(|(z, valid)| **valid && !z.is_finite()) {
+            let expected = "finite numbers wherever an agent is valid".into();
+            return Err(SimError::Config { field: "elevation_m".into(), got: z.to_string(), expected });
+        }
+        Ok(Self { elevation_m, ..self })
+    }
+
+    /// How high an agent is, where elevations are known. Indices must be in range.
+    pub(super) fn height(&self, agent_idx: usize, step_idx: usize) -> Option<Height> {
+        let elevation_m = *self.elevation_m.get(agent_idx * self.num_steps + step_idx)?;
+        let rise_m = self.steps_of_velocity(agent_idx, step_idx).map(|(from, to)| {
+            let [from, to] = [from, to].map(|t| self.elevation_m[agent_idx * self.num_steps + t]);
+            to - from
+        });
+        let pose = self.pose(agent_idx, step_idx);
+        let way = self.velocity(agent_idx, step_idx) * self.dt_s;
+        let ahead_m = way.x * pose.cos + way.y * pose.sin;
+        let grade = if ahead_m.abs() < LEAST_WAY_M { 0.0 } else { rise_m.unwrap_or(0.0) / ahead_m };
+        Some(Height { elevation_m, grade: grade.clamp(-STEEPEST, STEEPEST) })
+    }
+
+    /// Whether the places of two agents at two steps are on different levels.
+    pub(super) fn is_apart(&self, (a, t): (usize, usize), (b, s): (usize, usize)) -> bool {
+        let of = |agent: usize, step: usize| self.elevation_m.get(agent * self.num_steps + step);
+        of(a, t).zip(of(b, s)).is_some_and(|(one, other)| (one - other).abs() > LEVEL_M)
     }
 
     /// Number of agents A.
@@ -106,14 +153,16 @@ impl<'a> Trajectories<'a> {
     /// Velocity from the step before, or to the step after where the agent was absent before; zero where both are
     /// missing. Indices must be in range.
     pub(super) fn velocity(&self, agent_idx: usize, step_idx: usize) -> Vector2 {
-        let (from, to) = if step_idx > 0 && self.is_valid(agent_idx, step_idx - 1) {
-            (step_idx - 1, step_idx)
-        } else if self.is_valid(agent_idx, step_idx + 1) {
-            (step_idx, step_idx + 1)
-        } else {
-            return Vector2::zeros();
-        };
+        let Some((from, to)) = self.steps_of_velocity(agent_idx, step_idx) else { return Vector2::zeros() };
         (self.position(agent_idx, to) - self.position(agent_idx, from)) / self.dt_s
+    }
+
+    fn steps_of_velocity(&self, agent_idx: usize, step_idx: usize) -> Option<(usize, usize)> {
+        if step_idx > 0 && self.is_valid(agent_idx, step_idx - 1) {
+            Some((step_idx - 1, step_idx))
+        } else {
+            self.is_valid(agent_idx, step_idx + 1).then_some((step_idx, step_idx + 1))
+        }
     }
 
     /// Writes the states of all agents at a step. `step_idx` must be in range.
@@ -121,10 +170,16 @@ impl<'a> Trajectories<'a> {
         if out.len() != self.num_agents() {
             *out = AgentStates::new(self.num_agents());
         }
+        if !self.elevation_m.is_empty() {
+            out.heights.resize(self.num_agents(), Height::default());
+        }
         for agent in 0..self.num_agents() {
             out.active[agent] = self.is_valid(agent, step_idx);
             if out.active[agent] {
                 out.set_pose(agent, self.pose(agent, step_idx), self.velocity(agent, step_idx));
+                if let Some(height) = self.height(agent, step_idx) {
+                    out.heights[agent] = height;
+                }
             }
         }
     }

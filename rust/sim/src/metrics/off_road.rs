@@ -2,7 +2,7 @@
 
 use super::Trajectories;
 use crate::events::{OffRoad, off_road};
-use crate::geom::Region;
+use crate::geom::{Real, Region};
 use crate::state::AgentStates;
 
 /// Off-road flags of one scene and their shares.
@@ -19,15 +19,15 @@ pub struct OffRoadReport {
     pub reference_impl_rate: f64,
 }
 
-/// Tests every agent at every step against a region.
+/// Tests every agent at every step against the region of the road at its elevation, `None` where there is no road.
 ///
 /// Rates count the agents of `counted` [A] (all, where it is shorter), 0 where there is nothing to count.
 /// `replan_steps` is the number of steps between plans, for the rate of the reference implementation; 0 counts as 1.
 ///
 /// Differs from the release: polygons of the map in place of pixels of a raster that is clamped at its border.
-pub fn off_road_report(
+pub fn off_road_report<'r>(
     motion: &Trajectories<'_>,
-    region: &Region,
+    region: impl Fn(Option<Real>) -> Option<&'r Region>,
     counted: &[bool],
     replan_steps: usize,
 ) -> OffRoadReport {
@@ -39,7 +39,11 @@ pub fn off_road_report(
         motion.states_at(step_idx, &mut states);
         for (agent, footprint) in motion.footprints().iter().enumerate() {
             if states.active[agent] {
-                flags[agent * num_steps + step_idx] = off_road(&states, agent, footprint, region);
+                let flag = &mut flags[agent * num_steps + step_idx];
+                *flag = match region(states.elevation_m(agent)) {
+                    Some(region) => off_road(&states, agent, footprint, region),
+                    None => OffRoad { corner: true, centroid: true },
+                };
             }
         }
     }
@@ -79,11 +83,11 @@ mod tests {
         // centre leaves at the third step, a corner at the second; gone from the fourth on
         let leaving = [5.0, 9.0, 11.0].map(|x| Some((x, 5.0, 0.0))).into_iter().chain([None; 3]).collect();
         let recorded = Recorded::new(&[leaving, vec![Some((5.0, 5.0, 0.0)); 6]]);
-        let report = off_road_report(&recorded.motion(0.1), &region, &[], 5);
+        let report = off_road_report(&recorded.motion(0.1), |_| Some(&region), &[], 5);
         assert_eq!(report.centroid_rate, 1.0 / 9.0);
         assert_eq!(report.box_rate, 2.0 / 9.0);
         assert_eq!(report.reference_impl_rate, 3.0 / 11.0);
-        let only_second = off_road_report(&recorded.motion(0.1), &region, &[false, true], 5);
+        let only_second = off_road_report(&recorded.motion(0.1), |_| Some(&region), &[false, true], 5);
         assert_eq!(only_second.reference_impl_rate, 0.0);
         assert!(!only_second.flags[3].centroid);
     }

@@ -3,6 +3,7 @@
 use super::Trajectories;
 use crate::causal::measures::TTC_CAP_S;
 use crate::geom::{OrientedBox, Real};
+use crate::state::AgentStates;
 
 /// Post-encroachment times are looked for up to this, seconds.
 pub const PET_HORIZON_S: Real = 5.0;
@@ -19,13 +20,15 @@ fn counts(mask: &[bool], agent_idx: usize) -> bool {
 pub fn min_ttc_s(motion: &Trajectories<'_>) -> Vec<Real> {
     let num_agents = motion.num_agents();
     let mut least = vec![TTC_CAP_S; num_agents];
+    let mut states = AgentStates::new(num_agents);
     for t in 0..motion.num_steps() {
         let moving: Vec<_> = (0..num_agents)
             .filter(|&a| motion.is_valid(a, t))
             .map(|a| (a, motion.footprints()[a].at(&motion.pose(a, t)), motion.velocity(a, t)))
             .collect();
+        motion.states_at(t, &mut states);
         for (k, (a, box_a, velocity_a)) in moving.iter().enumerate() {
-            for (b, box_b, velocity_b) in &moving[..k] {
+            for (b, box_b, velocity_b) in moving[..k].iter().filter(|(b, ..)| states.same_level(*a, *b)) {
                 // contact later than both know of already is of no interest
                 let horizon_s = least[*a].max(least[*b]);
                 if let Some(t_s) = box_a.time_to_contact(*velocity_a, box_b, *velocity_b, horizon_s) {
@@ -61,6 +64,7 @@ pub fn post_encroachment_time_s(motion: &Trajectories<'_>) -> Vec<Option<Real>> 
             for (t, box_a) in &boxes[a] {
                 let near = boxes[b].iter().filter(|(s, box_b)| {
                     s.abs_diff(*t) < limit
+                        && !motion.is_apart((a, *t), (b, *s))
                         && (box_a.centre - box_b.centre).norm_squared() <= reach_m * reach_m
                 });
                 if let Some(gap) =
