@@ -25,10 +25,9 @@ impl Lane {
     /// Runs of points of the centre line, as indices, that are on the level of an elevation; all points without one.
     pub(crate) fn on_level(&self, elevation_m: Option<Real>) -> impl Iterator<Item = Range<usize>> {
         let is_on = |z: &Real| elevation_m.is_none_or(|level| (z - level).abs() <= LEVEL_M);
-        match self.elevation_m.is_empty() {
-            true => vec![0..self.centreline.len()].into_iter(),
-            false => runs(&self.elevation_m, is_on).into_iter(),
-        }
+        let known = !self.elevation_m.is_empty();
+        let all = (!known).then_some(0..self.centreline.len());
+        all.into_iter().chain(runs(&self.elevation_m, is_on))
     }
 }
 
@@ -201,4 +200,57 @@ pub fn cut_by_level(line: &[Point2], heights: &[Real], bounds: &[Real]) -> Vec<(
 pub fn range_of(heights: &[Real]) -> [Real; 2] {
     let none = [Real::INFINITY, Real::NEG_INFINITY];
     heights.iter().fold(none, |[low, high], z| [low.min(*z), high.max(*z)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::LaneKind;
+
+    /// A straight line along an axis at a height that depends on the place.
+    fn line(along_x: bool, height: impl Fn(Real) -> Real) -> (Vec<Point2>, Vec<Real>) {
+        let places = (-10..=10).map(|i| i as Real * 5.0);
+        let point = |s: Real| if along_x { Point2::new(s, 0.0) } else { Point2::new(0.0, s) };
+        places.map(|s| (point(s), height(s))).unzip()
+    }
+
+    fn bounds(lines: &[(Vec<Point2>, Vec<Real>)]) -> Vec<Real> {
+        level_bounds(lines.iter().map(|(p, z)| (p.as_slice(), z.as_slice())), std::iter::empty())
+    }
+
+    #[test]
+    fn bounds_lie_between_roads_that_pass_over_each_other_and_hills_have_none() {
+        assert_eq!(bounds(&[line(true, |_| 8.0), line(false, |_| 0.0)]), [4.0]);
+        assert_eq!(bounds(&[line(true, |_| 6.0), line(false, |_| 0.0), line(true, |_| 13.0)]), [3.0, 9.5]);
+        // two roads that meet on a hill, 20 % steep, and a step of less than a level
+        assert!(bounds(&[line(true, |x| 0.2 * x), line(false, |_| 0.0)]).is_empty());
+        assert!(bounds(&[line(true, |_| 2.4), line(false, |_| 0.0)]).is_empty());
+    }
+
+    #[test]
+    fn runs_of_a_lane_are_those_on_the_level() {
+        let (centreline, elevation_m) = line(true, |x| if x.abs() < 21.0 { 8.0 } else { 0.0 });
+        let polygon = Polygon::default();
+        let (successors, predecessors) = (vec![], vec![]);
+        let (id, kind, speed_limit_mps) = (String::new(), LaneKind::Lane, None);
+        let lane =
+            Lane { id, kind, centreline, polygon, successors, predecessors, speed_limit_mps, elevation_m };
+        let runs = |z| lane.on_level(z).collect::<Vec<_>>();
+        assert_eq!(runs(None), [0..21]);
+        assert_eq!(runs(Some(7.0)), [6..15]);
+        assert_eq!(runs(Some(0.0)), [0..6, 15..21]);
+        assert!(runs(Some(4.0)).is_empty());
+        // half way down, and beyond the ends
+        assert_eq!(lane.height(27.5), Some(4.0));
+        assert_eq!((lane.height(-1.0), lane.height(1e3)), (Some(0.0), Some(0.0)));
+    }
+
+    #[test]
+    fn lines_are_cut_where_the_level_changes() {
+        let (points, heights) = line(true, |x| 4.0 + 0.1 * x);
+        let pieces = cut_by_level(&points, &heights, &[4.2]);
+        let lengths: Vec<usize> = pieces.iter().map(|(piece, _)| piece.len()).collect();
+        assert_eq!(lengths, [12, 10]);
+        assert_eq!(cut_by_level(&points, &heights, &[]), [(points.clone(), [-1.0, 9.0])]);
+    }
 }

@@ -213,7 +213,8 @@ impl Scene {
             if !heights.is_empty() && heights.len() != entries {
                 return Some((field, format!("{} entries for {entries}", heights.len())));
             }
-            let bad = heights.iter().enumerate().find(|(i, z)| counts(*i) && !(z.abs() <= HIGHEST_M));
+            let bad =
+                heights.iter().enumerate().find(|(i, z)| counts(*i) && (z.is_nan() || z.abs() > HIGHEST_M));
             bad.map(|(i, z)| (format!("{field}[{i}]"), z.to_string()))
         };
         let (tracks, map, ranges) = (&self.tracks, &self.map, &self.map.elevation_m);

@@ -1,0 +1,242 @@
+"""Worlds in which roads pass over each other: who has to do with whom, and whose road is whose."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet
+from ccdiff_env.metrics import Motion
+from tests import overpass
+
+#: An ego on the bridge, and one that passes below it when the ego is there.
+CROSSING = [
+    overpass.vehicle(1, overpass.on_bridge(0.0)),
+    overpass.vehicle(2, overpass.below(-40.0)),
+]
+OPTIONS: dict[str, Any] = {"history_steps": 10, "horizon_steps": 80, "terminate_at_goal": False}
+
+
+def load(tmp_path: Path, objects: list[dict[str, Any]], lift: float = 0.0) -> SceneSet:
+    """Scenes of objects; those on the ground are lifted with their road, then without edges."""
+    objects, roads = json.loads(json.dumps([objects, overpass.roads()]))
+    roads = [road for road in roads if not lift or road["type"] == "lane"]
+    for points in [o["position"] for o in objects] + [r["geometry"] for r in roads]:
+        if max(point["z"] for point in points) < 4:
+            for point in points:
+                point["z"] += lift
+    path = overpass.write(tmp_path / f"bridge-{lift:g}.json", objects, roads=roads)
+    return ccdiff_env.load_gpudrive(path, cache=False)
+
+
+def play(scenes: SceneSet, driver: str = "replay", **options: Any) -> dict[str, Any]:
+    """Metrics of an episode, the least time to contact, and the observations and infos."""
+    settings = {"traffic": "replay", "observation": "dict", **OPTIONS, **options}
+    env = EgoEnv(scenes=scenes, driver=driver, **settings)
+    recorder = Recorder(env)
+    observation, _ = env.reset(seed=0)
+    recorder.start()
+    infos, seen, done = [], [observation], False
+    while not done:
+        observation, _, terminated, truncated, info = env.step(env.action_space.sample() * 0)
+        done = terminated or truncated
+        recorder.step()
+        infos.append(info)
+        seen.append(observation)
+    rollout = recorder.rollout()
+    return {"metrics": infos[-1]["metrics"], "infos": infos, "seen": seen, "rollout": rollout}
+
+
+@pytest.mark.parametrize(
+    ("traffic", "driver"),
+    [("replay", "replay"), ("idm", "replay"), ("replay", "idm"), ("replay", "pdm")],
+)
+def test_nobody_meets_who_is_below(tmp_path: Path, traffic: str, driver: str) -> None:
+    found = play(load(tmp_path, CROSSING), driver, traffic=traffic)
+    metrics = found["metrics"]
+    assert metrics["collision"] == 0
+    assert metrics["min_ttc"] >= 10
+    assert metrics["route_completion"] > 0.95
+    # the ego goes on at its 10 m/s all the time: nobody is its leader
+    speeds = [info["speed"] for info in found["infos"]]
+    assert min(speeds) > 9
+
+
+@pytest.mark.parametrize(("gap_m", "meets"), [(1.5, True), (2.4, True), (3.0, False)])
+def test_levels_begin_at_two_and_a_half_metres(tmp_path: Path, gap_m: float, meets: bool) -> None:
+    found = play(load(tmp_path, CROSSING, lift=overpass.BRIDGE_M - gap_m))
+    assert found["metrics"]["collision"] == meets
+    assert (found["metrics"]["min_ttc"] < 1) == meets
+
+
+def test_traffic_neither_brakes_nor_stops_for_who_passes_over_it(tmp_path: Path) -> None:
+    below = [  # the second follows the first, in the lane
+        overpass.vehicle(2, overpass.below(-40.0)),
+        overpass.vehicle(3, overpass.below(-60.0)),
+    ]
+    standing = overpass.vehicle(1, overpass.on_bridge(40.0, speed=0.0))
+    found = play(load(tmp_path, [standing, *below]), traffic="idm", on_traffic_collision="stop")
+    rollout = found["rollout"]
+    # from 30 and 50 m before the bridge at 10 m/s and hardly slower, until their log ends
+    for agent in (1, 2):
+        speed = np.linalg.norm(rollout.velocity[agent], axis=-1)[rollout.valid[agent]]
+        assert speed.min() > 8.5
+    assert rollout.position[1, :, 1].max() > 20
+
+
+def test_observations_show_those_of_ones_own_level(tmp_path: Path) -> None:
+    ahead = overpass.vehicle(3, overpass.on_bridge(25.0))
+    scenes = load(tmp_path, [*CROSSING, ahead])
+    for traffic in ("replay", "idm"):
+        for row in play(scenes, traffic=traffic)["seen"]:
+            assert row["agents_mask"].sum() == 1
+            x, y = row["agents"][0][:2]
+            assert abs(y) < 0.1 < x
+    # on one level all are seen
+    assert play(load(tmp_path, [*CROSSING, ahead], lift=7.0))["seen"][0]["agents_mask"].sum() == 2
+
+
+def test_who_drives_up_a_ramp_far_ahead_is_ones_leader(tmp_path: Path) -> None:
+    def on_ramp(x: float, speed: float) -> overpass.Place:
+        return lambda t: (x + speed * t, 0.0, overpass.ramp_height(x + speed * t))
+
+    # 60 m ahead and 3.6 m lower, standing where the bridge has come down by half
+    objects = [
+        overpass.vehicle(1, on_ramp(105.0, 8.0)),
+        overpass.vehicle(2, lambda t: (165.0, 0.0, overpass.ramp_height(165.0))),
+        overpass.vehicle(3, overpass.below(-40.0)),
+    ]
+    found = play(load(tmp_path, objects), "idm")
+    assert found["seen"][0]["agents_mask"].sum() == 1
+    assert found["metrics"]["collision"] == 0
+    assert found["infos"][-1]["speed"] < 2
+    assert found["metrics"]["min_ttc"] < 9
+
+
+@pytest.mark.parametrize("driver", ["replay", "idm", "pdm"])
+def test_a_ramp_stays_road_from_one_level_to_the_other(tmp_path: Path, driver: str) -> None:
+    def down(t: float) -> tuple[float, float, float]:
+        return (60.0 + 20.0 * t, 0.0, overpass.ramp_height(60.0 + 20.0 * t))
+
+    scenes = load(tmp_path, [overpass.vehicle(1, down), overpass.vehicle(2, overpass.below(-40.0))])
+    found = play(scenes, driver)
+    assert found["metrics"]["off_road"] == 0
+    rollout = found["rollout"]
+    x = rollout.position[0, :, 0] + scenes[0].origin[0]
+    assert x[-1] > 200
+    expected = [overpass.ramp_height(float(place)) for place in x]
+    np.testing.assert_allclose(rollout.elevation_m[0], expected, atol=0.3)
+
+
+def test_a_road_above_or_below_is_none_of_ones_own(tmp_path: Path) -> None:
+    # the ego leaves the road below where the bridge is overhead
+    def aside(t: float) -> tuple[float, float, float]:
+        return (34.0 + 4.0 * t, 0.0, 0.0)
+
+    scenes = load(
+        tmp_path, [overpass.vehicle(1, aside), overpass.vehicle(2, overpass.on_bridge(0.0))]
+    )
+    found = play(scenes)
+    assert found["metrics"]["off_road"] == 1
+    assert found["metrics"]["collision"] == 0
+    # 12 m up it would be road all the way
+    over = [overpass.vehicle(1, lambda t: (34.0 + 4.0 * t, 0.0, overpass.BRIDGE_M)), CROSSING[1]]
+    assert play(load(tmp_path, over))["metrics"]["off_road"] == 0
+
+
+def test_lanes_and_lines_are_those_of_ones_own_level(tmp_path: Path) -> None:
+    # below the bridge, across the lane of the road below, which leads north; that of the bridge
+    # leads east and is 1 m away
+    turned = overpass.vehicle(1, lambda t: (40.0, 1.0, 0.0), heading=0.0)
+    scenes = load(tmp_path, [turned, overpass.vehicle(2, overpass.on_bridge(0.0))])
+    rows = play(scenes)["seen"][0]
+    lines = rows["map"][rows["map_mask"] > 0]
+    assert len(lines) > 20
+    # all lines run along the road below, across the ego: x, y, then the cosine of the direction
+    assert np.abs(lines[:, 2]).max() < 0.1
+
+
+def test_networks_and_their_graph_leave_out_other_levels(tmp_path: Path) -> None:
+    ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=4.0))
+    for lift, joined in ((0.0, False), (7.0, True)):
+        scenes = load(tmp_path, [*CROSSING, ahead], lift=lift)
+        env = EgoEnv(scenes=scenes, traffic="ccdiff", **OPTIONS)
+        env.reset(seed=0)
+        env.step(env.action_space.sample() * 0)
+        plan = env.unwrapped.worlds.explain(0)
+        assert plan is not None
+        rows = {int(agent): row for row, agent in enumerate(plan.agents)}
+        assert bool(plan.graph[rows[0], rows[1]]) == joined
+        assert bool(plan.graph[rows[0], rows[2]])
+
+
+def test_recordings_keep_heights(tmp_path: Path) -> None:
+    scenes = load(tmp_path, CROSSING)
+    env = EgoEnv(scenes=scenes, traffic="idm", driver="idm", **OPTIONS)
+    recorder = Recorder(env)
+    env.reset(seed=0)
+    recorder.start()
+    done = False
+    while not done:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample() * 0)
+        recorder.step()
+        done = terminated or truncated
+    rollout = recorder.rollout()
+    assert rollout.elevation_m is not None
+    np.testing.assert_allclose(rollout.elevation_m[0], overpass.BRIDGE_M, atol=0.01)
+    rollout.save(tmp_path / "r.npz")
+    again = Rollout.load(tmp_path / "r.npz")
+    assert (again.elevation_m == rollout.elevation_m).all()
+    played = rollout.to_scene()
+    assert play(SceneSet([played]))["metrics"]["collision"] == 0
+    assert (played.tracks()["elevation_m"][0] > 7).all()
+
+
+def test_metrics_of_motions_part_levels(tmp_path: Path) -> None:
+    scene = load(tmp_path, CROSSING)[0]
+    tracks = scene.tracks()
+    arrays = (tracks["position"], tracks["heading"], scene.sizes[:, :2])
+    flat, real = Motion(*arrays), Motion(*arrays, elevation_m=tracks["elevation_m"])
+    assert flat.collisions().any("all")
+    assert not real.collisions().any("all")
+    assert (flat.min_ttc() == 0).all()
+    assert (real.min_ttc() == 20).all()
+    assert np.isfinite(flat.post_encroachment_time()).all()
+    assert np.isinf(real.post_encroachment_time()).all()
+    layers = scene.map_layers()
+    areas = [(area["exterior"], area["holes"]) for area in layers["drivable_area"]]
+    heights = layers["elevation_m"]["drivable_area"]
+    assert real.off_road(areas, elevation_m=heights).box_rate == 0
+    # the same places at the other's height: on the road only where the roads cross, 12 m of 90 m
+    swapped = Motion(*arrays, elevation_m=tracks["elevation_m"][::-1].copy())
+    assert swapped.off_road(areas, elevation_m=heights).centroid_rate > 0.8
+
+
+def test_snapshots_go_on_at_their_heights(tmp_path: Path) -> None:
+    scenes = load(tmp_path, CROSSING)
+    env = EgoEnv(scenes=scenes, traffic="idm", driver="idm", **OPTIONS)
+    env.reset(seed=0)
+    native = env.unwrapped.worlds.native
+    for _ in range(20):
+        env.step(env.action_space.sample() * 0)
+    kept, digests = native.snapshot(0), []
+    for _ in range(2):
+        native.restore(0, kept)
+        for _ in range(20):
+            env.step(env.action_space.sample() * 0)
+        digests.append(native.digest(0))
+        assert native.states(0)["elevation_m"] == pytest.approx([overpass.BRIDGE_M, 0], abs=0.01)
+    assert digests[0] == digests[1]
+
+
+def test_flat_scenes_have_no_heights() -> None:
+    scene: Scene = ccdiff_env.embedded_scenes()[0]
+    env = EgoEnv(scenes=SceneSet([scene]))
+    env.reset(seed=0)
+    assert "elevation_m" not in env.unwrapped.worlds.native.states(0)
+    assert "elevation_m" not in scene.tracks()
