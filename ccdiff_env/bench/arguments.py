@@ -78,8 +78,9 @@ METHODS, TRAFFIC = "bench.methods:METHODS", "bench.planners:TRAFFIC"
 PLANNERS = (
     "constant_velocity, idm, lane_idm, replay, pdm, pdm_ccdiff, arbiter, diffusion, ccdiff, ego, "
     "ego_replay, imitation, pdm_open, module:name of a class or function, module:name?option=value "
-    "with options, files of this package (.safetensors) or of stable-baselines3 (.zip, which runs "
-    "the code in it: trust whoever made it)"
+    "with options, nuplan:package.module.Class of a planner of nuPlan, files of this package "
+    "(.safetensors) or of stable-baselines3 (.zip, which runs the code in it: trust whoever made "
+    "it)"
 )
 
 

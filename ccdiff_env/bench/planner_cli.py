@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from ccdiff_env.bench.arguments import (
@@ -38,6 +39,16 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="constant_velocity,lane_idm,idm,pdm,replay",
         help=f"comma-separated, of: {PLANNERS}",
     )
+    parser.add_argument(
+        "--nuplan",
+        metavar="FOLDER",
+        help="checkout of nuplan-devkit, and of planners after ':' (default: CCDIFF_NUPLAN)",
+    )
+    parser.add_argument(
+        "--nuplan-score",
+        action="store_true",
+        help="a column of nuPlan's own score, by the metrics of nuplan-devkit",
+    )
     traffic = add_traffic(parser, None)  # the protocol can tell whether it was given
     traffic.help = f"{traffic.help} (default: {_USUAL_TRAFFIC})"
     parser.add_argument(
@@ -55,15 +66,22 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.planner_report import short_name, worst_scenes, write_report
     from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
     from ccdiff_env.bench.protocol import PROTOCOL
+    from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
     fixed = PROTOCOL.fix(args)
+    if args.nuplan is not None:
+        os.environ[VARIABLE] = args.nuplan  # processes of jobs look there, too
+    if args.nuplan_score:
+        find_devkit()
     planners = list(dict.fromkeys(args.planners.split(",")))
     traffic = (args.traffic or _USUAL_TRAFFIC).split(",")
     seeds = seeds_of(args.seeds or "0,1,2")
     jobs = [
         job
         for seed in seeds
-        for job in planner_jobs(str(place_from(args)), planners, traffic, seed=seed)
+        for job in planner_jobs(
+            str(place_from(args)), planners, traffic, seed=seed, by_nuplan=args.nuplan_score
+        )
     ]
     scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
     if fixed:

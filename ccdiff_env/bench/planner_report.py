@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,8 @@ _PARTS = (
     "speed_limit",
     "success",
 )
+#: nuPlan's own score of an episode, where it was asked for.
+NUPLAN = "nuplan_score"
 _REASONS = {
     "no_at_fault_collision": "collision at fault",
     "on_road": "off the road",
@@ -80,11 +82,16 @@ def over_seeds(found: Results) -> dict[tuple[str, str], list[dict[str, Any]]]:
             {
                 "scene": scene,
                 "log_fails": several[0].get("log_fails", False),
-                **{part: _mean([row[part] for row in several]) for part in _PARTS},
+                **{part: _mean([row[part] for row in several]) for part in _parts(several)},
             }
             for scene, several in sorted(by_scene.items())
         ]
     return means
+
+
+def _parts(rows: Iterable[Row]) -> tuple[str, ...]:
+    """Columns of rows: nuPlan's own score where all have it."""
+    return _PARTS[:1] + (NUPLAN,) * all(NUPLAN in row for row in rows) + _PARTS[1:]
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -214,7 +221,8 @@ def write_report(
     """
     planners = list(dict.fromkeys(p for p, _ in found))
     traffic = list(dict.fromkeys(t for _, t in found))
-    parts = ("seed", "scene", *_PARTS, "min_ttc_s")
+    shown = _parts(row for rows in found.values() for row in rows)
+    parts = ("seed", "scene", *shown, "min_ttc_s")
     rows = [[*key, *(row[part] for part in parts)] for key, of in found.items() for row in of]
     Table(["planner", "traffic", *parts], rows).write_csv(folder / "scores.csv")
     write_aside(folder / "scenes.md", scenes_table(found, planners, traffic, pages or {}))
@@ -224,12 +232,12 @@ def write_report(
     _write_headlines(found, planners, traffic, folder / "headlines.csv")
     if len(planners) > 1:
         _write_pairs(found, planners, traffic, folder / "pairs.csv")
-    columns = [Column(part, interval=part == "score") for part in _PARTS]
+    columns = [Column(part, interval=part == "score") for part in shown]
     tables = [
         Table(
             ["planner", *columns],
             [
-                [title_of(p), *(mean_interval(found[p, t], part) for part in _PARTS)]
+                [title_of(p), *(mean_interval(found[p, t], part) for part in shown)]
                 for p in planners
             ],
             f"Traffic: {TRAFFIC[t].label}",

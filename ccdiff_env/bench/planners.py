@@ -29,6 +29,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers, on_device
+from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -158,6 +159,7 @@ def planner_jobs(
     *,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
+    by_nuplan: bool = False,
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
@@ -170,7 +172,7 @@ def planner_jobs(
         :data:`~ccdiff_env.policies.planners.BUILT_IN`, a policy of
         :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
         by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
-        :func:`play`.
+        :func:`play`, or ``nuplan:package.module.Class`` of a planner of nuPlan.
     traffic
         Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``adversary:FILE`` of a
         policy that ``bench selection`` trained.
@@ -178,6 +180,8 @@ def planner_jobs(
         Seed of the episodes.
     options
         Further fields of :class:`~ccdiff_env.config.WorldConfig`, such as what policies observe.
+    by_nuplan
+        Whether nuPlan's own score is taken, too, see :mod:`ccdiff_env.bench.nuplan_score`.
     """
     for name in traffic:
         if name not in TRAFFIC:
@@ -199,6 +203,7 @@ def planner_jobs(
                 "seed": seed,
                 "sources": drives[planner, name],
                 **({"options": dict(options)} if options else {}),
+                **({"by_nuplan": True} if by_nuplan else {}),
             },
             {
                 "protocol": PROTOCOL.sha256,
@@ -233,6 +238,7 @@ def evaluate(
     seed: int,
     sources: Mapping[str, str | None] | None = None,
     options: Mapping[str, Any] | None = None,
+    by_nuplan: bool = False,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Drive scenes with a planner: one dictionary of metrics and the score per scene.
@@ -241,11 +247,25 @@ def evaluate(
     ------
     ConfigError
         If the planner, or the model of traffic, is no more what ``sources`` are digests of.
+    MissingFeatureError
+        With ``by_nuplan``, if there is no nuplan-devkit.
     """
-    _check_sources(planner, traffic, sources)
-    scenes = scenes_of(source, names)
-    rows = play(scenes, planner, on_device(TRAFFIC[traffic], device), seed=seed, options=options)
-    return with_log(rows, source, names)
+    rows, rollouts = evaluate_recorded(
+        source=source,
+        names=names,
+        planner=planner,
+        traffic=traffic,
+        seed=seed,
+        record=names if by_nuplan else (),
+        sources=sources,
+        options=options,
+        device=device,
+    )
+    if not by_nuplan:
+        return rows
+    steps = PROTOCOL.fields["world"]["horizon_steps"]
+    scores = {name: nuplan_score(rollout, steps) for name, rollout in rollouts.items()}
+    return [{**row, "nuplan_score": scores[row["scene"]]["score"]} for row in rows]
 
 
 def with_log(
@@ -272,9 +292,13 @@ def evaluate_recorded(
     record: Collection[str],
     sources: Mapping[str, str | None] | None = None,
     options: Mapping[str, Any] | None = None,
+    by_nuplan: bool = False,
     device: str = "cpu",
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate`, and record some scenes; raises as it does."""
+    """Do the same as :func:`evaluate` without nuPlan's score, and record some scenes.
+
+    Raises as it does.
+    """
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
     rows, rollouts = drive(

@@ -19,6 +19,7 @@ from typing import Any
 
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.models import weight_files
 from ccdiff_env.system.files import read_bytes, read_text
 from ccdiff_env.system.named_objects import named_object
@@ -124,9 +125,9 @@ def scene_hashes(source: str, names: Sequence[str] | None = None) -> dict[str, s
 def source_digest(name: str) -> str | None:
     """Return the SHA-256 of what a planner, or a model of traffic, is made of.
 
-    Of a file that is its bytes. Of ``module:name`` it is the source of the module, of all that it
-    imports from outside of installed packages, and the bytes of the files that its optional
-    attribute ``files``, or an option, names.
+    Of a file that is its bytes. Of ``module:name``, and of a planner of nuPlan, it is the source of
+    the module, of all that it imports from outside of installed packages, and the bytes of the
+    files that its optional attribute ``files``, or an option, names.
 
     Parameters
     ----------
@@ -159,8 +160,12 @@ def source_digest(name: str) -> str | None:
 
 
 def _of_module(name: str) -> str:
-    target = named_object(name, "planner")
-    sources = _sources(name.partition(":")[0])
+    if name.startswith(PREFIX):
+        target: Any = nuplan_planner(name)
+        module = target.module
+    else:
+        target, module = named_object(name, "planner"), name.partition(":")[0]
+    sources = _sources(module)
     files = [Path(file) for file in getattr(target, "files", ())]
     given = (part.partition("=")[2] for part in name.partition("?")[2].split("&"))
     files += [Path(value) for value in given if value and Path(value).is_file()]

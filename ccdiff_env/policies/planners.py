@@ -27,6 +27,7 @@ from ccdiff_env.errors import (
     PolicyError,
     ShapeError,
 )
+from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.policies.arbitration import Arbiter
 from ccdiff_env.policies.holding import Held
@@ -60,8 +61,8 @@ Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
     f"the ego, of: {', '.join((*driver_names(), *BUILT_IN, *SHIPPED))}, module:name of a planner, "
-    "module:name?option=value with options, the file of a policy (.safetensors, or .zip, which "
-    "runs the code in it: trust whoever made it)"
+    "module:name?option=value with options, nuplan:package.module.Class of a planner of nuPlan, "
+    "the file of a policy (.safetensors, or .zip, which runs the code in it: trust whoever made it)"
 )
 
 
@@ -425,8 +426,9 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
         :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.policies` by name, or its file
         (``.safetensors``); a :class:`Planner`, a class of one, a function from observations
         [N, D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
-        options); an object with ``predict`` as those of stable-baselines3; or the path of a
-        policy that stable-baselines3 saved.
+        options); ``nuplan:package.module.Class`` of a planner of nuPlan, see
+        :func:`~ccdiff_env.interop.nuplan.nuplan_planner`; an object with ``predict`` as those of
+        stable-baselines3; or the path of a policy that stable-baselines3 saved.
 
     Raises
     ------
@@ -439,6 +441,8 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
         name = os.fspath(ego)
         if name.endswith(".zip") and "?" not in name:
             return "external", load_sb3(ego)
+        if name.startswith(PREFIX):
+            return "external", Seat(nuplan_planner(name), name)
         if ":" in name:
             return "external", Seat(named_object(name, "planner"), name)
         if name in BUILT_IN:

@@ -86,6 +86,8 @@ def _options_of(found: Any) -> list[str]:
 def option_values(options: str, what: str, text: str) -> dict[str, Any]:
     """Return the values of ``name=value&name=value`` by name, as in :func:`named_object`.
 
+    Names of parts, ``part.name``, are names, too.
+
     Raises
     ------
     ConfigError
@@ -94,7 +96,7 @@ def option_values(options: str, what: str, text: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for part in options.split("&"):
         name, equals, value = part.partition("=")
-        if not equals or not name.isidentifier() or name in found:
+        if not equals or not all(map(str.isidentifier, name.split("."))) or name in found:
             raise ConfigError(f"{what} {text!r}: {part!r}, expected option=value, each option once")
         found[name] = _value(value)
     return found

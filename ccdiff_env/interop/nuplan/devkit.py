@@ -1,0 +1,120 @@
+"""Where nuplan-devkit is, and what stands in for the packages of clouds and databases it imports.
+
+The devkit's modules of maps, planners and metrics import packages that read its database and its
+maps from disks and clouds, which scenes of this package do without. Those of :data:`STANDS_IN`
+that are not installed are replaced by modules that can be imported and nothing else: whoever calls
+a function or makes an object of one gets a :class:`~ccdiff_env.errors.MissingFeatureError`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import os
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.errors import DatasetNotFoundError, MissingFeatureError
+
+__all__ = ["INSTALL", "STANDS_IN", "VARIABLE", "checkouts", "find_devkit"]
+
+#: Variable of the environment: checkouts of nuplan-devkit and of planners, separated as in PATH.
+VARIABLE = "CCDIFF_NUPLAN"
+#: Packages that the devkit imports and that scenes of this package do without.
+STANDS_IN = (
+    "geopandas", "fiona", "pyogrio", "rasterio", "aiofiles", "aioboto3", "boto3", "botocore",
+    "retry", "ujson", "hydra", "omegaconf",
+)  # fmt: skip
+INSTALL = "pip install 'ccdiff-env[nuplan]'"
+
+
+class _Absent(type):
+    """A name of a package that is not installed: can be passed on, not used."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _absent(f"{cls.__module__}.{cls.__name__}", name)
+
+    def __call__(cls, *_: Any, **__: Any) -> Any:
+        package = cls.__module__.partition(".")[0]
+        raise MissingFeatureError(
+            f"nuplan-devkit calls {cls.__module__}.{cls.__name__}: pip install {package}"
+        )
+
+
+def _absent(module: str, name: str) -> Any:
+    return _Absent(name, (), {"__module__": module})
+
+
+class _AbsentModule(types.ModuleType):
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if self.__name__ == "retry":  # decorates functions while modules are imported
+            return lambda *_, **__: lambda function: function
+        return _absent(self.__name__, name)
+
+
+class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Last in line: finds modules of packages that nobody else found."""
+
+    def __init__(self, packages: frozenset[str]) -> None:
+        self._packages = packages
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        if name.partition(".")[0] not in self._packages:
+            return None
+        return importlib.machinery.ModuleSpec(name, self, is_package=True)
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
+        return _AbsentModule(spec.name)
+
+    def exec_module(self, module: types.ModuleType) -> None:
+        module.__path__ = []
+
+
+def checkouts() -> list[Path]:
+    """Return the folders that :data:`VARIABLE` names.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If one of them is no folder.
+    """
+    found = [Path(part) for part in os.environ.get(VARIABLE, "").split(os.pathsep) if part]
+    for folder in found:
+        if not folder.is_dir():
+            raise DatasetNotFoundError(f"{VARIABLE} names {folder}, which is no folder")
+    return found
+
+
+def find_devkit() -> None:
+    """Make nuplan-devkit importable: from the checkouts that are named, else as installed.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If a folder that is named is not there.
+    MissingFeatureError
+        If the devkit, or a package that it needs, is missing; names it.
+    """
+    for folder in reversed([str(folder.resolve()) for folder in checkouts()]):
+        if folder not in sys.path:
+            sys.path.insert(0, folder)
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        missing = frozenset(p for p in STANDS_IN if importlib.util.find_spec(p) is None)
+        sys.meta_path.append(_Finder(missing))
+    try:
+        importlib.import_module("nuplan.planning.simulation.planner.abstract_planner")
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == "nuplan":
+            raise MissingFeatureError(
+                f"no nuplan-devkit ({error}): name your checkout by --nuplan or {VARIABLE}, or "
+                "install it: https://github.com/motional/nuplan-devkit"
+            ) from error
+        raise MissingFeatureError(f"nuplan-devkit needs {error.name}: {INSTALL}") from error

@@ -1,0 +1,203 @@
+"""A planner of nuPlan with its settings: from the YAML file that came with it, and options."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError
+from ccdiff_env.interop.nuplan.devkit import INSTALL, checkouts
+from ccdiff_env.system.files import read_text, reading
+from ccdiff_env.system.named_objects import option_values
+
+__all__ = ["Settings", "made_of", "read_settings"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a planner is made with.
+
+    Planners of nuPlan come with files of settings in ``config/simulation/planner``, which name a
+    class as ``_target_``, and its arguments. Of a class, the file that names it is taken, from the
+    checkouts and from beside the class; a class without one is made with the options alone.
+
+    Options change single values, those of parts by ``part.name=value``. Interpolations of Hydra
+    (``${...}``) are not followed: such values must be given.
+    """
+
+    #: What the planner was called, with ``nuplan:`` and options.
+    name: str
+    #: Arguments by name, with ``_target_``, as the file has them.
+    values: Mapping[str, Any]
+    #: The file, if there is one.
+    file: Path | None = None
+
+    @classmethod
+    def of(cls, name: str) -> Settings:
+        """Return the settings of a name, as :func:`~ccdiff_env.interop.nuplan.nuplan_planner` says.
+
+        Raises
+        ------
+        ConfigError
+            If there are no such settings, or no such option.
+        DatasetError
+            If the file is damaged.
+        MissingFeatureError
+            If PyYAML is not installed.
+        """
+        path, _, text = name.partition(":")[2].partition("?")
+        options = option_values(text, "planner", name) if text else {}
+        if path.endswith(".yaml"):
+            return cls(name, _changed(read_settings(Path(path)), options, name), Path(path))
+        files = list(_files(path.partition(".")[0]))
+        for file in files:
+            if "." not in path and file.stem == path:
+                return cls(name, _changed(read_settings(file), options, name), file)
+            if "." in path and path in read_text(file):
+                values = read_settings(file)
+                if values.get("_target_") == path:
+                    return cls(name, _changed(values, options, name), file)
+        if "." not in path:
+            known = ", ".join(sorted({file.stem for file in files})) or "none"
+            raise ConfigError(
+                f"planner {name!r}: no settings {path!r} in the checkouts, there are {known}; or "
+                "name a class: nuplan:package.module.Class"
+            )
+        return cls(name, {"_target_": path, **_changed({}, options, name)})
+
+    @property
+    def module(self) -> str:
+        """Module of the planner's class."""
+        return str(self.values["_target_"]).rpartition(".")[0]
+
+    def make(self) -> Any:
+        """Make a planner.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such class, it is no planner of nuPlan, it needs what scenes do not
+            have, or an argument is missing or unknown; the message names those there are.
+        """
+        from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
+        from nuplan.planning.simulation.planner.abstract_planner import AbstractPlanner
+
+        kind: Any = _named(self.values["_target_"], self.name)
+        if not inspect.isclass(kind) or not issubclass(kind, AbstractPlanner):
+            raise ConfigError(f"planner {self.name!r}: no class of nuPlan's AbstractPlanner")
+        if getattr(kind, "requires_scenario", False):
+            raise ConfigError(
+                f"planner {self.name!r} asks for nuPlan's scenario, which holds the log's future"
+            )
+        made = made_of(self.values, self.name)
+        seen = made.observation_type()
+        if seen is not DetectionsTracks:
+            raise ConfigError(
+                f"planner {self.name!r} observes {seen.__name__}, expected DetectionsTracks: "
+                "scenes have no sensors"
+            )
+        return made
+
+
+def _files(package: str) -> Iterator[Path]:
+    """Files of settings in the checkouts, and beside a package that is installed."""
+    folders = checkouts()
+    try:
+        spec = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        spec = None
+    folders += [Path(place) for place in (spec and spec.submodule_search_locations) or ()]
+    for folder in dict.fromkeys(folder.resolve() for folder in folders):
+        yield from sorted(folder.rglob("simulation/planner/*.yaml"))
+
+
+def read_settings(file: Path) -> dict[str, Any]:
+    """Return the values of a file of Hydra: those of its only entry, or its own.
+
+    Raises
+    ------
+    DatasetError
+        If it is damaged, or names no ``_target_``.
+    MissingFeatureError
+        If PyYAML is not installed.
+    """
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingFeatureError(f"settings of nuPlan need PyYAML: {INSTALL}") from error
+    with reading("settings of a planner", file):
+        found = yaml.safe_load(read_text(file))
+        if isinstance(found, dict) and "_target_" not in found and len(found) == 1:
+            (found,) = found.values()
+        if not isinstance(found, dict) or not isinstance(found.get("_target_"), str):
+            raise DatasetError("no _target_, expected a planner's class and its arguments")
+    return found
+
+
+def _changed(values: Mapping[str, Any], options: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Values with options in the place of some, by dotted names."""
+    changed = dict(values)
+    for path, value in options.items():
+        part, _, rest = path.partition(".")
+        if rest and not isinstance(changed.get(part), dict):
+            parts = [key for key, inner in changed.items() if isinstance(inner, dict)]
+            raise ConfigError(
+                f"planner {name!r}: no part {part!r} in its settings, there are "
+                f"{', '.join(parts) or 'none'}"
+            )
+        changed[part] = _changed(changed[part], {rest: value}, name) if rest else value
+    return changed
+
+
+def made_of(value: Any, name: str, path: str = "") -> Any:
+    """Return what a value of settings stands for: dictionaries with a target are made objects.
+
+    ``name`` is whose, for messages, and ``path`` where it stands in the settings.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such target, or its arguments are others.
+    """
+    if isinstance(value, list):
+        return [made_of(item, name, f"{path}[{i}]") for i, item in enumerate(value)]
+    if isinstance(value, str) and ("${" in value or value == "???"):
+        raise ConfigError(f"planner {name!r}: {path} is {value!r}, give it as ?{path}=value")
+    if not isinstance(value, Mapping):
+        return value
+    below = {
+        key: made_of(item, name, f"{path}.{key}".strip("."))
+        for key, item in value.items()
+        # keys by which Hydra is told what to do
+        if key not in ("_target_", "_convert_", "_recursive_")
+    }
+    if "_target_" not in value:
+        return below
+    kind = _named(value["_target_"], name)
+    given = inspect.signature(kind)
+    try:
+        given.bind(**below)
+    except TypeError as error:
+        raise ConfigError(
+            f"planner {name!r}: {kind.__name__}: {error}; it takes {', '.join(given.parameters)}, "
+            "as ?option=value"
+        ) from None
+    return kind(**below)
+
+
+def _named(target: str, name: str) -> Any:
+    """Import what a target names."""
+    module, _, attribute = str(target).rpartition(".")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        if f"{module}.".startswith(f"{error.name}."):
+            raise ConfigError(f"planner {name!r}: no module {error.name!r}") from None
+        raise MissingFeatureError(f"planner {name!r} needs {error.name}: {error}") from error
+    except (AttributeError, ValueError):
+        raise ConfigError(f"planner {name!r}: no {attribute!r} in module {module!r}") from None

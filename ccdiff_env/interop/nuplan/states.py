@@ -1,0 +1,178 @@
+"""States of agents as nuPlan has them: the ego by its rear axle, the others as tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from nuplan.common.actor_state.agent import Agent
+from nuplan.common.actor_state.ego_state import EgoState
+from nuplan.common.actor_state.oriented_box import OrientedBox
+from nuplan.common.actor_state.scene_object import SceneObjectMetadata
+from nuplan.common.actor_state.state_representation import StateSE2, StateVector2D, TimePoint
+from nuplan.common.actor_state.static_object import StaticObject
+from nuplan.common.actor_state.tracked_objects import TrackedObjects
+from nuplan.common.actor_state.tracked_objects_types import AGENT_TYPES, TrackedObjectType
+from nuplan.common.actor_state.vehicle_parameters import VehicleParameters
+from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
+
+from ccdiff_env.interop.nuplan.roads import wrap
+
+__all__ = ["SceneStates", "vehicle_of"]
+
+#: Shares of the length of nuScenes' Renault Zoe (4.084 m): from the rear axle to the middle of the
+#: box, as the loader of nuScenes has it, and from axle to axle (2.588 m). Other egos have the same.
+AXLE_TO_CENTRE = 1.385 / 4.084
+WHEEL_BASE = 2.588 / 4.084
+#: From the rear axle to the centre of gravity of nuPlan's own car, as a share of its length.
+_COG = 1.67 / 5.176
+#: Slowest speed at which the yaw rate says where the wheels point, and their greatest angle, rad.
+_ROLLING_MPS = 0.3
+_WHEEL_RAD = 1.0
+
+_KINDS = {
+    "vehicle": TrackedObjectType.VEHICLE,
+    "pedestrian": TrackedObjectType.PEDESTRIAN,
+    "cyclist": TrackedObjectType.BICYCLE,
+    "motorcycle": TrackedObjectType.BICYCLE,
+    "static": TrackedObjectType.GENERIC_OBJECT,
+}
+#: What static objects are, by their category.
+_STATIC = {
+    "movable_object.trafficcone": TrackedObjectType.TRAFFIC_CONE,
+    "movable_object.barrier": TrackedObjectType.BARRIER,
+}
+
+
+def vehicle_of(size_m: npt.ArrayLike) -> VehicleParameters:
+    """Return nuPlan's parameters of a car of a length, width and height [3], m."""
+    length, width, height = np.asarray(size_m, np.float64).tolist()
+    behind_m = AXLE_TO_CENTRE * length
+    return VehicleParameters(
+        vehicle_name="ego",
+        vehicle_type="ccdiff-env",
+        width=width,
+        front_length=0.5 * length + behind_m,
+        rear_length=0.5 * length - behind_m,
+        wheel_base=WHEEL_BASE * length,
+        cog_position_from_rear_axle=_COG * length,
+        height=height,
+    )
+
+
+class SceneStates:
+    """Makes states of a scene's agents into those of nuPlan, in the frame of the scene.
+
+    Agents are called by their numbers: their names in the data would say which scene it is.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    ego
+        Number of the agent that is the ego.
+    """
+
+    def __init__(self, scene: Any, ego: int) -> None:
+        self.ego = ego
+        #: The ego's measures.
+        self.vehicle = vehicle_of(scene.sizes[ego])
+        self._sizes = np.asarray(scene.sizes, np.float64)
+        both = zip(scene.agent_types, scene.agent_categories, strict=True)
+        self._kinds = [_STATIC.get(category, _KINDS[kind]) for kind, category in both]
+
+    def ego_state(
+        self,
+        states: Mapping[str, Any],
+        acceleration_mps2: float,
+        yaw_rate_radps: float,
+        now_us: int,
+    ) -> EgoState:
+        """Return the ego's state.
+
+        Parameters
+        ----------
+        states
+            ``position`` [A, 2] m, ``heading`` [A] rad and ``velocity`` [A, 2] m/s of all agents.
+        acceleration_mps2
+            Along its heading.
+        yaw_rate_radps
+            Of its heading.
+        now_us
+            Time, microseconds.
+        """
+        heading = float(states["heading"][self.ego])
+        x, y = (float(v) for v in states["position"][self.ego])
+        vx, vy = (float(v) for v in states["velocity"][self.ego])
+        cos, sin = np.cos(heading), np.sin(heading)
+        ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
+        rolls = abs(ahead) > _ROLLING_MPS
+        wheel = np.arctan(self.vehicle.wheel_base * yaw_rate_radps / ahead) if rolls else 0.0
+        return EgoState.build_from_center(
+            center=StateSE2(x, y, wrap(heading)),
+            center_velocity_2d=StateVector2D(ahead, left),
+            center_acceleration_2d=StateVector2D(acceleration_mps2, 0.0),
+            tire_steering_angle=float(np.clip(wheel, -_WHEEL_RAD, _WHEEL_RAD)),
+            time_point=TimePoint(now_us),
+            vehicle_parameters=self.vehicle,
+            angular_vel=yaw_rate_radps,
+        )
+
+    def drive(
+        self,
+        states: Mapping[str, npt.NDArray[Any]],
+        dt_s: float,
+        first_step: int = 0,
+        acceleration_mps2: npt.NDArray[Any] | None = None,
+    ) -> list[tuple[int, EgoState]]:
+        """Return the ego's states where it is there, by column.
+
+        Parameters
+        ----------
+        states
+            Those of :meth:`ego_state` over T steps, with ``valid`` [A, T].
+        dt_s
+            Seconds between steps.
+        first_step
+            Step of the first column: time zero is that of step 0.
+        acceleration_mps2
+            Along the heading [T]; from the change of speed by default.
+        """
+        speed = np.hypot(*np.moveaxis(states["velocity"][self.ego].astype(np.float64), -1, 0))
+        faster = np.diff(speed, prepend=speed[:1]) / dt_s
+        turned = np.diff(states["heading"][self.ego].astype(np.float64), prepend=0.0) / dt_s
+        valid = states["valid"][self.ego]
+        found = []
+        for k in np.flatnonzero(valid).tolist():
+            follows = k > 0 and valid[k - 1]
+            motion = faster[k] if acceleration_mps2 is None else acceleration_mps2[k]
+            now = {name: states[name][:, k] for name in ("position", "heading", "velocity")}
+            at_us = (first_step + k) * round(dt_s * 1e6)
+            turn = wrap(turned[k] * dt_s) / dt_s if follows else 0.0
+            known = follows or acceleration_mps2 is not None
+            found.append((k, self.ego_state(now, float(motion) if known else 0.0, turn, at_us)))
+        return found
+
+    def tracks(
+        self, states: Mapping[str, Any], active: npt.NDArray[np.bool_], now_us: int
+    ) -> DetectionsTracks:
+        """Return the tracks of the agents that are there [A], without the ego.
+
+        ``states`` and ``now_us`` are those of :meth:`ego_state`.
+        """
+        found: list[Any] = []
+        for i in np.flatnonzero(active).tolist():
+            if i == self.ego:
+                continue
+            x, y = (float(v) for v in states["position"][i])
+            box = OrientedBox(StateSE2(x, y, wrap(float(states["heading"][i]))), *self._sizes[i])
+            data = SceneObjectMetadata(now_us, f"{i}-{now_us}", i, str(i))
+            kind = self._kinds[i]
+            if kind in AGENT_TYPES:
+                velocity = StateVector2D(*(float(v) for v in states["velocity"][i]))
+                found.append(Agent(kind, box, velocity, data))
+            else:
+                found.append(StaticObject(kind, box, data))
+        return DetectionsTracks(TrackedObjects(found))
