@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import inspect
@@ -179,7 +180,9 @@ def made_of(value: Any, name: str, path: str = "") -> Any:
     if "_target_" not in value:
         return below
     kind = _named(value["_target_"], name)
-    given = inspect.signature(kind)
+    # planners inherit a __new__ that takes everything
+    own = inspect.isclass(kind) and inspect.isfunction(kind.__init__)
+    given = inspect.signature(functools.partial(kind.__init__, None) if own else kind)
     try:
         given.bind(**below)
     except TypeError as error:
