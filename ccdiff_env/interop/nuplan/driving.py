@@ -114,7 +114,8 @@ class Drive:
             here = led if here.center.distance_to(led.center) < _FOLLOWED_M else here
         self._egos.append(here)
         self._seen.append(self._states.tracks(now, now["active"], at_us))
-        history = SimulationHistoryBuffer(self._egos, self._seen, 1e-6 * self._dt_us)
+        past = deque(self._egos), deque(self._seen)  # a planner may keep what it is given
+        history = SimulationHistoryBuffer(*past, 1e-6 * self._dt_us)
         step = SimulationIteration(TimePoint(at_us), status.elapsed_steps)
         return PlannerInput(step, history, [])
 
