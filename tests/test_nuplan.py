@@ -120,7 +120,7 @@ def played(scenes, name, steps):
     """Ego's places [T, 3] in the first world: x, y and heading, and the worlds."""
     _, seat = ego_driver(name)
     config = PROTOCOL.world(seat, name, scenes[0].dt).with_options(
-        driver="external", traffic="replay"
+        driver="external", traffic="replay", on_collision="ignore", terminate_at_goal=False
     )
     worlds = begin(scenes, config, 0)
     out = worlds.last
@@ -219,6 +219,18 @@ def test_a_planner_is_given_the_rear_axle_two_seconds_and_all_others(mine, scene
     assert scene.name not in text
     assert not any(name in text for name in scene.agent_ids if len(name) > 4)
     assert ego.scene_object_metadata.token == "ego"
+
+
+def test_agents_of_another_level_are_not_seen(scenes):
+    from ccdiff_env.interop.nuplan.states import SceneStates
+
+    states = SceneStates(scenes[0], 0)
+    now = {k: v[:, 30] for k, v in scenes[0].tracks().items()}
+    there = np.flatnonzero(now["valid"])
+    above = np.zeros(len(now["valid"]), np.float32)
+    above[there[1]] = 5.0
+    seen = states.tracks({**now, "elevation_m": above}, now["valid"], 0).tracked_objects
+    assert {o.track_token for o in seen.tracked_objects} == {str(i) for i in there[2:]}
 
 
 def test_a_map_answers_as_shapely_does(scenes):

@@ -28,6 +28,8 @@ AXLE_TO_CENTRE = 1.385 / 4.084
 WHEEL_BASE = 2.588 / 4.084
 #: From the rear axle to the centre of gravity of nuPlan's own car, as a share of its length.
 _COG = 1.67 / 5.176
+#: How far apart levels of a scene are, m.
+_LEVEL_M = 2.5
 #: Slowest speed at which the yaw rate says where the wheels point, and their greatest angle, rad.
 _ROLLING_MPS = 0.3
 _WHEEL_RAD = 1.0
@@ -160,9 +162,13 @@ class SceneStates:
     ) -> DetectionsTracks:
         """Return the tracks of the agents that are there [A], without the ego.
 
-        ``states`` and ``now_us`` are those of :meth:`ego_state`.
+        ``states`` and ``now_us`` are those of :meth:`ego_state`. With ``elevation_m`` [A] among the
+        states, those of other levels are left out: nuPlan's world is flat.
         """
         found: list[Any] = []
+        if "elevation_m" in states:
+            above = states["elevation_m"] - states["elevation_m"][self.ego]
+            active = active & (np.abs(above) <= _LEVEL_M)
         for i in np.flatnonzero(active).tolist():
             if i == self.ego:
                 continue
