@@ -18,13 +18,14 @@ from nuplan.common.actor_state.tracked_objects_types import AGENT_TYPES, Tracked
 from nuplan.common.actor_state.vehicle_parameters import VehicleParameters
 from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
 
+from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M
 from ccdiff_env.interop.nuplan.roads import wrap
 
 __all__ = ["SceneStates", "vehicle_of"]
 
 #: Shares of the length of nuScenes' Renault Zoe (4.084 m): from the rear axle to the middle of the
 #: box, as the loader of nuScenes has it, and from axle to axle (2.588 m). Other egos have the same.
-AXLE_TO_CENTRE = 1.385 / 4.084
+AXLE_TO_CENTRE = EGO_AXLE_TO_CENTRE_M / 4.084
 WHEEL_BASE = 2.588 / 4.084
 #: From the rear axle to the centre of gravity of nuPlan's own car, as a share of its length.
 _COG = 1.67 / 5.176
