@@ -250,22 +250,19 @@ def evaluate(
     MissingFeatureError
         With ``by_nuplan``, if there is no nuplan-devkit.
     """
-    rows, rollouts = evaluate_recorded(
+    rows, _ = evaluate_recorded(
         source=source,
         names=names,
         planner=planner,
         traffic=traffic,
         seed=seed,
-        record=names if by_nuplan else (),
+        record=(),
         sources=sources,
         options=options,
+        by_nuplan=by_nuplan,
         device=device,
     )
-    if not by_nuplan:
-        return rows
-    steps = PROTOCOL.fields["world"]["horizon_steps"]
-    scores = {name: nuplan_score(rollout, steps) for name, rollout in rollouts.items()}
-    return [{**row, "nuplan_score": scores[row["scene"]]["score"]} for row in rows]
+    return rows
 
 
 def with_log(
@@ -295,10 +292,7 @@ def evaluate_recorded(
     by_nuplan: bool = False,
     device: str = "cpu",
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate` without nuPlan's score, and record some scenes.
-
-    Raises as it does.
-    """
+    """Do the same as :func:`evaluate`, and record some scenes; raises as it does."""
     _check_sources(planner, traffic, sources)
     scenes = scenes_of(source, names)
     rows, rollouts = drive(
@@ -307,9 +301,14 @@ def evaluate_recorded(
         on_device(TRAFFIC[traffic], device),
         seed=seed,
         options=options,
-        record=record,
+        record=names if by_nuplan else record,
     )
-    return with_log(rows, source, names), rollouts
+    if by_nuplan:
+        steps = PROTOCOL.fields["world"]["horizon_steps"]
+        for row in rows:
+            row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
+    chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
+    return with_log(rows, source, names), chosen
 
 
 def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:
