@@ -342,3 +342,47 @@ def test_more_agents_than_there_are_are_refused_with_the_range(scenes):
     game.reset(seed=0)
     assert sum(game.role(name) == "adversary" for name in game.agents) == 3
     assert parallel_env(scenes=scenes, agents=int(most)).worlds.num_slots <= most
+
+
+# ---------------------------------------------------------------------------- starts that are drawn
+
+
+@pytest.mark.parametrize("ranking", ["nearest", "ttc", "cliques", "first", "random"])
+def test_vehicles_are_ranked_at_the_start_that_was_drawn(ranking):
+    options = {"traffic": "idm", "start_spread_steps": 60, "names": "slot"}
+    env = parallel_env(agents=4, adversaries=1, ranking=ranking, **options)
+    rows = ccdiff_env.AgentVectorEnv(
+        3, agents=4, ranking=ranking, traffic="idm", start_spread_steps=60
+    )
+    for seed in range(12):
+        _, infos = env.reset(seed=seed)
+        worlds = env.unwrapped.worlds
+        status = worlds.native.status(0)
+        scene = worlds.scenes[status.scene_idx]
+        expected = key_agents.logged_vehicles(scene, status.step_idx, ranking)[:4]
+        assert worlds.native.slot_agents(0)[: len(expected)] == expected
+        assert [infos[name]["agent_id"] for name in env.agents] == [
+            scene.agent_ids[a] for a in expected
+        ]
+        roles = [env.unwrapped.role(name) for name in env.agents]
+        assert roles == ["ego", "adversary", "ego", "ego"][: len(expected)]
+        rows.reset(seed=seed)
+        for e in range(3):
+            status = rows.worlds.native.status(e)
+            scene = rows.worlds.scenes[status.scene_idx]
+            expected = key_agents.logged_vehicles(scene, status.step_idx, ranking)[:4]
+            assert rows.worlds.native.slot_agents(e)[: len(expected)] == expected
+            assert rows.active_masks().reshape(3, -1)[e].sum() == len(expected)
+
+
+def test_all_vehicles_are_those_of_the_start_that_was_drawn():
+    env = parallel_env(agents="all", traffic="idm", start_spread_steps=60)
+    for seed in range(12):
+        env.reset(seed=seed)
+        worlds = env.unwrapped.worlds
+        scene = worlds.scenes[worlds.native.status(0).scene_idx]
+        there = worlds.native.states(0)["active"]
+        kinds = zip(scene.agent_ids, scene.agent_types, there, strict=True)
+        vehicles = {one for one, kind, active in kinds if kind == "vehicle" and active}
+        assert set(env.agents) == vehicles
+        assert vehicles <= set(env.possible_agents)

@@ -126,7 +126,9 @@ KEYWORDS = {
     "SelectionKeywords": (),
     "AgentKeywords": ("reward", "style", "driver", "decision_steps"),
     "EgoKeywords": ("ego", "adversaries", "adversary_shaping"),
-    "WorldKeywords": ("observation", "controlled", "num_slots", "autoreset"),
+    "WorldKeywords": (
+        *("observation", "controlled", "num_slots", "ranking", "num_adversaries", "autoreset"),
+    ),
 }
 #: What keywords take beside what fields hold.
 MORE = {

@@ -30,19 +30,29 @@ class AgentSelection:
     Parameters
     ----------
     ids
-        Controlled agents of each scene, one per slot, the ego first.
+        Controlled agents of each scene, one per slot, the ego first; of a ranking at starts that
+        are drawn, all vehicles that any start has.
     adversaries
-        Those among them that play against the others.
+        Ids among them that play against the others.
+    num_slots
+        Most agents that are controlled in any scene.
+    ranking
+        Ranking where episodes start; ``None`` for agents that are chosen beforehand.
+    num_adversaries
+        Slots behind the first that hold adversaries, with a ranking.
     """
 
     ids: tuple[tuple[str, ...], ...]
     adversaries: tuple[frozenset[str], ...]
+    num_slots: int
+    ranking: KeyRanking | None = None
+    num_adversaries: int = 0
 
     @classmethod
     def of(
         cls,
         scenes: SceneSet,
-        step: int,
+        config: WorldConfig,
         *,
         agents: Agents,
         ranking: KeyRanking,
@@ -54,8 +64,8 @@ class AgentSelection:
         ----------
         scenes
             The scenes.
-        step
-            Step of the log at which episodes start.
+        config
+            Configuration that says at which steps of the log episodes start.
         agents
             ``"all"`` vehicles that are there at the start, the ego and the first K - 1 others of
             the ranking, or ids. K is at most the vehicles that any scene ever has at a time.
@@ -76,12 +86,15 @@ class AgentSelection:
         elif not isinstance(agents, (str, int)):
             _expect_known("agents", agents, {one for scene in scenes for one in scene.agent_ids})
             _expect_most("agents", len(agents), MAX_SLOTS)
+        first, spread = config.history_steps, config.start_spread_steps
+        if spread and (count is not None or agents == "all"):
+            return cls._at_drawn_starts(scenes, first, spread, count, ranking, adversaries)
         ids = []
         for scene in scenes:
             if count is None and agents != "all":
                 chosen = [str(one) for one in agents if one in scene.agent_ids]  # type: ignore[union-attr]
             else:
-                ranked = logged_vehicles(scene, min(step, scene.num_steps - 1), ranking)
+                ranked = logged_vehicles(scene, min(first, scene.num_steps - 1), ranking)
                 chosen = [scene.agent_ids[i] for i in ranked[:count]]
             if not chosen:
                 raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
@@ -91,12 +104,41 @@ class AgentSelection:
             _expect_most("adversaries", against, max(len(chosen) for chosen in ids) - 1)
         elif adversaries is not None and adversaries != "others":
             _expect_known("adversaries", adversaries, {one for chosen in ids for one in chosen})
-        return cls(tuple(ids), tuple(_adversaries(adversaries, chosen) for chosen in ids))
+        roles = tuple(_adversaries(adversaries, chosen) for chosen in ids)
+        return cls(tuple(ids), roles, max(len(chosen) for chosen in ids))
 
-    @property
-    def num_slots(self) -> int:
-        """Most agents that are controlled in any scene."""
-        return max(len(ids) for ids in self.ids)
+    @classmethod
+    def _at_drawn_starts(
+        cls,
+        scenes: SceneSet,
+        first: int,
+        spread: int,
+        count: int | None,
+        ranking: KeyRanking,
+        adversaries: Adversaries,
+    ) -> AgentSelection:
+        """Leave the choice among the vehicles of each start to the worlds."""
+        ids, most = [], 0
+        for scene in scenes:
+            starts = slice(first, min(first + spread, scene.num_steps - 2) + 1)
+            vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], bool)
+            there = scene.tracks()["valid"][:, starts] & vehicles[:, None]
+            chosen = [scene.agent_ids[i] for i in np.flatnonzero(there.any(1))]
+            if not chosen:
+                raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
+            ids.append(tuple(sorted(chosen, key=lambda one: one != "ego")))
+            most = max(most, int(there.sum(0).max()))
+        num_slots = min(most if count is None else min(count, most), MAX_SLOTS)
+        by_slot = None if adversaries is None else _count("adversaries", adversaries, "others")
+        if adversaries == "others" or by_slot is not None:
+            if by_slot is not None:
+                _expect_most("adversaries", by_slot, num_slots - 1)
+            num = num_slots - 1 if by_slot is None else by_slot
+            return cls(tuple(ids), (frozenset(),) * len(ids), num_slots, ranking, num)
+        if adversaries is not None:
+            _expect_known("adversaries", adversaries, {one for chosen in ids for one in chosen})
+        against = tuple(_adversaries(adversaries, chosen) for chosen in ids)
+        return cls(tuple(ids), against, num_slots, ranking)
 
     def config(self, scenes: SceneSet, config: WorldConfig, shaping: float) -> WorldConfig:
         """Return the configuration with these agents in its slots, in their roles.
@@ -114,9 +156,12 @@ class AgentSelection:
         against = {
             name: [one for one in ids if one in chosen] for name, ids, chosen in roles if chosen
         }
+        ids = dict(zip(scenes.names, self.ids, strict=True))
         return config.with_options(
-            controlled=dict(zip(scenes.names, self.ids, strict=True)),
+            controlled=ids if self.ranking is None else "vehicles",
             num_slots=self.num_slots,
+            ranking=self.ranking or "first",
+            num_adversaries=self.num_adversaries,
             adversaries=against,
             adversary_shaping=shaping,
         )
@@ -130,12 +175,14 @@ class AgentSelection:
             raise unknown("form of names", str(names), ("token", "slot"))
         return tuple(dict.fromkeys(one for ids in self.ids for one in ids))
 
-    def adversary_slots(self, scene_idx: int) -> Bool:
-        """Return which slots [C] are adversaries in a scene."""
-        slots = np.zeros(self.num_slots, np.bool_)
-        for i, one in enumerate(self.ids[scene_idx]):
-            slots[i] = one in self.adversaries[scene_idx]
-        return slots
+    def adversary_slots(self, scene_idx: int, slots: Sequence[str | None]) -> Bool:
+        """Return which slots [C] are adversaries in a scene, from the ids in the slots."""
+        by_slot = range(1, self.num_adversaries + 1)
+        against = self.adversaries[scene_idx]
+        return np.array(
+            [one is not None and (c in by_slot or one in against) for c, one in enumerate(slots)],
+            np.bool_,
+        )
 
 
 def _count(name: str, choice: Any, word: str) -> int | None:

@@ -101,7 +101,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         resolved = world_config(chosen, config, options, observation)
         selection = AgentSelection.of(
             chosen,
-            resolved.history_steps,
+            resolved,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
@@ -265,12 +265,13 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         """Note who plays in the worlds that began an episode, and say so in their rows."""
         for e in np.flatnonzero(begun):
             scene_idx = self.worlds.native.status(int(e)).scene_idx
-            self._adversary[e] = self._selection.adversary_slots(scene_idx)
             ids = self.worlds.scenes[scene_idx].agent_ids
+            agents = self.worlds.native.slot_agents(int(e))
+            names = [None if agent is None else ids[agent] for agent in agents]
+            self._adversary[e] = self._selection.adversary_slots(scene_idx, names)
             common = self.worlds.reset_info(int(e), self._info)
-            for c, agent in enumerate(self.worlds.native.slot_agents(int(e))):
+            for c, name in enumerate(names):
                 role = "adversary" if self._adversary[e, c] else "ego"
-                name = None if agent is None else ids[agent]
                 texts = {} if self._info == "none" else {"agent_id": name, "role": role}
                 values = {**common, **texts}
                 self._put(infos, int(e) * self.num_slots + c, values)

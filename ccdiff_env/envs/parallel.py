@@ -129,7 +129,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         resolved = world_config(chosen, config, options, observation)
         selection = AgentSelection.of(
             chosen,
-            resolved.history_steps,
+            resolved,
             agents=agents,
             ranking=ranking,
             adversaries=adversaries,
@@ -248,7 +248,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             ids[agent] if self._by_token else self.possible_agents[slot]: slot
             for slot, agent in self._agent_of.items()
         }
-        self._adversary = self._selection.adversary_slots(self._scene_idx())
+        names = [None if agent is None else ids[agent] for agent in agents]
+        self._adversary = self._selection.adversary_slots(self._scene_idx(), names)
         self.agents = list(self._slots)
 
     def role(self, agent: str) -> str:

@@ -22,6 +22,7 @@ from ccdiff_env.traffic.options import (
     ObservationConfig,
     Pedestrians,
     Randomization,
+    Ranking,
     RewardConfig,
     SceneOrder,
     TrafficCollision,
@@ -94,4 +95,6 @@ class WorldKeywords(EgoKeywords, total=False):
     observation: ObservationConfig | Mapping[str, Any]
     controlled: Controlled | list[str]
     num_slots: int
+    ranking: Ranking
+    num_adversaries: int
     autoreset: Autoreset

@@ -32,6 +32,9 @@ Controlled: TypeAlias = (
     Literal["ego", "any", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 )
 
+#: Which vehicles come first where an episode starts.
+Ranking: TypeAlias = Literal["cliques", "nearest", "ttc", "first", "random"]
+
 #: Who moves pedestrians.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
 
@@ -324,6 +327,8 @@ class WorldOptions:
     controlled: Controlled = "ego"
     #: Slots per world (in [1, 512]).
     num_slots: int = 1
+    #: Which vehicles get the slots of ``controlled="vehicles"``, behind the ego.
+    ranking: Ranking = "first"
     #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
     driver: str = "external"
     #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
@@ -354,6 +359,8 @@ class WorldOptions:
     #: an adversary is minus the mean reward of the others; once only adversaries are left, their
     #: episodes are cut off.
     adversaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
+    #: Slots behind the first one that hold adversaries, too.
+    num_adversaries: int = 0
     #: Share of the rewards for its own road departures and discomfort that an adversary gets
     #: besides (in [-1000000, 1000000]).
     adversary_shaping: float = 0.0
@@ -445,12 +452,6 @@ class EgosConfig:
 
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
-
-#: How the vehicles to be guided are found.
-Ranking: TypeAlias = (
-    Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
-    | Mapping[str, tuple[str, ...]]
-)
 
 #: Who drives the vehicles outside the guided set.
 BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]

@@ -24,7 +24,7 @@ choices! {
         /// A vehicle and a start drawn for each episode from those whose log is 10 m away at the end of the horizon; in a
         /// scene without any, the ego. `ego="any"` for short.
         Any = "any",
-        /// Vehicles present at the start, in the scene's order (the ego first), as many as there are slots.
+        /// Vehicles present at the start, the ego first, then by `ranking`, as many as there are slots.
         Vehicles = "vehicles",
         /// Agents by id; unknown ones leave their slot empty.
         Ids(Vec<String>) = "ids",
@@ -44,6 +44,23 @@ impl Controlled {
             Self::Ids(ids) => ids.iter().any(|id| present(id)),
             Self::PerScene(scenes) => scenes.get(&scene.name).into_iter().flatten().any(|id| present(id)),
         }
+    }
+}
+
+choices! {
+    /// Which vehicles come first where an episode starts.
+    #[derive(Clone, Copy, Eq)]
+    pub enum Ranking {
+        /// Those of heavy cliques of the time-to-contact graph of the three seconds before.
+        Cliques = "cliques",
+        /// The nearest to the ego.
+        Nearest = "nearest",
+        /// Those that would touch the ego soonest at constant velocities, then the nearest.
+        Ttc = "ttc",
+        /// The scene's order.
+        First = "first",
+        /// A shuffle, the same for every episode.
+        Random = "random",
     }
 }
 
@@ -157,6 +174,8 @@ options! {
         controlled: Controlled = Controlled::Ego;
         /// Slots per world.
         num_slots: usize = 1, range within(1.0, 512.0);
+        /// Which vehicles get the slots of `controlled="vehicles"`, behind the ego.
+        ranking: Ranking = Ranking::First;
         /// Who drives the agents that have a slot: `"external"` (actions), or a driver by name.
         driver: String = EXTERNAL.into();
         /// Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for each vehicle and
@@ -184,6 +203,8 @@ options! {
         /// Agents with a slot that play against the others, ids by the name of the scene. The reward of an adversary is minus
         /// the mean reward of the others; once only adversaries are left, their episodes are cut off.
         adversaries: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        /// Slots behind the first one that hold adversaries, too.
+        num_adversaries: usize = 0, range within(0.0, 511.0);
         /// Share of the rewards for its own road departures and discomfort that an adversary gets besides.
         adversary_shaping: Real = 0.0, range WEIGHT;
         /// Share of the way to the goal that makes an episode without accident a success.

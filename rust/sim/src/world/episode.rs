@@ -13,6 +13,7 @@ use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
 use crate::world::progress::Progress;
+use crate::world::ranked::ranked_vehicles;
 use crate::world::rng::Rng;
 use crate::world::start::{Start, Wanted};
 use serde::{Deserialize, Serialize};
@@ -213,7 +214,10 @@ impl Episode {
         style: &BTreeMap<String, Real>,
     ) {
         let log = &scene.scene;
-        let mut first_unseen = 0;
+        let vehicles = match config.controlled {
+            Controlled::Vehicles => ranked_vehicles(scene, self.step_idx, config.ranking),
+            _ => Vec::new(),
+        };
         let rng = Rng::new(self.seed).split(self.number).split(u64::MAX - 1);
         self.slots.clear();
         for c in 0..config.num_slots {
@@ -224,13 +228,7 @@ impl Episode {
                 Controlled::PerScene(scenes) => {
                     scenes.get(&log.name).and_then(|ids| ids.get(c)).and_then(|id| log.agent_index(id))
                 }
-                Controlled::Vehicles => {
-                    let is_vehicle =
-                        |a: &usize| scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a];
-                    let found = (first_unseen..log.num_agents()).find(is_vehicle);
-                    first_unseen = found.map_or(log.num_agents(), |a| a + 1);
-                    found
-                }
+                Controlled::Vehicles => vehicles.get(c).copied(),
             };
             let agent_idx = agent.filter(|a| self.states.active[*a]);
             if let Some(a) = agent_idx {

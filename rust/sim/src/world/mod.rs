@@ -25,6 +25,7 @@ mod map_queries;
 mod motion;
 mod policies;
 mod progress;
+mod ranked;
 mod reward;
 mod reward_columns;
 mod rng;

@@ -13,7 +13,9 @@ impl World {
         let ids = config.adversaries.get(&log.name);
         let plays = |a: usize| ids.is_some_and(|ids| ids.contains(&log.agents[a].id));
         self.adversaries.clear();
-        self.adversaries.extend(self.episode.slots.iter().map(|s| s.agent_idx.is_some_and(plays)));
+        let slots = self.episode.slots.iter().enumerate();
+        let by_slot = |c: usize| (1..=config.num_adversaries).contains(&c);
+        self.adversaries.extend(slots.map(|(c, s)| s.agent_idx.is_some_and(|a| by_slot(c) || plays(a))));
     }
 
     /// Rewards of adversaries over a decision that began after `since` elapsed steps: minus the mean reward of the others
