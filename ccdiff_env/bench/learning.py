@@ -18,6 +18,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.table import Block, Table, TableRows, document
 
 __all__ = ["TRAINING_STAGES", "learning_table", "train_ego", "training_jobs"]
@@ -189,7 +190,7 @@ def train_ego(
         n_steps=n_steps,
         **PPO_SETTINGS,
         policy_kwargs={**policy, "net_arch": [128, 128], "log_std_init": -1.0},
-        seed=seed,
+        seed=spread_seed(seed),
         device="cpu",
     )
     if start is not None:

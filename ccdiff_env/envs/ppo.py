@@ -27,6 +27,7 @@ from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
+from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.traffic import EGOS
 
 Floats: TypeAlias = np.ndarray[Any, Any]
@@ -249,7 +250,7 @@ def train(args: argparse.Namespace) -> None:
     saved = torch.load(checkpoint, weights_only=True) if args.resume else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
-    worlds = Worlds(args, config, args.seed + done["decisions"])
+    worlds = Worlds(args, config, spread_seed(args.seed, done["decisions"]))
     for policy in policies:
         policy.check(worlds.envs[0].worlds)
     layout = worlds.envs[0].worlds.layout
