@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Certificate", "schema_digest"]
 
-FORMAT = "ccdiff-env certificate 1"
+FORMAT = "ccdiff-env certificate 2"
 #: Episodes since the seed that a replay goes through.
 MOST_EPISODES = 100_000
 
