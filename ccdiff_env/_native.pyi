@@ -221,6 +221,10 @@ class Scene:
         """``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle`` or ``static`` for each agent."""
 
     @property
+    def towed(self) -> list[tuple[int, int]]:
+        """Agents that others tow, and by whom: boxes that overlap in line and move together."""
+
+    @property
     def agent_categories(self) -> list[str]:
         """The data set's own category of each agent."""
 

@@ -25,7 +25,7 @@ def wide_road():
 
 
 def array_scene(*agents, name="own", dt_s=DT_S):
-    """A scene of such agents; velocities are differences of the positions."""
+    """A scene of such agents, gaps and all; velocities are differences of the positions."""
     steps = max(np.size(a["x"]) for a in agents)
 
     def rows(key, default):
@@ -44,6 +44,7 @@ def array_scene(*agents, name="own", dt_s=DT_S):
         valid=rows("valid", True).astype(bool),
         dt=dt_s,
         map_layers=wide_road(),
+        mend=False,
     )
 
 

@@ -168,3 +168,46 @@ def test_replay_of_real_scenes_shows_their_logs(data_root):
         )
         for step, states, _ in played(env):
             assert states["active"][valid[:, step]].all()
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("traffic", ["replay", "constant_velocity"])
+def test_long_steps_find_the_contacts_of_short_ones(dt_s, traffic):
+    # two cars cross at 15 m/s; at the full steps they are far from each other
+    times = np.arange(round(16.0 / dt_s)) * dt_s
+    at_s = 5.25
+    cross = agent("cross", 0.0, 15.0 * (times - at_s), heading=np.pi / 2)
+    ego = agent("ego", 15.0 * (times - at_s), 0.0)
+    env = EgoEnv(
+        scenes=[array_scene(ego, cross, dt_s=dt_s)],
+        dt_s=dt_s,
+        history_steps=round(3.0 / dt_s),
+        horizon_steps=round(6.0 / dt_s),
+        driver="replay",
+        traffic=traffic,
+        terminate_at_goal=False,
+    )
+    *_, (step, _, info) = played(env)
+    assert info["collision"] == 1.0
+    assert step * dt_s == pytest.approx(at_s, abs=max(0.3, dt_s))
+    assert info["metrics"]["collision"] == 1.0
+
+
+def test_long_steps_stop_traffic_where_it_touches():
+    dt_s = 0.5
+    times = np.arange(32) * dt_s
+    lanes = [
+        agent("a", 15.0 * (times - 5.25), 0.0),
+        agent("b", 0.0, 15.0 * (times - 5.25), heading=np.pi / 2),
+    ]
+    env = EgoEnv(
+        scenes=[array_scene(agent("ego", 100.0, 50.0), *lanes, dt_s=dt_s)],
+        dt_s=dt_s,
+        history_steps=6,
+        horizon_steps=12,
+        driver="replay",
+        traffic="constant_velocity",
+    )
+    *_, (_, states, _) = played(env)
+    np.testing.assert_allclose(states["speed"][1:], 0.0)
+    assert np.abs(states["position"][1:]).max() < 5.0

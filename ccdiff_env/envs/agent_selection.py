@@ -122,6 +122,7 @@ class AgentSelection:
         for scene in scenes:
             starts = slice(first, min(first + spread, scene.num_steps - 2) + 1)
             vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], bool)
+            vehicles[[towed for towed, _ in scene.towed]] = False
             there = scene.tracks()["valid"][:, starts] & vehicles[:, None]
             chosen = [scene.agent_ids[i] for i in np.flatnonzero(there.any(1))]
             if not chosen:

@@ -116,6 +116,7 @@ def logged_vehicles(scene: Scene, step: int, ranking: KeyRanking, seed: int = 0)
     steps = slice(first, step + 1)
     valid = tracks["valid"][:, steps]
     vehicles = np.array([kind == "vehicle" for kind in scene.agent_types]) & valid[:, -1]
+    vehicles[[towed for towed, _ in scene.towed]] = False
     if not vehicles.any():
         return []
     ids = scene.agent_ids

@@ -359,7 +359,7 @@ class WorldOptions:
     #: an adversary is minus the mean reward of the others; once only adversaries are left, their
     #: episodes are cut off.
     adversaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
-    #: Slots behind the first one that hold adversaries, too.
+    #: Slots behind the first one that hold adversaries, too (in [0, 511]).
     num_adversaries: int = 0
     #: Share of the rewards for its own road departures and discomfort that an adversary gets
     #: besides (in [-1000000, 1000000]).

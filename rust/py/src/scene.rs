@@ -271,6 +271,11 @@ impl PyScene {
     }
 
     #[getter]
+    fn towed(&self) -> Vec<(usize, usize)> {
+        ccdiff_sim::stage::hitches(&self.scene)
+    }
+
+    #[getter]
     fn has_road(&self) -> bool {
         self.scene.map.has_road()
     }

@@ -80,6 +80,8 @@ pub struct AgentStates {
     /// How high each agent is, where the scene has levels; else empty.
     #[serde(skip)]
     pub heights: Vec<Height>,
+    /// The chain of hitched vehicles that the agent belongs to; empty where nobody is hitched to anybody.
+    pub(crate) chain: Vec<u32>,
 }
 
 impl AgentStates {
@@ -99,6 +101,7 @@ impl AgentStates {
             yaw_rate_radps: zeros(),
             active: vec![false; num_agents],
             heights: Vec::new(),
+            chain: Vec::new(),
         }
     }
 
@@ -123,6 +126,7 @@ impl AgentStates {
         self.active.clear();
         self.active.resize(num_agents, false);
         self.heights.clear();
+        self.chain.clear();
     }
 
     /// Elevation of an agent, metres, in a scene with levels.
@@ -152,6 +156,12 @@ impl AgentStates {
         near(a.elevation_m, b.elevation_m)
             || near(a.at(&p, q.position), b.elevation_m)
             || near(b.at(&q, p.position), a.elevation_m)
+    }
+
+    /// Whether two agents are hitched to each other: they never touch.
+    #[inline]
+    pub(crate) fn hitched(&self, i: usize, j: usize) -> bool {
+        !self.chain.is_empty() && self.chain[i] == self.chain[j]
     }
 
     /// Number of agents A.

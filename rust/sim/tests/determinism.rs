@@ -92,7 +92,12 @@ fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
     }
     assert_eq!(batch.world.digest(2).unwrap(), digest);
     // a reset that NEXT_STEP leaves pending is still pending after a rest
-    let next = WorldConfig { autoreset: Autoreset::NextStep, horizon_steps: 5, ..config("idm") };
+    let next = WorldConfig {
+        autoreset: Autoreset::NextStep,
+        horizon_steps: 5,
+        terminate_at_goal: false,
+        ..config("idm")
+    };
     let mut batch = Batch::new(vec![city(12)], next, 1, 1);
     batch.reset_all(0);
     (0..5).for_each(|_| batch.step(&[0.0; 2]).unwrap());

@@ -123,7 +123,7 @@ impl Playground {
         self.states.clear();
         for a in 0..s.len() {
             let driver = match status.drivers[a] {
-                Driver::External => -1.0,
+                Driver::External | Driver::Towed => -1.0,
                 Driver::Policy(place) => f32::from(place),
             };
             let there = if s.active[a] { 1.0 } else { 0.0 };

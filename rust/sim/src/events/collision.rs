@@ -299,6 +299,7 @@ fn push_if_in_contact(
     }
     if states.oriented_box(i, &footprints[i]).overlaps(&states.oriented_box(j, &footprints[j]))
         && states.same_level(i, j)
+        && !states.hitched(i, j)
     {
         pairs.push((a, b));
     }

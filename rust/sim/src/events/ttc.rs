@@ -153,8 +153,8 @@ simd_dispatch! {
     }
 }
 
-/// First time at which two agents touch when both keep their velocities, seconds; `None` beyond the horizon and between
-/// levels.
+/// First time at which two agents touch when both keep their velocities, seconds; `None` beyond the horizon, between
+/// levels and between hitched vehicles.
 ///
 /// The circles round the boxes are asked first: most pairs never come near.
 #[inline]
@@ -177,7 +177,7 @@ pub fn time_to_contact(
             return None;
         }
     }
-    if !states.same_level(i, j) {
+    if !states.same_level(i, j) || states.hitched(i, j) {
         return None;
     }
     let (a, b) = (states.oriented_box(i, &footprints[i]), states.oriented_box(j, &footprints[j]));

@@ -9,6 +9,8 @@ pub enum Driver {
     External,
     /// The policy at this place of the batch's table.
     Policy(u16),
+    /// Nobody: it is towed by the vehicle that it is hitched to.
+    Towed,
 }
 
 impl Driver {

@@ -5,6 +5,7 @@ use crate::observe::BevConfig;
 use crate::scene::{AgentKind, LEVEL_M, Scene};
 use crate::stage::centre_line::CentreLine;
 use crate::stage::ground::{Ground, Grounds};
+use crate::stage::hitch::{chains, hitches};
 use crate::stage::log::{Log, STEEPEST};
 use crate::stage::route::Route;
 use crate::state::{Footprint, Height};
@@ -49,6 +50,10 @@ pub struct Stage {
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
     grounds: Grounds,
+    /// Who is towed, and by whom, see [`hitches`].
+    pub hitches: Vec<(usize, usize)>,
+    /// The chain of each agent; empty where nobody is towed.
+    pub(crate) chains: Vec<u32>,
     /// Route of each agent.
     pub routes: Vec<Route>,
     /// Centre line along the route of each agent, made when it is first asked for.
@@ -65,6 +70,7 @@ impl PreparedScene {
         let grounds = Grounds::new(&scene, bev);
         let routes = Route::of_all(&scene, grounds.whole.lanes.as_ref());
         let footprints = scene.agents.iter().map(|a| Footprint::new(a.length_m, a.width_m)).collect();
+        let hitches = hitches(&scene);
         let stage = Stage {
             kinds: scene.agents.iter().map(|a| a.kind).collect(),
             log: Log::new(&scene),
@@ -72,6 +78,8 @@ impl PreparedScene {
             road_exits: OnceLock::new(),
             centre_lines: routes.iter().map(|_| OnceLock::new()).collect(),
             routes,
+            chains: chains(&hitches, scene.num_agents()),
+            hitches,
             scene,
         };
         Self { footprints, stage: Arc::new(stage) }
@@ -111,6 +119,11 @@ impl PreparedScene {
         };
         let still = Height { grade: 0.0, ..before };
         route.height(s_m).filter(is_near).or_else(of_lane).unwrap_or(still)
+    }
+
+    /// Whether an agent is towed by another one.
+    pub(crate) fn is_towed(&self, agent_idx: usize) -> bool {
+        self.hitches.iter().any(|(towed, _)| *towed == agent_idx)
     }
 
     /// Whether the log of a vehicle leaves the road after a step, at another one at the latest.

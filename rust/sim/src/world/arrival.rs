@@ -11,6 +11,7 @@ use crate::scene::{AgentKind, LEVEL_M};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Episode;
+use crate::world::tow;
 
 /// Who is lost from the log for this time has not been away: loaders fill gaps of up to as long. Seconds.
 const LOST_S: Real = 2.0;
@@ -21,6 +22,10 @@ const AT_LOG_M: Real = 0.01;
 pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfig) {
     for a in 0..e.states.len() {
         if e.states.active[a] || !scene.scene.is_valid(a, e.step_idx) {
+            continue;
+        }
+        if e.drivers[a] == Driver::Towed {
+            tow::let_in(e, scene, a, config.dt_s);
             continue;
         }
         let comes_back = e.drivers[a] == Driver::REPLAY && !e.halted[a] && !e.has_slot(a);

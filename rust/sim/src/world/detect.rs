@@ -1,14 +1,16 @@
 //! Phase "events" of a tick: contacts of the agents with slots, and where these are beside route, lane and road.
 
 use crate::events::Contact;
+use crate::geom::Real;
 use crate::world::config::WorldConfig;
 use crate::world::surroundings::road_and_lane;
+use crate::world::sweep::{parts, states_between};
 use crate::world::tick::World;
 
 impl World {
     /// Finds out what happened to the agents with slots. At the start of an episode contacts are taken as given.
     pub(super) fn find_events(&mut self, config: &WorldConfig, at_start: bool) {
-        self.find_contacts(at_start);
+        self.find_contacts(at_start, config.dt_s);
         let e = &mut self.episode;
         for slot in &mut e.slots {
             if let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) {
@@ -18,7 +20,7 @@ impl World {
     }
 
     /// The first contact of each slot that is no initial one; initial ones are forgotten when the two have parted.
-    fn find_contacts(&mut self, at_start: bool) {
+    fn find_contacts(&mut self, at_start: bool, dt_s: Real) {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();
         self.scratch.contacts.resize(e.slots.len(), None);
@@ -27,29 +29,36 @@ impl World {
         self.scratch
             .present
             .extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
-        let pairs = self.scratch.collisions.pairs_of(
-            &e.states,
-            &scene.footprints,
-            &scene.kinds,
-            &self.scratch.present,
-        );
-        let (active, touching) = (&e.states.active, |i: u32, j: u32| pairs.contains(&(i.min(j), i.max(j))));
-        let both_there = |i: u32, j: u32| active[i as usize] && active[j as usize];
-        e.initial_contacts.retain(|(i, j)| touching(*i, *j) || !both_there(*i, *j));
-        for (slot, contact) in e.slots.iter().zip(&mut self.scratch.contacts) {
-            let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };
-            for &(i, j) in pairs {
-                let (i, j) = (i as usize, j as usize);
-                let other = match a {
-                    a if a == i => j,
-                    a if a == j => i,
-                    _ => continue,
-                };
-                let pair = (a as u32, other as u32);
-                if at_start {
-                    e.initial_contacts.push(pair);
-                } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
-                    *contact = Some(Contact::between(&e.states, &scene.footprints, a, other));
+        let parts = if at_start { 1 } else { parts(dt_s) };
+        for part in 1..=parts {
+            let (before, was_active) = (&self.scratch.before, &self.active_before);
+            let between = (part < parts)
+                .then(|| states_between(&e.states, before, was_active, part as Real / parts as Real));
+            let states = between.as_ref().unwrap_or(&e.states);
+            let pairs = self.scratch.collisions.pairs_of(
+                states,
+                &scene.footprints,
+                &scene.kinds,
+                &self.scratch.present,
+            );
+            let touch = |i: u32, j: u32| pairs.contains(&(i.min(j), i.max(j)));
+            let both_there = |i: u32, j: u32| states.active[i as usize] && states.active[j as usize];
+            e.initial_contacts.retain(|(i, j)| touch(*i, *j) || !both_there(*i, *j));
+            for (slot, contact) in e.slots.iter().zip(&mut self.scratch.contacts) {
+                let Some(a) = slot.agent_idx.filter(|a| states.active[*a]) else { continue };
+                for &(i, j) in pairs {
+                    let (i, j) = (i as usize, j as usize);
+                    let other = match a {
+                        a if a == i => j,
+                        a if a == j => i,
+                        _ => continue,
+                    };
+                    let pair = (a as u32, other as u32);
+                    if at_start {
+                        e.initial_contacts.push(pair);
+                    } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
+                        *contact = Some(Contact::between(states, &scene.footprints, a, other));
+                    }
                 }
             }
         }

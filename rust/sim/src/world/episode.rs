@@ -8,7 +8,7 @@ use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
 use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Height};
-use crate::world::config::{Controlled, WorldConfig};
+use crate::world::config::{Controlled, Ranking, WorldConfig};
 use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
@@ -169,6 +169,7 @@ impl Episode {
                 self.drivers[a] = *driver;
             }
         }
+        self.states.chain.clone_from(&scene.chains);
         self.initial_contacts.clear();
         let len = policies.history_states;
         self.history = (len > 0).then(|| History::from_log(log, self.step_idx, len));
@@ -214,8 +215,11 @@ impl Episode {
         style: &BTreeMap<String, Real>,
     ) {
         let log = &scene.scene;
+        let mut first_unseen = 0;
         let vehicles = match config.controlled {
-            Controlled::Vehicles => ranked_vehicles(scene, self.step_idx, config.ranking),
+            Controlled::Vehicles if config.ranking != Ranking::First => {
+                ranked_vehicles(scene, self.step_idx, config.ranking)
+            }
             _ => Vec::new(),
         };
         let rng = Rng::new(self.seed).split(self.number).split(u64::MAX - 1);
@@ -227,6 +231,14 @@ impl Episode {
                 Controlled::Ids(ids) => ids.get(c).and_then(|id| log.agent_index(id)),
                 Controlled::PerScene(scenes) => {
                     scenes.get(&log.name).and_then(|ids| ids.get(c)).and_then(|id| log.agent_index(id))
+                }
+                Controlled::Vehicles if config.ranking == Ranking::First => {
+                    let drives = |a: &usize| {
+                        scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a] && !scene.is_towed(*a)
+                    };
+                    let found = (first_unseen..log.num_agents()).find(drives);
+                    first_unseen = found.map_or(log.num_agents(), |a| a + 1);
+                    found
                 }
                 Controlled::Vehicles => vehicles.get(c).copied(),
             };
@@ -346,6 +358,7 @@ impl Episode {
             && s.active.len() == n
             && s.heights.len() == if scene.scene.has_levels() { n } else { 0 }
             && s.heights.iter().all(|h| is_sound(h.elevation_m) && is_sound(h.grade))
+            && s.chain == scene.chains
             && self.drivers.len() == n
             && self.drivers.iter().all(|d| policies.has(*d))
             && self.entered.len() == n

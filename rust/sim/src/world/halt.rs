@@ -1,18 +1,19 @@
 //! Background agents that touch stop where they touch, and stay there.
 
 use crate::events::Collisions;
-use crate::geom::{Pose2, math};
+use crate::geom::{Pose2, Real};
 use crate::policy::Driver;
 use crate::scene::AgentKind;
 use crate::stage::PreparedScene;
 use crate::world::episode::Episode;
+use crate::world::sweep::{parts, pose_between, states_between};
 
 /// Halvings in the search for the moment of contact: 1/32 of a step, 5 cm at 16 m/s.
 const HALVINGS: usize = 5;
 
 /// Whether a vehicle without a slot is driven by another policy than its log.
 fn is_driven(e: &Episode, a: usize) -> bool {
-    matches!(e.drivers[a], Driver::Policy(_)) && e.drivers[a] != Driver::REPLAY && !e.has_slot(a)
+    !matches!(e.drivers[a], Driver::External | Driver::REPLAY) && !e.has_slot(a)
 }
 
 /// Takes the contacts at the start of an episode as given.
@@ -28,41 +29,65 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
 
 /// Stops the background agents of contacts that begin in a step and that a driven vehicle takes part in. They are put
 /// back to the moment of the contact; their velocity is that of the step, zero from the next one on. `before` holds
-/// the poses before the step.
-pub(super) fn halt(e: &mut Episode, scene: &PreparedScene, collisions: &mut Collisions, before: &[Pose2]) {
-    collisions.find(&e.states, &scene.footprints, &scene.kinds);
-    let pairs = collisions.pairs();
-    let gone = |a: u32| !e.states.active[a as usize];
-    e.given_contacts.retain(|pair| pairs.contains(pair) || gone(pair.0) || gone(pair.1));
-    for (i, j) in pairs {
-        let ends = [*i as usize, *j as usize];
-        if e.given_contacts.contains(&(*i, *j)) || !ends.iter().any(|a| is_driven(e, *a)) {
-            continue;
+/// the poses before the step, and who was there.
+pub(super) fn halt(
+    e: &mut Episode,
+    scene: &PreparedScene,
+    collisions: &mut Collisions,
+    (before, was_active): (&[Pose2], &[bool]),
+    dt_s: Real,
+) {
+    let parts = parts(dt_s);
+    for part in 1..=parts {
+        let share = part as Real / parts as Real;
+        let between = (part < parts).then(|| states_between(&e.states, before, was_active, share));
+        collisions.find(between.as_ref().unwrap_or(&e.states), &scene.footprints, &scene.kinds);
+        let pairs = collisions.pairs();
+        if part == parts {
+            let gone = |a: u32| !e.states.active[a as usize];
+            e.given_contacts.retain(|pair| pairs.contains(pair) || gone(pair.0) || gone(pair.1));
         }
-        for (a, other) in [(ends[0], ends[1]), (ends[1], ends[0])] {
-            let moves = scene.kinds[a] != AgentKind::Static && e.drivers[a] != Driver::External;
-            if moves && !e.has_slot(a) && !e.halted[a] {
-                e.halted[a] = true;
-                let velocity = e.states.velocity(a);
-                let pose = at_contact(e, scene, a, other, &before[a]);
-                e.states.set_pose(a, pose, velocity);
+        for (i, j) in pairs {
+            let ends = [*i as usize, *j as usize];
+            if e.given_contacts.contains(&(*i, *j)) || !ends.iter().any(|a| is_driven(e, *a)) {
+                continue;
+            }
+            for (a, other) in [(ends[0], ends[1]), (ends[1], ends[0])] {
+                if may_stop(e, scene, a) {
+                    let last = || share_at_contact(e, scene, a, other, &before[a]);
+                    let share = if part == parts { last() } else { share };
+                    stop(e, scene, a, before, share);
+                }
             }
         }
     }
 }
 
-/// The first pose on the way of a step that overlaps another agent, up to a part of the step.
-fn at_contact(e: &Episode, scene: &PreparedScene, a: usize, other: usize, from: &Pose2) -> Pose2 {
+/// Stops an agent, and whoever is hitched to it, at a share of their way.
+fn stop(e: &mut Episode, scene: &PreparedScene, a: usize, before: &[Pose2], share: Real) {
+    for b in 0..e.states.len() {
+        if (b == a || e.states.hitched(a, b)) && may_stop(e, scene, b) {
+            e.halted[b] = true;
+            let velocity = e.states.velocity(b);
+            let pose = pose_between(&before[b], &e.states.pose(b), share);
+            e.states.set_pose(b, pose, velocity);
+        }
+    }
+}
+
+/// Whether a contact can stop an agent.
+fn may_stop(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
+    let moves = scene.kinds[a] != AgentKind::Static && e.drivers[a] != Driver::External;
+    moves && e.states.active[a] && !e.has_slot(a) && !e.halted[a]
+}
+
+/// The share of an agent's way in a step at which it first overlaps another one, up to a part of the step.
+fn share_at_contact(e: &Episode, scene: &PreparedScene, a: usize, other: usize, from: &Pose2) -> Real {
     let to = e.states.pose(a);
-    let turn = math::wrap_angle(to.heading_rad - from.heading_rad);
-    let at = |f: f32| {
-        let p = from.position + (to.position - from.position) * f;
-        Pose2::new(p.x, p.y, from.heading_rad + turn * f)
-    };
     let obstacle = e.states.oriented_box(other, &scene.footprints[other]);
-    let overlaps = |f: f32| scene.footprints[a].at(&at(f)).overlaps(&obstacle);
+    let overlaps = |share| scene.footprints[a].at(&pose_between(from, &to, share)).overlaps(&obstacle);
     if overlaps(0.0) {
-        return *from;
+        return 0.0;
     }
     let (mut free, mut in_contact) = (0.0, 1.0);
     for _ in 0..HALVINGS {
@@ -73,5 +98,5 @@ fn at_contact(e: &Episode, scene: &PreparedScene, a: usize, other: usize, from: 
             free = middle;
         }
     }
-    at(in_contact)
+    in_contact
 }

@@ -12,6 +12,7 @@ use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use crate::world::tick::World;
+use crate::world::tow;
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -57,6 +58,8 @@ impl VecWorld {
         }
         let drivers = &mut self.worlds[world_idx].episode.drivers;
         agents.iter().for_each(|a| drivers[*a] = driver);
+        let world = &mut self.worlds[world_idx];
+        tow::find_towed(&mut world.episode, &world.scene);
         Ok(())
     }
 
@@ -124,7 +127,7 @@ impl VecWorld {
     pub fn driver_name(&self, driver: Driver) -> (&str, &str) {
         let name = self.policies.name_of(driver);
         match driver {
-            Driver::External => (name, name),
+            Driver::External | Driver::Towed => (name, name),
             Driver::Policy(i) => (name, self.policies.get(i).name()),
         }
     }

@@ -37,8 +37,10 @@ mod snapshot;
 mod start;
 mod step_metrics;
 mod surroundings;
+mod sweep;
 mod termination;
 mod tick;
+mod tow;
 mod traffic;
 
 pub use actions::ActionDecoder;

@@ -5,7 +5,9 @@ use crate::policy::{AgentMotion, Driver};
 use crate::world::arrival;
 use crate::world::config::TrafficCollision;
 use crate::world::halt;
+use crate::world::sweep::parts;
 use crate::world::tick::{Shared, World};
+use crate::world::tow;
 
 impl World {
     pub(super) fn move_agents(&mut self, shared: &Shared<'_>) {
@@ -14,9 +16,9 @@ impl World {
         e.step_idx += 1;
         e.elapsed_steps += 1;
         let stops = config.on_traffic_collision == TrafficCollision::Stop
-            && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY));
+            && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY | Driver::Towed));
         self.scratch.before.clear();
-        if stops {
+        if stops || !self.scene.hitches.is_empty() || parts(config.dt_s) > 1 {
             self.scratch.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
         }
         for (c, slot) in e.slots.iter().enumerate() {
@@ -73,8 +75,10 @@ impl World {
                 _ => e.states.active[a] = false,
             }
         }
+        tow::tow(e, &self.scene, &self.scratch.before, config.dt_s);
         if stops {
-            halt::halt(e, &self.scene, &mut self.scratch.collisions, &self.scratch.before);
+            let was = (&self.scratch.before[..], &self.active_before[..]);
+            halt::halt(e, &self.scene, &mut self.scratch.collisions, was, config.dt_s);
         }
         for a in 0..e.states.len() {
             let follows_route = e.drivers[a] != Driver::REPLAY || self.scratch.slot_of[a].is_some();
@@ -87,6 +91,7 @@ impl World {
             }
         }
         arrival::let_in(e, &self.scene, config);
+        tow::find_towed(e, &self.scene);
         if let Some(history) = &mut e.history {
             history.push(&e.states);
         }

@@ -105,6 +105,7 @@ impl Policies {
     pub(crate) fn name_of(&self, driver: Driver) -> &str {
         match driver {
             Driver::External => EXTERNAL,
+            Driver::Towed => "towed",
             Driver::Policy(i) => &self.table[usize::from(i)].0,
         }
     }

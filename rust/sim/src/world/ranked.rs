@@ -4,7 +4,7 @@ use crate::causal::measures::{AgentFrame, AgentHistory};
 use crate::causal::rank::KeyRanking;
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID};
-use crate::stage::PreparedScene;
+use crate::stage::{PreparedScene, apart_in_log};
 use crate::world::config::Ranking;
 
 /// How far `cliques` look back, seconds.
@@ -13,7 +13,9 @@ const LOOK_BACK_S: Real = 3.0;
 /// Vehicles that the log has at a step: the ego, else the first of them, then the others by a ranking.
 pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: Ranking) -> Vec<usize> {
     let (log, n) = (&scene.scene, scene.scene.num_agents());
-    let drives = |a: &usize| scene.kinds[*a] == AgentKind::Vehicle && log.is_valid(*a, step_idx);
+    let drives = |a: &usize| {
+        scene.kinds[*a] == AgentKind::Vehicle && !scene.is_towed(*a) && log.is_valid(*a, step_idx)
+    };
     let Some(ego) = log.agent_index(EGO_ID).filter(drives).or_else(|| (0..n).find(drives)) else {
         return Vec::new();
     };
@@ -36,6 +38,7 @@ pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: R
         length_m: &log.agents.iter().map(|a| a.length_m).collect::<Vec<Real>>(),
         width_m: &log.agents.iter().map(|a| a.width_m).collect::<Vec<Real>>(),
         valid: &places.iter().map(|at| tracks.valid[*at]).collect::<Vec<bool>>(),
+        apart: &apart_in_log(log, step_idx, &(0..n).collect::<Vec<usize>>()),
     };
     let candidates: Vec<bool> = (0..n).map(|a| drives(&a)).collect();
     let others = AgentHistory::new(frame).and_then(|history| kind.rank(&history, &candidates, ego));

@@ -63,10 +63,12 @@ impl Start {
         let vehicles =
             || (0..scene.num_agents()).filter(|a| scene.agents[*a].kind == AgentKind::Vehicle).collect();
         for prepared in [prepared, None] {
+            let is_towed = |a: &usize| prepared.is_some_and(|p| p.is_towed(*a));
             let stays = |ego: usize, t: usize| {
                 prepared.is_none_or(|p| !p.leaves_road(ego, t, t.saturating_add(config.horizon_steps)))
             };
             let mut left: Vec<usize> = wanted.ego.map_or_else(vehicles, |a| vec![a]);
+            left.retain(|a| wanted.ego.is_some() || !is_towed(a));
             while !left.is_empty() {
                 let ego = left.swap_remove(rng.below(left.len()));
                 let moving = steps.clone().filter(|t| drives_on(scene, ego, *t, config.horizon_steps));

@@ -16,6 +16,7 @@ use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
 use crate::world::policies::Policies;
 use crate::world::start::Wanted;
+use crate::world::tow;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -170,6 +171,7 @@ impl World {
     ) {
         self.enter(scene);
         self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies, wanted);
+        tow::find_towed(&mut self.episode, &self.scene);
         self.resize();
         halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
         self.cast(shared.config);

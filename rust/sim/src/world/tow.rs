@@ -1,0 +1,58 @@
+//! Towed vehicles of a world: they follow whoever drives the one that they are hitched to.
+//!
+//! Where that one follows its log, the towed one does, too. An agent with a slot is never towed.
+
+use crate::geom::{Pose2, Real, Vector2};
+use crate::policy::Driver;
+use crate::stage::{PreparedScene, towed_pose};
+use crate::world::episode::Episode;
+
+/// Takes the wheel from those who are towed, and leaves them to their log where their chain follows it.
+pub(super) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
+    for &(a, leader) in &scene.hitches {
+        if e.has_slot(a) || (!e.states.active[leader] && e.drivers[a] == Driver::Towed) {
+            continue;
+        }
+        let by_log = e.drivers[leader] == Driver::REPLAY && !e.has_slot(leader);
+        e.drivers[a] = if by_log || !e.states.active[leader] { Driver::REPLAY } else { Driver::Towed };
+    }
+}
+
+/// Moves the towed behind those who tow them, who have moved; `before` holds the poses before the step. Who has nobody left
+/// to follow leaves.
+pub(super) fn tow(e: &mut Episode, scene: &PreparedScene, before: &[Pose2], dt_s: Real) {
+    for &(a, leader) in &scene.hitches {
+        if e.drivers[a] != Driver::Towed || !e.states.active[a] {
+            continue;
+        }
+        if !e.states.active[leader] {
+            e.states.active[a] = false;
+            continue;
+        }
+        let (own, other) = (&scene.footprints[a], &scene.footprints[leader]);
+        let pose = towed_pose(&before[leader], &e.states.pose(leader), other, &before[a], own);
+        e.set_pose(a, pose, behind(e, leader, &pose), dt_s);
+    }
+}
+
+/// Velocity of a towed vehicle at a pose.
+fn behind(e: &Episode, leader: usize, pose: &Pose2) -> Vector2 {
+    let ahead = Vector2::new(pose.cos, pose.sin);
+    ahead * e.states.velocity(leader).dot(&ahead)
+}
+
+/// Lets a towed vehicle in behind the one that tows it, as the log has it there.
+pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, agent_idx: usize, dt_s: Real) {
+    let leader = scene.hitches.iter().find(|(towed, _)| *towed == agent_idx).map(|(_, leader)| *leader);
+    let leader = leader.filter(|leader| e.states.active[*leader] && !e.entered[agent_idx]);
+    let Some((leader, (logged, _))) = leader.and_then(|l| Some((l, scene.log.at(l, e.step_idx)?))) else {
+        return;
+    };
+    e.enter(scene, agent_idx, dt_s);
+    let (place, here) = (e.states.pose(agent_idx), e.states.pose(leader));
+    let position = here.to_outer(logged.to_local(place.position));
+    let heading_rad = place.heading_rad + here.heading_rad - logged.heading_rad;
+    let pose = Pose2::new(position.x, position.y, heading_rad);
+    let velocity = behind(e, leader, &pose);
+    e.states.set_pose(agent_idx, pose, velocity);
+}

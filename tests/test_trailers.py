@@ -1,0 +1,106 @@
+"""A truck and its trailer, two boxes that overlap and move together in the log, stay hitched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from array_scenes import TIMES_S, agent, array_scene, played
+
+import ccdiff_env
+from ccdiff_env import EgoEnv
+from ccdiff_env.envs.key_agents import logged_vehicles
+
+EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
+TRUCK = {"size": (6.0, 2.5, 3.2)}
+TRAILER = {"size": (12.0, 2.5, 3.8)}
+
+
+def hitched(x, y=20.0, **more):
+    """A truck and its trailer 8 m behind: 1 m of overlap."""
+    return [
+        agent("truck", x, y, **TRUCK, **more),
+        agent("trailer", x - 8.0, y, **TRAILER, **more),
+    ]
+
+
+@pytest.mark.parametrize(
+    "traffic", ["replay", "idm", "constant_velocity", "egos", "ccdiff", "tokens"]
+)
+@pytest.mark.parametrize("starts", [False, True])
+def test_they_stay_hitched_whatever_drives(traffic, starts):
+    x = 20.0 + (np.maximum(TIMES_S - 3.2, 0.0) ** 2 if starts else 8.0 * TIMES_S)
+    env = EgoEnv(
+        scenes=[array_scene(EGO, *hitched(x))],
+        driver="replay",
+        traffic=traffic,
+        terminate_at_goal=False,
+    )
+    for _, states, _ in played(env):
+        assert states["active"][1] == states["active"][2]
+        if states["active"][1]:
+            gap = states["position"][1] - states["position"][2]
+            assert np.hypot(*gap) == pytest.approx(8.0, abs=0.6)
+            assert states["speed"][2] == pytest.approx(states["speed"][1], abs=0.5)
+            assert abs(states["acceleration"][2] - states["acceleration"][1]) < 1.0
+
+
+def test_a_towed_box_rolls_round_a_bend_like_a_trailer():
+    # on a circle of 30 m the axle, 9 m behind the hitch, runs on one of sqrt(30.1² - 8.5²) m
+    way = 8.0 * TIMES_S / 30.0
+    x, y = 30.0 * np.sin(way), 30.0 - 30.0 * np.cos(way)
+    x2, y2 = 30.0 * np.sin(way - 8.2 / 30.0), 30.0 - 30.0 * np.cos(way - 8.2 / 30.0)
+    truck = agent("truck", x, y, heading=way, **TRUCK)
+    trailer = agent("trailer", x2, y2, heading=way - 8.2 / 30.0, **TRAILER)
+    scene = array_scene(agent("ego", -60.0 + 0.6 * np.arange(160), -50.0), truck, trailer)
+    env = EgoEnv(scenes=[scene], driver="replay", traffic="idm", terminate_at_goal=False)
+    headings = []
+    for _, states, _ in played(env):
+        if states["active"][2]:
+            turn = states["heading"][1] - states["heading"][2]
+            headings.append((turn + np.pi) % (2.0 * np.pi) - np.pi)
+    assert 0.15 < headings[-1] < 0.45
+    assert max(np.abs(np.diff(headings))) < 0.03
+
+
+def test_overlaps_of_parked_cars_and_of_neighbours_are_no_hitch():
+    # annotation noise: parked boxes overlap, and cars side by side, and one that passes
+    parked = [agent("a", 40.0, 9.0), agent("b", 43.0, 9.0)]
+    beside = [agent("c", 8.0 * TIMES_S, 15.0), agent("d", 8.0 * TIMES_S - 0.5, 16.9)]
+    passing = [agent("e", 8.0 * TIMES_S, 30.0), agent("f", 12.0 * TIMES_S - 20.0, 30.0)]
+    scene = array_scene(EGO, *parked, *beside, *passing)
+    env = ccdiff_env.parallel_env(scenes=[scene], agents="all", names="token")
+    env.reset(seed=0)
+    assert len(env.agents) == 7
+
+
+def test_contacts_between_them_never_count_and_the_trailer_is_no_agent_of_its_own():
+    scene = array_scene(
+        *[
+            {**one, "id": name}
+            for one, name in zip(hitched(8.0 * TIMES_S), ("ego", "t"), strict=True)
+        ]
+    )
+    env = EgoEnv(scenes=[scene], terminate_at_goal=False)
+    for _, states, info in played(env, np.array([0.1, 0.2], np.float32)):
+        assert not info["collision"]
+        assert info["ttc"] == 10.0
+        assert np.hypot(*(states["position"][0] - states["position"][1])) == pytest.approx(
+            8.0, abs=1.0
+        )
+    assert logged_vehicles(scene, 30, "nearest") == [0]
+    rows = ccdiff_env.parallel_env(scenes=[scene], agents="all", start_spread_steps=5)
+    rows.reset(seed=0)
+    assert rows.agents == ["ego"]
+
+
+def test_a_truck_that_is_stopped_by_a_contact_stops_with_its_trailer():
+    car = agent("car", 90.0, 20.0)
+    env = EgoEnv(
+        scenes=[array_scene(EGO, *hitched(8.0 * TIMES_S), car)],
+        driver="replay",
+        traffic="constant_velocity",
+        terminate_at_goal=False,
+    )
+    *_, (_, states, _) = played(env)
+    assert states["speed"][1] == states["speed"][2] == 0.0
+    assert states["position"][1, 0] - states["position"][2, 0] == pytest.approx(8.0, abs=1e-3)
