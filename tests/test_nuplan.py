@@ -354,7 +354,7 @@ def test_nuplans_score_of_the_logged_driver_and_of_one_who_waits(scenes):
     assert parts["score"] == 0.0
 
 
-def test_the_bench_plays_them_with_a_column_of_nuplans_score(tmp_path, capsys):
+def test_the_bench_plays_them_with_a_column_of_nuplans_score(tmp_path, monkeypatch, capsys):
     checkout = os.environ.get(VARIABLE)
     words = [
         "bench", "planners", "--planners", "nuplan:idm_planner,lane_idm", "--traffic", "replay",
@@ -365,6 +365,12 @@ def test_the_bench_plays_them_with_a_column_of_nuplans_score(tmp_path, capsys):
     header = (tmp_path / "run" / "scores.csv").read_text().splitlines()[0].split(",")
     assert header[:6] == ["planner", "traffic", "seed", "scene", "score", "nuplan_score"]
     assert "nuplan score" in (tmp_path / "run" / "table.md").read_text()
+    # a check plays recorded actions, never the planner
+    monkeypatch.setattr("ccdiff_env.policies.planners.nuplan_planner", None)
+    monkeypatch.setattr("ccdiff_env.bench.provenance.nuplan_planner", None)
+    capsys.readouterr()
+    assert main(["bench", "verify", str(tmp_path / "run")]) == 0
+    assert "6 of 6 episodes come out the same" in capsys.readouterr().out
 
 
 def test_a_digest_follows_the_settings_and_the_source(mine, tmp_path):

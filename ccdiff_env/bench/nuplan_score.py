@@ -1,4 +1,7 @@
-"""nuPlan's own closed-loop score of recorded episodes, by the metric classes of nuplan-devkit."""
+"""nuPlan's own closed-loop score of recorded episodes, by the metric classes of nuplan-devkit.
+
+As in nuPlan's simulation, the ego's acceleration is that along its heading.
+"""
 
 from __future__ import annotations
 
@@ -95,6 +98,8 @@ def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, _Expert]:
     scene, start = rollout.scene, rollout.start_step
     states = SceneStates(scene, rollout.agent_ids.index("ego"))
     drive = {name: getattr(rollout, name) for name in ("position", "heading", "velocity", "valid")}
+    if rollout.elevation_m is not None:
+        drive["elevation_m"] = rollout.elevation_m
     first = rollout.info["acceleration"][:1]
     accelerations = np.concatenate([first, rollout.info["acceleration"]])
     log = scene.tracks()

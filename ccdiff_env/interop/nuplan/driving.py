@@ -84,10 +84,7 @@ class Drive:
         most = round(_HISTORY_S / worlds.config.dt_s) + _HISTORY_MORE
         self._egos: deque[EgoState] = deque(maxlen=most)
         self._seen: deque[DetectionsTracks] = deque(maxlen=most)
-        log: Any = scene.tracks()
-        #: Elevations [A, T] of the log, in scenes with levels.
-        self._elevations = log.get("elevation_m")
-        self._add_past(log, status.step_idx - status.elapsed_steps)
+        self._add_past(scene.tracks(), status.step_idx - status.elapsed_steps)
         self._led_to: EgoState | None = None
         self._controller = LQRTracker(**_LQR, vehicle=self._states.vehicle)
         self._bicycle = KinematicBicycleModel(self._states.vehicle)
@@ -104,10 +101,7 @@ class Drive:
 
     def input(self) -> PlannerInput:
         """Return what a planner is given at the present step."""
-        status = self._native.status(self._world)
-        now: dict[str, Any] = {**self._native.states(self._world)}
-        if self._elevations is not None:
-            now["elevation_m"] = self._elevations[:, status.step_idx]
+        status, now = self._native.status(self._world), self._native.states(self._world)
         at_us, ego = status.step_idx * self._dt_us, self._states.ego
         while self._egos and self._egos[-1].time_us >= at_us:  # asked again, or restored
             self._egos.pop()
