@@ -69,7 +69,7 @@ fn are_hitched(scene: &Scene, leader: usize, towed: usize) -> bool {
         let overlap = || own.at(&a).overlaps(&other.at(&b));
         place.x < -0.25 * (length_a_m + length_b_m) && a.cos * b.cos + a.sin * b.sin > 0.0 && overlap()
     };
-    let (Some(first), Some(last)) = (common().next(), common().last()) else { return false };
+    let (Some(first), Some(last)) = (common().next(), common().next_back()) else { return false };
     if !in_line(first) && !in_line(last) {
         return false;
     }
