@@ -339,8 +339,11 @@ class _Features:
             lanes[key] = (lane, feature)
         elif kind.startswith("ROAD_LINE_"):
             # yellow lines part the directions of traffic
-            name = "road_dividers" if "YELLOW" in kind else "lane_dividers"
-            self._add_line(name, layers[name], self._points(key, feature, "polyline"))
+            points = self._points(key, feature, "polyline")
+            if "YELLOW" in kind:
+                self._add_line("road_dividers", layers["road_dividers"], points)
+            else:
+                self._add_line("lane_dividers", layers["lane_dividers"], points)
         elif kind in _ROAD_EDGES:
             self._add_line("edges", self._edges, self._points(key, feature, "polyline"))
         elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK", "DRIVEWAY"):

@@ -4,7 +4,7 @@
 //! hitch goes with the leader, and its axle rolls towards the hitch at the distance that it has (a tractrix).
 
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
-use crate::scene::{AgentKind, Scene};
+use crate::scene::{AgentKind, LEVEL_M, Scene};
 use crate::state::Footprint;
 
 /// Hitched boxes are logged together for this time at least, seconds, and move by this distance in it, metres.
@@ -66,7 +66,10 @@ fn are_hitched(scene: &Scene, leader: usize, towed: usize) -> bool {
     let in_line = |t: usize| {
         let (a, b) = (pose(scene, leader, t), pose(scene, towed, t));
         let place = a.to_local(b.position);
-        let overlap = || own.at(&a).overlaps(&other.at(&b));
+        let height = |agent: usize| scene.tracks.elevation_m.get(scene.at(agent, t));
+        let heights = height(leader).zip(height(towed));
+        let level = heights.is_none_or(|(one, other)| (one - other).abs() <= LEVEL_M);
+        let overlap = || level && own.at(&a).overlaps(&other.at(&b));
         place.x < -0.25 * (length_a_m + length_b_m) && a.cos * b.cos + a.sin * b.sin > 0.0 && overlap()
     };
     let (Some(first), Some(last)) = (common().next(), common().next_back()) else { return false };
