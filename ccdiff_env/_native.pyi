@@ -554,6 +554,25 @@ class VecWorld:
         0 on it, for empty slots, and where the map has no road.
         """
 
+    def progress_along_log(
+        self, world_idx: int, path: Sequence[Sequence[float]]
+    ) -> tuple[float, float] | None:
+        """Return how far a path [N, 2] and the log of the first slot go, m, along the road blocks
+        that the log goes through; ``None`` where that is in no lane.
+        """
+
+    def score_facts(
+        self,
+        world_idx: int,
+        lane_before: int | None,
+        ignored: Sequence[int],
+        horizon_s: float,
+    ) -> tuple[tuple[int, float] | None, float | None]:
+        """Return what the closed-loop score looks at in the present state of the first slot: its
+        lane and the position along it, and seconds to the contact to expect with an agent that is
+        not ``ignored``.
+        """
+
     def step_metrics(self, world_idx: int, agents: Sequence[int]) -> dict[str, float]:
         """Return metrics of the last step for some agents: ``num_agents`` that were there before
         and after it, the share ``off_road`` of them, their mean ``discomfort``.

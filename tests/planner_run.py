@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from ccdiff_env.bench.planners import score_of
+from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 
 PARTS = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]

@@ -16,7 +16,7 @@ from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.planners import Traffic, planner_score, play
+from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import scene_names
@@ -171,25 +171,6 @@ def test_tables_of_periods_show_methods_that_plan_and_lines_join_neighbours(tmp_
     lines = _lines([c for c in table if c.method == "ccdiff"])
     assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
     assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
-
-
-def test_the_score_of_a_planner_is_the_product_and_the_weighted_mean_by_hand():
-    metrics = {
-        "at_fault": 0.0, "off_road": 0.0, "route_completion": 0.5, "wrong_way": 0.0,
-        "collision": 0.0, "is_success": 0.0, "min_ttc": 0.5,
-    }  # fmt: skip
-    figures = {
-        "speed": np.array([10.0, 10.0, 17.23, 17.23]),
-        "ttc": np.array([3.0, 0.5, 3.0, 3.0]),
-        "acceleration": np.array([0.0, 3.0, 0.0, 0.0]),
-        "lateral_acceleration": np.zeros(4),
-        "jerk": np.zeros(4),
-    }
-    found = planner_score(metrics, figures, 15.0)
-    assert found["comfort"] == 0.75
-    assert found["speed_limit"] == pytest.approx(0.5)
-    assert found["score"] == pytest.approx((5 * 0 + 5 * 0.5 + 4 * 0.5 + 2 * 0.75) / 16)
-    assert planner_score({**metrics, "at_fault": 1.0}, figures, 15.0)["score"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ccdiff_env.bench.planners import COMFORT, TTC_BOUND_S
+from ccdiff_env.bench.planner_score import COMFORT, TTC_BOUND_S
 from ccdiff_env.record.counterfactual import ego_plans
 from ccdiff_env.traffic.python import AGENT_KINDS
 from ccdiff_env.view import render

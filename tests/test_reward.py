@@ -7,7 +7,7 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, WorldConfig
-from ccdiff_env.bench.planners import COMFORT
+from ccdiff_env.bench.planner_score import COMFORT
 from ccdiff_env.config import RewardConfig
 from ccdiff_env.errors import ConfigError
 
@@ -19,7 +19,9 @@ def scenes():
 
 def worth(info, limit_mps):
     """Factors of new progress: comfort, time to contact, speed, distance from the route."""
-    calm = all(low <= info[name] <= high for name, (low, high) in COMFORT.items())
+    limits = (COMFORT[name] for name in ("acceleration", "lateral_acceleration", "jerk"))
+    figures = (info[name] for name in ("acceleration", "lateral_acceleration", "jerk"))
+    calm = all(low <= x <= high for x, (low, high) in zip(figures, limits, strict=True))
     slow = 1.0 - max(info["speed"] - limit_mps, 0.0) / 5.0
     beside = min(abs(info["route_distance"]), 3.0) / 3.0
     return (0.5 + 0.5 * calm) * (0.5 + 0.5 * (info["ttc"] >= 0.95)) * slow * (1.0 - 0.5 * beside)

@@ -141,12 +141,12 @@ def test_an_arbiter_changes_no_world_and_does_what_one_of_both_does(val):
 
 
 def test_an_arbiter_avoids_what_one_of_both_does_not(val):
-    scores = {
-        name: np.array([row["score"] for row in play(val, name, TRAFFIC["ccdiff-2"])])
-        for name in ("arbiter", "pdm", "lane_idm")
-    }
-    both = np.mean([scores["pdm"].mean(), scores["lane_idm"].mean()])
-    assert scores["arbiter"].mean() > both
+    def faultless(name):
+        rows = play(val, name, TRAFFIC["ccdiff-2"])
+        gates = ("no_at_fault_collision", "on_road", "right_way")
+        return np.mean([np.prod([row[gate] for gate in gates]) for row in rows])
+
+    assert faultless("arbiter") > np.mean([faultless("pdm"), faultless("lane_idm")])
 
 
 def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):

@@ -10,11 +10,12 @@ import warnings
 
 import numpy as np
 import pytest
+from planner_run import PARTS
 from test_scenes_scenarionet import scenario
 
 import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, mean_interval
-from ccdiff_env.bench.planners import planner_score
+from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.scenes import scene_names, source_title
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.scenes import of_kinds
@@ -334,15 +335,8 @@ def test_scenes_with_a_road_count_where_others_have_none(roadless, tmp_path):
 
 
 def test_the_score_without_a_road_is_that_of_the_other_parts():
-    metrics = {
-        "at_fault": 0.0, "off_road": 0.0, "route_completion": 0.5, "wrong_way": 0.0,
-        "collision": 0.0, "is_success": 0.0, "min_ttc": 0.5,
-    }  # fmt: skip
-    names = ("speed", "ttc", "acceleration", "lateral_acceleration", "jerk")
-    figures = {name: np.ones(4) for name in names}
-    found = planner_score(metrics, figures, 15.0, None)
-    assert found["on_road"] is None
-    assert found["score"] == planner_score(metrics, figures, 15.0)["score"] > 0.0
+    parts = dict.fromkeys(PARTS, 0.5)
+    assert score_of({**parts, "on_road": None}) == score_of({**parts, "on_road": 1.0}) > 0.0
 
 
 def test_intervals_need_ten_scenes_and_known_figures():

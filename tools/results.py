@@ -47,7 +47,7 @@ class Made:
 
 
 _PLANNERS = Made(
-    "bench planners --protocol planner-1.1 --level smoke --planners "
+    "bench planners --protocol planner-1.2 --level smoke --planners "
     "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,ccdiff,diffusion,ego_replay,"
     "pdm_ccdiff,arbiter,pdm_open",
     "headlines.csv",

@@ -239,7 +239,7 @@ def learning_table(rows: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) 
     Parameters
     ----------
     rows
-        One dictionary per scene (see :func:`ccdiff_env.bench.planners.planner_score`) of every
+        One dictionary per scene (see :func:`ccdiff_env.bench.planner_score.Judge.row`) of every
         planner (``stage-seed`` for trained egos) in every traffic.
     """
     groups: dict[str, list[str]] = {}

@@ -53,7 +53,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     traffic.help = f"{traffic.help} (default: {_USUAL_TRAFFIC})"
     parser.add_argument(
         "--protocol",
-        help="what fixes scenes, traffic and seeds, planner-1.1 (default: the options choose them)",
+        help="what fixes scenes, traffic and seeds, planner-1.2 (default: the options choose them)",
     )
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"

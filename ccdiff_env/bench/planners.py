@@ -1,18 +1,7 @@
 """Planners against traffic: every planner in every traffic, scored as nuPlan's closed loop does.
 
-The score of a scene is a product of what must not happen and a weighted mean of the rest (nuPlan,
-closed-loop non-reactive and reactive challenges):
-
-    score = no_at_fault_collision x on_road x makes_progress x right_way
-            x (5 ttc + 5 progress + 4 speed_limit + 2 comfort) / 16
-
-Weights, bounds, the world and the panel of traffic stand in the file of the protocol, see
-:mod:`ccdiff_env.bench.protocol`.
-
-Differs from nuPlan: progress is measured along the logged route up to its goal, comfort is the
-share of steps within the limits, a collision with a static obstacle counts as any other, and half
-points are not given. ``on_road`` has the tolerance of its ``drivable_area_compliance``
-(``max_violation_threshold``, 0.3 m), of the drivable area alone.
+The score is that of :mod:`ccdiff_env.bench.planner_score`; the world and the panel of traffic stand
+in the file of the protocol, see :mod:`ccdiff_env.bench.protocol`.
 """
 
 from __future__ import annotations
@@ -30,6 +19,7 @@ from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers, on_device
 from ccdiff_env.bench.nuplan_score import nuplan_score
+from ccdiff_env.bench.planner_score import Judge
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
@@ -51,17 +41,12 @@ __all__ = [
     "evaluate",
     "is_privileged",
     "planner_jobs",
-    "planner_score",
     "play",
 ]
 
-_SCORE = PROTOCOL.fields["score"]
 HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
 #: Scenes that share a batch of the network.
 CHUNK: int = PROTOCOL.fields["batch"]
-#: Limits of comfort: acceleration forwards, braking, sideways (m/s²), jerk (m/s³), as nuPlan's.
-COMFORT: Mapping[str, tuple[float, float]] = {k: (a, b) for k, (a, b) in _SCORE["comfort"].items()}
-TTC_BOUND_S: float = _SCORE["least_ttc_s"]
 #: Drivers of the world that know where the log goes, and how fast.
 READ_THE_LOG = ("replay", "idm")
 
@@ -360,7 +345,7 @@ def drive(
     Returns
     -------
     list of dict
-        Figures and score of each scene, see :func:`planner_score`; its actions and its digest, see
+        Figures and score of each scene, see :meth:`.Judge.row`; its actions and its digest, see
         :class:`~ccdiff_env.bench.tape.Tape`.
     dict
         The recorded episodes by name of the scene.
@@ -387,88 +372,26 @@ def drive(
             adversary_policy.choose(running)
         return actions
 
-    names = worlds.column_names
     recorders = recorders_of(worlds, record, planner=who)
     tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
-    columns: list[list[npt.NDArray[np.float32]]] = [[] for _ in scenes]
+    judges = [Judge(worlds, i) for i in range(len(scenes))]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
-    off_m = [0.0 if scene.has_road else None for scene in scenes]
-    off_road = names.index("off_road")
     for running, actions, out in played(worlds, act, recorders=recorders):
         if adversary_policy is not None:
             adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
-            columns[i].append(out.columns[i, 0].copy())
-            tapes[i].step(actions[i, 0], columns[i][-1])
-            if columns[i][-1][off_road]:
-                off_m[i] = max(off_m[i] or 0.0, worlds.native.off_road_m(i)[0])
+            tapes[i].step(actions[i, 0], out.columns[i, 0])
+            judges[i].step(out.columns[i, 0])
             if out.done[i]:
                 metrics[i] = worlds.native.ended_metrics([i])[0, 0]
     found = [
         {
             "scene": scene.name,
             "seed": seed,
-            **planner_score(
-                dict(zip(worlds.metric_names, m.tolist(), strict=True)),
-                {name: np.array([row[i] for row in f]) for i, name in enumerate(names)},
-                config.speed_limit_mps,
-                off,
-            ),
+            **judge.row(dict(zip(worlds.metric_names, m.tolist(), strict=True))),
             **tape.entries(),
         }
-        for scene, m, f, off, tape in zip(scenes, metrics, columns, off_m, tapes, strict=True)
+        for scene, m, judge, tape in zip(scenes, metrics, judges, tapes, strict=True)
         if m is not None
     ]
     return found, {scenes[i].name: recorder.rollout() for i, recorder in recorders.items()}
-
-
-def planner_score(
-    metrics: Mapping[str, float],
-    columns: Mapping[str, npt.NDArray[np.float32]],
-    limit_mps: float,
-    off_road_m: float | None = 0.0,
-) -> dict[str, Any]:
-    """Return the parts of the score of one episode, each in [0, 1], and the score.
-
-    Without a road ``on_road`` is ``None``, and no part of the score.
-
-    Parameters
-    ----------
-    metrics
-        Metrics of the episode by name.
-    columns
-        Info columns of each step by name, [T].
-    limit_mps
-        Speed limit.
-    off_road_m
-        How far a corner ever was off the road; ``None`` where the scene has none.
-    """
-    calm = np.ones(len(columns["speed"]), bool)
-    for name, (low, high) in COMFORT.items():
-        calm &= (columns[name] >= low) & (columns[name] <= high)
-    over = np.maximum(columns["speed"] - limit_mps, 0.0)
-    parts: dict[str, float | None] = {
-        "no_at_fault_collision": 1.0 - metrics["at_fault"],
-        "on_road": None if off_road_m is None else float(off_road_m < _SCORE["off_road_m"]),
-        "makes_progress": float(metrics["route_completion"] >= _SCORE["least_progress"]),
-        "right_way": 1.0 - metrics["wrong_way"],
-        "ttc": float(np.min(columns["ttc"]) >= TTC_BOUND_S),
-        "progress": metrics["route_completion"],
-        "speed_limit": float(max(0.0, 1.0 - over.mean() / _SCORE["excess_mps"])),
-        "comfort": float(calm.mean()),
-    }
-    return {
-        **parts,
-        "collision": metrics["collision"],
-        "success": metrics["is_success"],
-        "min_ttc_s": metrics["min_ttc"],
-        "score": score_of(parts),
-    }
-
-
-def score_of(parts: Mapping[str, float | None]) -> float:
-    """Return the score that the parts of an episode make; a gate that is not known stays open."""
-    weights: Mapping[str, float] = _SCORE["weights"]
-    known = {name: value for name, value in parts.items() if value is not None}
-    product = float(np.prod([known.get(gate, 1.0) for gate in _SCORE["gates"]]))
-    return product * (sum(w * known[name] for name, w in weights.items()) / sum(weights.values()))

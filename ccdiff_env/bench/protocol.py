@@ -20,7 +20,7 @@ from ccdiff_env.system.files import read_bytes
 
 __all__ = ["PROTOCOL", "Protocol"]
 
-_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.1.json"
+_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.2.json"
 #: Arguments that the protocol fixes, beside the version of the tables.
 _FIXED = ("traffic", "seeds", "scenes", "split", "limit")
 

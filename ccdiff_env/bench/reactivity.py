@@ -25,7 +25,8 @@ from ccdiff_env.bench.episode import logged, off_road
 from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import on_device
-from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, TTC_BOUND_S, drive
+from ccdiff_env.bench.planner_score import TTC_BOUND_S
+from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, drive
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Motion

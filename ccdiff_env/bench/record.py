@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.planner_report import NUPLAN, title_of
-from ccdiff_env.bench.planners import TRAFFIC, is_privileged, score_of
+from ccdiff_env.bench.planner_score import score_of
+from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError

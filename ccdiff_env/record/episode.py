@@ -24,6 +24,8 @@ Bool = npt.NDArray[np.bool_]
 
 #: Options that a planner may choose where all others are fixed.
 CHOICES = ("action", "observation", "decision_steps")
+#: Limits of models of motion of which less is more, and what actions mean: others limit that.
+_LEAST, _MEANINGS = ("wheelbase_share",), ("delta_mps2", "offset_m")
 
 
 class Step(NamedTuple):
@@ -56,7 +58,8 @@ def world_of_seat(
     Raises
     ------
     ConfigError
-        If the planner asks for anything else; names it.
+        If the planner asks for anything else, or for wider limits of its model of motion than the
+        default ones; names it.
     """
     world = world.with_options(dt_s=dt_s)
     if seat is None:
@@ -70,7 +73,28 @@ def world_of_seat(
                 f"{getattr(world, name)!r}; a planner may choose action, observation, "
                 "decision_steps and dynamics"
             )
+    _check_limits(seat.config.action.dynamics, who, fixed_by)
     return world.with_options(action=seat.config.action, observation=seat.config.observation)
+
+
+def _check_limits(limits: Any, who: str, fixed_by: str) -> None:
+    """Refuse a model of motion that can do more than by default."""
+    usual = type(limits)()
+    for name in (f.name for f in dataclasses.fields(limits)):
+        asked, most = getattr(limits, name), getattr(usual, name)
+        if isinstance(most, str) or name in _MEANINGS:
+            continue
+        if isinstance(most, tuple):
+            holds, words = most[0] <= asked[0] <= asked[1] <= most[1], f"a part of {list(most)}"
+        elif name in _LEAST:
+            holds, words = asked >= most, f"at least {most:g}"
+        else:
+            holds, words = asked <= most, f"at most {most:g}"
+        if not holds:
+            raise ConfigError(
+                f"{who}: env_options sets {name} of {type(limits).__name__} to {asked!r}, "
+                f"{fixed_by} lets a planner choose {words}"
+            )
 
 
 def begin(scenes: SceneSet, config: WorldConfig, seed: int) -> Worlds:

@@ -37,7 +37,7 @@ if folder is None:
     path = Path(__file__).parents[2] / "ccdiff_env" / (CITY_FILE if args.city else SHIPPED)
     pack(generate(CITY if args.city else USUAL), path)
     if args.city:
-        fix_hashes(path.parent / "planner-1.1.json")
+        fix_hashes(path.parent / "planner-1.2.json")
     print(f"wrote {path}, {path.stat().st_size // 1000} kB")
 else:
     for name, content in generate(DENSE).items():

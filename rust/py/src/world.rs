@@ -11,6 +11,7 @@ use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{Trails, WorldImage, WorldView};
+use ccdiff_sim::geom::Point2;
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
     ArraySpec, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, VecWorld, Wanted, WorldConfig,
@@ -456,6 +457,27 @@ impl PyVecWorld {
     fn off_road_m(&self, world_idx: usize) -> PyResult<Vec<f32>> {
         let me = self.lock()?;
         me.world.off_road_m(world_idx).map_err(from_sim)
+    }
+
+    /// How far a path of points [N, 2] and the log of the first slot go along the road blocks of the log; `None` where that
+    /// is in no lane.
+    fn progress_along_log(&self, world_idx: usize, path: Vec<[f32; 2]>) -> PyResult<Option<(f32, f32)>> {
+        let path: Vec<Point2> = path.into_iter().map(|[x, y]| Point2::new(x, y)).collect();
+        self.lock()?.world.progress_along_log(world_idx, &path).map_err(from_sim)
+    }
+
+    /// What the closed-loop score looks at in the present state of the first slot, which was in `lane_before`: its lane
+    /// and the position along it, and time to the contact to expect with who is not `ignored`.
+    #[pyo3(signature = (world_idx, lane_before, ignored, horizon_s))]
+    fn score_facts(
+        &self,
+        world_idx: usize,
+        lane_before: Option<usize>,
+        ignored: Vec<usize>,
+        horizon_s: f32,
+    ) -> PyResult<world_state::ScoreRow> {
+        let facts = self.lock()?.world.score_facts(world_idx, lane_before, &ignored, horizon_s);
+        Ok(world_state::score_row(&facts.map_err(from_sim)?))
     }
 
     /// Metrics of the last step for some agents: how many were there before and after it, the share of them off the road,

@@ -3,7 +3,7 @@
 use ccdiff_sim::dynamics::Action;
 use ccdiff_sim::events::{Contact, ContactKind, OffRoad};
 use ccdiff_sim::geom::Point2;
-use ccdiff_sim::world::{CandidateRows, StepMetrics, WorldStatus};
+use ccdiff_sim::world::{CandidateRows, ScoreFacts, StepMetrics, WorldStatus};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,6 +12,8 @@ use pyo3::types::PyDict;
 pub(crate) type Route<'py> = Option<(Bound<'py, PyArray2<f32>>, (f32, f32))>;
 /// (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
 pub(crate) type ContactRow = (u32, u32, &'static str, f32, bool);
+/// (lane and position along it, seconds to a contact).
+pub(crate) type ScoreRow = (Option<(u32, f32)>, Option<f32>);
 /// Off the road with a corner [A], and with the centre [A].
 pub(crate) type OffRoadArrays<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>);
 
@@ -56,6 +58,11 @@ pub(crate) fn contacts(pairs: &[(Contact, Contact)]) -> Vec<ContactRow> {
     };
     let row = |agent: u32, c: &Contact| (agent, c.partner, name(c.kind), c.closing_speed_mps, c.at_fault);
     pairs.iter().flat_map(|(of_i, of_j)| [row(of_j.partner, of_i), row(of_i.partner, of_j)]).collect()
+}
+
+/// What the closed-loop score looks at.
+pub(crate) fn score_row(facts: &ScoreFacts) -> ScoreRow {
+    (facts.lane.map(|l| (l.lane_idx, l.s_m)), facts.contact_s)
 }
 
 /// Who is off the road.

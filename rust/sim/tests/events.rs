@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::events::{
-    Collisions, ContactKind, Leader, LeastTimes, OffRoad, leader, off_road, time_to_contact,
+    Collisions, ContactKind, Leader, LeastTimes, OffRoad, expected_contact_s, is_at_fault, leader, off_road,
+    time_to_contact,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Region, Vector2};
 use ccdiff_sim::scene::AgentKind;
@@ -29,6 +30,10 @@ fn detect(agents: &[(f32, f32, f32, f32)]) -> Collisions {
     collisions
 }
 
+fn at_fault(collisions: &Collisions, agent_idx: usize) -> bool {
+    collisions.first_partner(agent_idx).unwrap().at_fault
+}
+
 #[test]
 fn rear_end_collisions_are_the_fault_of_the_one_behind() {
     let collisions = detect(&[(0.0, 0.0, 0.0, 8.0), (3.9, 0.2, 0.0, 3.0)]);
@@ -37,7 +42,7 @@ fn rear_end_collisions_are_the_fault_of_the_one_behind() {
     assert_eq!((behind.partner, behind.kind), (1, ContactKind::Front));
     assert_eq!((ahead.partner, ahead.kind), (0, ContactKind::Rear));
     assert!((behind.closing_speed_mps - 5.0).abs() < 1e-5 && (ahead.closing_speed_mps - 5.0).abs() < 1e-5);
-    assert!(collisions.at_fault(0) && !collisions.at_fault(1));
+    assert!(at_fault(&collisions, 0) && !at_fault(&collisions, 1));
 }
 
 #[test]
@@ -54,15 +59,65 @@ fn crossing_traffic_hits_with_the_front_and_is_hit_on_the_side() {
     let collisions = detect(&[(0.0, 0.0, 0.0, 5.0), (0.5, -2.8, FRAC_PI_2, 5.0)]);
     assert_eq!(collisions.first_partner(0).unwrap().kind, ContactKind::Side);
     assert_eq!(collisions.first_partner(1).unwrap().kind, ContactKind::Front);
-    assert!(!collisions.at_fault(0) && collisions.at_fault(1));
+    assert!(!at_fault(&collisions, 0) && at_fault(&collisions, 1));
 }
 
 #[test]
 fn head_on_collisions_are_the_fault_of_both_unless_one_stands() {
     let moving = detect(&[(0.0, 0.0, 0.0, 5.0), (3.8, 0.0, PI, 5.0)]);
-    assert!(moving.at_fault(0) && moving.at_fault(1));
+    assert!(at_fault(&moving, 0) && at_fault(&moving, 1));
     let standing = detect(&[(0.0, 0.0, 0.0, 5.0), (3.8, 0.0, PI, 0.0)]);
-    assert!(standing.at_fault(0) && !standing.at_fault(1));
+    assert!(at_fault(&standing, 0) && !at_fault(&standing, 1));
+}
+
+#[test]
+fn a_side_contact_counts_where_lanes_are_straddled_one_from_behind_never() {
+    let blame = |agents: &[(f32, f32, f32, f32)], straddles: bool| {
+        let (states, footprints, _) = cars(agents);
+        is_at_fault(&states, &footprints, 0, 1, || straddles)
+    };
+    // alongside, both moving: the corners of the fronts do not meet
+    let beside = [(0.0, 0.0, 0.0, 8.0), (-1.0, 1.9, 0.0, 8.0)];
+    assert!(blame(&beside, true) && !blame(&beside, false));
+    // a standing ego is not to blame, whoever is hit; one that hits who stands always is
+    assert!(!blame(&[(0.0, 0.0, 0.0, 0.05), (-1.0, 1.9, 0.0, 8.0)], true));
+    assert!(blame(&[(0.0, 0.0, 0.0, 8.0), (-1.0, 1.9, 0.0, 0.05)], false));
+    // from behind: the rear axle of 4 m lies 1.36 m behind the middle, the other's centre 2.5 m further back and 0.9 m aside
+    // is 160 degrees off, at 1.6 m aside 147 degrees
+    assert!(!blame(&[(0.0, 0.0, 0.0, 5.0), (-3.86, 0.9, 0.0, 8.0)], true));
+    assert!(blame(&[(0.0, 0.0, 0.0, 5.0), (-3.86, 1.6, 0.0, 8.0)], true));
+}
+
+#[test]
+fn contacts_are_expected_at_tenths_of_a_second_with_who_is_ahead() {
+    let expected = |agents: &[(f32, f32, f32, f32)], from_sides: bool| {
+        let (states, footprints, kinds) = cars(agents);
+        expected_contact_s(&states, &footprints, &kinds, 0, from_sides, |_| false, 0.95)
+    };
+    let is = |found: Option<f32>, s: f32| assert!((found.unwrap() - s).abs() < 1e-6, "{found:?}");
+    // 10 m/s and a gap of 8.5 m: contact after 0.85 s, seen at 0.9 s; of 9.4 m after 0.94 s, not seen by 0.9 s
+    is(expected(&[(0.0, 0.0, 0.0, 10.0), (12.5, 0.0, 0.0, 0.0)], false), 0.9);
+    assert_eq!(expected(&[(0.0, 0.0, 0.0, 10.0), (13.4, 0.0, 0.0, 0.0)], false), None);
+    // who stands meets nobody, and nobody is met from behind
+    assert_eq!(expected(&[(0.0, 0.0, 0.0, 0.005), (7.0, 0.0, PI, 10.0)], true), None);
+    assert_eq!(expected(&[(0.0, 0.0, 0.0, 1.0), (-6.0, 0.0, 0.0, 10.0)], true), None);
+    // from the side it is met in intersections and between lanes alone
+    let side = [(0.0, 0.0, 0.0, 5.0), (2.0, -6.0, FRAC_PI_2, 8.0)];
+    assert_eq!(expected(&side, false), None);
+    // 3.0 m to go at 8 m/s after half the width and half the length: 0.375 s
+    is(expected(&side, true), 0.4);
+    // an agent goes along its heading, whatever its velocity
+    let (mut states, footprints, kinds) = cars(&[(0.0, 0.0, 0.0, 5.0), (9.0, 5.0, 0.0, 0.0)]);
+    states.velocity_y_mps[1] = -5.0;
+    assert_eq!(expected_contact_s(&states, &footprints, &kinds, 0, true, |_| false, 0.95), None);
+    // static obstacles stay, and whom it ignores it does not meet
+    let (states, footprints, mut kinds) = cars(&[(0.0, 0.0, 0.0, 10.0), (10.0, 0.0, 0.0, 9.0)]);
+    assert_eq!(expected_contact_s(&states, &footprints, &kinds, 0, false, |_| false, 0.95), None);
+    kinds[1] = AgentKind::Static;
+    let meets =
+        |ignored: usize| expected_contact_s(&states, &footprints, &kinds, 0, false, |a| a == ignored, 0.95);
+    is(meets(9), 0.6);
+    assert_eq!(meets(1), None);
 }
 
 #[test]

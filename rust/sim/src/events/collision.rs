@@ -3,6 +3,7 @@
 //! A contact is an overlap of two boxes of one level, touching included. Candidates come from circle tests of all pairs while
 //! there are few agents and from sorting along x when there are many; both give the same pairs.
 
+use super::fault::is_at_fault;
 use crate::geom::{OrientedBox, Real};
 use crate::scene::AgentKind;
 use crate::simd_dispatch::simd_dispatch;
@@ -14,8 +15,6 @@ const SWEEP_FROM_AGENTS: usize = 80;
 const JOINT_FROM_AGENTS: usize = 4;
 /// Agents tested at once.
 const LANES: usize = 8;
-/// Speed up to which an agent counts as stopped, metres per second (nuPlan's value).
-const STOPPED_SPEED_MPS: Real = 0.05;
 
 /// Side of an agent's own box that another agent hits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -47,31 +46,29 @@ pub struct Contact {
     /// Speed at which the two approach along the direction of least overlap, metres per second; negative when they
     /// part.
     pub closing_speed_mps: Real,
-    /// Whether this agent is to blame by nuPlan's rule, see [`Collisions::at_fault`].
+    /// Whether this agent is to blame by nuPlan's rule, see [`is_at_fault`](super::is_at_fault).
     pub at_fault: bool,
 }
 
 impl Contact {
-    /// The contact of two touching agents as the first one sees it.
+    /// The contact of two touching agents as the first one sees it; whether that one `straddles` lanes is asked where it
+    /// matters.
     pub fn between(
         states: &AgentStates,
         footprints: &[Footprint],
         agent_idx: usize,
         partner_idx: usize,
+        straddles: impl FnOnce() -> bool,
     ) -> Self {
         let (i, j) = (agent_idx, partner_idx);
         let own = states.oriented_box(i, &footprints[i]);
         let other = states.oriented_box(j, &footprints[j]);
-        let lengths = own.edge_lengths_inside(&other);
-        let kind = contact_kind(&own, &other, lengths);
-        let (velocity, other_velocity) = (states.velocity(i), states.velocity(j));
-        let stopped = |v: &crate::geom::Vector2| v.norm_squared() <= STOPPED_SPEED_MPS * STOPPED_SPEED_MPS;
-        let hits = stopped(&other_velocity) || (lengths[0] > 0.0 && kind != ContactKind::Rear);
+        let closing = (states.velocity(i) - states.velocity(j)).dot(&own.contact_normal(&other));
         Self {
             partner: partner_idx as u32,
-            kind,
-            closing_speed_mps: (velocity - other_velocity).dot(&own.contact_normal(&other)),
-            at_fault: !stopped(&velocity) && hits,
+            kind: contact_kind(&own, &other, own.edge_lengths_inside(&other)),
+            closing_speed_mps: closing,
+            at_fault: is_at_fault(states, footprints, i, j, straddles),
         }
     }
 }
@@ -81,7 +78,6 @@ impl Contact {
 pub struct Collisions {
     pairs: Vec<(u32, u32)>,
     first: Vec<Option<Contact>>,
-    at_fault: Vec<bool>,
     /// Active agents: index, centre and radius, padded by [`LANES`] entries at infinity.
     agent: Vec<u32>,
     x: Vec<Real>,
@@ -217,21 +213,10 @@ impl Collisions {
         &self.pairs
     }
 
-    /// The agent's contact with the partner of lowest index; `None` without contact.
+    /// The agent's contact with the partner of lowest index, as if in its lane; `None` without contact.
     #[inline]
     pub fn first_partner(&self, agent_idx: usize) -> Option<Contact> {
         self.first.get(agent_idx).copied().flatten()
-    }
-
-    /// Whether the agent is to blame for one of its contacts.
-    ///
-    /// The rule of nuPlan's `no_ego_at_fault_collisions` metric: an agent that stands is never to blame; one that
-    /// moves is to blame when the partner stands, or when its front edge hits the partner, unless it is hit from
-    /// behind. Differs from nuPlan: "from behind" is [`ContactKind::Rear`] rather than the bearing of the partner's
-    /// centre, and side contacts of an agent that straddles lanes or leaves the road are not counted against it.
-    #[inline]
-    pub fn at_fault(&self, agent_idx: usize) -> bool {
-        self.at_fault.get(agent_idx).copied().unwrap_or(false)
     }
 
     /// Copies the active agents together.
@@ -260,13 +245,11 @@ impl Collisions {
     fn describe(&mut self, states: &AgentStates, footprints: &[Footprint]) {
         self.first.clear();
         self.first.resize(states.len(), None);
-        self.at_fault.clear();
-        self.at_fault.resize(states.len(), false);
         for &(a, b) in &self.pairs {
             for (agent, partner) in [(a, b), (b, a)] {
-                let contact = Contact::between(states, footprints, agent as usize, partner as usize);
-                self.at_fault[agent as usize] |= contact.at_fault;
-                self.first[agent as usize].get_or_insert(contact);
+                let made =
+                    || Contact::between(states, footprints, agent as usize, partner as usize, || false);
+                self.first[agent as usize].get_or_insert_with(made);
             }
         }
     }

@@ -4,13 +4,15 @@
 //! Decides nothing about what follows from an event, and allocates nothing after its first calls.
 
 mod collision;
+mod fault;
 mod lane_facts;
 mod leader;
 mod off_road;
 mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
-pub use lane_facts::{LaneFacts, WRONG_WAY_CLEARANCE_M, lane_facts};
+pub use fault::{expected_contact_s, is_at_fault, rear_axle};
+pub use lane_facts::{LaneFacts, in_intersection, lane_facts, lane_that_holds, straddles_lanes};
 pub use leader::{ANTICIPATION_S, Leader, leader};
 pub use off_road::{OffRoad, off_road};
 pub use ttc::{LeastTimes, time_to_contact};

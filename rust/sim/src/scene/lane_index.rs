@@ -5,7 +5,8 @@
 //! first asked for. A second list of each cell holds the lanes whose surface reaches into it.
 
 use super::Map;
-use crate::geom::{Grid, Point2, Real, math, ring_edges};
+use super::road_area::HALF_LANE_M;
+use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
 use crate::simd_dispatch::simd_dispatch;
 use std::sync::OnceLock;
 
@@ -17,8 +18,6 @@ const MAX_CELLS: f64 = 40_000.0;
 const REACH_M: Real = 10.0;
 /// Points of a centre line that lie this near to the line through their neighbours are left out, metres.
 const SIMPLIFY_M: Real = 0.01;
-/// Half the width of lanes without a surface, metres: they are as wide as a usual lane of a city.
-const HALF_WIDTH_M: Real = 1.75;
 /// Headings are told apart in this many sectors when the lists are built.
 const NUM_SECTORS: usize = 8;
 /// Coordinates of what is nowhere near, metres.
@@ -96,6 +95,12 @@ impl LaneHit {
         self.turn[0] >= 0.0
     }
 
+    /// Cosine of the heading of the query minus that of the lane.
+    #[inline]
+    pub fn heading_cos(&self) -> Real {
+        self.turn[0]
+    }
+
     /// Heading of the query minus heading of the lane, radians in (−π, π].
     pub fn heading_error_rad(&self) -> Real {
         math::atan2(self.turn[1], self.turn[0])
@@ -152,9 +157,23 @@ impl LaneIndex {
     pub fn holds(&self, map: &Map, lane_idx: usize, point: Point2) -> bool {
         let surface = &map.lanes[lane_idx].polygon;
         match surface.exterior.len() < 3 {
-            true => self.distance_sq(lane_idx, point) <= HALF_WIDTH_M * HALF_WIDTH_M,
-            false => surface.contains(point),
+            true => self.distance_sq(lane_idx, point) <= HALF_LANE_M * HALF_LANE_M,
+            // lanes of another level have no segments
+            false => !self.of_lane(lane_idx).is_empty() && surface.contains(point),
         }
+    }
+
+    /// Distance of a point from a lane's surface, metres; 0 in it.
+    pub(super) fn surface_distance_m(&self, map: &Map, lane_idx: usize, point: Point2) -> Real {
+        let surface = &map.lanes[lane_idx].polygon;
+        if self.holds(map, lane_idx, point) {
+            return 0.0;
+        }
+        if surface.exterior.len() < 3 {
+            return self.distance_sq(lane_idx, point).sqrt() - HALF_LANE_M;
+        }
+        let edges = surface.rings().flat_map(ring_edges).map(|(a, b)| Segment::between(a, b));
+        edges.map(|e| e.distance_sq(point)).fold(Real::INFINITY, Real::min).sqrt()
     }
 
     /// The nearest point of one lane's centre line to a pose given by its position, cosine and sine of its heading.
@@ -162,6 +181,15 @@ impl LaneIndex {
         let with_distance = self.of_lane(lane_idx).iter().map(|s| (s.distance_sq(point), s));
         let (distance_sq, nearest) = with_distance.min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(nearest.hit(point, cos, sin, distance_sq))
+    }
+
+    /// The point of a lane's centre line that is nearest to another one; that one itself where the lane has no length.
+    pub(super) fn foot(&self, lane_idx: usize, point: Point2) -> Point2 {
+        let nearest = self
+            .of_lane(lane_idx)
+            .iter()
+            .min_by(|a, b| a.distance_sq(point).total_cmp(&b.distance_sq(point)));
+        nearest.map_or(point, |s| s.start + Vector2::new(s.cos, s.sin) * s.along(point))
     }
 
     fn of_lane(&self, lane_idx: usize) -> &[Segment] {
@@ -181,7 +209,7 @@ impl LaneIndex {
             }
             let polygon = &map.lanes[lane_idx].polygon;
             if polygon.exterior.len() < 3 {
-                return (self.distance_sq(lane_idx, centre).sqrt() <= HALF_WIDTH_M + half_m, false);
+                return (self.distance_sq(lane_idx, centre).sqrt() <= HALF_LANE_M + half_m, false);
             }
             let apart =
                 |(a, b): (Point2, Point2)| Segment::between(a, b).distance_sq(centre) > half_m * half_m;

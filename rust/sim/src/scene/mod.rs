@@ -11,6 +11,7 @@ mod levels;
 mod map;
 mod mend;
 mod road_area;
+mod road_blocks;
 pub mod synthetic;
 
 pub use lane_index::{LaneHit, LaneIndex, NearLanes};
@@ -20,6 +21,7 @@ pub use levels::{PartElevations, cut_by_level, level_bounds, range_of, road_area
 pub use map::{Elevations, HIGHEST_M, LEVEL_M, Lane, LaneKind, Map};
 pub use mend::{LONGEST_GAP_S, Mended};
 pub use road_area::{RoadParts, road_area};
+pub use road_blocks::progress_along_log;
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Real, Vector2};

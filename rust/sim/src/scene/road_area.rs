@@ -17,7 +17,7 @@ const REACH_M: f64 = 25.0;
 /// Distances are exact up to here from what makes the road, metres.
 const EXACT_M: f64 = 1.5;
 /// Half the width of a lane where nothing says how wide it is, metres.
-const HALF_LANE_M: Real = 1.75;
+pub(super) const HALF_LANE_M: Real = 1.75;
 /// The middle of a lane is road even where an edge says otherwise, metres to either side.
 const LANE_CORE_M: Real = 1.0;
 /// The grid is wider than what makes the road by this on each side, metres.

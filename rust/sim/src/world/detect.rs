@@ -3,7 +3,7 @@
 use crate::events::Contact;
 use crate::geom::Real;
 use crate::world::config::WorldConfig;
-use crate::world::surroundings::road_and_lane;
+use crate::world::surroundings::{road_and_lane, straddles_lanes};
 use crate::world::sweep::{parts, states_between};
 use crate::world::tick::World;
 
@@ -57,7 +57,8 @@ impl World {
                     if at_start {
                         e.initial_contacts.push(pair);
                     } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
-                        *contact = Some(Contact::between(states, &scene.footprints, a, other));
+                        let straddles = || straddles_lanes(states, scene, a);
+                        *contact = Some(Contact::between(states, &scene.footprints, a, other, straddles));
                     }
                 }
             }

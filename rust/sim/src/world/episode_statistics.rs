@@ -29,7 +29,7 @@ const OWN: &[InfoColumn] = &[
     metric("collision", "", "1 if the agent ever collided"),
     metric("at_fault", "", "1 if a collision counts against the agent"),
     metric("off_road", "", "1 if a corner of the box was ever off the road"),
-    metric("wrong_way", "", "1 if the agent ever drove against the only lane near"),
+    metric("wrong_way", "", "1 if the agent ever faced against the lane whose surface holds it"),
     metric("goal_reached", "", "1 if the goal was reached"),
     metric("progress", "m", "way along the route"),
     metric("route_completion", "", "progress over the distance to the goal, 0 to 1"),

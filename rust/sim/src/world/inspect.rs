@@ -11,6 +11,7 @@ use crate::policy::{Driver, PlanOverride, PlanRecord};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
+use crate::world::surroundings::straddles_lanes;
 use crate::world::tick::World;
 use crate::world::tow;
 use serde_json::Value;
@@ -206,7 +207,7 @@ impl VecWorld {
         })
     }
 
-    fn begun(&self, world_idx: usize) -> Result<&World> {
+    pub(super) fn begun(&self, world_idx: usize) -> Result<&World> {
         let world = self.world(world_idx)?;
         if world.episode.begun() {
             Ok(world)
@@ -286,7 +287,10 @@ impl VecWorld {
         let (states, scene) = (&world.episode.states, &world.scene);
         let mut collisions = Collisions::new();
         collisions.detect(states, &scene.footprints, &scene.kinds);
-        let seen = |i: u32, j: u32| Contact::between(states, &scene.footprints, i as usize, j as usize);
+        let seen = |i: u32, j: u32| {
+            let (i, j) = (i as usize, j as usize);
+            Contact::between(states, &scene.footprints, i, j, || straddles_lanes(states, scene, i))
+        };
         Ok(collisions.pairs().iter().map(|(i, j)| (seen(*i, *j), seen(*j, *i))).collect())
     }
 

@@ -32,6 +32,7 @@ mod rng;
 mod roles;
 mod rows;
 mod scenes;
+mod score_facts;
 mod selection_reward;
 mod snapshot;
 mod start;
@@ -59,6 +60,7 @@ pub use reward_columns::{
     COLUMNS, COMPONENTS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S,
 };
 pub use rng::Rng;
+pub use score_facts::ScoreFacts;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use start::{LEAST_WAY_M, Wanted};
 pub use step_metrics::StepMetrics;

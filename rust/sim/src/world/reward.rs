@@ -13,7 +13,7 @@ const COMFORT_MPS2: Real = 4.0;
 const COMFORT_MPS3: Real = 10.0;
 /// A step costs no more discomfort than this.
 const MAX_DISCOMFORT: Real = 3.0;
-/// Limits of nuPlan's comfort: braking and acceleration, sideways (m/s²), jerk (m/s³).
+/// Limits of nuPlan's comfort, of single steps: braking and acceleration, sideways (m/s²), jerk (m/s³).
 const COMFORT_BOUNDS: [(Real, Real); 3] = [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37)];
 /// Speed above the limit at which progress is worth nothing, m/s.
 const SPEEDING_MPS: Real = 5.0;

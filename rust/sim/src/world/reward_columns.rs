@@ -216,11 +216,11 @@ columns! {
             |s| flag(s.off_road);
         OffRoadCentroid, "off_road_centroid", "", "1 while the centre is off the road",
             |s| flag(s.off_road_centroid);
-        WrongWay, "wrong_way", "", "1 while the agent drives against the only lane near",
+        WrongWay, "wrong_way", "", "1 while the agent faces against the lane whose surface holds it",
             |s| flag(s.wrong_way);
         GoalReached, "goal_reached", "", "1 at the step at which the goal is reached",
             |s| flag(s.reached);
-        HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance and wrong_way mean something",
+        HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance means something",
             |s| flag(s.lane_distance_m.is_some());
         LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
             |s| s.lane_distance_m.unwrap_or(0.0);

@@ -1,6 +1,6 @@
 //! Where an agent is: beside others, its route, lanes, the road, its log.
 
-use crate::events::{lane_facts, off_road};
+use crate::events::{self, lane_facts, off_road};
 use crate::geom::{Real, math};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
@@ -30,15 +30,23 @@ pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usi
     let d = pose.position - on_route.position;
     let cos = pose.cos * on_route.cos + pose.sin * on_route.sin;
     let sin = pose.sin * on_route.cos - pose.cos * on_route.sin;
+    let map = &scene.scene.map;
     let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
-    let lane = lanes.map(|l| lane_facts(states, a, l, LANE_REACH_M)).unwrap_or_default();
+    let lane = lanes.map(|l| lane_facts(states, a, l, map, LANE_REACH_M)).unwrap_or_default();
     OnRoute {
         distance_m: d.y * on_route.cos - d.x * on_route.sin,
         heading_error_rad: math::atan2(sin, cos),
         lane_distance_m: lane.lane.map(|l| l.distance_m),
-        speed_limit_mps: lane.lane.and_then(|l| scene.scene.map.lanes[l.lane_idx as usize].speed_limit_mps),
+        speed_limit_mps: lane.lane.and_then(|l| map.lanes[l.lane_idx as usize].speed_limit_mps),
         wrong_way: lane.wrong_way,
     }
+}
+
+/// Whether an agent straddles lanes or is beside them; never where the map has none.
+pub(crate) fn straddles_lanes(states: &AgentStates, scene: &PreparedScene, a: usize) -> bool {
+    let corners = || states.oriented_box(a, &scene.footprints[a]).corners();
+    let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
+    lanes.is_some_and(|lanes| events::straddles_lanes(lanes, &scene.scene.map, &corners()))
 }
 
 /// Tells a slot where its agent is beside route, lane and road.

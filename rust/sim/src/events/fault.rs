@@ -1,0 +1,109 @@
+//! Whom nuPlan's closed-loop metrics blame for a contact, and whom they expect to meet.
+
+use crate::geom::{OrientedBox, Point2, Real, Vector2};
+use crate::scene::AgentKind;
+use crate::state::{AgentStates, Footprint};
+
+/// Speed up to which an agent counts as stopped in a contact, metres per second.
+const STOPPED_MPS: Real = 0.05;
+/// Speed up to which an ego meets nobody, metres per second.
+const STANDING_MPS: Real = 5e-3;
+/// Cosine of the bearing from the rear axle above which somebody is ahead (30 degrees).
+const AHEAD_COS: Real = 0.866_025_4;
+/// How far the rear axle lies behind the middle of a box, as a share of its length: 1.39 of the 4.08 m of nuScenes' car.
+const REAR_AXLE_SHARE: Real = 0.34;
+/// Steps of time at which boxes are looked at, seconds.
+const GRID_S: Real = 0.1;
+
+/// The middle of an agent's rear axle.
+pub fn rear_axle(states: &AgentStates, agent_idx: usize, footprint: &Footprint) -> Point2 {
+    let back_m = REAR_AXLE_SHARE * 2.0 * footprint.half_length_m;
+    states.position(agent_idx) - Vector2::new(states.cos[agent_idx], states.sin[agent_idx]) * back_m
+}
+
+/// Cosine of the bearing of another agent's centre from an agent's rear axle.
+fn bearing_cos(states: &AgentStates, agent_idx: usize, other_idx: usize, footprint: &Footprint) -> Real {
+    let way = states.position(other_idx) - rear_axle(states, agent_idx, footprint);
+    let ahead = Vector2::new(states.cos[agent_idx], states.sin[agent_idx]);
+    way.dot(&ahead) / way.norm().max(Real::MIN_POSITIVE)
+}
+
+fn is_slower(velocity: Vector2, speed_mps: Real) -> bool {
+    velocity.norm_squared() <= speed_mps * speed_mps
+}
+
+/// Whether a contact counts against an agent, by nuPlan's `no_ego_at_fault_collisions`.
+///
+/// An agent that stands is never to blame. One that moves is, when the other one stands, or is not behind it (more than 150
+/// degrees off, seen from the rear axle) and is hit by its front edge. All other contacts, those of the sides, count where
+/// the agent straddles lanes or is beside them.
+pub fn is_at_fault(
+    states: &AgentStates,
+    footprints: &[Footprint],
+    agent_idx: usize,
+    other_idx: usize,
+    straddles: impl FnOnce() -> bool,
+) -> bool {
+    let (i, j) = (agent_idx, other_idx);
+    if is_slower(states.velocity(i), STOPPED_MPS) {
+        return false;
+    }
+    if is_slower(states.velocity(j), STOPPED_MPS) {
+        return true;
+    }
+    if bearing_cos(states, i, j, &footprints[i]) < -AHEAD_COS {
+        return false;
+    }
+    let own = states.oriented_box(i, &footprints[i]);
+    let front =
+        OrientedBox { centre: own.centre + own.forward() * own.half_length_m, half_length_m: 0.0, ..own };
+    front.overlaps(&states.oriented_box(j, &footprints[j])) || straddles()
+}
+
+/// Time after which an agent touches another one when all go on along their headings at their speeds, seconds; `None`
+/// where it does not within the horizon. It is nuPlan's `time_to_collision_within_bound`.
+///
+/// Boxes are looked at every 0.1 s, beginning with the first. An agent that stands meets nobody, and it meets nobody but
+/// who is ahead of it (within 30 degrees, seen from the rear axle); where it may be hit `from_sides`, which is in
+/// intersections and while it straddles lanes, whoever is not behind it. Others that it `ignores` do not count.
+pub fn expected_contact_s(
+    states: &AgentStates,
+    footprints: &[Footprint],
+    kinds: &[AgentKind],
+    agent_idx: usize,
+    from_sides: bool,
+    ignores: impl Fn(usize) -> bool,
+    horizon_s: Real,
+) -> Option<Real> {
+    let i = agent_idx;
+    if is_slower(states.velocity(i), STANDING_MPS) {
+        return None;
+    }
+    let steps = (horizon_s / GRID_S + 1e-3) as usize;
+    let velocity = |a: usize| {
+        let speed_mps = if kinds[a] == AgentKind::Static { 0.0 } else { states.velocity(a).norm() };
+        Vector2::new(states.cos[a], states.sin[a]) * speed_mps
+    };
+    let least_cos = if from_sides { -AHEAD_COS } else { AHEAD_COS };
+    let (own, own_velocity) = (states.oriented_box(i, &footprints[i]), velocity(i));
+    let first_step = |j: usize| {
+        let (other, other_velocity) = (states.oriented_box(j, &footprints[j]), velocity(j));
+        let reach_m = footprints[i].radius_m + footprints[j].radius_m;
+        let w = other_velocity - own_velocity;
+        let far_m = reach_m + w.norm() * steps as Real * GRID_S;
+        if (other.centre - own.centre).norm_squared() > far_m * far_m {
+            return None;
+        }
+        (1..=steps).find(|k| {
+            let time_s = *k as Real * GRID_S;
+            let moved = |b: OrientedBox, v: Vector2| OrientedBox { centre: b.centre + v * time_s, ..b };
+            moved(own, own_velocity).overlaps(&moved(other, other_velocity))
+        })
+    };
+    (0..states.len())
+        .filter(|j| *j != i && states.active[*j] && !ignores(*j) && states.same_level(i, *j))
+        .filter(|j| bearing_cos(states, i, *j, &footprints[i]) > least_cos)
+        .filter_map(first_step)
+        .min()
+        .map(|k| k as Real * GRID_S)
+}
