@@ -145,7 +145,7 @@ def progress_share(along_m: float, way_m: float) -> float:
 
     Ways count for 2 m at least.
     """
-    least_m = _SCORE["least_way_m"]
+    least_m = float(_SCORE["least_way_m"])
     if along_m < -least_m:
         return 0.0
     return min(1.0, max(along_m, least_m) / max(way_m, least_m))

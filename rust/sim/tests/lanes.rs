@@ -1,4 +1,5 @@
 //! The lane index against a scan of every segment of every lane.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::events::{in_intersection, lane_facts, lane_that_holds, straddles_lanes};
 use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Vector2};

@@ -11,7 +11,7 @@ const STANDING_MPS: Real = 5e-3;
 /// Cosine of the bearing from the rear axle above which somebody is ahead (30 degrees).
 const AHEAD_COS: Real = 0.866_025_4;
 /// How far the rear axle lies behind the middle of a box, as a share of its length: 1.39 of the 4.08 m of nuScenes' car.
-const REAR_AXLE_SHARE: Real = 0.34;
+pub const REAR_AXLE_SHARE: Real = 0.34;
 /// Steps of time at which boxes are looked at, seconds.
 const GRID_S: Real = 0.1;
 

@@ -11,7 +11,7 @@ mod off_road;
 mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
-pub use fault::{expected_contact_s, is_at_fault, rear_axle};
+pub use fault::{REAR_AXLE_SHARE, expected_contact_s, is_at_fault, rear_axle};
 pub use lane_facts::{LaneFacts, in_intersection, lane_facts, lane_that_holds, straddles_lanes};
 pub use leader::{ANTICIPATION_S, Leader, leader};
 pub use off_road::{OffRoad, off_road};

@@ -4,6 +4,7 @@ use super::comfort::is_calm;
 use super::forecast::{AHEAD_S, Forecast, Other, STANDS_MPS};
 use super::proposals::{Proposal, Rollout};
 use super::{Plan, Scene};
+use crate::events::REAR_AXLE_SHARE;
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::LaneKind;
 use std::cell::OnceCell;
@@ -12,8 +13,6 @@ use std::cell::OnceCell;
 const MOVES_MPS: Real = 5e-3;
 /// Cosine of the angle round the heading in which others are ahead; round its opposite they are behind.
 const AHEAD_COS: Real = 0.866_025_4;
-/// The rear axle, from which these angles are measured, is this share of the length behind the centre.
-const REAR_AXLE_SHARE: Real = 0.34;
 /// Less progress than this is none, metres.
 const LEAST_PROGRESS_M: Real = 0.1;
 /// What is left of the score where static obstacles are hit.
