@@ -102,7 +102,7 @@ CASES = {
         SOME,
     ),
     "Trajectories.off_road.counted": (
-        lambda m: motion(VALID.T.copy()).off_road(AREA, m, 5),
+        lambda m: motion(VALID.T.copy()).off_road(AREA, [], m, 5),
         SOME,
     ),
     "Trajectories.over_speed.counted": (

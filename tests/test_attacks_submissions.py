@@ -17,7 +17,7 @@ from ccdiff_env import cli, errors
 from ccdiff_env.bench import record as module
 from ccdiff_env.bench.compare import compare
 from ccdiff_env.bench.leaderboard import write_leaderboard
-from ccdiff_env.bench.planners import score_of
+from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.verify import verify

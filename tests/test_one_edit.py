@@ -101,7 +101,7 @@ def test_an_option_decides_how_much_of_the_route_is_a_success(scenes):
         )
         env.reset(seed=0)
         for _ in range(20):
-            braking = np.array([-0.3, 0.0], np.float32)
+            braking = np.array([-0.8, 0.0], np.float32)
             *_, terminated, truncated, info = env.step(braking)
             if terminated or truncated:
                 break

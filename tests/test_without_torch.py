@@ -97,7 +97,7 @@ import pathlib
 import ccdiff_env
 from ccdiff_env.record.bank import _record
 packed = [ccdiff_env.embedded_scenes("val")[0].to_bytes()]
-_record(pathlib.Path("a.scenes"), packed, "ccdiff", 1.0, 0, "", False)
+_record((pathlib.Path("a.scenes"), packed, "ccdiff", 1.0, 0, "", False))
 """
     assert without_torch(code, tmp_path) == "done"
     assert (tmp_path / "a.scenes").stat().st_size > 1000

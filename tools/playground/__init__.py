@@ -38,7 +38,7 @@ TARGET = "wasm32-unknown-unknown"
 #: first: nobody is in its way there.
 SCENES = (
     "pedestrians-00",
-    "left-turn-00",
+    "left-turn-02",
     "left-turn-01",
     "tee-crossing-01",
     "hard-brake-04",

@@ -342,7 +342,7 @@ mod tests {
         for (config, message) in [
             (
                 ModelConfig { heads: 0, ..ModelConfig::fast() },
-                "model.heads is 0, expected a whole number >= 1",
+                "model.heads is 0, expected a whole number in [1, 4096]",
             ),
             (
                 ModelConfig { width: -2, ..ModelConfig::fast() },
@@ -354,11 +354,11 @@ mod tests {
             ),
             (
                 ModelConfig { agents_within_m: -1.0, ..ModelConfig::fast() },
-                "model.agents_within_m is -1.0, expected a number > 0",
+                "model.agents_within_m is -1.0, expected a number in",
             ),
             (
                 ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },
-                "model.dt_s is null, expected a number > 0",
+                "model.dt_s is null, expected a number in",
             ),
             (
                 wrong(MapConfig { encoder: MapEncoder::Polylines, ..map() }),
@@ -372,7 +372,7 @@ mod tests {
                     normalisation: Normalisation { action_std: [1.0, 0.0], ..Normalisation::default() },
                     ..ModelConfig::fast()
                 },
-                "model.normalisation.action_std is [1.0,0.0], expected 2 numbers > 0",
+                "model.normalisation.action_std is [1.0,0.0], expected 2 numbers in",
             ),
         ] {
             let error = config.validated().unwrap_err().to_string();

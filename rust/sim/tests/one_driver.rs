@@ -54,7 +54,7 @@ fn a_new_driver_is_made_from_checked_options_and_drives_the_traffic() {
     let kind = KINDS.concat().into_iter().find(|kind| kind.name == "creeping").unwrap();
     let make = |options: &str| kind.make.unwrap()(kind.name, options);
     let wrong = make(r#"{"speed_mps": 0}"#).err().unwrap().to_string();
-    assert_eq!(wrong, "config: creeping.speed_mps is 0, expected a number > 0");
+    assert!(wrong.starts_with("config: creeping.speed_mps is 0, expected a number in"), "{wrong}");
     let policies = vec![(kind.name.to_owned(), make(r#"{"speed_mps": 2}"#).unwrap())];
     let config = WorldConfig { traffic: kind.name.into(), ..WorldConfig::default() };
     let mut batch = Batch::with_policies(vec![city(12)], config, 1, 1, policies);

@@ -50,7 +50,7 @@ impl Controlled {
 choices! {
     /// Which vehicles come first where an episode starts.
     #[derive(Clone, Copy, Eq)]
-    pub enum Ranking {
+    pub enum VehicleRanking {
         /// Those of heavy cliques of the time-to-contact graph of the three seconds before.
         Cliques = "cliques",
         /// The nearest to the ego.
@@ -175,7 +175,7 @@ options! {
         /// Slots per world.
         num_slots: usize = 1, range within(1.0, 512.0);
         /// Which vehicles get the slots of `controlled="vehicles"`, behind the ego.
-        ranking: Ranking = Ranking::First;
+        ranking: VehicleRanking = VehicleRanking::First;
         /// Who drives the agents that have a slot: `"external"` (actions), or a driver by name.
         driver: String = EXTERNAL.into();
         /// Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for each vehicle and

@@ -8,7 +8,7 @@ use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
 use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Height};
-use crate::world::config::{Controlled, Ranking, WorldConfig};
+use crate::world::config::{Controlled, VehicleRanking, WorldConfig};
 use crate::world::differences::Drawn;
 use crate::world::episode_statistics::EpisodeStatistics;
 use crate::world::policies::Policies;
@@ -217,7 +217,7 @@ impl Episode {
         let log = &scene.scene;
         let mut first_unseen = 0;
         let vehicles = match config.controlled {
-            Controlled::Vehicles if config.ranking != Ranking::First => {
+            Controlled::Vehicles if config.ranking != VehicleRanking::First => {
                 ranked_vehicles(scene, self.step_idx, config.ranking)
             }
             _ => Vec::new(),
@@ -232,7 +232,7 @@ impl Episode {
                 Controlled::PerScene(scenes) => {
                     scenes.get(&log.name).and_then(|ids| ids.get(c)).and_then(|id| log.agent_index(id))
                 }
-                Controlled::Vehicles if config.ranking == Ranking::First => {
+                Controlled::Vehicles if config.ranking == VehicleRanking::First => {
                     let drives = |a: &usize| {
                         scene.kinds[*a] == AgentKind::Vehicle && self.states.active[*a] && !scene.is_towed(*a)
                     };

@@ -5,13 +5,13 @@ use crate::causal::rank::KeyRanking;
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID};
 use crate::stage::{PreparedScene, apart_in_log};
-use crate::world::config::Ranking;
+use crate::world::config::VehicleRanking;
 
 /// How far `cliques` look back, seconds.
 const LOOK_BACK_S: Real = 3.0;
 
 /// Vehicles that the log has at a step: the ego, else the first of them, then the others by a ranking.
-pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: Ranking) -> Vec<usize> {
+pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: VehicleRanking) -> Vec<usize> {
     let (log, n) = (&scene.scene, scene.scene.num_agents());
     let drives = |a: &usize| {
         scene.kinds[*a] == AgentKind::Vehicle && !scene.is_towed(*a) && log.is_valid(*a, step_idx)
@@ -20,11 +20,11 @@ pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: R
         return Vec::new();
     };
     let (kind, back) = match ranking {
-        Ranking::Cliques => (KeyRanking::Cliques, (LOOK_BACK_S / log.dt_s).round() as usize),
-        Ranking::Nearest => (KeyRanking::Nearest, 0),
-        Ranking::Ttc => (KeyRanking::Ttc, 0),
-        Ranking::First => (KeyRanking::First, 0),
-        Ranking::Random => (KeyRanking::Random { seed: 0 }, 0),
+        VehicleRanking::Cliques => (KeyRanking::Cliques, (LOOK_BACK_S / log.dt_s).round() as usize),
+        VehicleRanking::Nearest => (KeyRanking::Nearest, 0),
+        VehicleRanking::Ttc => (KeyRanking::Ttc, 0),
+        VehicleRanking::First => (KeyRanking::First, 0),
+        VehicleRanking::Random => (KeyRanking::Random { seed: 0 }, 0),
     };
     let steps = step_idx.saturating_sub(back)..=step_idx;
     let places: Vec<usize> = steps.flat_map(|t| (0..n).map(move |a| log.at(a, t))).collect();
