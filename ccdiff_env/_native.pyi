@@ -573,16 +573,14 @@ class VecWorld:
         not ``ignored``.
         """
 
-    def step_metrics(self, world_idx: int, agents: Sequence[int]) -> dict[str, float]:
-        """Return metrics of the last step for some agents: ``num_agents`` that were there before
-        and after it, the share ``off_road`` of them, their mean ``discomfort``.
+    def candidates(self, world_idx: int, num_rows: int) -> tuple[list[int], F32]:
+        """Return the vehicles that may become adversaries, nearest to the ego first, at most R of
+        them, and their features [R, F].
         """
 
-    def candidates(
-        self, world_idx: int, rows: Sequence[int], before: Sequence[int], num_rows: int
-    ) -> dict[str, F32]:
-        """Return what an adversary policy sees: ``agents`` [n, F], and ``ttc``, ``distance``,
-        ``graph``, ``attention`` [n, n], with n = num_rows + 1, the ego first.
+    def guidance(self, world_idx: int) -> tuple[int, float, float] | None:
+        """Return the vehicle that the latest plan guides (the first of several), and the means of
+        ``shift_sigmas`` and ``realism_cost`` over all that it guides; ``None`` for nobody.
         """
 
     def expert_actions(self, world_idx: int) -> F32:

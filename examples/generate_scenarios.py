@@ -2,9 +2,9 @@
 
     python examples/generate_scenarios.py --scenes nuscenes:/data/nuscenes/val --ego idm --budget 2
 
-No learning: CCDiff traffic drives, the causal ranking chooses the adversaries, the planner under
-test drives the ego. Scenarios with a collision are saved as rollouts (.npz, scenes again by
-``Rollout.to_scene``) and as ScenarioNet descriptions (.pkl) for MetaDrive and others.
+CCDiff traffic drives, a ranking chooses the adversaries, the planner under test drives the ego.
+Scenarios with a collision are saved as rollouts (.npz, scenes again by ``Rollout.to_scene``) and as
+ScenarioNet descriptions (.pkl) for MetaDrive and others.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 from pathlib import Path
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionEnv, Recorder
+from ccdiff_env import EgoEnv, Recorder
 from ccdiff_env.record import counterfactual
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.system.files import file_name
@@ -23,11 +23,9 @@ from ccdiff_env.system.files import file_name
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "test")
-    parser.add_argument("--ego", default="idm", help="replay, idm, constant_velocity or a .zip")
-    parser.add_argument(
-        "--adversary-policy", default="causal", help="none, random, nearest, ttc, causal"
-    )
-    parser.add_argument("--budget", type=int, default=2)
+    parser.add_argument("--ego", default="idm", help="planner of the ego, as in bench planners")
+    parser.add_argument("--ranking", default="cliques", help="cliques (causal), ttc, random, ...")
+    parser.add_argument("--budget", type=int, default=2, help="vehicles that are guided at once")
     parser.add_argument("--criticality", type=float, default=1.0)
     parser.add_argument("--seeds", type=int, default=1, help="episodes per scene")
     parser.add_argument("--all", action="store_true", help="keep scenarios without collision, too")
@@ -39,37 +37,43 @@ def arguments() -> argparse.Namespace:
 def main() -> None:
     args = arguments()
     scenes = scenes_from(args)
-    options = {"ccdiff": {"criticality": args.criticality}}
+    guided = {"criticality": args.criticality, "num_guided": args.budget, "ranking": args.ranking}
+    options = {"ccdiff": guided}
     if args.smoke:
-        scenes, args.all = scenes[:1], True
-        options = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 20}
-    env = AdversarySelectionEnv(scenes=scenes, ego=args.ego, budget=args.budget, **options)
-    policy = args.adversary_policy
-    recorder = Recorder(env, ego=args.ego, adversary_policy=policy, budget=args.budget)
-    env.on_step = recorder.step  # a decision has several steps
+        scenes, args.all, options["horizon_steps"] = scenes[:1], True, 20
+        guided["denoising_steps"] = 2
+    env = EgoEnv(scenes=scenes, traffic="ccdiff", driver=args.ego, **options)
+    action = env.action_space.sample()  # the planner drives
+    recorder = Recorder(env, planner=args.ego)
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for scene in scenes:
         for seed in range(args.seeds):
             env.reset(seed=seed, options={"scene": scene.name})
             recorder.start()
-            done, adversaries = False, set()
+            done = False
             while not done:
-                *_, terminated, truncated, info = env.step(env.baseline(policy, seed))
-                adversaries.update(info["adversaries"])
+                *_, terminated, truncated, _ = env.step(action)
+                recorder.step()
                 done = terminated or truncated
             rollout = recorder.rollout()
             if not (args.all or rollout.collisions("ego")):
                 continue
             verdict = counterfactual.rollout_avoidability(rollout)
-            name = file_name(f"{scene.name}-{policy}-{seed}")
+            name = file_name(f"{scene.name}-{args.ranking}-{seed}")
             rollout.save(args.out / f"{name}.npz")
             rollout.to_scenarionet(args.out / f"{name}.pkl", name)
             row = {
                 "name": name,
                 "scene": scene.name,
                 "seed": seed,
-                "adversaries": sorted(adversaries),
+                "adversaries": sorted(
+                    {
+                        rollout.agent_ids[i]
+                        for plan in rollout.plans
+                        for i in plan.agents[plan.guided]
+                    }
+                ),
                 "collisions": [[e.step, e.partner_id, e.kind] for e in rollout.collisions("ego")],
                 "avoidable": None if verdict is None else verdict.avoidable,
             }

@@ -12,7 +12,6 @@ from shapely import affinity
 
 import ccdiff_env
 from ccdiff_env import _native, cli
-from ccdiff_env.bench import selection
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
@@ -22,7 +21,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import scene_names
 from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import scores
 from ccdiff_env.record.episode import begin
 from ccdiff_env.record.episode import play as playing
@@ -332,74 +331,6 @@ def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
     policy, options = taught[0].arguments["path"], {"observation": OBSERVATION}
     assert len(play(scenes, policy, Traffic("log", "replay"), options=options)) == 2
     assert taught[0].arguments["start"] == base[0].arguments["path"]
-
-
-def test_adversary_policies_are_trained_tried_and_compared_at_equal_cost(tmp_path):
-    training = selection.adversary_policy_jobs(
-        "embedded/train", [0], ego="replay", steps=64, folder=tmp_path
-    )
-    run_jobs(training, tmp_path / "training", progress=False)
-    policy = training[0].arguments["path"]
-    names = scene_names(VAL)[:2]
-    choice = {"source": VAL, "names": names, "ego": "replay", "seed": 0}
-    rows = {
-        (name, strength): selection.choose(adversary_policy=name, strength=strength, **choice)
-        for name, strength in (("none", 0.0), ("nearest", 1.0), ("fork", 1.0), (policy, 1.0))
-    }
-    assert all([row["scene"] for row in found] == names for found in rows.values())
-    assert [row["realism_cost"] for row in rows["none", 0.0]] == [0.0, 0.0]
-    assert min(row["realism_cost"] for row in rows["nearest", 1.0]) > 0.0
-    assert min(row["adversaries"] for row in rows["fork", 1.0]) > 0.0
-    again = selection.choose(adversary_policy="nearest", strength=1.0, **choice)
-    assert rows["nearest", 1.0] == again
-    for name in ("nearest", "fork"):
-        two = selection.choose(adversary_policy=name, strength=1.0, budget=2, **choice)
-        assert all(row["adversaries"] <= 2.0 for row in two)
-        assert max(row["adversaries"] for row in two) > 1.0
-    with pytest.raises(ConfigError, match="budget is 2"):
-        selection.trial_jobs(VAL, [policy], ego="replay", seed=0, budget=2)
-
-
-def test_the_share_of_collisions_at_equal_cost_is_read_between_strengths():
-    def row(collision, cost):
-        parts = {
-            "collision": collision, "realism_cost": cost, "shift_sigmas": 4.0 * cost,
-            "at_fault": 0.0, "adversaries": 1.0,
-        }  # fmt: skip
-        return [{**parts, "scene": i} for i in range(10)]
-
-    table = selection.selection_table(
-        {
-            ("none", 0.0): row(0.0, 0.0),
-            ("ttc", 0.5): row(0.1, 0.2),
-            ("ttc", 1.0): row(0.3, 0.4),
-            ("adversary_policies/ppo-0.zip", 1.0): row(0.5, 0.25),
-            ("adversary_policies/ppo-1.zip", 1.0): row(0.3, 0.35),
-        }
-    )
-    assert (
-        "| PPO | 1 | 40.0 ± 14.1 | 0.0 ± 0.0 | 0.300 ± 0.071 | 1.20 ± 0.28 | 1.00 ± 0.00 |" in table
-    )
-    assert table.endswith("| PPO | 40.0 ± 14.1 |\n| ttc | 20.0 |\n")
-
-
-def test_adversary_policies_are_compared_with_the_causal_ranking_scene_by_scene():
-    def rows(hits, shift):
-        parts = {"realism_cost": 0.5, "shift_sigmas": shift, "at_fault": 0.0, "adversaries": 1.0}
-        return [{"collision": hit, "scene": i, **parts} for i, hit in enumerate(3 * hits)]
-
-    table = selection.selection_table(
-        {
-            ("none", 0.0): rows([0.0, 0.0, 0.0, 0.0], 0.0),
-            ("causal", 1.0): rows([0.0, 0.0, 1.0, 0.0], 0.4),
-            ("fork", 1.0): rows([1.0, 0.0, 1.0, 0.0], 0.3),
-        }
-    )
-    # differences 1, 0, 0, 0, three times
-    error = 100.0 * scipy.stats.sem(3 * [1.0, 0.0, 0.0, 0.0])
-    assert f"| fork | +25.0 ± {error:.1f} | -0.10 ± 0.00 |" in table
-    assert "At the shift of fork (0.30 sigmas)" in table
-    assert "| causal | 18.7 |" in table or "| causal | 18.8 |" in table
 
 
 def test_rankings_that_ask_the_network_find_their_own_control_set():

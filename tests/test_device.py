@@ -136,7 +136,6 @@ def test_names_of_no_device_are_refused(device: str) -> None:
         "planners --planners idm --traffic ccdiff",
         "traffic --methods ccdiff --k 2",
         "scenarios --generators idm --planners idm",
-        "selection --steps 32 --seeds 1",
         "learning --steps 64 --base-steps 64 --seeds 1 --stages ccdiff",
     ],
 )

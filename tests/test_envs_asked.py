@@ -100,5 +100,5 @@ def test_a_recorder_made_after_a_reset_has_started(scenes):
     env = ccdiff_env.AdversarySelectionEnv(scenes=scenes)
     env.reset(seed=0)
     recorder = ccdiff_env.Recorder(env)
-    env.step(env.baseline("nearest"))
+    env.step(0)
     assert recorder.rollout().num_steps == env.unwrapped.worlds.config.ccdiff.replan_steps + 1

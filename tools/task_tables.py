@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -13,9 +14,7 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
-from ccdiff_env.envs.selection.episode import INFO_COLUMNS
-from ccdiff_env.envs.selection.options import SelectionReward
-from ccdiff_env.envs.selection.view import FEATURES, observation_space
+from ccdiff_env.envs.selection.vector import INFO_COLUMNS
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
@@ -49,10 +48,16 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
 
 
 def _observation() -> str:
-    space = observation_space(16)
-    rows = ((f"`{name}`", f"{box.shape}", type(box).__name__) for name, box in space.items())
-    text = _table(("entry", "shape", "space"), rows)
-    return text + "\nColumns of `agents`: " + ", ".join(f"`{name}`" for name in FEATURES) + ".\n"
+    features = json.loads(_native.candidate_features_json())["features"]
+    rows = (
+        (
+            f"`{f['name']}`",
+            f"{f['doc']} ({f['unit']})" if f["unit"] else f["doc"],
+            f"{f['scale']:g}",
+        )
+        for f in features
+    )
+    return _table(("column", "what", "divided by"), rows)
 
 
 #: Maker of each table by its name in the page.
@@ -61,7 +66,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
     "metrics": lambda: _unweighted(read_columns(_native.metrics_json())),
     "selection_info": lambda: _unweighted(INFO_COLUMNS),
-    "selection_rewards": lambda: _rewards(INFO_COLUMNS, SelectionReward()),
     "selection_observation": _observation,
 }
 

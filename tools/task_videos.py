@@ -32,11 +32,11 @@ def ego() -> Rollout:
 
 def selection() -> Rollout:
     """Return an episode in which guidance moves the nearest vehicle of each plan."""
-    env = AdversarySelectionEnv(scenes=find_scene("cut-in-04"), ego="replay", budget=1)
+    env = AdversarySelectionEnv(scenes=find_scene("cut-in-04"), ego="replay")
     env.reset(seed=SEED)
     recorder, done = Recorder(env), False
     while not done:
-        _, _, terminated, truncated, _ = env.step(env.baseline("nearest"))
+        _, _, terminated, truncated, _ = env.step(0)
         done = terminated or truncated
     return recorder.rollout()
 

@@ -44,7 +44,7 @@ __all__ = [
 
 K = TypeVar("K", bound=Hashable)
 #: Arguments of jobs that name who drives, perhaps by a file.
-_DRIVE = ("planner", "generator", "ego", "method", "traffic", "adversary_policy", "start")
+_DRIVE = ("planner", "generator", "ego", "method", "traffic", "start")
 #: Replays that a report shows with images.
 MAX_IMAGES = 8
 

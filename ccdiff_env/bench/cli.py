@@ -21,7 +21,6 @@ from ccdiff_env.bench.arguments import (
     replan_steps,
 )
 from ccdiff_env.bench.planner_cli import add_planner_benchmark
-from ccdiff_env.policies.planners import EGO_HELP
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
@@ -43,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_learning(kinds)
     _add_speed(kinds)
     _add_realism(kinds)
-    _add_selection(kinds)
     _add_reactivity(kinds)
 
 
@@ -302,41 +300,6 @@ def _learning(args: argparse.Namespace) -> int:
         )
     ]
     text = learning_table(run.rows(tests, "planner", "traffic"))
-    run.write("table.md", text)
-    say(text)
-    return 0
-
-
-def _add_selection(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("selection", help="learned and simple choices of the adversary")
-    add_run_arguments(parser)
-    add_other_scenes(parser, "train")
-    parser.add_argument("--ego", default="replay", help=EGO_HELP)
-    parser.add_argument("--seeds", type=int, default=3, help="adversary policies that are trained")
-    parser.add_argument("--steps", type=int, default=40_000, help="decisions of training")
-    parser.add_argument("--budget", type=int, default=1, help="vehicles chosen at once")
-    parser.set_defaults(run=_selection)
-
-
-def _selection(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench import selection
-
-    run = Run(args, "selection", ego=args.ego, steps=args.steps, budget=args.budget)
-    folder = run.folder / "choosers"  # its name in a run folder of before
-    folder = folder if folder.exists() else run.folder / "adversary_policies"
-    jobs = selection.adversary_policy_jobs(
-        str(other_place(args)),
-        [args.seed + k for k in range(args.seeds)],
-        ego=args.ego,
-        steps=args.steps,
-        folder=folder,
-    )
-    run.results(jobs, "training")
-    policies = [str(job.arguments["path"]) for job in jobs]
-    tests = selection.trial_jobs(
-        run.source, policies, ego=args.ego, seed=args.seed, budget=args.budget
-    )
-    text = selection.selection_table(run.rows(tests, "adversary_policy", "strength"))
     run.write("table.md", text)
     say(text)
     return 0

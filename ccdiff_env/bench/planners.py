@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.adversary_policy import REPLAN_STEPS, AdversaryPolicy
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import NamedDrivers, on_device
 from ccdiff_env.bench.nuplan_score import nuplan_score
@@ -33,6 +32,7 @@ from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
 from ccdiff_env.view.captions import planner_title
+from ccdiff_env.worlds.policy_file import LEARNED
 
 __all__ = [
     "TRAFFIC",
@@ -56,16 +56,13 @@ class Traffic:
     """Traffic to test planners in.
 
     ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
-    else it is drawn once. ``adversary_policy``: file of a policy that says who is turned on the
-    ego, see :class:`~ccdiff_env.bench.adversary_policy.AdversaryPolicy`. ``policies``: drivers of
-    its own, see :class:`~ccdiff_env.WorldConfig`.
+    else it is drawn once. ``policies``: drivers of its own, see :class:`~ccdiff_env.WorldConfig`.
     """
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     draws: int = 1
-    adversary_policy: str | None = None
     policies: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -94,8 +91,13 @@ def _named(label: str, name: str) -> Traffic:
     kind, _, path = name.partition(":")
     if kind != "adversary":
         return Traffic(label, name)
-    options = {"criticality": 1.0, "num_samples": 1, "replan_steps": REPLAN_STEPS}
-    return Traffic(f"CCDiff, chosen by {Path(path).stem}", "ccdiff", options, adversary_policy=path)
+    return _chosen_by(path)
+
+
+def _chosen_by(policy: str) -> Traffic:
+    pace = {"criticality": 1.0, "num_samples": 1, "replan_steps": 20, "denoising_steps": 1}
+    options: dict[str, Any] = {**pace, "adversary_policy": policy}
+    return Traffic(f"CCDiff, chosen by {Path(policy).stem}", "ccdiff", options)
 
 
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
@@ -129,6 +131,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
                 ("-ttc", "by time to contact", "ttc"),
             )
         },
+        "ccdiff-1-learned": replace(_chosen_by(LEARNED), label="CCDiff, a learned adversary"),
         "ccdiff-redrawn": Traffic(
             "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
         ),
@@ -160,7 +163,7 @@ def planner_jobs(
         :func:`play`, or ``nuplan:package.module.Class`` of a planner of nuPlan.
     traffic
         Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``adversary:FILE`` of a
-        policy that ``bench selection`` trained.
+        choice of adversaries, see examples/train_adversary_selection.py.
     seed
         Seed of the episodes.
     options
@@ -362,14 +365,10 @@ def drive(
     worlds = begin(scenes, config, seed)
     if seat is not None:
         seat.begin(worlds)
-    path = traffic.adversary_policy
-    adversary_policy = None if path is None else AdversaryPolicy(worlds, path)
     nothing = np.zeros((len(scenes), worlds.native.action_width), np.float32)
 
     def act(obs: npt.NDArray[np.float32], running: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
         actions = nothing if seat is None else seat(obs, running)
-        if adversary_policy is not None:
-            adversary_policy.choose(running)
         return actions
 
     recorders = recorders_of(worlds, record, planner=who)
@@ -377,8 +376,6 @@ def drive(
     judges = [Judge(worlds, i) for i in range(len(scenes))]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
     for running, actions, out in played(worlds, act, recorders=recorders):
-        if adversary_policy is not None:
-            adversary_policy.step(running)
         for i in np.flatnonzero(running).tolist():
             tapes[i].step(actions[i, 0], out.columns[i, 0])
             judges[i].step(out.columns[i, 0])

@@ -1,350 +1,243 @@
-"""Who is turned against the ego: a learned choice beside simple ones, at equal realism cost.
+"""Who is turned on the ego: learned choices beside rules, at an equal cost of guidance.
 
-Every adversary policy names vehicles at every plan of CCDiff traffic, one by default, whose plans
-guidance then bends towards a contact with the ego. The learned one is MaskablePPO of sb3-contrib,
-and names one. A simple one pays for its collisions by the strength of the guidance: its share of
-scenes with a collision at another's cost is read off the line through its points.
+A rule pays for its collisions by the strength of the guidance, or by how often it acts. Its
+share of scenes with a collision at another's shift is read off the line through its points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.adversary_policy import MAX_AGENTS, REPLAN_STEPS
-from ccdiff_env.bench.intervals import FEW, are_few, spread
-from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
-from ccdiff_env.envs.selection.options import SelectionReward
-from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import ego_driver
-from ccdiff_env.system.table import Block, Column, Table, TableRows, document
+from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.planner_report import permutation_p
+from ccdiff_env.bench.plots import new_plot, save_plot
+from ccdiff_env.envs.selection import AdversarySelectionVectorEnv, fork_actions, rule_actions
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.system.table import Column, Table, TableRows
 
-__all__ = [
-    "ADVERSARY_POLICIES",
-    "STRENGTHS",
-    "adversary_policy_jobs",
-    "choose",
-    "selection_table",
-    "train_adversary_policy",
-    "trial_jobs",
-]
+__all__ = ["Choice", "learned", "play", "plot", "rivals", "table"]
 
-#: The simple ones, see :meth:`AdversarySelectionVectorEnv.baseline`; ``fork`` tries every candidate
-#: in forks of the world and takes the one that comes nearest to the ego.
-ADVERSARY_POLICIES = ("none", "random", "nearest", "ttc", "causal", "fork")
-#: Strengths of the guidance at which the simple adversary policies are measured; PPO chooses at 1.
-STRENGTHS = (0.25, 0.5, 0.75, 1.0)
-NUM_ENVS = 32
-#: Rewards of training: a fifth of the default ones, so that the loss of the value function does not
-#: rule the features that it shares with the policy.
-REWARD = SelectionReward(
-    **{
-        name: 0.2 * getattr(SelectionReward(), name)
-        for name in ("collision", "realism", "off_road", "comfort")
-    }
-)
-#: Scenes that share a batch of the network.
-CHUNK = 12
+F64 = npt.NDArray[np.float64]
+Rows = Sequence[Mapping[str, Any]]
 #: Steps of a fork: this decision and the next one.
 FORK_STEPS = 40
+#: Strengths at which rules are measured; gates of the closest approach, metres, the last one open.
+RULE_STRENGTHS = (1.0, 2.0, 3.0, 4.0)
+GATES_M = (5.0, 10.0, 15.0, 30.0)
 
 
-def _options(ego: str, strength: float, device: str) -> dict[str, Any]:
-    return {
-        "ego": ego,
-        "action_mode": "discrete",
-        "budget": 1,
-        "max_agents": MAX_AGENTS,
-        "num_threads": 1,
-        "ccdiff": {"criticality": strength, "replan_steps": REPLAN_STEPS, "device": device},
-    }
+class Choice(NamedTuple):
+    """Somebody who chooses: the line that it belongs to, its point there, and how it chooses."""
+
+    line: str
+    point: str
+    #: Returns agents and criticality of each world, see `AdversarySelectionVectorEnv.decide`.
+    choose: Callable[[AdversarySelectionVectorEnv], Any]
+    #: Options of CCDiff beside the environment's.
+    ccdiff: Mapping[str, Any] = {}
+    strengths: Sequence[float] = (1.0,)
 
 
-def adversary_policy_jobs(
-    source: str, seeds: Sequence[int], *, ego: str, steps: int, folder: Path
-) -> list[Job]:
-    """Return the jobs that train one adversary policy per seed; policies go to a folder.
+def _rule(line: str, strength: float, gate_m: float | None = None) -> Choice:
+    def choose(env: AdversarySelectionVectorEnv) -> Any:
+        seed = int(env.worlds.native.status(0).elapsed_steps)
+        return env.chosen(rule_actions(env, line, gate_m=gate_m, seed=seed))
 
-    Parameters
-    ----------
-    source
-        Scenes of training, a text of :func:`ccdiff_env.load`.
-    seeds
-        Seeds of PPO and of the worlds.
-    ego
-        Who drives the ego, see :class:`~ccdiff_env.AdversarySelectionEnv`.
-    steps
-        Decisions per adversary policy.
-    folder
-        Where policies go.
-    """
-    return [
-        Job(
-            f"train-{seed}",
-            f"{__name__}:train_adversary_policy",
-            {
-                "source": source,
-                "ego": ego,
-                "seed": seed,
-                "steps": steps,
-                "path": str(folder / f"ppo-{seed}.zip"),
-            },
-        )
-        for seed in seeds
-    ]
+    point = f"{strength:g}" + ("" if gate_m is None else f", within {gate_m:g} m")
+    return Choice(line, point, choose, strengths=(strength,))
 
 
-def train_adversary_policy(
-    *, source: str, ego: str, seed: int, steps: int, path: str, device: str = "cpu"
-) -> dict[str, Any]:
-    """Train MaskablePPO and save it.
-
-    Returns
-    -------
-    dict
-        ``curve``: decisions, mean return and share with a collision of the episodes since the last
-        row.
-    """
-    from sb3_contrib import MaskablePPO
-
-    from ccdiff_env.bench.learning import curve_callback
-    from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
-    from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
-    from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy
-
-    env = SelectionSB3VecEnv(
-        AdversarySelectionVectorEnv(
-            NUM_ENVS, scenes=scenes_of(source), reward=REWARD, **_options(ego, 1.0, device)
-        )
-    )
-    model = MaskablePPO(
-        CandidatePolicy,
-        env,
-        learning_rate=lambda left: 1e-3 * max(left, 0.05),
-        n_steps=16,
-        batch_size=128,
-        n_epochs=5,
-        gamma=0.97,
-        ent_coef=0.003,
-        seed=seed,
-        device="cpu",
-    )
-    curve = curve_callback()
-    model.learn(steps, callback=curve)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    model.save(path)
-    env.close()
-    return {"curve": curve.rows}
+def _traffics(env: AdversarySelectionVectorEnv, criticality: float = 1.0) -> Any:
+    """Leave the choice to the traffic."""
+    return [(None, criticality)] * env.num_envs
 
 
-def trial_jobs(
-    source: str, policies: Sequence[str], *, ego: str, seed: int, budget: int = 1
-) -> list[Job]:
-    """Return the jobs that try every adversary policy: policies x strengths x chunks of the scenes.
+def rivals(*, forks: bool = True) -> list[Choice]:
+    """Return the rules: each at its strengths; ``forks`` needs an ego that worlds drive."""
+    names = ("random", "nearest", "ttc", "approach")
+    found = [_rule("none", 1.0)]
+    found += [_rule(name, strength) for name in names for strength in RULE_STRENGTHS]
+    gated = [_rule("approach", 4.0, gate_m) for gate_m in GATES_M]
+    found += [choice._replace(line="approach, gated") for choice in gated]
+    # the ranking of the traffic, as the paper's
+    one = {"num_guided": 1, "ranking": "cliques"}
+    for c in RULE_STRENGTHS:
+        found.append(Choice("causal", f"{c:g}", partial(_traffics, criticality=c), one))
+    if forks:
 
-    ``fork`` is left out where the ego is a policy, whose memory a fork does not hold.
+        def choose(env: AdversarySelectionVectorEnv) -> Any:
+            return env.chosen(fork_actions(env, FORK_STEPS))
 
-    Raises
-    ------
-    ConfigError
-        For trained adversary policies, which name one vehicle, with another budget.
-    """
-    if policies and budget != 1:
-        raise ConfigError(f"budget is {budget}, expected 1 for adversary policies that are trained")
-    conditions = [("none", 0.0)]
-    left_out = {"none"} if ego_driver(ego)[1] is None else {"none", "fork"}
-    simple = [name for name in ADVERSARY_POLICIES if name not in left_out]
-    conditions += [(name, strength) for name in simple for strength in STRENGTHS]
-    conditions += [(path, 1.0) for path in policies]
-    return [
-        Job(
-            f"{Path(policy).stem}-{strength:g}-{i:03d}",
-            f"{__name__}:choose",
-            {
-                "source": source,
-                "names": names,
-                "adversary_policy": policy,
-                "strength": strength,
-                "ego": ego,
-                "seed": seed,
-                "budget": budget,
-            },
-        )
-        for policy, strength in conditions
-        for i, names in enumerate(chunks(scene_names(source), CHUNK))
-    ]
+        found.append(Choice("forks", "weakest of 1, 2, 4", choose, strengths=(1.0, 2.0, 4.0)))
+    return found
 
 
-def choose(
+def learned(line: str, path: str | Path) -> Choice:
+    """Return the choice of a policy by the file that the traffic reads."""
+    options = {"adversary_policy": str(path)}
+    return Choice(line, Path(path).stem, _traffics, options)
+
+
+def play(
+    scenes: SceneSet,
+    choice: Choice,
     *,
-    source: str,
-    names: Sequence[str],
-    adversary_policy: str,
-    strength: float,
-    ego: str,
-    seed: int,
-    budget: int = 1,
-    device: str = "cpu",
+    ego: str = "idm",
+    seeds: Iterable[int] = (0,),
+    **ccdiff: Any,
 ) -> list[dict[str, Any]]:
-    """Let an adversary policy choose in every scene once.
+    """Let somebody choose in every scene once for each seed.
 
     Parameters
     ----------
-    source, names
+    scenes
         The scenes.
-    adversary_policy
-        One of :data:`ADVERSARY_POLICIES`, or the path of a policy of MaskablePPO.
-    strength
-        Strength of the guidance (criticality).
+    choice
+        Who chooses.
     ego
         Who drives the ego.
-    seed
-        Seed of every episode.
-    budget
-        Vehicles that it names at most; a policy names one.
-    device
-        Where the network of the traffic runs.
+    seeds
+        Seeds of the episodes.
+    **ccdiff
+        Options of the traffic, such as ``denoising_steps=5``.
 
     Returns
     -------
     list of dict
-        Per scene: ``collision`` of the ego with a vehicle that was an adversary, ``at_fault`` of
-        the ego, ``realism_cost`` and ``shift_sigmas`` means over decisions, ``adversaries``
-        chosen per decision.
+        ``scene``, ``seed`` and the metrics of the environment, a row per scene and seed.
     """
-    from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
-
-    scenes = scenes_of(source, names)
-    options = _options(ego, strength, device)
-    if adversary_policy in ADVERSARY_POLICIES:
-        options |= {"action_mode": "multibinary", "budget": budget}
-    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, **options)
-    policy = None
-    if adversary_policy not in ADVERSARY_POLICIES:
-        from sb3_contrib import MaskablePPO
-
-        policy = MaskablePPO.load(adversary_policy, device="cpu")
-    obs, _ = env.reset(seed=[seed] * len(scenes), options={"scene": list(range(len(scenes)))})
-    rows: list[dict[str, Any]] = [{} for _ in scenes]
-    at_fault = np.zeros(len(scenes))
-    for decision in range(env.worlds.config.horizon_steps):
-        if all(rows):
-            break
-        if adversary_policy == "fork":
-            gaps = env.fork_gaps(FORK_STEPS)
-            nearest = gaps.argsort(axis=1, kind="stable").argsort(axis=1) < budget
-            actions = (nearest & np.isfinite(gaps)).astype(np.int8)
-        elif policy is None:
-            actions = env.baseline(adversary_policy, seed=1000 * decision)
-        else:
-            masks = env.action_masks()
-            actions, _ = policy.predict(obs, action_masks=masks, deterministic=True)
-        obs, _, terminated, truncated, infos = env.step(actions)
-        done = terminated | truncated
-        at_fault = np.maximum(at_fault, infos["ego_at_fault"])
-        for i in np.flatnonzero(done):
-            if not rows[i]:
-                metrics = infos["final_info"]["metrics"]
-                rows[i] = {
-                    "scene": scenes[i].name,
-                    "collision": float(metrics["is_success"][i]),
-                    "at_fault": float(at_fault[i]),
-                    "realism_cost": float(metrics["mean_realism_cost"][i]),
-                    "shift_sigmas": float(metrics["mean_shift_sigmas"][i]),
-                    "adversaries": float(metrics["mean_adversaries"][i]),
-                }
-    env.close()
+    env = AdversarySelectionVectorEnv(
+        len(scenes),
+        scenes=scenes,
+        ego=ego,
+        strengths=choice.strengths,
+        num_threads=1,
+        ccdiff={**ccdiff, **choice.ccdiff},
+    )
+    rows = []
+    for seed in seeds:
+        env.reset(seed=[seed] * len(scenes), options={"scene": list(range(len(scenes)))})
+        done = np.zeros(len(scenes), np.bool_)
+        while not done.all():
+            _, terminated, truncated = env.decide(choice.choose(env))
+            done |= terminated | truncated
+        rows += [
+            {"scene": scene.name, "seed": seed, **env.metrics(e)} for e, scene in enumerate(scenes)
+        ]
     return rows
 
 
-def selection_table(rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) -> str:
-    """Return the table in Markdown.
+def _by_scene(rows: Rows, name: str) -> F64:
+    """Means over seeds of a figure, one number for each scene, in the order of the first rows."""
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    values: dict[str, list[float]] = {scene: [] for scene in scenes}
+    for row in rows:
+        values[row["scene"]].append(float(row[name]))
+    return np.array([np.mean(values[scene]) for scene in scenes])
+
+
+def at_shift(line: Sequence[Rows], shift: float) -> F64 | None:
+    """Return collisions by scene of a line at a shift, between its points; ``None`` beyond them."""
+    points = sorted(
+        (float(_by_scene(rows, "mean_shift_sigmas").mean()), i) for i, rows in enumerate(line)
+    )
+    for (low, i), (high, j) in pairwise(points):
+        if low <= shift <= high and high > low:
+            share = (shift - low) / (high - low)
+            below, above = (_by_scene(line[k], "is_success") for k in (i, j))
+            return (1.0 - share) * below + share * above
+    return None
+
+
+def table(played: Mapping[tuple[str, str], Rows], policies: Iterable[str]) -> list[Table]:
+    """Return all choices, and the learned ones less each rule at the same shift.
 
     Parameters
     ----------
-    rows
-        One dictionary per scene (see :func:`choose`) of every policy at every strength. Files
-        ``.../ppo-<seed>.zip`` are shown as one, mean ± spread over seeds.
+    played
+        Rows of :func:`play` by line and point.
+    policies
+        Lines that are learned.
     """
-    keys = ("collision", "at_fault", "realism_cost", "shift_sigmas", "adversaries")
-    means = {
-        c: {k: float(np.mean([r[k] for r in found])) for k in keys} for c, found in rows.items()
-    }
-    learned = [m for (name, _), m in means.items() if name.endswith(".zip")]
-    columns = (
-        Column("collision", "ego collides", "%", digits=1, factor=100.0),
-        Column("at_fault", unit="%", digits=1, factor=100.0),
-        Column("realism_cost", "C(tau)", digits=3),
-        Column("shift_sigmas"),
-        Column("adversaries", "chosen"),
-    )
-    shown: TableRows = [
-        [name, f"{strength:g}", *(means[name, strength][c.name] for c in columns)]
-        for name, strength in means
-        if not name.endswith(".zip")
+    learned_lines = list(policies)
+    figures = [
+        Column("is_success", head="ego collides", unit="%", digits=1, factor=100.0),
+        Column("ego_at_fault", head="at fault", unit="%", digits=1, factor=100.0, interval=False),
+        Column("mean_shift_sigmas", head="shift, sigmas", interval=False),
+        Column("mean_realism_cost", head="C(tau)", interval=False),
+        Column("guided", head="guided plans", unit="%", digits=0, factor=100.0, interval=False),
     ]
-    nearest: TableRows = []
-    if learned:
-        cells = [
-            spread(
-                c.factor * np.array([m[c.name] for m in learned]),
-                c.digits,
-                next(iter(rows.values())),
-            )
-            for c in columns
-        ]
-        shown.append(["PPO", "1", *cells])
-        nearest.append(["PPO", cells[0]])
-    whole = Table(["adversary policy", "strength", *columns], shown)
-    if learned:
-        shift, head = float(np.mean([m["shift_sigmas"] for m in learned])), "PPO"
-    elif ("fork", 1.0) in means:
-        shift, head = means["fork", 1.0]["shift_sigmas"], "fork"
-    else:
-        return document(whole)
-    floor = next((m for (name, _), m in means.items() if name == "none"), None)
-    for name in dict.fromkeys(n for n, _ in means if n != "none" and not n.endswith(".zip")):
-        points = [m for (n, _), m in means.items() if n == name]
-        points += [] if floor is None else [floor]
-        points.sort(key=lambda m: m["shift_sigmas"])
-        share = np.interp(
-            shift, [m["shift_sigmas"] for m in points], [m["collision"] for m in points]
-        )
-        nearest.append([name, float(share)])
-    return document(
-        whole,
-        f"At the shift of {head} ({shift:.2f} sigmas), between measured strengths:",
-        Table(["adversary policy", columns[0]], nearest),
-        *_less_causal(rows),
-    )
-
-
-def _less_causal(
-    rows: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]],
-) -> list[Block]:
-    """Paired differences to the causal ranking at full strength ± standard errors over scenes."""
-    if ("causal", 1.0) not in rows:
-        return []
-    if are_few(rows["causal", 1.0]):
-        return [FEW]
-
-    def column(name: str, key: str) -> npt.NDArray[np.float64]:
-        return np.array([row[key] for row in rows[name, 1.0]], np.float64)
-
-    shown = []
-    for name in (n for n, strength in rows if strength == 1.0 and n != "causal"):
-        cells = []
-        for key, factor, digits in (("collision", 100.0, 1), ("shift_sigmas", 1.0, 2)):
-            less = factor * (column(name, key) - column("causal", key))
-            error = less.std(ddof=1) / np.sqrt(len(less)) if len(less) > 1 else np.nan
-            cells.append(f"{less.mean():+.{digits}f} ± {error:.{digits}f}")
-        shown.append([Path(name).stem, *cells])
+    whole: TableRows = [
+        [*key, *(mean_interval(_scene_rows(rows, c.name), c.name) for c in figures)]
+        for key, rows in played.items()
+    ]
+    less: TableRows = []
+    none = next((rows for (line, _), rows in played.items() if line == "none"), [])
+    for rule in dict.fromkeys(n for n, _ in played if n not in (*learned_lines, "none")):
+        line = [found for (n, _), found in played.items() if n == rule]
+        pairs, others = [], []
+        for (name, point), rows in played.items():
+            if name not in learned_lines:
+                continue
+            shift = float(_by_scene(rows, "mean_shift_sigmas").mean())
+            other = at_shift([none, *line] if none else line, shift)
+            if other is None:
+                less.append([point, rule, None, None, "beyond its strongest"])
+                continue
+            pairs.append(_by_scene(rows, "is_success") - other)
+            others.append(float(other.mean()))
+            less.append([point, rule, others[-1], *_difference(pairs[-1])])
+        if len(pairs) > 1:
+            together = np.mean(pairs, axis=0)
+            less.append(["all", rule, float(np.mean(others)), *_difference(together)])
+    heads = [
+        Column("share", head="collides at that shift", unit="%", digits=1, factor=100.0),
+        Column("difference", head="learned less it", digits=1, sign="+", factor=100.0),
+    ]
     return [
-        "Less the causal ranking, both at strength 1, ± standard error over scenes:",
-        Table(["adversary policy", "ego collides %", "shift, sigmas"], shown),
+        Table(["chooses", "at", *figures], whole),
+        Table(["policy", "rule", *heads, "p"], less),
     ]
+
+
+def _difference(pairs: F64) -> tuple[tuple[float, float, float], str]:
+    """A mean over scenes with its interval, and its p."""
+    return mean_interval([{"x": float(d)} for d in pairs], "x"), f"{permutation_p(pairs):.4f}"
+
+
+def _scene_rows(rows: Rows, name: str) -> list[dict[str, Any]]:
+    return [{name: float(value)} for value in _by_scene(rows, name)]
+
+
+def plot(
+    played: Mapping[tuple[str, str], Rows], policies: Iterable[str], path: Path, *, ego: str
+) -> None:
+    """Draw collisions against shift: lines of the rules, the learned ones as points."""
+    learned_lines = set(policies)
+    figure, axes = new_plot(7.0, 4.4)
+    lines: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
+    for (line, _), rows in played.items():
+        shift = float(_by_scene(rows, "mean_shift_sigmas").mean())
+        share = mean_interval(_scene_rows(rows, "is_success"), "is_success")
+        lines.setdefault(line, []).append((shift, share))
+    for line, points in lines.items():
+        points.sort(key=lambda point: point[0])
+        x = [shift for shift, _ in points]
+        y = [100.0 * share[0] for _, share in points]
+        spread = 100.0 * np.array([[s[0] - s[1], s[2] - s[0]] for _, s in points]).T
+        own = line in learned_lines
+        look: dict[str, Any] = {"fmt": "o-", "markersize": 4}
+        if own:
+            look = {"fmt": "*", "markersize": 11, "color": "#000000"}
+        axes.errorbar(x, y, yerr=spread, label=line, **look)
+    axes.set_xlabel("shift of the guided plan, standard deviations, mean over plans")
+    axes.set_ylabel(f"scenes in which the ego ({ego}) collides, %")
+    axes.legend(frameon=False)
+    save_plot(figure, path)

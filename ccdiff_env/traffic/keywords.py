@@ -22,10 +22,10 @@ from ccdiff_env.traffic.options import (
     ObservationConfig,
     Pedestrians,
     Randomization,
-    Ranking,
     RewardConfig,
     SceneOrder,
     TrafficCollision,
+    VehicleRanking,
 )
 from ccdiff_env.traffic.python import PythonTraffic
 
@@ -95,6 +95,6 @@ class WorldKeywords(EgoKeywords, total=False):
     observation: ObservationConfig | Mapping[str, Any]
     controlled: Controlled | list[str]
     num_slots: int
-    ranking: Ranking
+    ranking: VehicleRanking
     num_adversaries: int
     autoreset: Autoreset

@@ -33,7 +33,7 @@ Controlled: TypeAlias = (
 )
 
 #: Which vehicles come first where an episode starts.
-Ranking: TypeAlias = Literal["cliques", "nearest", "ttc", "first", "random"]
+VehicleRanking: TypeAlias = Literal["cliques", "nearest", "ttc", "first", "random"]
 
 #: Who moves pedestrians.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
@@ -328,7 +328,7 @@ class WorldOptions:
     #: Slots per world (in [1, 512]).
     num_slots: int = 1
     #: Which vehicles get the slots of ``controlled="vehicles"``, behind the ego.
-    ranking: Ranking = "first"
+    ranking: VehicleRanking = "first"
     #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
     driver: str = "external"
     #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
@@ -387,36 +387,24 @@ class WorldOptions:
     scene_order: SceneOrder = "random"
 
 
-#: Which collisions of agents that were adversaries in the episode count.
-CountedCollisions: TypeAlias = Literal["ego", "any"]
+#: Which collisions of the ego with vehicles that were adversaries in the episode count.
+CountedCollisions: TypeAlias = Literal["all", "ego_at_fault", "avoidable"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionReward:
-    """Weights of the reward components of one decision about adversaries; the reward is their sum.
-
-    A collision is worth more than an episode of unrealistic plans costs: else, as few choices lead
-    to one, choosing nobody would be best.
+    """Reward of one decision about adversaries: collisions that count, less the cost of the
+    guidance.
     """
 
-    #: Per new collision that counts (in [-1000000, 1000000]).
-    collision: float = 5.0
-    #: Which collisions count, of agents that were adversaries in the episode.
-    count: CountedCollisions = "ego"
-    #: Whether collisions count that the ego is at fault for (paper), such as rear-ending an
-    #: adversary that brakes.
-    ego_fault: bool = True
-    #: Whether collisions of the ego count only where another ego plan would have avoided them
-    #: (``counterfactual.rollout_avoidability``, up to a second each).
-    avoidable_only: bool = False
-    #: Per unit of realism cost (total variation between guided and unguided actions, the paper's
-    #: C), mean over adversaries (in [-1000000, 1000000]).
-    realism: float = -0.02
-    #: Per share of steps that adversaries spend off the road (in [-1000000, 1000000]).
-    off_road: float = -0.1
-    #: Per unit of discomfort (as ``RewardConfig``), mean over steps and adversaries (in [-1000000,
-    #: 1000000]).
-    comfort: float = -0.005
+    #: Per collision that counts (in [0, 1000000]).
+    collision: float = 1.0
+    #: Which collisions count.
+    counts: CountedCollisions = "all"
+    #: Cost per standard deviation by which guidance moves the adversary's plan (``shift_sigmas``)
+    #: (in [0, 1000000]). Learning finds nobody worth it where it is high from the beginning: start
+    #: low, then raise it.
+    shift_cost: float = 0.03
 
     def __post_init__(self) -> None:
         check("SelectionReward", "reward", dataclasses.asdict(self))
@@ -452,6 +440,12 @@ class EgosConfig:
 
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
+
+#: How the vehicles to be guided are found.
+Ranking: TypeAlias = (
+    Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
+    | Mapping[str, tuple[str, ...]]
+)
 
 #: Who drives the vehicles outside the guided set.
 BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]
@@ -510,6 +504,11 @@ class CcdiffConfig:
     #: How they are found; a list may be a mapping or the path of a JSON file
     #: (``ccdiff_env.traffic.read_ranking``).
     ranking: Ranking = "cliques"
+    #: Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the
+    #: ranking: ``"learned"``, the shipped policy, or the file of one
+    #: (examples/train_adversary_selection.py); ``criticality`` scales its strengths. It learned
+    #: with plans of 20 steps.
+    adversary_policy: str | None = None
     #: Whether they are found anew at every plan, not only at the first one.
     rerank: bool = True
     #: Who drives the vehicles that are not guided.

@@ -31,7 +31,7 @@ from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
-from ccdiff_env.worlds.policy_file import egos_policy
+from ccdiff_env.worlds.policy_file import adversary_policy_path, egos_policy
 from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
 
 F32 = npt.NDArray[np.float32]
@@ -505,6 +505,9 @@ def network_policies(
         weights = weights_path(
             settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
         )
+        if settings.get("adversary_policy") is not None:
+            policy = adversary_policy_path(settings["adversary_policy"])
+            options = json.dumps({**settings, "adversary_policy": str(policy)})
         make = _native.traffic_policy
         if needs_torch(weights, settings["device"]):
             require_networks()

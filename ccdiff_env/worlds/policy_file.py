@@ -14,11 +14,21 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.config import EgosConfig, WorldConfig, unknown
-from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.system.files import parsed_object, reading
 from ccdiff_env.system.tensors import read_tensors
 
-__all__ = ["FITTING", "FORMAT", "NO_STYLE", "SHIPPED", "PolicyFile", "egos_policy", "read_policy"]
+__all__ = [
+    "FITTING",
+    "FORMAT",
+    "LEARNED",
+    "NO_STYLE",
+    "SHIPPED",
+    "PolicyFile",
+    "adversary_policy_path",
+    "egos_policy",
+    "read_policy",
+]
 
 F32 = npt.NDArray[np.float32]
 #: Lowest and highest factors of weights of the reward, by name.
@@ -33,6 +43,25 @@ _NAMES = ("ego", "ego_replay", "imitation", "pdm_open")
 #: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone; on what
 #: logged drivers did; on their next four seconds, without other agents.
 SHIPPED = {name: _DATA / f"{name}.safetensors" for name in _NAMES}
+
+#: Name of the shipped choice of adversaries.
+LEARNED = "learned"
+
+
+def adversary_policy_path(name: str) -> Path:
+    """Return the file of a choice of adversaries: :data:`LEARNED`, or a path.
+
+    Raises
+    ------
+    DatasetNotFoundError
+        If there is no such file.
+    """
+    path = _DATA / "adversary_policy.safetensors" if name == LEARNED else Path(name)
+    if not path.is_file():
+        raise DatasetNotFoundError(
+            f'adversary_policy: no file {name}, expected "{LEARNED}" or a .safetensors'
+        )
+    return path
 
 
 class PolicyFile(NamedTuple):

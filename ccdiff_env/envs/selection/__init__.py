@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from ccdiff_env.envs.selection.batch import BASELINES
-from ccdiff_env.envs.selection.options import SelectionReward
+from ccdiff_env.envs.selection.rules import RULES, fork_actions, rule_actions
 from ccdiff_env.envs.selection.single import AdversarySelectionEnv
-from ccdiff_env.envs.selection.vector import AdversarySelectionVectorEnv
+from ccdiff_env.envs.selection.vector import FEATURES, STRENGTHS, AdversarySelectionVectorEnv
+from ccdiff_env.traffic.options import SelectionReward
 
 __all__ = [
-    "BASELINES",
+    "FEATURES",
+    "RULES",
+    "STRENGTHS",
     "AdversarySelectionEnv",
     "AdversarySelectionVectorEnv",
     "SelectionReward",
+    "fork_actions",
+    "rule_actions",
 ]

@@ -14,7 +14,8 @@ use ccdiff_render::{Trails, WorldImage, WorldView};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
-    ArraySpec, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, VecWorld, Wanted, WorldConfig,
+    ArraySpec, CANDIDATE_FEATURES, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, VecWorld, Wanted,
+    WorldConfig,
 };
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -367,6 +368,17 @@ impl PyVecWorld {
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
+    /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it
+    /// guides; `None` where it guides nobody.
+    fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32, f32)>> {
+        let me = self.lock()?;
+        let Some(plan) = me.world.explain(world_idx, None).map_err(from_sim)? else { return Ok(None) };
+        let guided: Vec<usize> = (0..plan.agents.len()).filter(|row| plan.guided[*row]).collect();
+        let mean = |of: &[f32]| guided.iter().map(|row| of[*row]).sum::<f32>() / guided.len() as f32;
+        let figures = || (mean(&plan.shift_sigmas), mean(&plan.realism_cost));
+        Ok(guided.first().map(|row| (plan.agents[*row], figures().0, figures().1)))
+    }
+
     /// Name of the driver of each agent.
     fn drivers(&self, world_idx: usize) -> PyResult<Vec<String>> {
         let me = self.lock()?;
@@ -480,30 +492,16 @@ impl PyVecWorld {
         Ok(world_state::score_row(&facts.map_err(from_sim)?))
     }
 
-    /// Metrics of the last step for some agents: how many were there before and after it, the share of them off the road,
-    /// their mean discomfort.
-    fn step_metrics<'py>(
-        &self,
-        py: Python<'py>,
-        world_idx: usize,
-        agents: Vec<usize>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let me = self.lock()?;
-        world_state::step_metrics(py, &me.world.step_metrics(world_idx, &agents).map_err(from_sim)?)
-    }
-
-    /// What an adversary policy sees, as arrays by name.
+    /// Vehicles of a world that may become adversaries, nearest to the ego first, at most R of them; their features [R, F].
     fn candidates<'py>(
         &self,
         py: Python<'py>,
         world_idx: usize,
-        rows: Vec<usize>,
-        before: Vec<usize>,
         num_rows: usize,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let me = self.lock()?;
-        let found = me.world.candidates(world_idx, &rows, &before, num_rows).map_err(from_sim)?;
-        world_state::candidates(py, found, num_rows + 1)
+    ) -> PyResult<(Vec<usize>, Bound<'py, PyArray2<f32>>)> {
+        let found = self.lock()?.world.candidates(world_idx, num_rows).map_err(from_sim)?;
+        let shape = [num_rows, CANDIDATE_FEATURES.len()];
+        Ok((found.agents, PyArray1::from_vec(py, found.features).reshape(shape)?))
     }
 
     /// Actions [C, W] that bring each slot's agent towards its next logged state.

@@ -3,7 +3,7 @@
 use ccdiff_sim::dynamics::Action;
 use ccdiff_sim::events::{Contact, ContactKind, OffRoad};
 use ccdiff_sim::geom::Point2;
-use ccdiff_sim::world::{CandidateRows, ScoreFacts, StepMetrics, WorldStatus};
+use ccdiff_sim::world::{ScoreFacts, WorldStatus};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -70,31 +70,6 @@ pub(crate) fn off_road<'py>(py: Python<'py>, facts: &[OffRoad]) -> OffRoadArrays
     let corner = facts.iter().map(|f| f.corner).collect();
     let centre = facts.iter().map(|f| f.centroid).collect();
     (PyArray1::from_vec(py, corner), PyArray1::from_vec(py, centre))
-}
-
-/// Step metrics by name.
-pub(crate) fn step_metrics<'py>(py: Python<'py>, found: &StepMetrics) -> PyResult<Bound<'py, PyDict>> {
-    let dict = PyDict::new(py);
-    dict.set_item("num_agents", found.num_agents)?;
-    dict.set_item("off_road", found.off_road)?;
-    dict.set_item("discomfort", found.discomfort)?;
-    Ok(dict)
-}
-
-/// Rows [n, F] and matrices [n, n] by name.
-pub(crate) fn candidates(py: Python<'_>, found: CandidateRows, n: usize) -> PyResult<Bound<'_, PyDict>> {
-    let dict = PyDict::new(py);
-    let num_features = found.agents.len() / n;
-    dict.set_item("agents", PyArray1::from_vec(py, found.agents).reshape([n, num_features])?)?;
-    for (name, values) in [
-        ("ttc", found.ttc),
-        ("distance", found.distance),
-        ("graph", found.graph),
-        ("attention", found.attention),
-    ] {
-        dict.set_item(name, PyArray1::from_vec(py, values).reshape([n, n])?)?;
-    }
-    Ok(dict)
 }
 
 /// The used columns of actions.

@@ -161,6 +161,10 @@ options! {
         num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
         /// How they are found; a list may be a mapping or the path of a JSON file (`ccdiff_env.traffic.read_ranking`).
         ranking: Ranking = Ranking::Cliques;
+        /// Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the ranking: `"learned"`, the shipped
+        /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
+        /// with plans of 20 steps.
+        adversary_policy: Option<String> = None;
         /// Whether they are found anew at every plan, not only at the first one.
         rerank: bool = true;
         /// Who drives the vehicles that are not guided.

@@ -7,6 +7,7 @@
 //! Differs from the released code: vehicles that arrive later are driven too, and nobody vanishes where the log ends but
 //! at the edge of the map, unless the world is told otherwise (reference.md#consequences-of-contact).
 
+mod adversary_policy;
 pub(crate) mod config;
 mod memory;
 mod planned_agents;
@@ -24,6 +25,7 @@ use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::raster::MapBitmap;
 use crate::trajectory_model::{PlanOptions, TrajectoryModel};
+use adversary_policy::AdversaryPolicy;
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
@@ -44,6 +46,8 @@ pub struct PlannedTraffic {
     /// Step and history of the weights.
     model: ModelConfig,
     config: CcdiffConfig,
+    /// Who says whom to guide, in place of the ranking.
+    adversary_policy: Option<AdversaryPolicy>,
     /// How plans are drawn with guidance and without.
     guided: PlanOptions,
     unguided: PlanOptions,
@@ -91,7 +95,9 @@ impl PlannedTraffic {
         copies[0].check_solver_steps(config.denoising_steps)?;
         let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);
-        Ok(Self { copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
+        let file = config.adversary_policy.as_ref();
+        let adversary_policy = file.map(|file| AdversaryPolicy::load(Path::new(file))).transpose()?;
+        Ok(Self { adversary_policy, copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
     }
 
     /// Kind of the network.

@@ -13,6 +13,7 @@ use crate::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::{Real, Region, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::scene::Scene;
+use ccdiff_sim::world::Candidates;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -181,7 +182,15 @@ impl PlannedTraffic {
                 config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
             };
             d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
-            let criticality = wanted.criticality.unwrap_or(config.criticality);
+            let mut criticality = wanted.criticality.unwrap_or(config.criticality);
+            if let Some(policy) = traffic.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
+                let world = &d.request.world;
+                let plan = d.request.plan.map(|plan| &plan.record);
+                let seen = Candidates::new(world, plan, |a| d.request.drives(a), policy.max_candidates())?;
+                let (agent, strength) = policy.choose(&seen).unzip();
+                d.chosen = agent.into_iter().filter(|a| d.ranking.contains(a)).collect();
+                criticality *= strength.unwrap_or_default();
+            }
             d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
             let is_guided = |a: &usize| {
                 d.chosen.contains(a) || (!config.mask_guidance && d.planned.is_controlled_by_policy(*a))

@@ -58,6 +58,8 @@ pub struct WorldView<'a> {
     pub step_idx: usize,
     /// Steps since the episode began.
     pub elapsed_steps: usize,
+    /// Steps of an episode at most.
+    pub horizon_steps: usize,
     /// A number that depends on nothing but the world's seed, its episode and the step: the seed of noise.
     pub noise_seed: u64,
     /// Step, seconds.

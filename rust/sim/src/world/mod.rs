@@ -36,7 +36,6 @@ mod score_facts;
 mod selection_reward;
 mod snapshot;
 mod start;
-mod step_metrics;
 mod surroundings;
 mod sweep;
 mod termination;
@@ -47,7 +46,7 @@ mod traffic;
 pub use actions::ActionDecoder;
 pub(crate) use assist::assisted_action;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
-pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, CandidateRows};
+pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, Candidates};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
     WorldConfig,
@@ -63,7 +62,6 @@ pub use rng::Rng;
 pub use score_facts::ScoreFacts;
 pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use start::{LEAST_WAY_M, Wanted};
-pub use step_metrics::StepMetrics;
 pub(crate) use surroundings::place_on_route;
 pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, Traffic};

@@ -83,7 +83,6 @@ impl VecWorld {
         world.episode = episode;
         world.resize();
         world.cast(&self.config);
-        world.forget();
         Ok(())
     }
 

@@ -52,8 +52,7 @@ pub(crate) struct World {
     pub(super) adversaries: Vec<bool>,
     /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
     pub(super) blank: Vec<bool>,
-    /// Acceleration and presence of all agents before the last step; empty where there was none.
-    pub(super) acceleration_before_mps2: Vec<Real>,
+    /// Presence of all agents before the last step; empty where there was none.
     pub(super) active_before: Vec<bool>,
     pub(super) observer: Observer,
     pub(super) scratch: Scratch,
@@ -98,7 +97,6 @@ impl World {
             ended: Vec::new(),
             adversaries: Vec::new(),
             blank: Vec::new(),
-            acceleration_before_mps2: Vec::new(),
             active_before: Vec::new(),
             observer,
             scratch: Scratch::default(),
@@ -144,6 +142,7 @@ impl World {
             history: e.history.as_ref(),
             step_idx: e.step_idx,
             elapsed_steps: e.elapsed_steps,
+            horizon_steps: config.horizon_steps,
             noise_seed: e.noise_seed(),
             dt_s: config.dt_s,
             speed_limit_mps: config.speed_limit_mps,
@@ -175,7 +174,6 @@ impl World {
         self.resize();
         halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
         self.cast(shared.config);
-        self.forget();
         self.find_events(shared.config, true);
     }
 
@@ -205,7 +203,7 @@ impl World {
         out: &mut StepBuffers<'_>,
         on_phase_end: &mut impl FnMut(TickPhase),
     ) -> bool {
-        self.remember();
+        self.active_before.clone_from(&self.episode.states.active);
         self.decide(actions, shared);
         on_phase_end(TickPhase::Decide);
         self.move_agents(shared);
