@@ -30,8 +30,7 @@ pub fn lane_facts(
             near.agreeing.is_some_and(|hit| hit.lane_idx as usize == lane_idx)
                 || lanes.on_lane(lane_idx, point, cos, sin).is_some_and(|hit| hit.agrees())
         };
-        let mut held = proper_lanes(lanes, map, point).map(agrees).peekable();
-        held.peek().is_some() && !held.any(|agrees| agrees)
+        lanes.all_against(map, point, (cos, sin), agrees)
     });
     LaneFacts { lane: near.agreeing.or(near.any), wrong_way }
 }

@@ -4,8 +4,8 @@
 //! heading, for some point of the cell. A query looks at its cell's list and nothing else. Lists are made when they are
 //! first asked for. A second list of each cell holds the lanes whose surface reaches into it.
 
-use super::Map;
 use super::road_area::HALF_LANE_M;
+use super::{LaneKind, Map};
 use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
 use crate::simd_dispatch::simd_dispatch;
 use std::sync::OnceLock;
@@ -71,6 +71,11 @@ struct Surface {
     lane_idx: u32,
     /// It holds the whole cell.
     whole: bool,
+    /// It is a lane, no connector.
+    is_lane: bool,
+    /// Its mean direction, and the cosine to that above which a heading agrees with all of the lane.
+    direction: Vector2,
+    agrees_above: Real,
 }
 
 /// The nearest point of a lane's centre line.
@@ -218,7 +223,41 @@ impl LaneIndex {
             (!clear || holds, clear && holds)
         };
         let found = (0..map.lanes.len()).map(|i| (i, meets(i))).filter(|(_, (meets, _))| *meets);
-        found.map(|(i, (_, whole))| Surface { lane_idx: i as u32, whole }).collect()
+        let surface = |(lane_idx, (_, whole)): (usize, (bool, bool))| {
+            let along = |s: &Segment| Vector2::new(s.cos, s.sin);
+            let sum: Vector2 = self.of_lane(lane_idx).iter().map(|s| along(s) * s.length_m).sum();
+            let direction = sum / sum.norm().max(1e-9);
+            let least = self.of_lane(lane_idx).iter().map(|s| along(s).dot(&direction)).fold(1.0, Real::min);
+            // within 90 degrees of the direction that is farthest from the mean; the margin covers rounding
+            let agrees_above = if least > 0.0 { (1.0 - least * least).max(0.0).sqrt() + 1e-3 } else { 2.0 };
+            let is_lane = map.lanes[lane_idx].kind == LaneKind::Lane;
+            Surface { lane_idx: lane_idx as u32, whole, is_lane, direction, agrees_above }
+        };
+        found.map(surface).collect()
+    }
+
+    /// Whether the surface of a lane holds a point, and all lanes whose surface does run against a direction; `agrees` tells
+    /// it of one. Connectors say nothing. Most lanes of a cell agree for certain, without a look at their surface.
+    pub fn all_against(
+        &self,
+        map: &Map,
+        point: Point2,
+        (cos, sin): (Real, Real),
+        agrees: impl Fn(usize) -> bool,
+    ) -> bool {
+        let Some(cell) = self.grid.cell(point) else { return false };
+        let list = self.surfaces[cell].get_or_init(|| self.surfaces_in(map, cell));
+        let agrees_surely = |s: &&Surface| s.direction.x * cos + s.direction.y * sin > s.agrees_above;
+        let holds = |s: &Surface| s.whole || self.holds(map, s.lane_idx as usize, point);
+        let lanes = || list.iter().filter(|s| s.is_lane);
+        let mut is_held = false;
+        for s in lanes().filter(|s| !agrees_surely(s) && holds(s)) {
+            if agrees(s.lane_idx as usize) {
+                return false;
+            }
+            is_held = true;
+        }
+        is_held && !lanes().any(|s| agrees_surely(&s) && holds(s))
     }
 
     /// The middle of a cell, and a bit more than half its diagonal, metres.
