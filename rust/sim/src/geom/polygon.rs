@@ -21,6 +21,23 @@ pub(crate) fn ring_edges(ring: &[Point2]) -> impl Iterator<Item = (Point2, Point
     closing.into_iter().chain(ring.iter().copied()).zip(ring.iter().copied())
 }
 
+/// [`Polygon::contains`] of the edges of its rings, or of those that lie near the ray from the point to +x.
+pub(crate) fn even_odd(edges: impl Iterator<Item = (Point2, Point2)>, point: Point2) -> bool {
+    let mut inside = false;
+    for (a, b) in edges {
+        let (a, b) = (a - point, b - point);
+        if near_origin(a.x, a.y, b.x, b.y) {
+            return true;
+        }
+        if (a.y > 0.0) != (b.y > 0.0) {
+            // the edge crosses the ray to +x where its intersection with y = 0 has x > 0
+            let cross = a.x * b.y - a.y * b.x;
+            inside ^= (cross > 0.0) == (b.y > a.y);
+        }
+    }
+    inside
+}
+
 impl Polygon {
     /// Polygon without holes.
     pub fn from_exterior(exterior: Vec<Point2>) -> Self {
@@ -36,19 +53,7 @@ impl Polygon {
     ///
     /// Linear in the number of points: for many queries build a [`super::Region`].
     pub fn contains(&self, point: Point2) -> bool {
-        let mut inside = false;
-        for (a, b) in self.rings().flat_map(ring_edges) {
-            let (a, b) = (a - point, b - point);
-            if near_origin(a.x, a.y, b.x, b.y) {
-                return true;
-            }
-            if (a.y > 0.0) != (b.y > 0.0) {
-                // the edge crosses the ray to +x where its intersection with y = 0 has x > 0
-                let cross = a.x * b.y - a.y * b.x;
-                inside ^= (cross > 0.0) == (b.y > a.y);
-            }
-        }
-        inside
+        even_odd(self.rings().flat_map(ring_edges), point)
     }
 
     /// Area of the outer ring minus that of the holes, square metres.

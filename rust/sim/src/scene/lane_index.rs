@@ -6,7 +6,7 @@
 
 use super::road_area::HALF_LANE_M;
 use super::{LaneKind, Map};
-use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
+use crate::geom::{Grid, Point2, Real, Vector2, even_odd, math, ring_edges};
 use crate::simd_dispatch::simd_dispatch;
 use std::sync::OnceLock;
 
@@ -66,11 +66,13 @@ pub struct LaneIndex {
 }
 
 /// A lane whose surface reaches into a cell.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Surface {
     lane_idx: u32,
     /// It holds the whole cell.
     whole: bool,
+    /// Edges of its polygon that the ray to +x from a point of the cell may meet; `None` without a polygon.
+    edges: Option<Box<[(Point2, Point2)]>>,
     /// It is a lane, no connector.
     is_lane: bool,
     /// Its mean direction, and the cosine to that above which a heading agrees with all of the lane.
@@ -154,8 +156,17 @@ impl LaneIndex {
     pub fn holding<'a>(&'a self, map: &'a Map, point: Point2) -> impl Iterator<Item = usize> + 'a {
         let list =
             self.grid.cell(point).map(|c| &**self.surfaces[c].get_or_init(|| self.surfaces_in(map, c)));
-        let holds = move |s: &&Surface| s.whole || self.holds(map, s.lane_idx as usize, point);
+        let holds = move |s: &&Surface| self.surface_holds(map, s, point);
         list.into_iter().flatten().filter(holds).map(|s| s.lane_idx as usize)
+    }
+
+    /// Whether the surface of a cell holds a point of the cell.
+    fn surface_holds(&self, map: &Map, surface: &Surface, point: Point2) -> bool {
+        surface.whole
+            || match &surface.edges {
+                Some(edges) => even_odd(edges.iter().copied(), point),
+                None => self.holds(map, surface.lane_idx as usize, point),
+            }
     }
 
     /// Whether a lane's surface holds a point.
@@ -231,7 +242,15 @@ impl LaneIndex {
             // within 90 degrees of the direction that is farthest from the mean; the margin covers rounding
             let agrees_above = if least > 0.0 { (1.0 - least * least).max(0.0).sqrt() + 1e-3 } else { 2.0 };
             let is_lane = map.lanes[lane_idx].kind == LaneKind::Lane;
-            Surface { lane_idx: lane_idx as u32, whole, is_lane, direction, agrees_above }
+            let polygon = &map.lanes[lane_idx].polygon;
+            let meets_ray = |(a, b): &(Point2, Point2)| {
+                a.y.min(b.y) <= centre.y + half_m
+                    && a.y.max(b.y) >= centre.y - half_m
+                    && a.x.max(b.x) >= centre.x - half_m
+            };
+            let edges = (polygon.exterior.len() >= 3)
+                .then(|| polygon.rings().flat_map(ring_edges).filter(meets_ray).collect());
+            Surface { lane_idx: lane_idx as u32, whole, edges, is_lane, direction, agrees_above }
         };
         found.map(surface).collect()
     }
@@ -248,7 +267,7 @@ impl LaneIndex {
         let Some(cell) = self.grid.cell(point) else { return false };
         let list = self.surfaces[cell].get_or_init(|| self.surfaces_in(map, cell));
         let agrees_surely = |s: &&Surface| s.direction.x * cos + s.direction.y * sin > s.agrees_above;
-        let holds = |s: &Surface| s.whole || self.holds(map, s.lane_idx as usize, point);
+        let holds = |s: &Surface| self.surface_holds(map, s, point);
         let lanes = || list.iter().filter(|s| s.is_lane);
         let mut is_held = false;
         for s in lanes().filter(|s| !agrees_surely(s) && holds(s)) {
