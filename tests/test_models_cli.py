@@ -85,7 +85,7 @@ def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path:
     ]
     listed = tmp_path / "trainings.json"
     listed.write_text(json.dumps(trainings))
-    command = ["--list", str(listed), "--out", str(tmp_path / "runs")]
+    command = ["--list", str(listed), "--out", str(tmp_path / "runs"), "--scenes", "embedded/train"]
     assert train_all(command) == 1
     assert "nobody" in (tmp_path / "runs/refused/log.txt").read_text()
     weights = tmp_path / "runs/short/weights.safetensors"

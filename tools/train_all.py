@@ -27,14 +27,15 @@ NICENESS = 19
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is not finished; 1 where a training failed."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="Other options, such as --scenes, go to each ccdiff-env train.",
+        allow_abbrev=False,
+    )
     parser.add_argument("--list", type=Path, default=TRAININGS, help="names and arguments, as JSON")
     parser.add_argument("--out", type=Path, default=Path("runs/trainings"), help="a folder per run")
     parser.add_argument("--only", nargs="+", help="names of the trainings to run (default: all)")
-    parser.add_argument(
-        "scenes", nargs=argparse.REMAINDER, help="scenes, as ccdiff-env train takes them"
-    )
-    args = parser.parse_args(argv)
+    args, scenes = parser.parse_known_args(argv)
     trainings = json.loads(args.list.read_text(encoding="utf-8"))
     names = [training["name"] for training in trainings]
     if unknown := [name for name in args.only or () if name not in names]:
@@ -45,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         for training in trainings:
             if args.only is None or training["name"] in args.only:
-                ended = _train(training, args.out / training["name"], args.scenes)
+                ended = _train(training, args.out / training["name"], scenes)
                 print(f"{training['name']}: {ended}", flush=True)
                 failed += [training["name"]] if ended["exit_status"] else []
     return int(bool(failed))
