@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 try:
     from ccdiff_env import _native as _native
@@ -77,47 +71,5 @@ __all__ = [
     "replay",
 ]
 
-#: Rooms that are imported when they are first named.
-_LAZY = ("bench", "models", "policies", "record", "worlds")
-#: Modules that have a short name here, too: ``ccdiff_env.causal``.
-_SHORT = {
-    "bank": "record.bank",
-    "causal": "metrics.causal",
-    "certificate": "record.certificate",
-    "counterfactual": "record.counterfactual",
-    "curriculum": "worlds.curriculum",
-    "embedded": "scenes.embedded",
-    "envs.worlds": "worlds",
-    "gpudrive": "scenes.gpudrive",
-    "load_report": "scenes.load_report",
-    "map_queries": "scenes.map_queries",
-    "planners": "policies.planners",
-    "recorder": "record.recorder",
-    "render": "view.render",
-    "rollout": "record.rollout",
-    "scene_types": "scenes.scene_types",
-    "sources": "scenes.sources",
-}
-
-
-class _ShortNames(MetaPathFinder, Loader):
-    """Imports of short names: ``from ccdiff_env.rollout import Rollout``."""
-
-    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
-        short = name.removeprefix("ccdiff_env.")
-        return ModuleSpec(name, self) if short != name and short in _SHORT else None
-
-    def exec_module(self, module: ModuleType) -> None:
-        short = module.__name__.partition(".")[2]
-        sys.modules[module.__name__] = import_module(f"ccdiff_env.{_SHORT[short]}")
-
-
-sys.meta_path.append(_ShortNames())
 register()
 notebook.install()
-
-
-def __getattr__(name: str) -> Any:
-    if name in _LAZY or name in _SHORT:
-        return import_module(f"ccdiff_env.{name}")
-    raise AttributeError(f"module 'ccdiff_env' has no attribute {name!r}")

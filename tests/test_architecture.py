@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import re
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-import ccdiff_env
 from ccdiff_env import _native
 from ccdiff_env.traffic import KINDS, NETWORKS
 
@@ -237,14 +235,6 @@ def test_no_python_module_is_in_a_circle():
 def test_the_package_has_a_dozen_rooms():
     entries = {p.stem for p in (ROOT / "ccdiff_env").iterdir() if p.suffix in ("", ".py")}
     assert len(entries - {"__pycache__", "py"}) <= 17
-    assert not {*ccdiff_env._SHORT} & entries
-
-
-@pytest.mark.parametrize("name", ccdiff_env._SHORT)
-def test_short_names_are_the_modules_of_rooms(name):
-    found = importlib.import_module(f"ccdiff_env.{name}")
-    assert found is importlib.import_module(f"ccdiff_env.{ccdiff_env._SHORT[name]}")
-    assert found is getattr(ccdiff_env, name)
 
 
 #: Rooms of the package; each may use those before it. The face, ``__init__``, is not one of them.

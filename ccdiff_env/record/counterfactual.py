@@ -130,8 +130,8 @@ def branch(
     env
         An environment in the middle of an episode; it is not changed.
     ego
-        Who drives the ego from here on, as :func:`~ccdiff_env.planners.ego_driver` takes it;
-        ``"replay"`` steers back to the log.
+        Who drives the ego from here on, as :func:`~ccdiff_env.policies.planners.ego_driver` takes
+        it; ``"replay"`` steers back to the log.
     adversaries
         Ids of the vehicles to guide against the ego in CCDiff traffic; ``()`` for nobody,
         ``None`` to leave it as it is.
@@ -257,7 +257,7 @@ def avoidability(
     reactive
         Whether plans are steady, last 2.1 s and must hold in other futures.
     ego
-        Who drives after such a plan, as :func:`~ccdiff_env.planners.ego_driver` takes it.
+        Who drives after such a plan, as :func:`~ccdiff_env.policies.planners.ego_driver` takes it.
     draws
         Futures that choose among these plans: the present draw of traffic, and others.
 
