@@ -14,7 +14,7 @@ import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, UnknownOptionError
 from ccdiff_env.system.files import parsed_object
@@ -46,6 +46,7 @@ from ccdiff_env.traffic.options import (
     RewardConfig,
     UnicycleLimits,
     WorldOptions,
+    check,
 )
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ class WorldConfig(WorldOptions):
             value = getattr(self, entry.name)
             if hasattr(make, "__dataclass_fields__") and not isinstance(value, make):
                 # a dictionary of the fields to change
-                object.__setattr__(self, entry.name, _fitting(entry.name, value, make, make()))
+                object.__setattr__(self, entry.name, _formed(entry.name, value, make, make()))
         for name, policy in own.items():
             kind = KINDS.get(name)
             if name == "external" or (kind and (kind.always or name != policy.kind)):
@@ -136,19 +137,16 @@ class WorldConfig(WorldOptions):
         """
         given: dict[str, Any] = {**options}
         if "ego" in given:
-            given["controlled"] = _fitting("ego", given.pop("ego"), Literal["ego", "any"], None)
-        shortcuts: dict[str, Any] = {
-            k: given.pop(k) for k in ("dynamics", "discrete", "grid") if k in given
-        }
+            given["controlled"] = given.pop("ego")
+            if given["controlled"] not in ("ego", "any"):
+                raise ConfigError(f"config: ego is {given['controlled']!r}, expected ego or any")
+        inner = ("dynamics", "discrete", "grid")
+        shortcuts: dict[str, Any] = {name: given.pop(name) for name in inner if name in given}
         rasters = {"bev": given.pop("bev")} if "bev" in given else {}
-        config = _replaced(self, _with_policies(given, self.policies), "")
-        if shortcuts:
-            action = _replaced(config.action, shortcuts, "action.")
-            config = dataclasses.replace(config, action=action)
-        if rasters:
-            observation = _replaced(config.observation, rasters, "observation.")
-            config = dataclasses.replace(config, observation=observation)
-        return config
+        config = _made(WorldConfig, self, _with_policies(given, self.policies), "")
+        action = _made(ActionConfig, config.action, shortcuts, "action.")
+        observation = _made(ObservationConfig, config.observation, rasters, "observation.")
+        return dataclasses.replace(config, action=action, observation=observation)
 
     def check_networks(self) -> None:
         """Refuse options of networks where nobody drives by one that takes them.
@@ -245,10 +243,12 @@ class WorldConfig(WorldOptions):
             fields |= policies["ccdiff"]
             usual = {name: {name: fields.get("ccdiff")} for name in NETWORKS}
             fields["policies"] = {k: v for k, v in policies.items() if v != usual.get(k)}
-        return _replaced(cls(), fields, "")
+        return _made(cls, cls(), fields, "")
 
 
 _C = TypeVar("_C")
+#: Tables of Rust that have another name than their class.
+_TABLES: dict[Any, str] = {WorldConfig: "WorldConfig", PythonTraffic: "PythonOptions"}
 
 
 def unknown(what: str, name: str, known: typing.Iterable[str]) -> ConfigError:
@@ -266,102 +266,86 @@ def _fields_of(kind: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
 
 
-def _replaced(config: _C, options: Mapping[str, Any], path: str) -> _C:
-    """Copy of a dataclass with fields replaced, each checked against its annotation."""
-    hints = typing.get_type_hints(type(config))
+def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str) -> _C:
+    """Options as a dataclass, with what is not named from an old one: checked by Rust's walker."""
+    hints = typing.get_type_hints(kind)
     changes = {}
     for name, value in options.items():
         if name not in hints:
-            known = [path + n for n in hints]
             # those of a nested configuration are named by their path
             inner = [f"{n}.{name}" for n, t in hints.items() if str(name) in _fields_of(t)]
-            error = unknown("option", path + str(name), inner or known)
+            error = unknown("option", path + str(name), inner or [path + n for n in hints])
             if path:
                 raise error
             # wrappers of other libraries look for these words
             words = f"{error} (unexpected keyword argument {str(name)!r})"
             raise UnknownOptionError(words)
-        changes[name] = _fitting(path + name, value, hints[name], getattr(config, name))
-    return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+        changes[name] = _formed(path + name, value, hints[name], getattr(old, name, None))
+    checked = {n: _plain_field(n, v) for n, v in changes.items() if n not in ("ccdiff", "model")}
+    check(_TABLES.get(kind, kind.__name__), path.removesuffix("."), checked)
+    try:
+        return kind(**changes) if old is None else dataclasses.replace(old, **changes)  # type: ignore[type-var]
+    except TypeError as error:  # a field without default is missing
+        raise ConfigError(f"config: {path.removesuffix('.')}: {error}") from None
 
 
-def _fitting(path: str, value: Any, hint: Any, old: Any) -> Any:
-    """Value in the form that an annotation asks for."""
-    if hint == Dynamics:
-        return _dynamics(path, value, old)
-    if hint == Controlled:
-        return _controlled(path, value)
-    if hint == Traffic:
-        if not isinstance(value, (str, Mapping)):
-            raise ConfigError(
-                f"config: {path} is {value!r}, expected one of the drivers, or shares"
-            )
-        return value if isinstance(value, str) else by_name(path, value, float)
-    if hint == Mapping[str, Policy]:
-        return {name: _policy(f"{path}.{name}", v) for name, v in _pairs(path, value)}
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin is types.UnionType or origin is typing.Union:
-        if value is None and type(None) in args:
-            return None
-        if hint == Ranking and str(value).endswith(".json"):
-            return read_ranking(value)
-        if isinstance(value, Mapping) and set(value) == {"list"}:
-            value = value["list"]
-        if isinstance(value, Mapping):
-            mapping = next((a for a in args if typing.get_origin(a) is Mapping), None)
-            if mapping is not None:
-                return _fitting(path, value, mapping, old)
-        literal = next((a for a in args if typing.get_origin(a) is Literal), None)
-        if isinstance(value, str) and literal is not None:
-            return _fitting(path, value, literal, old)
-        chosen = next(a for a in args if a is not type(None) and a is not literal)
-        return _fitting(path, value, chosen, old)
-    if hint is RewardConfig and isinstance(value, str):
-        return _replaced(RewardConfig(), {"form": value}, path + ".")
-    if origin is Literal:
-        if value not in args or not isinstance(value, str):
-            raise ConfigError(f"config: {path} is {value!r}, expected one of {', '.join(args)}")
+def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
+    """Value in the form of an annotation; what does not fit is left for Rust to refuse."""
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
+        value = value.item()
+    union = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    parts = typing.get_args(hint) if union else (hint,)
+    if hint == Dynamics and isinstance(value, str):
+        value = {value: {}}
+    if hint == Dynamics and isinstance(value, Mapping) and len(value) == 1:
+        ((name, value),) = value.items()
+        if name not in DYNAMICS:
+            raise unknown(path, str(name), DYNAMICS)
+        path, parts = f"{path}.{name}", (DYNAMICS[name],)
+    classes: Any = tuple(part for part in parts if dataclasses.is_dataclass(part))
+    if value is None or isinstance(value, classes):
         return value
-    if origin is tuple:
-        return _tuple(path, value, args)
-    if origin is Mapping:
-        return _settings(path, value) if args[1] is Any else by_name(path, value, args[1])
-    if dataclasses.is_dataclass(hint):
-        return _nested(path, value, typing.cast("type[Any]", hint), old)
-    return _scalar(path, value, hint)
+    if hint is RewardConfig and isinstance(value, str):
+        value = {"form": value}
+    if (classes and hint != Dynamics) or len(classes) == 1:
+        kind = classes[0]
+        if not isinstance(value, Mapping):
+            expected = f"{kind.__name__} or a dictionary of its fields"
+            raise ConfigError(f"config: {path} is {value!r}, expected {expected}")
+        return _made(kind, old if isinstance(old, kind) else None, value, path + ".")
+    if hint == Ranking and str(value).endswith(".json"):
+        return read_ranking(value)
+    if hint in (Ranking, Controlled) and isinstance(value, Mapping):  # as Rust writes them
+        forms = ("list",) if hint == Ranking else ("ids", "per_scene")
+        value = next((value[form] for form in forms if set(value) == {form}), value)
+    if hint is float and type(value) is int:
+        return float(value) if abs(value) < 2**128 else math.inf
+    if isinstance(value, Mapping):
+        if not all(isinstance(name, str) for name in value):
+            raise ConfigError(f"config: {path} is {value!r}, expected values by name")
+        of = next((typing.get_args(p)[1] for p in parts if typing.get_origin(p) is Mapping), Any)
+        form = _policy if of is Policy else _formed
+        return {name: form(f"{path}.{name}", entry, of, None) for name, entry in value.items()}
+    if hasattr(value, "__iter__") and not isinstance(value, (str, bytes)):
+        of = next((typing.get_args(p)[0] for p in parts if typing.get_origin(p) is tuple), Any)
+        return tuple(_formed(f"{path}[{i}]", entry, of, None) for i, entry in enumerate(value))
+    return value
 
 
-def _pairs(path: str, value: Any) -> list[tuple[str, Any]]:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"config: {path} is {value!r}, expected values by name")
-    return [(_scalar(path, name, str), entry) for name, entry in value.items()]
-
-
-def by_name(path: str, value: Any, kind: Any) -> dict[str, Any]:
-    """Return values of a kind by name, checked."""
-    pairs = _pairs(path, value)
-    return {name: _fitting(f"{path}[{name!r}]", v, kind, None) for name, v in pairs}
-
-
-def _policy(path: str, value: Any) -> Policy:
-    """A driver under a name of its own: options of its kind, or ``{kind: options}``."""
+def _policy(path: str, value: Any, *_: Any) -> Policy:
+    """Options of a kind of driver, also as ``{kind: options}``."""
     if isinstance(value, Policy):
         return value
-    if type(value) in (kind.options for kind in KINDS.values()):
-        return Policy.of(value)
-    known = {name: kind.options for name, kind in KINDS.items() if kind.options is not None}
+    known: dict[str, Any] = {k: kind.options for k, kind in KINDS.items() if kind.options}
+    if isinstance(value, tuple(known.values())):
+        return Policy.of(typing.cast("Any", value))
     if not isinstance(value, Mapping) or len(value) != 1:
         kinds = ", ".join(known)
         raise ConfigError(f"config: {path} is {value!r}, expected {{kind: options}} of {kinds}")
-    ((kind, options),) = value.items()
-    if kind not in known:
-        raise unknown(path, str(kind), known)
-    if known[kind] is PythonTraffic and isinstance(options, Mapping):
-        try:
-            return Policy(kind, PythonTraffic(**options))
-        except TypeError as error:
-            raise ConfigError(f"config: {path}: {error}") from None
-    return Policy(kind, _nested(f"{path}.{kind}", options, known[kind], None))
+    ((name, options),) = value.items()
+    if name not in known:
+        raise unknown(path, str(name), known)
+    return Policy(name, _formed(f"{path}.{name}", options, known[name], None))
 
 
 def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict[str, Any]:
@@ -386,108 +370,25 @@ def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict
     return options
 
 
-def _controlled(path: str, value: Any) -> Controlled:
-    """Agents with a slot; ``{"ids": ...}`` and ``{"per_scene": ...}`` are the forms of Rust."""
-    if isinstance(value, Mapping) and set(value) == {"ids"}:
-        value = value["ids"]
-    if isinstance(value, Mapping):
-        scenes = value["per_scene"] if set(value) == {"per_scene"} else value
-        if not isinstance(scenes, Mapping):
-            raise ConfigError(f"config: {path} is {scenes!r}, expected ids by scene")
-        return {
-            _scalar(f"{path} scene", name, str): _tuple(f"{path}[{name!r}]", ids, (str, ...))
-            for name, ids in scenes.items()
-        }
-    if isinstance(value, str):
-        return typing.cast(
-            "Controlled", _fitting(path, value, Literal["ego", "any", "vehicles"], None)
-        )
-    return _tuple(path, value, (str, ...))
-
-
-def _dynamics(path: str, value: Any, old: Any) -> Dynamics:
-    limits: Any = {}
-    if isinstance(value, Mapping) and len(value) == 1:
-        ((value, limits),) = value.items()
-    if isinstance(value, str):
-        if value not in DYNAMICS:
-            raise unknown(path, value, DYNAMICS)
-        if isinstance(limits, DYNAMICS[value]):
-            return limits
-        return _nested(f"{path}.{value}", limits, DYNAMICS[value], old)
-    if isinstance(value, tuple(DYNAMICS.values())):
-        return typing.cast("Dynamics", value)
-    raise ConfigError(
-        f"config: {path} is {value!r}, expected one of {', '.join(DYNAMICS)}, limits, "
-        "or {name: limits}"
-    )
-
-
-def _nested(path: str, value: Any, kind: type[_C], old: Any) -> _C:
-    if isinstance(value, kind):
-        return value
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"config: {path} is {value!r}, expected {kind.__name__} or a dictionary")
-    if isinstance(old, kind):
-        return _replaced(old, value, path + ".")
-    try:
-        return _replaced(kind(), value, path + ".")
-    except TypeError:  # a dataclass with fields that have no default
-        hints = typing.get_type_hints(kind)
-        for name in value:
-            if name not in hints:
-                raise unknown("option", f"{path}.{name}", (f"{path}.{n}" for n in hints)) from None
-        for name in hints:
-            if name not in value:
-                raise ConfigError(f"config: {path}.{name} is missing") from None
-        return kind(**{n: _fitting(f"{path}.{n}", v, hints[n], None) for n, v in value.items()})
-
-
-def _tuple(path: str, value: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
-    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
-        raise ConfigError(f"config: {path} is {value!r}, expected a sequence")
-    values = list(value)
-    if args[-1] is not Ellipsis and len(values) != len(args):
-        raise ConfigError(f"config: {path} has {len(values)} entries, expected {len(args)}")
-    return tuple(_fitting(f"{path}[{i}]", v, args[0], None) for i, v in enumerate(values))
-
-
-def _settings(path: str, value: Any) -> dict[str, Any]:
-    try:
-        settings: dict[str, Any] = json.loads(json.dumps(dict(value), allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"config: {path}: {error}, expected what JSON can hold") from None
-    return settings
-
-
-def _scalar(path: str, value: Any, kind: Any) -> Any:
-    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
-        value = value.item()
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value) if -3.4e38 < value < 3.4e38 else math.inf
-    if type(value) is not kind:
-        raise ConfigError(
-            f"config: {path} is {value!r} ({type(value).__name__}), expected {kind.__name__}"
-        )
-    if kind is float and not -3.4e38 < value < 3.4e38:
-        raise ConfigError(f"config: {path} is {value}, expected a finite number")
-    if kind is int and not 0 <= value < 2**63:
-        raise ConfigError(f"config: {path} is {value}, expected a count")
-    return value
+def _plain_field(name: str, value: Any) -> Any:
+    """Form of a field in JSON."""
+    plain = _plain(value)
+    if name == "controlled" and not isinstance(value, str):
+        return {"per_scene" if isinstance(value, Mapping) else "ids": plain}
+    return {"list": plain} if name == "ranking" and isinstance(value, Mapping) else plain
 
 
 def _plain(value: Any) -> Any:
     """Form of a value in JSON."""
     if isinstance(value, Mapping):
         return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
     if not dataclasses.is_dataclass(value):
-        return list(value) if isinstance(value, tuple) else value
+        return value
     fields: dict[str, Any] = {
-        f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)
+        f.name: _plain_field(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)
     }
-    if isinstance(value, WorldConfig) and not isinstance(value.controlled, str):
-        form = "per_scene" if isinstance(value.controlled, Mapping) else "ids"
-        fields["controlled"] = {form: fields["controlled"]}
     if isinstance(value, WorldConfig):
         own = {name: {p.kind: _plain(p.options)} for name, p in value.policies.items()}
         options = fields.pop("ccdiff")
@@ -496,8 +397,5 @@ def _plain(value: Any) -> Any:
             del fields["idm"]
     if isinstance(value, PythonTraffic):
         fields["model"] = value.described
-    if isinstance(value, CcdiffConfig) and not isinstance(value.ranking, str):
-        fields["ranking"] = {"list": fields["ranking"]}
-    names = (name for name, kind in DYNAMICS.items() if isinstance(value, kind))
-    name = next(names, None)
+    name = next((name for name, kind in DYNAMICS.items() if isinstance(value, kind)), None)
     return fields if name is None else {name: fields}

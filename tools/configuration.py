@@ -65,6 +65,18 @@ from typing import Any, Literal, TypeAlias
 from ccdiff_env import _native
 
 
+def _written(value: Any) -> Any:
+    """Values as JSON can hold them; what it cannot is quoted, for the message."""
+    if isinstance(value, Mapping):
+        return {{str(name): _written(entry) for name, entry in value.items()}}
+    if isinstance(value, (list, tuple)):
+        return [_written(entry) for entry in value]
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
+        value = value.item()
+    plain = value is None or isinstance(value, (bool, int, str, float))
+    return value if plain and value not in (math.inf, -math.inf) and value == value else repr(value)
+
+
 def check(table: str, path: str, options: Mapping[str, Any]) -> None:
     """Check names, types and ranges of options that stand at a path against a table of Rust.
 
@@ -73,11 +85,7 @@ def check(table: str, path: str, options: Mapping[str, Any]) -> None:
     ConfigError
         The first option that is wrong, with its path, its value and what is expected.
     """
-    values = {{
-        name: repr(value) if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in options.items()
-    }}
-    _native.check_options(table, path, json.dumps(values, default=repr))
+    _native.check_options(table, path, json.dumps(_written(options)))
 
 '''
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import BevConfig, EgosConfig, WorldConfig, by_name
+from ccdiff_env.config import BevConfig, EgosConfig, WorldConfig
 from ccdiff_env.errors import (
     ActionError,
     CheckpointError,
@@ -27,7 +27,7 @@ from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import SOURCES, load
 from ccdiff_env.traffic import EGOS, PythonTraffic, TrafficPlan
-from ccdiff_env.traffic.options import Autoreset
+from ccdiff_env.traffic.options import Autoreset, check
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
@@ -313,7 +313,9 @@ class Worlds:
         UnknownNameError
             If the scene has no such agent.
         """
-        style = {} if style is None else by_name("options: style", style, float)
+        if style is not None:
+            check("EgosConfig", "options", {"style": style})
+        style = {name: float(value) for name, value in (style or {}).items()}
         if (ego is not None or start is not None) and scene_idx is None:
             raise ConfigError("options: ego and start are given without a scene")
         if start is not None:
