@@ -3,12 +3,12 @@
 use crate::contained;
 use crate::errors::{from_model, from_sim, py};
 use crate::handed::{Handed, policy_capsule};
-use ccdiff_nets::features::vehicles;
 use ccdiff_nets::guidance::GuidanceReport;
-use ccdiff_nets::logged::Logged;
-use ccdiff_nets::sampler::SampleOptions;
+use ccdiff_nets::inputs::features::vehicles;
+use ccdiff_nets::networks::logged::Logged;
+use ccdiff_nets::networks::trajectory_model::{Plan, PlanOptions, TrajectoryModel};
+use ccdiff_nets::sampling::sampler::SampleOptions;
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
-use ccdiff_nets::trajectory_model::{Plan, PlanOptions, TrajectoryModel};
 use ccdiff_sim::options::read;
 use ccdiff_sim::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};

@@ -12,8 +12,8 @@ use ccdiff_models::guidance::{
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::torch::Torch;
-use ccdiff_nets::ccdiff::Network;
-use ccdiff_nets::planner::{Denoises, Weighted};
+use ccdiff_nets::networks::ccdiff::Network;
+use ccdiff_nets::networks::planner::{Denoises, Weighted};
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use std::time::Instant;
 use tch::{Device, Kind, Tensor, nn};

@@ -4,9 +4,9 @@ use crate::config::{MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use ccdiff_nets::features::TokenInputs;
-use ccdiff_nets::sampler::Rows;
-use ccdiff_nets::tokens::{NEAR, NEAR_NUMBERS, near_columns, own_columns};
+use ccdiff_nets::inputs::features::TokenInputs;
+use ccdiff_nets::inputs::tokens::{NEAR, NEAR_NUMBERS, near_columns, own_columns};
+use ccdiff_nets::sampling::sampler::Rows;
 use tch::{Device, Kind, Tensor};
 
 /// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.

@@ -1,9 +1,9 @@
-//! Weight files and the variables of networks on torch; what the files hold is in [`ccdiff_nets::weights`].
+//! Weight files and the variables of networks on torch; what the files hold is in [`ccdiff_nets::compute::weights`].
 
-pub use ccdiff_nets::weights::field;
+pub use ccdiff_nets::compute::weights::field;
 
 use crate::error::Result;
-use ccdiff_nets::weights::{self, CHECKSUM, Entry, FORMAT, HEADER, broken, checksum, io};
+use ccdiff_nets::compute::weights::{self, CHECKSUM, Entry, FORMAT, HEADER, broken, checksum, io};
 use safetensors::tensor::{Dtype, TensorView, serialize};
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Training samples from scenes: (scene, step) pairs whose features are built on demand, in parallel.
 
-pub use ccdiff_nets::features::vehicles;
+pub use ccdiff_nets::inputs::features::vehicles;
 use ccdiff_nets::traffic::STATIONARY_REACH_M;
 
 use crate::batch::{Batch, Targets};

@@ -10,8 +10,8 @@ use crate::plan_space::PlanSpace;
 use crate::sampler::{self, Denoiser, SampleOptions, Samples};
 use crate::schedule::Schedule;
 use crate::torch::Torch;
-use ccdiff_nets::ccdiff::Network;
-use ccdiff_nets::ctg::HalfUnet;
+use ccdiff_nets::networks::ccdiff::Network;
+use ccdiff_nets::networks::ctg::HalfUnet;
 use tch::{Kind, Tensor, nn};
 
 /// CCDiff.

@@ -7,10 +7,10 @@ use crate::error::Result;
 use crate::plan_model::{PlanModel, TorchKind};
 use crate::tokens::TOKENS;
 use crate::train::config::TrainConfig;
-use ccdiff_nets::kinds::named;
+use ccdiff_nets::networks::kinds::named;
 use tch::nn;
 
-/// All of [`ccdiff_nets::kinds::NETWORKS`]; a new one is a line here.
+/// All of [`ccdiff_nets::networks::kinds::NETWORKS`]; a new one is a line here.
 static NETWORKS: [TorchKind; 8] = [CCDIFF, SIMNET, TRAFFICSIM, STRIVE, BITS, CTG, CTGPP, TOKENS];
 
 fn of(name: &str) -> Result<&'static TorchKind> {
@@ -51,7 +51,7 @@ mod tests {
 
     #[test]
     fn every_network_is_there() {
-        let known = ccdiff_nets::kinds::NETWORKS.each_ref().map(|network| network.kind.name);
+        let known = ccdiff_nets::networks::kinds::NETWORKS.each_ref().map(|network| network.kind.name);
         assert_eq!(NETWORKS.each_ref().map(|network| network.name), known);
     }
 }

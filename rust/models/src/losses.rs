@@ -3,7 +3,7 @@
 use crate::batch::{Batch, Targets};
 use crate::collision::Neighbours;
 use crate::plan_space::PlanSpace;
-use ccdiff_nets::unicycle::plan_limits;
+use ccdiff_nets::inputs::unicycle::plan_limits;
 use tch::{Kind, Tensor};
 
 /// Bound of logged yaw rates before they are fitted, as of accelerations: jumps of the log beyond it are label noise.

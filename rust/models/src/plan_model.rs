@@ -9,7 +9,7 @@ use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use ccdiff_nets::planner::{Asked, Proposes};
+use ccdiff_nets::networks::planner::{Asked, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 

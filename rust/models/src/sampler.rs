@@ -1,16 +1,16 @@
-//! Sampling plans of networks on torch: their tensors as the numbers that [`ccdiff_nets::sampler`] works on.
+//! Sampling plans of networks on torch: their tensors as the numbers that [`ccdiff_nets::sampling::sampler`] works on.
 
-pub use ccdiff_nets::sampler::{Rows, SampleOptions};
+pub use ccdiff_nets::sampling::sampler::{Rows, SampleOptions};
 
 use crate::batch::Batch;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::schedule::Schedule;
 use crate::torch::{Torch, to_vec};
-use ccdiff_nets::ccdiff::{Context, Network};
-use ccdiff_nets::ctg::{Condition, HalfUnet};
-use ccdiff_nets::planner::Denoises;
-use ccdiff_nets::sampler::{self, Draws, Predict};
+use ccdiff_nets::networks::ccdiff::{Context, Network};
+use ccdiff_nets::networks::ctg::{Condition, HalfUnet};
+use ccdiff_nets::networks::planner::Denoises;
+use ccdiff_nets::sampling::sampler::{self, Draws, Predict};
 use std::fmt::Debug;
 use tch::{Device, Kind, Tensor};
 

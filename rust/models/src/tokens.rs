@@ -9,9 +9,10 @@ use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
 use crate::torch::{Torch, to_vec};
 use crate::train::config::TrainConfig;
-use ccdiff_nets::planner::Weighted;
-use ccdiff_nets::segments::SEGMENT_ODD;
-use ccdiff_nets::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, near_columns, own_columns, token_of};
+use ccdiff_nets::inputs::segments::SEGMENT_ODD;
+use ccdiff_nets::inputs::tokens::{near_columns, own_columns};
+use ccdiff_nets::networks::planner::Weighted;
+use ccdiff_nets::networks::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, token_of};
 use tch::{Kind, Tensor, nn};
 
 /// Tokens.

@@ -7,10 +7,10 @@ use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
-use ccdiff_nets::backend::{Backend, KeyValue};
-use ccdiff_nets::latents::{Decoder, Pulls};
-use ccdiff_nets::layers::embed::ROUTE_SCALE_M;
-use ccdiff_nets::trunk::Encoded;
+use ccdiff_nets::compute::backend::{Backend, KeyValue};
+use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
+use ccdiff_nets::networks::latents::{Decoder, Pulls};
+use ccdiff_nets::networks::trunk::Encoded;
 use tch::{Device, Kind, Tensor, nn};
 
 /// Layers on libtorch.

@@ -4,7 +4,7 @@
 //! from integrating step by step once a bound is hit.
 
 use crate::config::ModelConfig;
-use ccdiff_nets::unicycle::{knot_weights, plan_limits};
+use ccdiff_nets::inputs::unicycle::{knot_weights, plan_limits};
 use ccdiff_sim::dynamics::UnicycleLimits;
 use tch::{Kind, Tensor};
 
@@ -67,7 +67,7 @@ impl Knots {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ccdiff_nets::unicycle::states_of_poses;
+    use ccdiff_nets::inputs::unicycle::states_of_poses;
     use ccdiff_sim::dynamics::{Dynamics, KinState};
     use ccdiff_sim::state::Footprint;
 

@@ -16,7 +16,7 @@ use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
-use ccdiff_nets::kinds::{NETWORKS, named};
+use ccdiff_nets::networks::kinds::{NETWORKS, named};
 use ccdiff_sim::scene::Scene;
 use std::path::PathBuf;
 use std::sync::Arc;

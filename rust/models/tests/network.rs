@@ -16,14 +16,14 @@ use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_models::{ModelError, raster::MapBitmap};
-use ccdiff_nets::planner::{Denoises, Weighted};
+use ccdiff_nets::networks::planner::{Denoises, Weighted};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{Map, Scene};
 use std::path::PathBuf;
 use std::sync::Arc;
 use tch::{Device, Kind, Tensor, nn};
 
-type Network = ccdiff_nets::ccdiff::Network<Torch>;
+type Network = ccdiff_nets::networks::ccdiff::Network<Torch>;
 
 fn blind(config: ModelConfig) -> ModelConfig {
     ModelConfig { map: None, ..config }

@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use ccdiff_nets::features::{Window, vehicles};
+use ccdiff_nets::inputs::features::{Window, vehicles};
 use ccdiff_nets::kernels::{Level, with_level};
-use ccdiff_nets::sampler::SampleOptions;
-use ccdiff_nets::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_nets::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_nets::sampling::sampler::SampleOptions;
 use ccdiff_sim::geom::{Point2, Polygon, Vector2};
 use ccdiff_sim::scene::{Agent, AgentKind, Map, Scene, Tracks};
 use std::path::Path;

@@ -2,24 +2,21 @@
 //! `ccdiff_models::kinds` with its loss if it is to be trained.
 
 use ccdiff_nets::config::ModelConfig;
-use ccdiff_nets::features::Window;
-use ccdiff_nets::planner::PlanOptions;
+use ccdiff_nets::inputs::features::Window;
+use ccdiff_nets::networks::planner::PlanOptions;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 mod cruise {
-    use ccdiff_nets::backend::Backend;
+    use ccdiff_nets::compute::backend::Backend;
+    use ccdiff_nets::compute::cpu::Own;
     use ccdiff_nets::guidance::Guidance;
-    use ccdiff_nets::own::Own;
-    use ccdiff_nets::own_planner::proposing;
-    use ccdiff_nets::planner::{Asked, Proposes, Weighted};
-    use ccdiff_nets::traffic::driver;
+    use ccdiff_nets::networks::cpu_planner::proposing;
+    use ccdiff_nets::networks::planner::{Asked, Proposes, Weighted};
     use ccdiff_nets::{ModelConfig, NetworkKind, Result};
 
-    pub(crate) const CRUISE: NetworkKind = NetworkKind {
-        one_plan: true,
-        ..NetworkKind::of(driver("cruise", "Cruise"), proposing::<Cruise<Own>>)
-    };
+    pub(crate) const CRUISE: NetworkKind =
+        NetworkKind { one_plan: true, ..NetworkKind::of("cruise", "Cruise", proposing::<Cruise<Own>>) };
 
     /// Accelerations and yaw rates by one linear layer from the speed.
     #[derive(Debug)]

@@ -4,8 +4,9 @@ use crate::python_policy::{self, PythonPolicy};
 use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nets::NetworkKind;
-use ccdiff_nets::ccdiff::CCDIFF;
-use ccdiff_nets::kinds::NETWORKS;
+use ccdiff_nets::networks::ccdiff::CCDIFF;
+use ccdiff_nets::networks::kinds::NETWORKS;
+use ccdiff_nets::traffic::DRIVERS;
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::options;
 use ccdiff_sim::planner::EGOS;
@@ -29,7 +30,7 @@ struct Recipe<'a> {
 /// All kinds: the simulator's, Python's, the networks, egos; recordings of before count in this order.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = policy::KINDS.iter().chain([&python_policy::KIND]);
-    own.chain(NETWORKS.iter().map(|network| &network.kind)).chain([&EGOS])
+    own.chain(&DRIVERS).chain([&EGOS])
 }
 
 /// The network under whose name the options stand that all networks share.

@@ -2,11 +2,11 @@
 
 use ccdiff_bridge::errors::{from_model, py};
 use ccdiff_bridge::{AskedDriver, Handed, PyTrajectoryModel};
+use ccdiff_nets::compute::weights;
 use ccdiff_nets::guidance::GuidanceConfig;
-use ccdiff_nets::kinds::{check_own, described};
+use ccdiff_nets::networks::kinds::{check_own, described};
+use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::PlannedTraffic;
-use ccdiff_nets::trajectory_model::TrajectoryModel;
-use ccdiff_nets::weights;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;

@@ -1,7 +1,7 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
+use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
-use ccdiff_nets::trajectory_model::TrajectoryModel;
 use ccdiff_nuscenes::decode_scene;
 use ccdiff_sim::options::read;
 use ccdiff_sim::policy::{Driver, TrafficPolicy};

@@ -4,8 +4,8 @@ use crate::losses::plan_loss;
 use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
 use crate::torch::{Torch, to_vec};
-use ccdiff_nets::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
-use ccdiff_nets::planner::Weighted;
+use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
+use ccdiff_nets::networks::planner::Weighted;
 use tch::{Kind, Tensor};
 
 /// BITS.

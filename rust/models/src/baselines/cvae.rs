@@ -10,8 +10,8 @@ use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use ccdiff_nets::latents::{Cvae, Form};
-use ccdiff_nets::trunk::Encoded;
+use ccdiff_nets::networks::latents::{Cvae, Form};
+use ccdiff_nets::networks::trunk::Encoded;
 use tch::{Kind, Reduction, Tensor};
 
 /// Weight of the divergence of learned priors.

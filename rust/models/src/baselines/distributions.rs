@@ -1,6 +1,6 @@
 //! Diagonal Gaussians of latents.
 
-use ccdiff_nets::latents::LOG_VARIANCE;
+use ccdiff_nets::networks::latents::LOG_VARIANCE;
 use tch::{Kind, Tensor};
 
 /// A Gaussian for each of R rows, independent in D numbers.

@@ -4,7 +4,7 @@ use crate::losses::plan_loss;
 use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
-use ccdiff_nets::simnet::Simnet;
+use ccdiff_nets::networks::simnet::Simnet;
 use tch::{Kind, Tensor};
 
 /// SimNet.

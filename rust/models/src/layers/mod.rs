@@ -1,4 +1,4 @@
-//! Parts of networks that are made of tensors; the others stand in [`ccdiff_nets::layers`].
+//! Parts of networks that are made of tensors; the others stand in [`ccdiff_nets::compute::layers`].
 
 pub(crate) mod inputs;
 pub(crate) mod raster;

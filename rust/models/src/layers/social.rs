@@ -74,7 +74,7 @@ mod tests {
     use crate::torch::Torch;
     use tch::{Device, nn};
 
-    type EdgeAwareLayer = ccdiff_nets::layers::social::EdgeAwareLayer<Torch>;
+    type EdgeAwareLayer = ccdiff_nets::compute::layers::social::EdgeAwareLayer<Torch>;
     const HEADS: i64 = 4;
 
     /// The M x M² form: all edges flattened as keys, a block mask per row.

@@ -2,7 +2,7 @@
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::features::{SceneFeatures, Window};
+use crate::inputs::features::{SceneFeatures, Window};
 use ccdiff_sim::geom::{Point2, Pose2, Region};
 
 /// Agents at or below this speed now take no part in collision losses and are not moved by them (as released).

@@ -266,7 +266,7 @@ impl<'a> Guidance<'a> {
             let (got, expected) = (knots.len().to_string(), (self.num_samples * rows * width).to_string());
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
-        let offsets = crate::features::row_offsets(&self.sizes);
+        let offsets = crate::inputs::features::row_offsets(&self.sizes);
         let jobs: Vec<(usize, usize)> = (0..self.num_samples)
             .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
             .collect();
@@ -316,7 +316,7 @@ impl<'a> Guidance<'a> {
             let (got, expected) = (knots.len().to_string(), (self.shift_sq.len() * width).to_string());
             return Err(ModelError::Shape { what: "knots", got, expected });
         }
-        let offsets: Vec<usize> = crate::features::row_offsets(&self.sizes);
+        let offsets: Vec<usize> = crate::inputs::features::row_offsets(&self.sizes);
         let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
             let context = context.as_ref()?;
             let (m, n) = (self.sizes[world], self.num_samples);

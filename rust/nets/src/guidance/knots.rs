@@ -1,7 +1,7 @@
 //! Between normalised action knots and physical actions, in plain numbers.
 
 use crate::config::ModelConfig;
-use crate::unicycle::knot_weights;
+use crate::inputs::unicycle::knot_weights;
 
 /// The linear map from normalised knots [knots, 2] to physical actions [T, 2] of one agent, and its adjoint.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,4 +1,4 @@
-//! The unicycle and its adjoint in plain numbers: the same plan rollout as [`crate::unicycle::rollout`], in the scene
+//! The unicycle and its adjoint in plain numbers: the same plan rollout as [`crate::inputs::unicycle::rollout`], in the scene
 //! frame, with the gradient of a loss on states with respect to actions.
 //!
 //! Forward, from (x₀, y₀, ψ₀, v₀), with a and ω clipped as in reference.md#unicycle:
@@ -6,7 +6,7 @@
 //! Backward, sums over time turn round: each clip passes a gradient where it did not act; the yaw-rate bound has none.
 
 use super::context::GuidanceContext;
-use crate::unicycle::plan_limits;
+use crate::inputs::unicycle::plan_limits;
 use ccdiff_sim::geom::math;
 
 const ACCELERATION_FREE: u8 = 1;

@@ -59,7 +59,7 @@ at_levels! {
 mod tests {
     use super::*;
     use crate::kernels::Level;
-    use crate::noise::Noise;
+    use crate::sampling::noise::Noise;
 
     #[test]
     fn groups_have_mean_zero_and_variance_one_before_mish_at_every_level() {

@@ -162,7 +162,7 @@ pub(crate) fn convolve(
 mod tests {
     use super::*;
     use crate::kernels::Level;
-    use crate::noise::Noise;
+    use crate::sampling::noise::Noise;
     use proptest::prelude::*;
 
     proptest! {

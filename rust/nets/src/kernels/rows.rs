@@ -209,7 +209,7 @@ at_levels! {
 pub(super) mod tests {
     use super::*;
     use crate::kernels::Level;
-    use crate::noise::Noise;
+    use crate::sampling::noise::Noise;
     use proptest::prelude::*;
 
     /// What a kernel makes of numbers at every level, once it is the same at all.

@@ -87,7 +87,7 @@ impl Product {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::noise::Noise;
+    use crate::sampling::noise::Noise;
 
     /// A plain product with random numbers of rows and weights.
     pub(in super::super) fn example(

@@ -1,7 +1,7 @@
 //! A learned choice of the adversary: who is guided from a plan to the next, and how strongly, or nobody.
 
+use crate::compute::weights::{Entry, broken, field, read};
 use crate::error::Result;
-use crate::weights::{Entry, broken, field, read};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::world::{CANDIDATE_FEATURES, Candidates};
 use std::collections::BTreeMap;

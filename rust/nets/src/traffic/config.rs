@@ -2,10 +2,11 @@
 
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
-use crate::kind::NetworkKind;
-use crate::planner::PlanOptions;
-use crate::sampler::SampleOptions;
-use crate::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
+use crate::networks::kind::NetworkKind;
+use crate::networks::kinds::NETWORKS;
+use crate::networks::planner::PlanOptions;
+use crate::networks::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
+use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{CRITICALITY, Form, Setting, within};
@@ -200,11 +201,16 @@ options! {
     }
 }
 
-/// The driver of a network, with these options and the colour of CCDiff.
-pub const fn driver(name: &'static str, title: &'static str) -> Kind {
-    let options = Some(&CcdiffConfig::TABLE);
-    Kind { name, title, style: "ccdiff", options, always: false, make: None }
-}
+/// The networks as drivers, all with these options.
+pub static DRIVERS: [Kind; NETWORKS.len()] = {
+    let mut kinds = [NETWORKS[0].kind; NETWORKS.len()];
+    let mut i = 0;
+    while i < kinds.len() {
+        kinds[i] = Kind { options: Some(&CcdiffConfig::TABLE), ..NETWORKS[i].kind };
+        i += 1;
+    }
+    kinds
+};
 
 impl CcdiffConfig {
     /// Checks every range against a network and the horizon of its weights, steps.

@@ -15,16 +15,16 @@ mod planning;
 mod way_out;
 
 pub use config::{
-    BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, GraphMode, GuidanceChoice, ParkedRule,
-    Ranking, driver,
+    BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, DRIVERS, GraphMode, GuidanceChoice,
+    ParkedRule, Ranking,
 };
 
 pub use planned_agents::STATIONARY_REACH_M;
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::raster::MapBitmap;
-use crate::trajectory_model::{PlanOptions, TrajectoryModel};
+use crate::inputs::raster::MapBitmap;
+use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use adversary_policy::AdversaryPolicy;
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
@@ -193,7 +193,7 @@ impl TrafficPolicy for PlannedTraffic {
 
     /// Shorter histories than the weights' own are masked; training has none that are shorter still.
     fn least_history_states(&self) -> usize {
-        self.model.history_steps.min(crate::features::FIRST_STEP + 1)
+        self.model.history_steps.min(crate::inputs::features::FIRST_STEP + 1)
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {

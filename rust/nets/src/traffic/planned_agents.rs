@@ -2,7 +2,7 @@
 
 use super::config::{CcdiffConfig, Conflict, ParkedRule};
 use crate::error::Result;
-use crate::features::{Window, route_ahead};
+use crate::inputs::features::{Window, route_ahead};
 use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;

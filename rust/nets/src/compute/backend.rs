@@ -1,0 +1,206 @@
+//! The operations that layers are made of. A network is defined once over them; a backend computes them in its own way.
+//!
+//! Two backends: [`crate::compute::cpu::Own`], on the kernels of this crate, and the one of `ccdiff-models`, on libtorch, which has gradients.
+
+use crate::config::{MapConfig, ModelConfig};
+use std::fmt::Debug;
+
+/// Keys and values.
+pub type KeyValue<B> = (<B as Backend>::Tensor, <B as Backend>::Tensor);
+
+/// What computes layers. Tensors are [rows, tokens, width] unless a shape is given.
+pub trait Backend: Debug + Sized {
+    /// Numbers.
+    type Tensor: Debug;
+    /// A linear layer.
+    type Linear: Debug;
+    /// A linear layer over a token joined with an edge, split at the joint.
+    type Joint: Debug;
+    /// A layer norm.
+    type Norm: Debug;
+    /// A convolution over the tokens of a row.
+    type Filter: Debug;
+    /// A group norm.
+    type Groups: Debug;
+    /// An encoder of rasters.
+    type Raster: Debug;
+    /// The space of plans.
+    type Space: Debug;
+    /// Inputs of all rows.
+    type Batch<'a>;
+    /// Who sits in which slot of a row, and may be seen.
+    type Slots: Debug;
+    /// Which tokens of a row may be seen.
+    type Mask: Debug;
+    /// Attention weights between rows.
+    type Attention: Debug;
+    /// Diffusion steps of the rows.
+    type Steps;
+    /// Where the numbers of a layer come from.
+    type Path<'a>;
+
+    /// The place of a part within a place.
+    fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a>;
+
+    /// A linear layer.
+    fn linear(p: &Self::Path<'_>, inputs: i64, outputs: i64) -> Self::Linear;
+
+    /// A linear layer whose first weights are zero.
+    fn zero_linear(p: &Self::Path<'_>, inputs: i64, outputs: i64) -> Self::Linear;
+
+    /// A linear layer over [token, edge].
+    fn joint(p: &Self::Path<'_>, token: i64, edge: i64, outputs: i64) -> Self::Joint;
+
+    /// A layer norm.
+    fn norm(p: &Self::Path<'_>, width: i64) -> Self::Norm;
+
+    /// A convolution of so many tokens, an odd number, every `stride` of them.
+    fn filter(p: &Self::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Self::Filter;
+
+    /// A group norm over the tokens of a row.
+    fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
+
+    /// An encoder of rasters.
+    fn raster(p: &Self::Path<'_>, config: &MapConfig, history_steps: usize) -> Self::Raster;
+
+    /// The space of plans.
+    fn space(p: &Self::Path<'_>, config: &ModelConfig) -> Self::Space;
+
+    /// A table that is not learned [rows, width].
+    fn table(p: &Self::Path<'_>, numbers: &[f32], width: i64) -> Self::Tensor;
+
+    /// Standardised histories [R, H, 8], zero where not available.
+    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+
+    /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
+    fn mask(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Self::Mask>;
+
+    /// Routes [R, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told [R, 1].
+    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)>;
+
+    /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.
+    fn edges(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+
+    /// Edges of the slots now, as [`Self::edges`], and who may be seen.
+    fn edges_now(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+
+    /// Standardised speeds now, a token of each row.
+    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+
+    /// Speeds now [R].
+    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor;
+
+    /// Lines of the map [R, lines, 20]; `None` without them.
+    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor>;
+
+    /// Tokens of the rasters; `None` without rasters. `train` switches batch normalisation.
+    fn raster_tokens(raster: &Self::Raster, batch: &Self::Batch<'_>, train: bool) -> Option<Self::Tensor>;
+
+    /// The first layer of the rasters, above zero where there is road, [R, pixels]; `None` without rasters.
+    fn road(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>>;
+
+    /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
+    fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);
+
+    /// The numbers of a tensor, row by row.
+    fn numbers(x: &Self::Tensor) -> Vec<f32>;
+
+    /// Numbers [R, tokens, width] as a tensor where another one is.
+    fn placed(beside: &Self::Tensor, numbers: Vec<f32>, tokens: usize, width: usize) -> Self::Tensor;
+
+    /// A linear layer on tokens.
+    fn apply(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor;
+
+    /// A linear layer on tokens, then ReLU.
+    fn apply_relu(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor;
+
+    /// The part of a joint layer that tokens have, and the one that edges have.
+    fn apply_joint(layer: &Self::Joint, tokens: &Self::Tensor, edges: &Self::Tensor) -> KeyValue<Self>;
+
+    /// A layer norm.
+    fn normed(norm: &Self::Norm, x: &Self::Tensor) -> Self::Tensor;
+
+    /// A layer norm, then ReLU.
+    fn normed_relu(norm: &Self::Norm, x: Self::Tensor) -> Self::Tensor;
+
+    /// A layer norm of x + y.
+    fn sum_normed(norm: &Self::Norm, x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
+
+    /// A convolution, with zeros beyond both ends.
+    fn filtered(filter: &Self::Filter, x: &Self::Tensor) -> Self::Tensor;
+
+    /// A group norm, then Mish.
+    fn groups_mish(norm: &Self::Groups, x: Self::Tensor) -> Self::Tensor;
+
+    /// x + y.
+    fn sum(x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
+
+    /// x + table [tokens, width] for every row.
+    fn sum_table(x: Self::Tensor, table: &Self::Tensor) -> Self::Tensor;
+
+    /// x + y [R, 1, width] for every token of a row.
+    fn sum_token(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
+
+    /// x · (1 + a) + b for every token of a row, from [a, b] [R, 1, 2 · width].
+    fn modulated(x: &Self::Tensor, by: &Self::Tensor) -> Self::Tensor;
+
+    /// The numbers of each row in tokens of another width.
+    fn cut(x: Self::Tensor, width: i64) -> Self::Tensor;
+
+    /// Some of the numbers of each token.
+    fn columns(x: &Self::Tensor, from: i64, count: i64) -> Self::Tensor;
+
+    /// The numbers of each token of x, then those of y.
+    fn beside(x: &Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
+
+    /// All tokens of a row as one row of numbers, [R, tokens · width].
+    fn joined(x: &Self::Tensor) -> Self::Tensor;
+
+    /// A row of numbers [R, width] as its only token.
+    fn token(x: Self::Tensor) -> Self::Tensor;
+
+    /// Each row times its factor [R, 1].
+    fn scaled(x: &Self::Tensor, factor: &Self::Tensor) -> Self::Tensor;
+
+    /// Each token and the greatest numbers among all of its row, [R, tokens, 2 · width].
+    fn with_greatest(x: &Self::Tensor) -> Self::Tensor;
+
+    /// The rows of a table [steps, width] that the steps name, [R, width].
+    fn rows_of(table: &Self::Tensor, steps: &Self::Steps) -> Self::Tensor;
+
+    /// x · tanh(ln(1 + exp x)).
+    fn mish(x: &Self::Tensor) -> Self::Tensor;
+
+    /// Softmax attention of queries over keys and values of the same row.
+    fn attend(q: &Self::Tensor, kv: &KeyValue<Self>, heads: i64, mask: Option<&Self::Mask>) -> Self::Tensor;
+
+    /// Softmax attention of a row's only token [R, 1, heads · w] over elements [R, K, w], which are keys and values of every head.
+    fn pool(q: &Self::Tensor, elements: &Self::Tensor, heads: i64) -> Self::Tensor;
+
+    /// Attention of every token over the same token of the rows in its slots: of the others, or itself if there are none, with
+    /// what the edges add to keys and values.
+    fn attend_others(
+        q: &Self::Tensor,
+        kv: &KeyValue<Self>,
+        edges: &KeyValue<Self>,
+        slots: &Self::Slots,
+        heads: i64,
+    ) -> (Self::Tensor, Self::Attention);
+
+    /// Attention of every token over the same token of itself and of the rows in its slots.
+    fn attend_all(q: &Self::Tensor, kv: &KeyValue<Self>, slots: &Self::Slots, heads: i64) -> Self::Tensor;
+
+    /// a + sigmoid(g + h) · (own - a).
+    fn gated(a: &Self::Tensor, g: &Self::Tensor, h: &Self::Tensor, own: Self::Tensor) -> Self::Tensor;
+
+    /// Standardised states of noisy knots [R, knots, 2] from speeds [R], those of a knot in one token.
+    fn plan(space: &Self::Space, noisy: &Self::Tensor, speed: &Self::Tensor) -> Self::Tensor;
+
+    /// Tokens of the history, then those of the plan, each plus its row of the embedded steps. With `carried`, the history's token is
+    /// added to those of the plan.
+    fn stream(history: &Self::Tensor, plan: Self::Tensor, carried: bool, steps: Self::Tensor)
+    -> Self::Tensor;
+
+    /// The last tokens of every row.
+    fn last(x: &Self::Tensor, count: i64) -> Self::Tensor;
+}

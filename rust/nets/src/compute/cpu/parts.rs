@@ -1,0 +1,172 @@
+//! What the layers of own kernels hold: numbers, weights, whom rows see.
+
+use crate::compute::weights::Weights;
+use crate::inputs::features::SceneFeatures;
+use crate::kernels::{Packed, Seen};
+
+/// Numbers [rows, tokens, width].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array {
+    pub(super) tokens: usize,
+    pub(super) width: usize,
+    pub(super) numbers: Vec<f32>,
+}
+
+impl Array {
+    /// Numbers in this shape; the rows follow.
+    pub(crate) fn new(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
+        Self { tokens, width, numbers }
+    }
+
+    /// The numbers, row by row.
+    pub(crate) fn into_numbers(self) -> Vec<f32> {
+        self.numbers
+    }
+
+    /// Number of rows.
+    pub(crate) fn rows(&self) -> usize {
+        self.numbers.len() / self.row()
+    }
+
+    /// Numbers of a token.
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The numbers.
+    pub(crate) fn as_numbers(&self) -> &[f32] {
+        &self.numbers
+    }
+
+    pub(super) fn like(&self, numbers: Vec<f32>) -> Self {
+        Self { numbers, ..*self }
+    }
+
+    /// Numbers of a row.
+    pub(super) fn row(&self) -> usize {
+        (self.tokens * self.width).max(1)
+    }
+}
+
+/// A part of a weight file.
+#[derive(Debug)]
+pub struct Place<'a> {
+    pub(super) weights: &'a Weights,
+    pub(super) name: String,
+}
+
+impl<'a> Place<'a> {
+    /// All of a file.
+    pub fn root(weights: &'a Weights) -> Self {
+        Self { weights, name: String::new() }
+    }
+
+    /// Numbers of a tensor of this part.
+    pub(super) fn take(&self, name: &str, shape: &[i64]) -> Option<&'a [f32]> {
+        let shape: Vec<usize> = shape.iter().map(|s| *s as usize).collect();
+        let dot = if self.name.is_empty() { "" } else { "." };
+        self.weights.take(&format!("{}{dot}{name}", self.name), &shape)
+    }
+}
+
+/// A linear layer from some columns of stored rows.
+pub(super) fn packed(
+    rows: Option<&[f32]>,
+    bias: Option<&[f32]>,
+    outputs: i64,
+    stored: i64,
+    from: i64,
+    to: i64,
+) -> Packed {
+    let Some(rows) = rows else { return Packed::new(&[], &[], 0, 0) };
+    let part: Vec<f32> = rows
+        .chunks_exact(stored as usize)
+        .flat_map(|row| &row[from as usize..to as usize])
+        .copied()
+        .collect();
+    Packed::new(&part, bias.unwrap_or(&[]), outputs as usize, (to - from) as usize)
+}
+
+/// A layer norm.
+#[derive(Debug)]
+pub struct Norm {
+    pub(super) weight: Vec<f32>,
+    pub(super) bias: Vec<f32>,
+}
+
+impl Norm {
+    /// Weights of the numbers of a row.
+    pub(crate) fn weights(&self) -> &[f32] {
+        &self.weight
+    }
+}
+
+/// A convolution over tokens.
+#[derive(Debug)]
+pub struct Filter {
+    /// Inputs token by token.
+    pub(super) weights: Packed,
+    pub(super) kernel: usize,
+    pub(super) stride: usize,
+}
+
+/// A group norm.
+#[derive(Debug)]
+pub struct Groups {
+    pub(super) norm: Norm,
+    pub(super) groups: usize,
+}
+
+/// Three strided convolutions; every pixel of the last is a token with a learned position.
+#[derive(Debug)]
+pub struct Raster {
+    pub(super) convolutions: [Packed; 3],
+    pub(super) norm: Norm,
+    pub(super) place: Vec<f32>,
+    pub(super) channels: usize,
+    pub(super) side: usize,
+    /// Channels that hold histories of agents.
+    pub(super) histories: usize,
+}
+
+/// Inputs of the agents of several scenes.
+#[derive(Debug, Clone, Copy)]
+pub struct Inputs<'a> {
+    /// The scenes.
+    pub scenes: &'a [&'a SceneFeatures],
+    /// Whether everybody sees itself alone.
+    pub alone: bool,
+}
+
+/// Whom rows see: others, or themselves where there are none; and themselves with the others.
+#[derive(Debug)]
+pub struct Pairs {
+    pub(crate) others: Seen,
+    pub(super) all: Seen,
+}
+
+impl Inputs<'_> {
+    pub(super) fn numbers(&self, of: impl Fn(&SceneFeatures) -> &[f32]) -> Vec<f32> {
+        self.scenes.iter().flat_map(|s| of(s)).copied().collect()
+    }
+
+    pub(super) fn num_rows(&self) -> usize {
+        self.scenes.iter().map(|s| s.agents.len()).sum()
+    }
+}
+
+impl Pairs {
+    /// Attention to the others of rows [R, slots, tokens], zero where nobody is seen.
+    pub(crate) fn spread(&self, attention: &[f32], slots: usize) -> Vec<f32> {
+        let (rows, pairs) = (self.others.start.len() - 1, self.others.other.len());
+        let tokens = attention.len() / pairs.max(1);
+        let mut out = vec![0.0; rows * slots * tokens];
+        for row in 0..rows {
+            for pair in self.others.start[row]..self.others.start[row + 1] {
+                let at = (row * slots + self.others.slot[pair]) * tokens;
+                out[at..at + tokens].copy_from_slice(&attention[pair * tokens..(pair + 1) * tokens]);
+            }
+        }
+        out
+    }
+}

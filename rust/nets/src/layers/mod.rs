@@ -1,8 +1,0 @@
-//! Parts that several networks are made of, over any [`crate::backend::Backend`].
-
-pub mod attention;
-pub mod edge;
-pub mod embed;
-pub mod map;
-pub mod perceptron;
-pub mod social;

@@ -1,0 +1,189 @@
+//! Networks as plans are drawn from them on the kernels of this crate.
+
+use crate::compute::cpu::{Array, Inputs, Own, Place};
+use crate::compute::weights::{Entry, Weights};
+use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::guidance::Guidance;
+use crate::inputs::features::SceneFeatures;
+use crate::networks::planner::{Asked, Denoises, Drawn, PlanOptions, Planner, Proposes, Weighted};
+use crate::sampling::plan_space::PlanSpace;
+use crate::sampling::sampler::{self, Draws, Predict, Rows};
+use crate::sampling::schedule::Schedule;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Worlds that share a batch: as many as leave a layer's numbers in the cache.
+const MOST_WORLDS: usize = 2;
+
+/// A network with the tensors of a file.
+fn filled<N: Weighted<Own>>(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<N> {
+    let weights = Weights::new(path, tensors);
+    let network = N::new(&Place::root(&weights), config);
+    weights.finish().map(|()| network)
+}
+
+/// A network that denoises, with the tensors of a file.
+///
+/// # Errors
+/// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
+pub fn denoising<N: Denoises<Own> + Send + 'static>(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    let network: N = filled(path, config, tensors)?;
+    Ok(Box::new(Denoising { network, schedule: Schedule::cosine(config.diffusion_steps)? }))
+}
+
+/// A network that plans at once, with the tensors of a file.
+///
+/// # Errors
+/// As [`denoising`].
+pub fn proposing<N: Proposes<Own> + Send + 'static>(
+    path: &Path,
+    config: &ModelConfig,
+    tensors: BTreeMap<String, Entry>,
+) -> Result<Box<dyn Planner>> {
+    let network: N = filled(path, config, tensors)?;
+    Ok(Box::new(Proposing { network, space: PlanSpace::new(config) }))
+}
+
+/// Agents of each scene, and the seeds of their own noise.
+fn sizes(scenes: &[&SceneFeatures]) -> (Vec<usize>, Vec<Option<u64>>) {
+    let seeds = scenes.iter().flat_map(|s| s.noise_seed.iter().copied());
+    (scenes.iter().map(|s| s.agents.len()).collect(), seeds.collect())
+}
+
+/// Plans of clean knots, sample by sample.
+fn drawn(
+    space: &PlanSpace,
+    scenes: &[&SceneFeatures],
+    knots: Vec<f32>,
+    attention: Option<Vec<f32>>,
+) -> Drawn {
+    let actions = space.actions(&knots);
+    let speed_mps: Vec<f32> = scenes.iter().flat_map(|s| s.speed_mps.iter().copied()).collect();
+    Drawn { states: space.states(&actions, &speed_mps), actions, knots, attention }
+}
+
+/// A network that plans at once.
+#[derive(Debug)]
+struct Proposing<N> {
+    network: N,
+    space: PlanSpace,
+}
+
+impl<N: Proposes<Own> + Send> Planner for Proposing<N> {
+    fn most_worlds(&self) -> usize {
+        MOST_WORLDS
+    }
+
+    fn draw(
+        &self,
+        scenes: &[&SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Drawn> {
+        let (scene_sizes, noise_seeds) = sizes(scenes);
+        let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
+        let asked = Asked { rows, seeds, options: options.sampling };
+        let knots = self.network.propose(&Inputs { scenes, alone: false }, &asked, guide)?;
+        Ok(drawn(&self.space, scenes, knots, None))
+    }
+}
+
+/// A network that denoises, with its schedule.
+#[derive(Debug)]
+struct Denoising<N> {
+    network: N,
+    schedule: Schedule,
+}
+
+/// A network on scenes that it has encoded.
+struct Encoded<'a, N: Denoises<Own>> {
+    network: &'a N,
+    with_graph: N::Context,
+    alone: Option<N::Context>,
+    /// Numbers of the noisy plans of one sample.
+    per_sample: usize,
+    /// Weights of the last pass with the graph, of each sample.
+    attention: Vec<Vec<f32>>,
+}
+
+impl<N: Denoises<Own>> Predict for Encoded<'_, N> {
+    fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32> {
+        let context = self.alone.as_ref().filter(|_| alone).unwrap_or(&self.with_graph);
+        if !alone {
+            self.attention.clear();
+        }
+        let mut clean = Vec::with_capacity(noisy.len());
+        for sample in noisy.chunks_exact(self.per_sample) {
+            let noisy = Array::new(self.network.config().num_knots(), 2, sample.to_vec());
+            let (knots, attention) = self.network.predict(context, &noisy, &step);
+            clean.extend(knots.into_numbers());
+            if !alone {
+                self.attention.extend(attention);
+            }
+        }
+        clean
+    }
+}
+
+impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
+    fn most_worlds(&self) -> usize {
+        MOST_WORLDS
+    }
+
+    fn draw(
+        &self,
+        scenes: &[&SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Drawn> {
+        let (network, config) = (&self.network, self.network.config());
+        let (scene_sizes, noise_seeds) = sizes(scenes);
+        let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
+        let n = &config.normalisation;
+        let normalised =
+            |action: [f32; 2]| [0, 1].map(|c| (action[c] - n.action_mean[c] as f32) / n.action_std[c] as f32);
+        let first: Vec<Option<[f32; 2]>> =
+            scenes.iter().flat_map(|s| s.first_action.iter().map(|a| a.map(normalised))).collect();
+        let num_knots = config.num_knots();
+        let encode = |alone| network.encode(&Inputs { scenes, alone }, false);
+        let mut encoded = Encoded {
+            network,
+            with_graph: encode(false),
+            alone: (options.sampling.guidance_weight > 1.0).then(|| encode(true)),
+            per_sample: rows.count() * num_knots * 2,
+            attention: Vec::new(),
+        };
+        let sampling = options.sampling;
+        let draws =
+            Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots, first: &first };
+        let knots = sampler::sample(&draws, &mut encoded, guide)?;
+        let slots = N::slots(&encoded.with_graph).filter(|_| options.attention);
+        let attention = slots.map(|pairs| {
+            let executed = options.executed_tokens(config);
+            let slots = scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
+            let per_row = rows.count() * slots;
+            let tokens = config.history_token_steps().len() + num_knots;
+            let mut mean = vec![0.0; per_row];
+            for weights in &encoded.attention {
+                let spread = pairs.spread(weights, slots);
+                for (mean, of_tokens) in mean.iter_mut().zip(spread.chunks_exact(tokens)) {
+                    let of_plan = &of_tokens[tokens - num_knots..][..executed];
+                    *mean += of_plan.iter().sum::<f32>() / (executed * encoded.attention.len()) as f32;
+                }
+            }
+            mean
+        });
+        Ok(drawn(network.space(), scenes, knots, attention))
+    }
+}

@@ -1,0 +1,145 @@
+//! What there is to know of a planning network, in one value that everything else reads.
+
+use crate::compute::weights::Entry;
+use crate::config::{HistoryTokens, MapEncoder, ModelConfig, NeighbourOrder};
+use crate::error::{ModelError, Result};
+use crate::guidance::Clip;
+use crate::inputs::features::{self, SceneFeatures, Window};
+use crate::inputs::raster::MapBitmap;
+use crate::networks::planner::{PlanOptions, Planner};
+use crate::sampling::sampler::SampleOptions;
+use ccdiff_sim::policy::Kind;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Makes a network of this crate's kernels from the tensors of a file.
+pub type MakeOwn = fn(&Path, &ModelConfig, BTreeMap<String, Entry>) -> Result<Box<dyn Planner>>;
+
+/// Builds the inputs of one scene, as [`features::build`].
+pub type MakeFeatures = fn(&Window, Option<&MapBitmap>, &ModelConfig) -> Result<SceneFeatures>;
+
+/// A kind of network: its file declares one, [`crate::networks::kinds::NETWORKS`] lists it.
+#[derive(Debug, Clone, Copy)]
+pub struct NetworkKind {
+    /// The driver that it is, shown in the colour of CCDiff; its options are those of [`crate::traffic::DRIVERS`].
+    pub kind: Kind,
+    /// Its shipped weights: `"fast"`, and what else files are called by.
+    pub weights: &'static [&'static str],
+    /// Whether plans are denoised step by step.
+    pub denoises: bool,
+    /// Whether plans attend to each other, so that there is attention to tell of.
+    pub attends: bool,
+    /// Whether it has one plan, whatever the noise.
+    pub one_plan: bool,
+    /// Whether it sees the decision causal graph, and is trained without it as well.
+    pub causal: bool,
+    /// Whether it may know routes.
+    pub routes: bool,
+    /// Whether it reads agents by the trunk that rivals share.
+    pub trunk: bool,
+    /// Whether it draws tokens, of which guidance chooses some.
+    pub samples_tokens: bool,
+    /// Its sizes from those of a preset.
+    pub sizes: fn(ModelConfig) -> ModelConfig,
+    /// What else it asks of its sizes.
+    pub fits: fn(&ModelConfig) -> Result<()>,
+    /// How its inputs are built.
+    pub features: MakeFeatures,
+    /// How it is made without torch.
+    pub own: MakeOwn,
+}
+
+fn by_distance(preset: ModelConfig) -> ModelConfig {
+    ModelConfig { neighbour_order: NeighbourOrder::Distance, ..preset }
+}
+
+impl NetworkKind {
+    /// A network about which nothing special is known: it sees neighbours by distance.
+    pub const fn of(name: &'static str, title: &'static str, own: MakeOwn) -> Self {
+        Self {
+            kind: Kind { name, title, style: "ccdiff", options: None, always: false, make: None },
+            weights: &["fast"],
+            denoises: false,
+            attends: false,
+            one_plan: false,
+            causal: false,
+            routes: false,
+            trunk: false,
+            samples_tokens: false,
+            sizes: by_distance,
+            fits: |_| Ok(()),
+            features: features::build,
+            own,
+        }
+    }
+
+    /// The same with the trunk that rivals share.
+    pub const fn with_trunk(name: &'static str, title: &'static str, own: MakeOwn) -> Self {
+        Self { trunk: true, ..Self::of(name, title, own) }
+    }
+
+    /// Checks that the network can have these sizes.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the field.
+    pub fn check(&self, config: &ModelConfig) -> Result<()> {
+        let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
+        if self.trunk && config.history != HistoryTokens::Summary {
+            let got = config.history.name().to_owned();
+            return fail("model.history", got, "a summary, as in \"fast\", for this model");
+        }
+        if !self.routes && !config.route_points_m.is_empty() {
+            let got = format!("{} points for {}", config.route_points_m.len(), self.kind.name);
+            return fail("model.route_points_m", got, "none: this model knows no routes");
+        }
+        (self.fits)(config)?;
+        let Some(map) = &config.map else { return Ok(()) };
+        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.trunk) {
+            let expected = "an encoder of rasters for history channels and this model";
+            return fail("model.map.encoder", map.encoder.name().to_owned(), expected);
+        }
+        Ok(())
+    }
+
+    /// How plans are drawn as this network takes it: what means nothing to it is refused, or not reported.
+    ///
+    /// Networks that do not denoise, or in one step alone, are guided at once on their plan, with as many gradient steps as
+    /// the guided denoising steps of the default sampler take together.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the option.
+    pub fn options(&self, mut options: PlanOptions) -> Result<PlanOptions> {
+        let sampling = options.sampling;
+        if sampling.guidance_weight > 1.0 && !self.causal {
+            let (got, expected) =
+                (sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
+            return Err(ModelError::Config { field: "guidance_weight", got, expected });
+        }
+        if self.samples_tokens {
+            // a choice among draws
+            if let Some(guidance) = &mut options.guidance {
+                guidance.gradient_steps = 0;
+            }
+        } else if sampling.temperature != 1.0 && !self.denoises {
+            let (got, expected) =
+                (sampling.temperature.to_string(), "1: this model neither denoises nor draws tokens");
+            return Err(ModelError::Config { field: "temperature", got, expected });
+        }
+        if self.denoises && sampling.solver_steps != Some(1) {
+            return Ok(options);
+        }
+        let default = SampleOptions::default().solver_steps;
+        if !self.denoises && sampling.solver_steps != default {
+            let (got, expected) =
+                (format!("{:?}", sampling.solver_steps), "the default: this model does not denoise");
+            return Err(ModelError::Config { field: "solver_steps", got, expected });
+        }
+        options.gradient_statistics &= self.denoises;
+        if let (Some(guidance), Some(steps)) = (&mut options.guidance, default) {
+            guidance.gradient_steps *= steps - 1;
+            guidance.clip = Clip::Sigma;
+            guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
+        }
+        Ok(options)
+    }
+}

@@ -1,0 +1,16 @@
+//! The networks, one file or folder each, what there is to know of them, and the model that plans with one.
+
+pub mod bits;
+pub mod ccdiff;
+pub mod cpu_planner;
+pub mod ctg;
+pub mod kind;
+pub mod kinds;
+pub mod latents;
+pub mod logged;
+pub mod planner;
+pub mod rivals;
+pub mod simnet;
+pub mod tokens;
+pub mod trajectory_model;
+pub mod trunk;

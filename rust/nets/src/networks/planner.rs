@@ -1,0 +1,145 @@
+//! What plans are drawn from, and how.
+
+use crate::compute::backend::Backend;
+use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::guidance::{Guidance, GuidanceConfig};
+use crate::inputs::features::SceneFeatures;
+use crate::sampling::sampler::{Rows, SampleOptions};
+use std::fmt::Debug;
+
+/// How plans are drawn.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PlanOptions {
+    /// The reverse process.
+    pub sampling: SampleOptions,
+    /// Guidance of the worlds that have a guide; `None`: of none.
+    pub guidance: Option<GuidanceConfig>,
+    /// Whether plans come with the attention between agents.
+    pub attention: bool,
+    /// Whether guided plans come with the statistics of gradients, at the cost of one gradient per objective and step.
+    pub gradient_statistics: bool,
+}
+
+impl From<SampleOptions> for PlanOptions {
+    /// Unguided.
+    fn from(sampling: SampleOptions) -> Self {
+        Self { sampling, ..Self::default() }
+    }
+}
+
+impl PlanOptions {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// [`ModelError::Config`] names the field.
+    pub fn validated(self) -> Result<Self> {
+        let sampling = self.sampling.validated()?;
+        let guidance = self.guidance.map(GuidanceConfig::validated).transpose()?;
+        Ok(Self { sampling, guidance, ..self })
+    }
+}
+
+impl PlanOptions {
+    /// Knots of a plan that are executed before the next one is made.
+    pub fn executed_tokens(&self, config: &ModelConfig) -> usize {
+        let executed = self.guidance.as_ref().and_then(|g| g.executed_steps);
+        executed
+            .map_or(config.num_knots(), |steps| steps.div_ceil(config.knot_stride))
+            .min(config.num_knots())
+    }
+}
+
+/// Plans of all rows as numbers, sample by sample; empty without rows.
+#[derive(Debug, Default)]
+pub struct Drawn {
+    /// Clean normalised knots [N · R, knots, 2].
+    pub knots: Vec<f32>,
+    /// Physical actions [N · R, T, 2].
+    pub actions: Vec<f32>,
+    /// States [N · R, T, 6].
+    pub states: Vec<f32>,
+    /// Mean attention of the plans' executed tokens [R, K], if asked for and there is any.
+    pub attention: Option<Vec<f32>>,
+}
+
+/// A network as plans are drawn from it.
+pub trait Planner: Debug + Send {
+    /// Most worlds that share a batch: fixed, so that plans do not depend on the number of threads. More are hardly faster, fewer
+    /// leave no thread without work.
+    fn most_worlds(&self) -> usize {
+        8
+    }
+
+    /// Draws plans for all agents of all scenes; at least one has an agent. `seeds` holds one seed per scene; `guide` moves
+    /// the plans on the way.
+    ///
+    /// # Errors
+    /// What sampling and the network's library refuse.
+    fn draw(
+        &self,
+        scenes: &[&SceneFeatures],
+        seeds: &[u64],
+        options: &PlanOptions,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Drawn>;
+}
+
+/// A network on any backend.
+pub trait Weighted<B: Backend>: Debug + Sized {
+    /// The network with its weights under a path.
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self;
+
+    /// The configuration.
+    fn config(&self) -> &ModelConfig;
+}
+
+/// What is drawn of a network that plans at once.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked<'a> {
+    /// The rows.
+    pub rows: Rows<'a>,
+    /// One seed per scene.
+    pub seeds: &'a [u64],
+    /// How plans are drawn.
+    pub options: SampleOptions,
+}
+
+/// A network that plans at once.
+pub trait Proposes<B: Backend>: Weighted<B> {
+    /// Draws normalised knots [N · R, knots, 2], sample by sample; `guide` moves the plans, or has agents choose.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Shape`] for a wrong number of seeds.
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>>;
+}
+
+/// A network from noisy plans to clean ones.
+pub trait Denoises<B: Backend>: Weighted<B> {
+    /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
+    type Context;
+
+    /// The space of its plans.
+    fn space(&self) -> &B::Space;
+
+    /// Encodes a batch. `train` switches batch normalisation.
+    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Self::Context;
+
+    /// Who sits in which slot, for a network whose plans attend to each other.
+    fn slots(_: &Self::Context) -> Option<&B::Slots> {
+        None
+    }
+
+    /// Predicts clean knots [R, knots, 2] from noisy ones, with the attention between agents of a network that has it.
+    fn predict(
+        &self,
+        context: &Self::Context,
+        noisy: &B::Tensor,
+        steps: &B::Steps,
+    ) -> (B::Tensor, Option<B::Attention>);
+}

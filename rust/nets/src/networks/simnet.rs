@@ -1,0 +1,60 @@
+//! SimNet: behaviour cloning, one plan by regression (rivals.md#simnet).
+//!
+//! Differs from the paper: the port has no hidden layer in its decoder and reads a raster of the agents; this one has
+//! one, and reads states and edges.
+
+use crate::compute::backend::Backend;
+use crate::compute::layers::perceptron::Perceptron;
+use crate::config::ModelConfig;
+use crate::error::Result;
+use crate::guidance::Guidance;
+use crate::networks::planner::{Asked, Proposes, Weighted};
+use crate::networks::trunk::Trunk;
+
+/// Hidden width of the regression head.
+pub const HIDDEN: i64 = 128;
+
+/// The regressor.
+#[derive(Debug)]
+pub struct Simnet<B: Backend> {
+    trunk: Trunk<B>,
+    head: Perceptron<B>,
+}
+
+impl<B: Backend> Simnet<B> {
+    /// Normalised knots of the plans, those of an agent side by side, [R, 1, 2 · knots].
+    pub fn plan(&self, batch: &B::Batch<'_>, train: bool) -> B::Tensor {
+        self.head.forward(&self.trunk.forward(batch, train).state)
+    }
+}
+
+impl<B: Backend> Weighted<B> for Simnet<B> {
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+        let widths = [config.width + 1, HIDDEN, 2 * config.num_knots() as i64];
+        Self {
+            trunk: Trunk::new(&B::sub(p, "trunk"), config),
+            head: Perceptron::new(&B::sub(p, "head"), &widths),
+        }
+    }
+
+    fn config(&self) -> &ModelConfig {
+        self.trunk.config()
+    }
+}
+
+impl<B: Backend> Proposes<B> for Simnet<B> {
+    /// The one plan, N times.
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>> {
+        asked.rows.check_seeds(asked.seeds)?;
+        let mut knots = B::numbers(&self.plan(batch, false)).repeat(asked.options.num_samples);
+        if let Some(guide) = guide {
+            guide.adjust_finished(&mut knots)?;
+        }
+        Ok(knots)
+    }
+}

@@ -1,0 +1,71 @@
+//! Tokens: each vehicle draws a change of speed and a yaw rate from a grid and holds them for half a second (rivals.md#tokens).
+//!
+//! ```text
+//! own motion, route ─► query ─► 2 rounds: [neighbours] [lines of the map] feed forward ─► one of 21 x 21 tokens
+//! ```
+//! After KiGRAS (Zhao et al. 2025: a grid of controls of a unicycle) and SMART (Wu et al. 2024: the next token of every vehicle).
+//! Differs from both: a vehicle is a row of its own, in its own frame; elements are attended to without projections.
+
+pub(crate) mod draw;
+mod grid;
+mod network;
+
+pub(crate) use draw::{Now, drawn};
+pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
+pub use network::Network;
+
+use crate::compute::cpu::Own;
+use crate::config::{MapConfig, MapEncoder, ModelConfig, NeighbourOrder};
+use crate::error::{ModelError, Result};
+use crate::inputs::tokens::{HISTORY_STEPS, NEAR, build};
+use crate::networks::cpu_planner::proposing;
+use crate::networks::kind::NetworkKind;
+
+/// Each agent's next token of a grid of motions.
+pub const TOKENS: NetworkKind = NetworkKind {
+    routes: true,
+    samples_tokens: true,
+    sizes,
+    fits,
+    features: build,
+    ..NetworkKind::of("tokens", "Tokens", proposing::<Network<Own>>)
+};
+
+/// Places on a route that the network is told of, metres ahead.
+const ROUTE_POINTS_M: [f32; 16] =
+    [0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0, 40.0, 45.0, 50.0, 55.0, 60.0];
+
+/// A preset's sizes with lines of the map, a memory of 6 s, plans of 2.5 s.
+fn sizes(preset: ModelConfig) -> ModelConfig {
+    let map = preset.map.map(|map| MapConfig { encoder: MapEncoder::Polylines, ..map });
+    ModelConfig {
+        neighbour_order: NeighbourOrder::Distance,
+        history_steps: HISTORY_STEPS,
+        horizon_steps: 5 * TOKEN_STEPS,
+        knot_stride: 1,
+        width: 96,
+        edge_width: 64,
+        feed_forward: 192,
+        temporal_layers: 2,
+        max_neighbours: NEAR,
+        max_agents: 32,
+        route_points_m: ROUTE_POINTS_M.to_vec(),
+        map,
+        ..preset
+    }
+}
+
+/// Checks what tokens are made of.
+fn fits(config: &ModelConfig) -> Result<()> {
+    let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
+    let lines = config.map.as_ref().is_some_and(|m| m.encoder == MapEncoder::Polylines);
+    if !lines || config.history_steps != HISTORY_STEPS || config.knot_stride != 1 {
+        let (steps, stride) = (config.history_steps, config.knot_stride);
+        let got = format!("a history of {steps} steps, knots of {stride}");
+        return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
+    }
+    if config.horizon_steps <= TOKEN_STEPS {
+        return fail("model.horizon_steps", config.horizon_steps.to_string(), "more than a token's 5");
+    }
+    Ok(())
+}

@@ -1,0 +1,133 @@
+//! The network of tokens, on any backend.
+
+use super::{NUM_TOKENS, Now, drawn};
+use crate::compute::backend::Backend;
+use crate::compute::layers::attention::FeedForward;
+use crate::config::ModelConfig;
+use crate::error::{ModelError, Result};
+use crate::guidance::Guidance;
+use crate::inputs::segments::SEGMENT_FEATURES;
+use crate::inputs::tokens::{NEAR_NUMBERS, own_columns};
+use crate::networks::planner::{Asked, Proposes, Weighted};
+
+/// A two-layer perceptron over the elements of a row.
+#[derive(Debug)]
+struct Elements<B: Backend>(B::Linear, B::Linear);
+
+impl<B: Backend> Elements<B> {
+    fn new(p: &B::Path<'_>, inputs: i64, hidden: i64, outputs: i64) -> Self {
+        Self(B::linear(&B::sub(p, "in"), inputs, hidden), B::linear(&B::sub(p, "out"), hidden, outputs))
+    }
+
+    fn forward(&self, x: &B::Tensor) -> B::Tensor {
+        B::apply(&self.1, &B::apply_relu(&self.0, x))
+    }
+}
+
+/// Attention of the query to elements, which are their own keys and values.
+#[derive(Debug)]
+struct Look<B: Backend> {
+    norm: B::Norm,
+    query: B::Linear,
+    out: B::Linear,
+    heads: i64,
+}
+
+impl<B: Backend> Look<B> {
+    fn new(p: &B::Path<'_>, width: i64, inner: i64, heads: i64) -> Self {
+        Self {
+            norm: B::norm(&B::sub(p, "norm"), width),
+            query: B::linear(&B::sub(p, "query"), width, heads * inner),
+            out: B::linear(&B::sub(p, "out"), heads * inner, width),
+            heads,
+        }
+    }
+
+    fn forward(&self, x: &B::Tensor, elements: &B::Tensor) -> B::Tensor {
+        let query = B::apply(&self.query, &B::normed(&self.norm, x));
+        B::apply(&self.out, &B::pool(&query, elements, self.heads))
+    }
+}
+
+#[derive(Debug)]
+struct Round<B: Backend> {
+    near: Look<B>,
+    lines: Look<B>,
+    norm: B::Norm,
+    feed: FeedForward<B>,
+}
+
+/// Weights of a network of tokens.
+#[derive(Debug)]
+pub struct Network<B: Backend> {
+    own: Elements<B>,
+    near: Elements<B>,
+    lines: Elements<B>,
+    rounds: Vec<Round<B>>,
+    norm: B::Norm,
+    head: Elements<B>,
+    config: ModelConfig,
+}
+
+impl<B: Backend> Weighted<B> for Network<B> {
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
+        let (d, inner) = (config.width, config.edge_width);
+        let at = |name: &str| B::sub(p, name);
+        let round = |r: usize| {
+            let q = B::sub(&at("round"), &r.to_string());
+            Round {
+                near: Look::new(&B::sub(&q, "near"), d, inner, config.heads),
+                lines: Look::new(&B::sub(&q, "lines"), d, inner, config.heads),
+                norm: B::norm(&B::sub(&q, "norm"), d),
+                feed: FeedForward::new(&B::sub(&q, "feed"), d, config.feed_forward),
+            }
+        };
+        let own = own_columns(config.route_points_m.len()).count() as i64;
+        Self {
+            own: Elements::new(&at("own"), own, d, d),
+            near: Elements::new(&at("near"), NEAR_NUMBERS as i64, inner, inner),
+            lines: Elements::new(&at("lines"), SEGMENT_FEATURES as i64, inner, inner),
+            rounds: (0..config.temporal_layers).map(round).collect(),
+            norm: B::norm(&at("norm"), d),
+            head: Elements::new(&at("head"), d, d, NUM_TOKENS as i64),
+            config: config.clone(),
+        }
+    }
+
+    fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+}
+
+impl<B: Backend> Network<B> {
+    /// Logits [R, 1, [`NUM_TOKENS`]] from own numbers [R, 1, own], neighbours [R, [`crate::inputs::tokens::NEAR`],
+    /// [`NEAR_NUMBERS`]] and lines of the map [R, lines, 20].
+    pub fn logits(&self, own: &B::Tensor, near: &B::Tensor, lines: &B::Tensor) -> B::Tensor {
+        let (near, lines) = (self.near.forward(near), self.lines.forward(lines));
+        let mut x = self.own.forward(own);
+        for round in &self.rounds {
+            let seen = B::sum(&round.near.forward(&x, &near), round.lines.forward(&x, &lines));
+            let y = B::sum(&x, seen);
+            x = B::sum(&y, round.feed.forward(&B::normed(&round.norm, &y)));
+        }
+        self.head.forward(&B::normed(&self.norm, &x))
+    }
+}
+
+impl<B: Backend> Proposes<B> for Network<B> {
+    fn propose(
+        &self,
+        batch: &B::Batch<'_>,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Vec<f32>> {
+        let Some(lines) = B::lines(batch) else {
+            return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
+        };
+        let (own, near, yaw_rate_radps) = B::tokens(batch);
+        let logits = B::numbers(&self.logits(&own, &near, &lines));
+        let speed_mps = B::numbers(&B::speed(batch));
+        let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &yaw_rate_radps };
+        drawn(&logits, now, asked, self.config(), guide)
+    }
+}

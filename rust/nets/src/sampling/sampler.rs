@@ -1,0 +1,222 @@
+//! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
+
+use crate::error::{ModelError, Result};
+use crate::guidance::{Guidance, GuidanceStep, Target};
+use crate::inputs::features::row_offsets;
+use crate::sampling::noise::Noise;
+use crate::sampling::schedule::Schedule;
+use ccdiff_sim::options;
+use ccdiff_sim::options::within;
+
+/// Correlation of the noise of a row's plans with the noise that the row keeps.
+const KEPT_NOISE: f32 = 0.5;
+
+options! {
+    /// How plans are drawn from a network.
+    #[derive(Clone, Copy)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct SampleOptions {
+        /// Network evaluations of DDIM, evenly spaced, deterministic after the first noise; `None`: DDPM with all K steps, noise
+        /// added after each but the last (paper).
+        solver_steps: Option<usize> = Some(5), range within(1.0, 1000.0);
+        /// Samples per plan N.
+        num_samples: usize = 1, range within(1.0, 1024.0);
+        /// Weight w of the conditional branch, (1 - w) · uncond + w · cond; 1 runs it alone (reference.md#open-points).
+        guidance_weight: f64 = 1.0, range within(1.0, 2.0).open_above();
+        /// As that of `CcdiffConfig`.
+        temperature: f64 = 1.0, range within(0.0, 100.0).open_below();
+    }
+}
+
+impl SampleOptions {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// [`ModelError::Sim`] names the field.
+    pub fn validated(self) -> Result<Self> {
+        options::check("", &self)?;
+        Ok(self)
+    }
+}
+
+/// The rows that plans are drawn for.
+#[derive(Debug, Clone, Copy)]
+pub struct Rows<'a> {
+    /// Agents of each scene, summing up to R.
+    pub scene_sizes: &'a [usize],
+    /// Seed of each row's own noise [R]; `None`: noise of the world's seed.
+    pub noise_seeds: &'a [Option<u64>],
+}
+
+impl Rows<'_> {
+    /// Their number R.
+    pub fn count(&self) -> usize {
+        self.scene_sizes.iter().sum()
+    }
+
+    /// Checks that there is one seed per scene.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] where there is not.
+    pub fn check_seeds(&self, seeds: &[u64]) -> Result<()> {
+        if seeds.len() == self.scene_sizes.len() {
+            return Ok(());
+        }
+        Err(ModelError::Shape {
+            what: "seeds",
+            got: seeds.len().to_string(),
+            expected: format!("{} (one per scene)", self.scene_sizes.len()),
+        })
+    }
+
+    /// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
+    /// its own agents alone, not on the worlds beside it. Rows with a seed of their own share [`KEPT_NOISE`] with theirs.
+    pub fn noise(&self, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
+        let rows = self.count();
+        let mut out = vec![0.0; samples * rows * per_row];
+        for ((size, offset), seed) in self.scene_sizes.iter().zip(row_offsets(self.scene_sizes)).zip(seeds) {
+            let numbers = Noise::new(*seed, stream).normals(samples * size * per_row);
+            for (sample, part) in numbers.chunks_exact((size * per_row).max(1)).enumerate() {
+                let at = (sample * rows + offset) * per_row;
+                out[at..at + part.len()].copy_from_slice(part);
+            }
+        }
+        let fresh = (1.0 - KEPT_NOISE * KEPT_NOISE).sqrt();
+        let own = self.noise_seeds.iter().enumerate().filter_map(|(row, seed)| Some((row, (*seed)?)));
+        for (row, seed) in own {
+            let numbers = Noise::new(seed, stream).normals(samples * per_row);
+            for (sample, part) in numbers.chunks_exact(per_row).enumerate() {
+                let at = (sample * rows + row) * per_row;
+                let mixed = out[at..at + per_row].iter_mut().zip(part);
+                mixed.for_each(|(out, own)| *out = *out * fresh + own * KEPT_NOISE);
+            }
+        }
+        out
+    }
+}
+
+/// A network on rows that it has encoded.
+pub trait Predict {
+    /// Clean knots [N · R, knots, 2] of noisy ones at a diffusion step, sample by sample; `alone`: with G = identity.
+    fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32>;
+}
+
+/// What plans are drawn for.
+#[derive(Debug, Clone, Copy)]
+pub struct Draws<'a> {
+    /// The noise that the network was taught to take away.
+    pub schedule: &'a Schedule,
+    /// The rows.
+    pub rows: Rows<'a>,
+    /// One seed per scene.
+    pub seeds: &'a [u64],
+    /// How plans are drawn.
+    pub options: SampleOptions,
+    /// Knots of a plan.
+    pub num_knots: usize,
+    /// Normalised first knots of plans that start with one, [R].
+    pub first: &'a [Option<[f32; 2]>],
+}
+
+/// From a noisy plan and the clean one predicted from it to the mean of the next one.
+struct StepCoefficients {
+    k: usize,
+    from_x0: f64,
+    from_xk: f64,
+    /// Standard deviation of the step, or of the random step that it stands for.
+    sigma: f64,
+}
+
+/// a · x + b · y.
+fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
+    let (a, b) = (a as f32, b as f32);
+    x.iter().zip(y).map(|(x, y)| x * a + y * b).collect()
+}
+
+/// Draws clean normalised knots [N · R, knots, 2], sample by sample; `guide` moves plans in every step but the last, whose
+/// standard deviation is zero (as released, reference.md#sampling), or in the only one.
+///
+/// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
+///
+/// # Errors
+/// [`ModelError::Shape`] for a wrong number of seeds, [`ModelError::Config`] for bad options.
+pub fn sample(
+    draws: &Draws<'_>,
+    network: &mut dyn Predict,
+    mut guide: Option<&mut Guidance<'_>>,
+) -> Result<Vec<f32>> {
+    let Draws { schedule, rows, seeds, num_knots, first, .. } = *draws;
+    let options = draws.options.validated()?;
+    rows.check_seeds(seeds)?;
+    let normal = |stream: u64| rows.noise(seeds, stream, options.num_samples, num_knots * 2);
+    let w = options.guidance_weight;
+    let mut clean = |x: &[f32], k: usize| {
+        let cond = network.predict(x, k, false);
+        let mut x0 = if w > 1.0 { joined(&network.predict(x, k, true), 1.0 - w, &cond, w) } else { cond };
+        for (plan, start) in x0.chunks_exact_mut(num_knots * 2).zip(first.iter().cycle()) {
+            if let Some(start) = start {
+                plan[..2].copy_from_slice(start);
+            }
+        }
+        x0
+    };
+    let mut mean = |x: &[f32], step: &StepCoefficients| -> Result<Vec<f32>> {
+        let x0 = clean(x, step.k);
+        match guide.as_deref_mut().filter(|g| g.is_active() && step.sigma > 0.0) {
+            Some(guide) => guided_mean(guide, schedule, x, x0, step),
+            None => Ok(joined(&x0, step.from_x0, x, step.from_xk)),
+        }
+    };
+    let mut x = normal(schedule.len() as u64);
+    x.iter_mut().for_each(|x| *x *= options.temperature as f32);
+    match options.solver_steps {
+        None => {
+            for k in (0..schedule.len()).rev() {
+                let p = schedule.posterior(k);
+                let step = StepCoefficients { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma };
+                x = mean(&x, &step)?;
+                if k > 0 {
+                    x = joined(&x, 1.0, &normal(k as u64), p.sigma);
+                }
+            }
+        }
+        Some(steps) => {
+            let ks = schedule.timesteps(steps);
+            for (i, &k) in ks.iter().enumerate() {
+                let to = ks.get(i + 1).copied();
+                let (from_x0, from_xk) = schedule.ddim(k, to);
+                // the plan of a single step is guided against the spread of the noise that it is made of
+                let sigma = if steps == 1 { 1.0 } else { schedule.posterior_std(k, to) };
+                x = mean(&x, &StepCoefficients { k, from_x0, from_xk, sigma })?;
+            }
+        }
+    }
+    Ok(x)
+}
+
+/// The mean of a step with guidance on it, or on the clean plan that it is formed from.
+fn guided_mean(
+    guide: &mut Guidance<'_>,
+    schedule: &Schedule,
+    x: &[f32],
+    mut x0: Vec<f32>,
+    step: &StepCoefficients,
+) -> Result<Vec<f32>> {
+    let score = guide.wants_score().then(|| {
+        let alpha_bar = schedule.alpha_bar[step.k];
+        let (signal, noise) = (alpha_bar.sqrt() as f32, (1.0 - alpha_bar) as f32);
+        x0.iter().zip(x).map(|(x0, x)| (x0 * signal - x) / noise).collect::<Vec<f32>>()
+    });
+    let moved = |gain| GuidanceStep { sigma: step.sigma, gain, score: score.as_deref() };
+    match guide.config().target {
+        Target::Mu => {
+            let mut mean = joined(&x0, step.from_x0, x, step.from_xk);
+            guide.adjust(&mut mean, moved(1.0))?;
+            Ok(mean)
+        }
+        Target::X0 => {
+            guide.adjust(&mut x0, moved(step.from_x0))?;
+            Ok(joined(&x0, step.from_x0, x, step.from_xk))
+        }
+    }
+}
