@@ -152,8 +152,8 @@ def all_on_torch(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Own kernels beside torch are those of ``test_networks.py``; guidance makes more of rounding.
     """
-    for module in (ccdiff_env.models, ccdiff_env.worlds):
-        monkeypatch.setattr(module, "needs_torch", lambda *_: True)
+    for module in ("models.trajectory_model", "worlds.networks"):
+        monkeypatch.setattr(f"ccdiff_env.{module}.needs_torch", lambda *_: True)
 
 
 @needs_no_gpu

@@ -102,7 +102,8 @@ except ccdiff_env.errors.MissingFeatureError as error:
         ),
         ("sys.modules['ccdiff_env._models'] = None", r"built without them"),
         (
-            "import pathlib\nccdiff_env.models._rivals = lambda: pathlib.Path('absent')",
+            "from pathlib import Path\nfrom ccdiff_env.models import weights\n"
+            "weights._rivals = lambda: Path('absent')",
             r"weights strive_fast .*pip install 'ccdiff-env\[rivals\]'",
         ),
         ("ccdiff_env._native.build_mark = lambda: 1", r"of different builds"),

@@ -1,0 +1,171 @@
+"""Training of planning networks."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.errors import (
+    CheckpointError,
+    ConfigError,
+)
+from ccdiff_env.models.curves import Curves
+from ccdiff_env.models.training_loop import run_training
+from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator
+from ccdiff_env.models.weights import require_networks
+from ccdiff_env.scenes import Scene
+from ccdiff_env.system.files import reading
+
+WEIGHTS = "weights.safetensors"
+STATE = "state.safetensors"
+LICENCE = "CC-BY-NC-SA-4.0"
+
+
+def train(
+    scenes: Sequence[Scene],
+    *,
+    out: str | os.PathLike[str],
+    held_out: Sequence[Scene] = (),
+    model: str = "ccdiff",
+    preset: str = "fast",
+    steps: int | None = None,
+    minutes: float | None = None,
+    device: str = "cpu",
+    settings: dict[str, Any] | None = None,
+    network: dict[str, Any] | None = None,
+    teacher: str | os.PathLike[str] | None = None,
+    start: str | os.PathLike[str] | None = None,
+    notes: dict[str, Any] | None = None,
+    checkpoint_minutes: float = 3.0,
+    validation_samples: int = 96,
+    progress: bool = True,
+) -> Path:
+    """Train a planning network and write its weights.
+
+    A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
+    is constant and falls to zero over the last fifth of the steps or minutes.
+
+    Parameters
+    ----------
+    scenes
+        Scenes to train on. Keep every validation scene out.
+    out
+        Folder of the run: ``weights.safetensors`` (moving average, for use), ``state.safetensors``
+        (for resuming), ``loss.csv``, ``validation.csv``, ``tensorboard/``.
+    held_out
+        Scenes for the validation curve.
+    model
+        Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
+    preset
+        ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
+    steps, minutes
+        When to stop; exactly one of them. Minutes count this call alone.
+    device
+        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
+    settings
+        Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
+    network
+        Parts of the network that differ from the preset's, such as ``{"width": 128}`` or
+        ``{"map": {"encoder": "polylines"}}``; the names are those of the weight file's header.
+    teacher
+        Weights of a denoising network. The run begins with them and learns to make its plans in one
+        denoising step instead of ``settings["teacher_steps"]`` (5): for ``denoising_steps=1``.
+        Preset and network are the teacher's. A resumed run needs it again.
+    start
+        Weights that the run begins with; preset and network are theirs. Parts that ``network`` adds
+        to them begin fresh.
+    notes
+        Kept in the weight file's header.
+    checkpoint_minutes
+        Time between checkpoints and validations.
+    validation_samples
+        Held-out (scene, step) pairs per validation.
+    progress
+        Whether to show a progress bar (needs tqdm).
+
+    Returns
+    -------
+    Path
+        The weight file.
+
+    Raises
+    ------
+    ConfigError
+        A setting is out of range, or no scene gives a sample.
+    CheckpointError
+        The run in ``out`` is damaged.
+    """
+    if (steps is None) == (minutes is None):
+        raise ConfigError("give steps or minutes, exactly one of them")
+    require_networks()
+    from ccdiff_env import _models
+
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    state = folder / STATE
+    resumed = state.exists()
+    with reading("training state", state, CheckpointError):
+        config, training = (
+            _models.training_settings(os.fspath(state))
+            if resumed
+            else _models.model_preset(preset, model)
+        )
+    if resumed and json.loads(config)["kind"] != model:
+        raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
+    if not resumed:
+        if teacher is not None:
+            config = json.dumps(TrajectoryModel(teacher).header["model"])
+            settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
+        elif start is not None:
+            config = json.dumps({**json.loads(config), **TrajectoryModel(start).header["model"]})
+        training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
+        config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
+    with own_generator(int(json.loads(training)["seed"])):
+        run = _models.Trainer(
+            list(scenes),
+            list(held_out),
+            config,
+            training,
+            device=device,
+            stride=1,
+            estimate=not resumed and teacher is None and start is None,
+            teacher=None if teacher is None else os.fspath(teacher),
+            start=None if resumed or start is None else os.fspath(start),
+        )
+    if resumed:
+        with reading("training state", state, CheckpointError):
+            run.resume(os.fspath(state))
+            if run.step >= 2**63:
+                raise CheckpointError(f"step is {run.step}")
+    notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
+    curves = Curves(folder, run.step)
+    try:
+        run_training(
+            run,
+            (folder / STATE, folder / WEIGHTS),
+            curves,
+            steps,
+            minutes,
+            notes,
+            checkpoint_minutes,
+            validation_samples,
+            progress,
+            solver_steps=5 if teacher is None else 1,
+        )
+    finally:
+        curves.close()
+    return folder / WEIGHTS
+
+
+def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    unknown = sorted(set(changes) - set(preset))
+    if unknown:
+        raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
+    parts = {
+        key: {**preset[key], **value} if isinstance(value, dict) else value
+        for key, value in changes.items()
+    }
+    return {**preset, **parts}

@@ -1,0 +1,158 @@
+"""A planning network that was loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from ccdiff_env import _native
+from ccdiff_env.errors import (
+    CheckpointError,
+    ConfigError,
+)
+from ccdiff_env.models.scene_plan import ScenePlan
+from ccdiff_env.models.weights import needs_torch, require_networks
+from ccdiff_env.scenes import Scene
+from ccdiff_env.system.files import reading
+
+
+def guidance_preset(name: str) -> dict[str, Any]:
+    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``, ``"strive_target"``.
+
+    docs/method.md says what they mean; every one of them may be changed.
+    """
+    settings: dict[str, Any] = json.loads(_native.guidance_preset(name))
+    return settings
+
+
+@contextmanager
+def own_generator(seed: int) -> Iterator[None]:
+    """Seed torch's generator for fresh weights and put the caller's back afterwards."""
+    import torch
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield
+
+
+class TrajectoryModel:
+    """A planning network loaded from a weight file.
+
+    Parameters
+    ----------
+    path
+        A ``.safetensors`` file written by :func:`train`. Every tensor name and shape is checked;
+        nothing is unpickled.
+    device
+        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
+
+    Raises
+    ------
+    MissingFeatureError
+        The network needs torch (:func:`needs_torch`), which is not there.
+    DatasetNotFoundError
+        There is no such file.
+    CheckpointError
+        The file is damaged or does not fit; the message names the tensor or field.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
+        if not needs_torch(path, device):
+            with reading("weights", path, CheckpointError):
+                self._native = _native.load_network(os.fspath(path))
+            return
+        require_networks()
+        from ccdiff_env import _models
+
+        with reading("weights", path, CheckpointError), own_generator(0):
+            self._native = _models.load_network(os.fspath(path), device)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """The file's header: model and training settings, steps, notes on data and licence."""
+        header: dict[str, Any] = json.loads(self._native.header)
+        return header
+
+    @property
+    def num_parameters(self) -> int:
+        """Numbers in the network."""
+        return self._native.num_parameters
+
+    def plan(
+        self,
+        scenes: Sequence[Scene],
+        steps: Sequence[int],
+        *,
+        seeds: Sequence[int] | None = None,
+        solver_steps: int | None = 5,
+        num_samples: int = 1,
+        guidance_weight: float = 1.0,
+        guidance: str | Mapping[str, Any] | None = None,
+        guided: Sequence[Sequence[int]] | None = None,
+        collision_targets: Sequence[Sequence[int]] | None = None,
+        attention: bool = False,
+        gradient_statistics: bool = False,
+        follow_route: bool = False,
+    ) -> list[ScenePlan]:
+        """Plan for all vehicles of some scenes from their logged histories, in one batch.
+
+        Parameters
+        ----------
+        scenes
+            Scenes; one may appear several times.
+        steps
+            The current step in each.
+        seeds
+            Noise seed of each; 0, 1, ... by default. A scene's noise depends on its own seed alone.
+        solver_steps
+            Network evaluations of the DDIM sampler; ``None`` runs DDPM with all steps.
+        num_samples
+            Samples N per plan.
+        guidance_weight
+            w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the unconditional pass.
+        guidance
+            Name of a preset or settings, see :func:`guidance_preset`; settings that are absent are
+            those of ``"released"``. Needs two solver steps or more.
+        guided
+            Agents of each scene whose plans are guided; needs ``guidance``.
+        collision_targets
+            If given, only contacts with these agents of each scene count in collision objectives.
+        attention
+            Whether plans come with the attention between vehicles.
+        gradient_statistics
+            Whether guided plans come with the statistics of gradients.
+        follow_route
+            Whether the network knows where the vehicles go, as ``CcdiffConfig.follow_route``.
+
+        Raises
+        ------
+        ConfigError
+            A setting is unknown or out of range; the message names it.
+        ShapeError
+            There is not one entry per scene.
+        """
+        if (guidance is None) != (guided is None):
+            raise ConfigError("give guidance and guided together, or neither")
+        chosen = list(range(len(scenes))) if seeds is None else list(seeds)
+        if isinstance(guidance, str):
+            guidance = guidance_preset(guidance)
+        plans = self._native.plan_scenes(
+            list(scenes),
+            list(steps),
+            chosen,
+            solver_steps=solver_steps,
+            num_samples=num_samples,
+            guidance_weight=guidance_weight,
+            guidance=None if guidance is None else json.dumps(dict(guidance)),
+            guided=None if guided is None else [list(g) for g in guided],
+            collision_targets=(
+                None if collision_targets is None else [list(rows) for rows in collision_targets]
+            ),
+            attention=attention,
+            gradient_statistics=gradient_statistics,
+            follow_route=follow_route,
+        )
+        return [ScenePlan(**plan) for plan in plans]

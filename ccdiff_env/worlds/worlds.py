@@ -1,0 +1,387 @@
+"""The native worlds with their scenes, schemas and arrays: what every environment class sits on."""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from ccdiff_env import _native
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import (
+    ActionError,
+    ConfigError,
+    ShapeError,
+    UnknownNameError,
+)
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic import PythonTraffic, TrafficPlan
+from ccdiff_env.traffic.options import Autoreset, check
+from ccdiff_env.traffic.python import BoundTraffic
+from ccdiff_env.worlds.configured import SceneChoice
+from ccdiff_env.worlds.curriculum import Criticality, Curriculum
+from ccdiff_env.worlds.fit import Fit
+from ccdiff_env.worlds.networks import network_policies
+from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
+from ccdiff_env.worlds.step_arrays import F32, U8, StepArrays
+
+#: Batches from here on use all processors by default.
+PARALLEL_FROM = 64
+#: Past steps in images.
+TRAIL_STEPS = 31
+
+
+def _num_processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
+    """Models of the user's own, by the names of their drivers."""
+    return {
+        name: BoundTraffic(name, policy.options, scenes, config.dt_s)
+        for name, policy in config.policies.items()
+        if isinstance(policy.options, PythonTraffic)
+    }
+
+
+class Worlds:
+    """E native worlds over scenes.
+
+    Parameters
+    ----------
+    scenes
+        The scenes.
+    config
+        Their configuration.
+    num_worlds
+        E.
+    num_threads
+        Worker threads; ``None``: all processors for many worlds, else the calling thread. Results
+        do not depend on it.
+    trails
+        Whether past positions are kept for images.
+    criticality
+        Criticality of planned traffic by episode, see
+        :class:`~ccdiff_env.worlds.curriculum.Curriculum`; ``None``: as configured.
+    """
+
+    def __init__(
+        self,
+        scenes: SceneSet,
+        config: WorldConfig,
+        *,
+        num_worlds: int,
+        num_threads: int | None = None,
+        trails: bool = False,
+        criticality: Criticality | None = None,
+    ) -> None:
+        for name, count in (("num_envs", num_worlds), ("num_threads", num_threads)):
+            if count is not None and (type(count) is not int or not 1 <= count < 2**63):
+                raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
+        if num_threads is None:
+            num_threads = _num_processors() if num_worlds >= PARALLEL_FROM else 1
+        config.check_networks()
+        self.scenes = scenes
+        self.config = config
+        self.native = _native.VecWorld(
+            list(scenes),
+            config.to_json(),
+            num_worlds,
+            num_threads,
+            TRAIL_STEPS if trails else 0,
+            network_policies(config, scenes, min(num_threads, _num_processors())),
+            _models(config, scenes),
+        )
+        if criticality is not None:
+            config.guided_traffic("criticality")
+        self.curriculum = None if criticality is None else Curriculum(criticality)
+        #: Drivers by id that the present episode of a world was given at its reset.
+        self.drivers: dict[int, dict[str, str]] = {}
+        #: Criticality that the present episode of a world was given by the curriculum.
+        self.criticality: dict[int, float] = {}
+        self.num_worlds = num_worlds
+        self.num_slots = config.num_slots
+        self.layout = Layout.from_json(self.native.layout_json)
+        self.columns = read_columns(_native.columns_json())
+        self.column_names = tuple(column.name for column in self.columns)
+        self.metrics = read_columns(_native.metrics_json())
+        self.metric_names = tuple(metric.name for metric in self.metrics)
+        self.discrete = self.native.num_actions is not None
+        #: Shape of an agent's action.
+        self.action_shape = () if self.discrete else (self.native.action_width,)
+        self._width = self.native.action_width
+        self._arrays = self.native.step_arrays()
+        self._index = {scene.name: i for i, scene in enumerate(scenes)}
+        #: Arrays of the newest reset or step.
+        self.last: StepArrays | None = None
+        #: Weights by which scenes are drawn, where there are any.
+        self.scene_weights: list[float] | None = None
+
+    def __reduce__(self) -> Any:
+        """Refuse copies, but for those that environments make."""
+        raise ConfigError(
+            "worlds cannot be pickled or copied: do so with their environment, or make another one "
+            "and restore(env.snapshot())"
+        )
+
+    def set_autoreset(self, mode: Autoreset) -> None:
+        """Choose when ended worlds begin anew, before the first reset."""
+        config = self.config.with_options(autoreset=mode)
+        self.native.set_autoreset(config.to_json())
+        self.config, self._arrays = config, self.native.step_arrays()
+
+    @property
+    def action_space(self) -> gymnasium.Space[Any]:
+        """Space of an agent's actions, made anew: wrappers may change what they are given."""
+        return action_space(self.native.action_width, self.native.num_actions)
+
+    def observation_space(self, form: Form) -> gymnasium.Space[Any]:
+        """Return the space of an agent's observations in a form; it says what they are made from.
+
+        Policies carry it with them, see :mod:`ccdiff_env.worlds.fit`.
+        """
+        return Fit.of(self.config, self.native.layout_json, form).mark(self.layout.space(form))
+
+    def arrays(self) -> StepArrays:
+        """Return new arrays for a reset or step, and keep them as :attr:`last`."""
+        made: dict[str, Any] = {
+            name: np.empty(shape, dtype) if shape else None for name, dtype, shape in self._arrays
+        }
+        self.last = StepArrays(**made)
+        return self.last
+
+    def actions(self, actions: Any, shape: tuple[int, ...]) -> F32:
+        """Check actions of a shape and return them as float32 [E, C, W].
+
+        Raises
+        ------
+        ShapeError
+            If the shape is another one.
+        ActionError
+            If they are no numbers, or no integers where actions are indices.
+        """
+        if type(actions) is not np.ndarray or actions.dtype != np.float32 or self.discrete:
+            try:
+                given = np.asarray(actions)
+            except (TypeError, ValueError) as error:
+                raise ShapeError(f"actions: {error}, expected an array of shape {shape}") from None
+            if given.dtype.kind not in ("iu" if self.discrete else "fiu"):
+                kind = "integers" if self.discrete else "numbers"
+                raise ActionError(f"actions have dtype {given.dtype}, expected {kind}")
+            with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused
+                actions = given.astype(np.float32)
+        if actions.shape != shape:
+            raise ShapeError(f"actions have shape {actions.shape}, expected {shape}")
+        return np.ascontiguousarray(actions).reshape(self.num_worlds, self.num_slots, self._width)
+
+    def scene_index(self, choice: SceneChoice) -> int | None:
+        """Return the index of a scene given by name or index.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such scene.
+        """
+        if choice is None:
+            return None
+        if isinstance(choice, str):
+            if choice not in self._index:
+                few = ", ".join(list(self._index)[:5])
+                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {few} ...")
+            return self._index[choice]
+        if isinstance(choice, (bool, np.bool_)) or not hasattr(choice, "__index__"):
+            raise ConfigError(f"scene is {choice!r}, expected a name or an index")
+        index = operator.index(choice)
+        if not 0 <= index < len(self._index):
+            raise UnknownNameError(f"no scene {index}, expected an index below {len(self._index)}")
+        return index
+
+    def wanted(
+        self, scene_idx: int | None, ego: Any, start: Any, style: Any
+    ) -> tuple[int | None, int | None, dict[str, float]]:
+        """Return the ego (index), the step of the start and the style that a reset asks for.
+
+        Raises
+        ------
+        ConfigError
+            If no scene is named with ego or start, or a value is of another kind.
+        UnknownNameError
+            If the scene has no such agent.
+        """
+        if style is not None:
+            check("EgosConfig", "options", {"style": style})
+        style = {name: float(value) for name, value in (style or {}).items()}
+        if (ego is not None or start is not None) and scene_idx is None:
+            raise ConfigError("options: ego and start are given without a scene")
+        if start is not None:
+            if isinstance(start, (bool, np.bool_)) or not hasattr(start, "__index__"):
+                raise ConfigError(f"start is {start!r}, expected a step of the log")
+            start = operator.index(start)
+            if not 0 <= start < 2**63:
+                raise ConfigError(f"start is {start}, expected a step of the log")
+        if ego is None or scene_idx is None:
+            return None, start, style
+        scene = self.scenes[scene_idx]
+        if ego not in (ids := list(scene.agent_ids)):
+            raise UnknownNameError(f"ego: {scene.name} has no agent {ego!r}")
+        return ids.index(ego), start, style
+
+    def check_world(self, world_idx: int) -> None:
+        """Refuse the index of a world that does not exist."""
+        if type(world_idx) is not int or not 0 <= world_idx < self.num_worlds:
+            raise UnknownNameError(
+                f"no world {world_idx!r}, expected an index below {self.num_worlds}"
+            )
+
+    def agent_drivers(self, choice: Any) -> dict[str, str]:
+        """Return drivers by the ids of vehicles, as a reset may be given them, checked.
+
+        Raises
+        ------
+        ConfigError
+            If it is something else.
+        UnknownNameError
+            If the batch has no such driver.
+        """
+        if choice is None:
+            return {}
+        if not isinstance(choice, Mapping):
+            raise ConfigError(f"drivers is {choice!r}, expected names of drivers by agent id")
+        known = ("external", *(name for name, _ in self.native.policies))
+        for agent, driver in choice.items():
+            if driver not in known:
+                raise UnknownNameError(
+                    f"driver of {agent!r} is {driver!r}, expected one of {', '.join(known)}; name "
+                    "others in traffic or policies when the environment is made"
+                )
+        return dict(choice)
+
+    def assign(
+        self, world_idx: int, drivers: Mapping[str, str], *, passing_over: bool = False
+    ) -> None:
+        """Put drivers into vehicles of a world by id, until its episode ends.
+
+        Parameters
+        ----------
+        world_idx, drivers
+            The world, and names of drivers by id.
+        passing_over
+            Whether vehicles that the scene does not have are passed over.
+
+        Raises
+        ------
+        UnknownNameError
+            If the scene has no such vehicle.
+        """
+        scene = self.scenes[self.native.status(world_idx).scene_idx]
+        places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
+        found = {agent: driver for agent, driver in drivers.items() if agent in places}
+        unknown = [] if passing_over else [agent for agent in drivers if agent not in places]
+        if unknown:
+            raise UnknownNameError(
+                f"drivers: {scene.name} (world {world_idx}) has no agent {unknown[0]!r}"
+            )
+        for agent, driver in found.items():
+            self.native.assign(world_idx, [places[agent]], driver)
+        self.drivers[world_idx] = found
+
+    def set_progress(self, progress: float) -> None:
+        """Tell the curriculum how far training has come, 0 to 1.
+
+        Raises
+        ------
+        ConfigError
+            If there is none, or the number is out of range.
+        """
+        if self.curriculum is None:
+            raise ConfigError("progress: the environment was made without criticality")
+        self.curriculum.progress = progress
+
+    def set_scene_weights(self, weights: Any) -> None:
+        """Draw the scenes of episodes that begin later by weights.
+
+        Raises
+        ------
+        ConfigError
+            If weights are no numbers, negative, not finite or all zero, or scenes are played in
+            their order.
+        ShapeError
+            If their number is another one than that of the scenes.
+        """
+        if weights is not None:
+            try:
+                weights = np.asarray(weights, np.float64)
+            except (TypeError, ValueError) as error:
+                raise ConfigError(f"scene weights: {error}, expected numbers [S]") from None
+            if weights.shape != (len(self.scenes),):
+                raise ShapeError(
+                    f"scene weights have shape {weights.shape}, expected ({len(self.scenes)},)"
+                )
+            weights = weights.tolist()
+        self.native.set_scene_weights(weights)
+        self.scene_weights = weights
+
+    def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
+        """Return what ``info`` says about a new episode: scene, its token, seed, episode.
+
+        An ego that is drawn is reported with the step of the log at which the episode starts.
+        Level ``"none"`` has numbers alone: some learners take no text.
+
+        With a curriculum, the episode's criticality is drawn, set and reported here.
+        """
+        status = self.native.status(world_idx)
+        scene, seed, episode_idx = self.scenes[status.scene_idx], status.seed, status.episode - 1
+        info: dict[str, Any] = {
+            "scene": scene.name,
+            "scene_token": scene.token,
+            "scene_idx": status.scene_idx,
+            "seed": seed,
+            "episode_idx": episode_idx,
+        }
+        if self.config.controlled == "any" and status.ego_idx is not None:
+            info["ego"], info["ego_idx"] = scene.agent_ids[status.ego_idx], status.ego_idx
+            info["start_step"] = status.step_idx
+        if level == "none":
+            for text in ("scene", "scene_token", "ego"):
+                info.pop(text, None)
+        if self.curriculum is not None:
+            strength = self.curriculum.draw(seed, episode_idx)
+            self.native.override_plan(world_idx, guided=None, criticality=strength)
+            info["criticality"] = self.criticality[world_idx] = strength
+        return info
+
+    def explain(self, world_idx: int, driver: str | None = None) -> TrafficPlan | None:
+        """Return the plan that a world follows, of the driver or of the first that plans; ``None``
+        before the first one.
+
+        Raises
+        ------
+        UnknownNameError
+            If the world does not exist, or no such driver plans.
+        """
+        self.check_world(world_idx)
+        if not self.native.planners:
+            raise UnknownNameError(
+                f"explain: traffic is {self.config.traffic!r}, expected one that plans, as 'ccdiff'"
+            )
+        plan = self.native.explain(world_idx, driver)
+        return None if plan is None else TrafficPlan(**plan)
+
+    def observation(self, world_idx: int) -> F32:
+        """Return the present observations [C, D] of a world as a new array."""
+        return self.observe(world_idx)[0]
+
+    def observe(self, world_idx: int) -> tuple[F32, U8 | None]:
+        """Return the present observations [C, D] and rasters [C, P, S, S] of a world anew."""
+        rows = np.empty((self.num_slots, self.layout.size), np.float32)
+        raster = self.layout.raster
+        bev = None if raster is None else np.empty((self.num_slots, *raster), np.uint8)
+        self.native.observe(world_idx, rows, bev)
+        return rows, bev
